@@ -1,0 +1,76 @@
+"""The one error tree. Every error says, on one line, what a user needs in order to act."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+_LONGEST_VALUE = 120
+
+
+class LongarmError(Exception):
+    """Base of every error that this package raises on purpose."""
+
+    exit_code: ClassVar[int] = 1
+
+
+class InputError(LongarmError):
+    """Something handed in is wrong: a file, a message, an argument.
+
+    Args:
+        where: the file, topic, service or function that the value came from.
+        field: the column, key or argument; a row may be part of it (``"row 12, q3"``).
+        value: what was found there.
+        allowed: what may stand there, in words.
+    """
+
+    exit_code: ClassVar[int] = 2
+
+    def __init__(self, where: object, field: object, value: object, allowed: object) -> None:
+        super().__init__(where, field, value, allowed)
+        self.where = _one_line(where)
+        self.field = _one_line(field)
+        self.value = value
+        self.allowed = _one_line(allowed)
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.field}: {_shown(self.value)}; allowed: {self.allowed}"
+
+
+class JobError(LongarmError):
+    """The input is good but the job could not be done: unreachable, not converged.
+
+    Args:
+        reason: why, in one sentence.
+        facts: what is needed to act on it, as ``name=value`` (``residual_m=0.02``).
+    """
+
+    exit_code: ClassVar[int] = 3
+
+    def __init__(self, reason: str, **facts: object) -> None:
+        super().__init__(reason)
+        self.reason = _one_line(reason)
+        self.facts = facts
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _job_error, (type(self), self.reason, self.facts)
+
+    def __str__(self) -> str:
+        if not self.facts:
+            return self.reason
+        facts = ", ".join(f"{name}={_shown(value)}" for name, value in self.facts.items())
+        return f"{self.reason} ({facts})"
+
+
+def _job_error(kind: type[JobError], reason: str, facts: dict[str, object]) -> JobError:
+    """Rebuild a JobError that crossed a process boundary (exceptions forget keyword arguments)."""
+    return kind(reason, **facts)
+
+
+def _one_line(text: object) -> str:
+    return " ".join(str(text).split())
+
+
+def _shown(value: object) -> str:
+    """A value on one line and of bounded length; numbers without their wrapper type's name."""
+    text = repr(value) if isinstance(value, str) else _one_line(value)
+    return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."

@@ -1,0 +1,82 @@
+"""Files written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from longarm_comp.core.errors import InputError
+
+
+@contextmanager
+def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary path beside ``path``; on a clean exit it replaces ``path`` in one step.
+
+    The temporary file keeps the suffix of ``path`` (writers that go by the suffix still work) and is
+    synced to disk first. When the block raises, ``path`` is left as it was. Missing parent folders
+    are made.
+
+    Raises:
+        InputError: the folder cannot be made or written to, or ``path`` is a folder.
+    """
+    target = Path(path)
+    if target.is_dir():
+        raise InputError(target, "output file", "a folder", "a file name")
+    partial = _partial_beside(target)
+    try:
+        yield partial
+        _sync(partial)
+        _publish(partial, target)
+    finally:
+        with suppress(FileNotFoundError):
+            partial.unlink()
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write ``text`` as UTF-8 to ``path``, whole or not at all.
+
+    Raises:
+        InputError: as ``atomic_path``.
+    """
+    with atomic_path(path) as partial:
+        partial.write_text(text, encoding="utf-8", newline="\n")
+
+
+def _partial_beside(target: Path) -> Path:
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(
+            dir=target.parent, prefix=f".{target.stem}.", suffix=target.suffix
+        )
+    except OSError as error:
+        raise _not_writable(target, error) from error
+    os.close(handle)
+    return Path(name)
+
+
+def _sync(partial: Path) -> None:
+    with partial.open("rb+") as file:
+        os.fsync(file.fileno())
+
+
+def _publish(partial: Path, target: Path) -> None:
+    """Give the file the permissions that an ordinary new file would have, then move it in place."""
+    try:
+        mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
+        partial.chmod(mode)
+        os.replace(partial, target)
+    except OSError as error:
+        raise _not_writable(target, error) from error
+
+
+def _umask() -> int:
+    umask = os.umask(0)
+    os.umask(umask)
+    return umask
+
+
+def _not_writable(target: Path, error: OSError) -> InputError:
+    return InputError(target, "output folder", error.strerror or str(error), "a folder to write in")
