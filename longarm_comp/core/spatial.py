@@ -1,0 +1,235 @@
+"""Rigid motions in components: vectors, frames, twists.
+
+Every scalar may be a Python float (one posture), a NumPy array of shape (N,)
+(a whole session) or any other number that knows ``+ - * /`` and the NumPy
+ufuncs; all functions here are written in components, so the same lines serve
+all of them.  A *twist* is ordered ``[d; delta]`` as in the paper's Eq. (3):
+translation first (m), rotation second (rad), both seen in the frame it acts in.
+
+Conventions: ``A2B``-free naming is used for frames; ``frames[i]`` is always the
+pose of frame *i* in the base frame, so ``p_base = frames[i].transform(p_i)``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+Scalar = Any  # float, (N,) array, or a traced number
+Vec = tuple[Scalar, Scalar, Scalar]
+Twist = tuple[Scalar, Scalar, Scalar, Scalar, Scalar, Scalar]
+
+ZERO: Vec = (0.0, 0.0, 0.0)
+ZERO_TWIST: Twist = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def sin(x: Scalar) -> Scalar:
+    """Sine of a float or of anything NumPy's ufunc accepts."""
+    return math.sin(x) if type(x) is float else np.sin(x)
+
+
+def cos(x: Scalar) -> Scalar:
+    """Cosine of a float or of anything NumPy's ufunc accepts."""
+    return math.cos(x) if type(x) is float else np.cos(x)
+
+
+def sqrt(x: Scalar) -> Scalar:
+    """Square root of a float or of anything NumPy's ufunc accepts."""
+    return math.sqrt(x) if type(x) is float else np.sqrt(x)
+
+
+def add(a: Vec, b: Vec) -> Vec:
+    """a + b."""
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+def sub(a: Vec, b: Vec) -> Vec:
+    """a - b."""
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+def scale(s: Scalar, a: Vec) -> Vec:
+    """s a."""
+    return (s * a[0], s * a[1], s * a[2])
+
+
+def dot(a: Vec, b: Vec) -> Scalar:
+    """a . b."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross(a: Vec, b: Vec) -> Vec:
+    """a x b."""
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )
+
+
+class Frame(NamedTuple):
+    """A pose ``[n o a p; 0 0 0 1]`` (the paper's Eq. 4): three axes and the origin."""
+
+    n: Vec
+    o: Vec
+    a: Vec
+    p: Vec
+
+    def rotate(self, v: Vec) -> Vec:
+        """Direction `v` of this frame, seen in the parent."""
+        n, o, a = self.n, self.o, self.a
+        return (
+            n[0] * v[0] + o[0] * v[1] + a[0] * v[2],
+            n[1] * v[0] + o[1] * v[1] + a[1] * v[2],
+            n[2] * v[0] + o[2] * v[1] + a[2] * v[2],
+        )
+
+    def unrotate(self, v: Vec) -> Vec:
+        """Direction `v` of the parent, seen in this frame."""
+        return (dot(self.n, v), dot(self.o, v), dot(self.a, v))
+
+    def transform(self, v: Vec) -> Vec:
+        """Point `v` (m) of this frame, seen in the parent."""
+        return add(self.rotate(v), self.p)
+
+    def along(self, axis: int, length: Scalar) -> Frame:
+        """This frame moved by `length` (m) along its own axis 0, 1 or 2."""
+        return self._replace(p=add(self.p, scale(length, self[axis])))
+
+    def turned_x(self, angle: float) -> Frame:
+        """This frame turned by `angle` (rad) about its own x axis."""
+        if angle == 0.0:
+            return self
+        c, s = _exact_cos_sin(angle)
+        o = add(scale(c, self.o), scale(s, self.a))
+        return self._replace(o=o, a=sub(scale(c, self.a), scale(s, self.o)))
+
+    def turned_z(self, angle: Scalar) -> Frame:
+        """This frame turned by `angle` (rad) about its own z axis."""
+        if type(angle) is float:
+            if angle == 0.0:
+                return self
+            c, s = _exact_cos_sin(angle)
+        else:
+            c, s = cos(angle), sin(angle)
+        n = add(scale(c, self.n), scale(s, self.o))
+        return self._replace(n=n, o=sub(scale(c, self.o), scale(s, self.n)))
+
+    def __matmul__(self, other: Frame) -> Frame:
+        """Composition: `other` is given in this frame."""
+        return Frame(
+            self.rotate(other.n),
+            self.rotate(other.o),
+            self.rotate(other.a),
+            self.transform(other.p),
+        )
+
+    def inverse(self) -> Frame:
+        """The parent seen from this frame."""
+        n, o, a = self.n, self.o, self.a
+        p = self.unrotate(self.p)
+        return Frame(
+            (n[0], o[0], a[0]),
+            (n[1], o[1], a[1]),
+            (n[2], o[2], a[2]),
+            (-p[0], -p[1], -p[2]),
+        )
+
+    def matrix(self) -> np.ndarray:
+        """Homogeneous matrix, (..., 4, 4)."""
+        columns = [np.stack(np.broadcast_arrays(*v), axis=-1) for v in self]
+        top = np.stack(np.broadcast_arrays(*columns), axis=-1)
+        bottom = np.broadcast_to(np.array([0.0, 0.0, 0.0, 1.0]), (*top.shape[:-2], 1, 4))
+        return np.concatenate([top, bottom], axis=-2)
+
+    @classmethod
+    def from_matrix(cls, matrix: np.ndarray) -> Frame:
+        """From a homogeneous matrix, (..., 4, 4)."""
+        columns = []
+        for j in range(4):
+            column = [matrix[..., i, j] for i in range(3)]
+            columns.append(tuple(float(c) if np.ndim(c) == 0 else c for c in column))
+        return cls(*columns)
+
+
+IDENTITY = Frame((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), ZERO)
+
+
+def _exact_cos_sin(angle: float) -> tuple[float, float]:
+    """cos and sin that are exact at multiples of a right angle (so that zeros stay zeros)."""
+    quarter = angle / (math.pi / 2)
+    if abs(quarter - round(quarter)) < 1e-14:
+        return ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[round(quarter) % 4]
+    return math.cos(angle), math.sin(angle)
+
+
+def exp(twist: Twist) -> Frame:
+    """The finite motion exp(twist) of a small twist.
+
+    Series in ``|delta|^2`` (five terms: below 1e-12 up to 0.3 rad), which needs
+    no branch at zero.  Large motions: `exp_large`.
+    """
+    d, w = twist[:3], twist[3:]
+    t = dot(w, w)
+    a = 1.0 - t * (1 / 6 - t * (1 / 120 - t * (1 / 5040 - t / 362880)))
+    b = 0.5 - t * (1 / 24 - t * (1 / 720 - t * (1 / 40320 - t / 3628800)))
+    c = 1 / 6 - t * (1 / 120 - t * (1 / 5040 - t * (1 / 362880 - t / 39916800)))
+    return _exp(d, w, a, b, c, t)
+
+
+def exp_large(twist: Twist) -> Frame:
+    """The finite motion exp(twist) of a twist of any size."""
+    d, w = twist[:3], twist[3:]
+    t = dot(w, w) + 1e-24
+    angle = sqrt(t)
+    a = sin(angle) / angle
+    half = sin(0.5 * angle) / angle
+    b = 2.0 * half * half
+    small = t < 1e-4
+    series = 1 / 6 - t * (1 / 120 - t * (1 / 5040))
+    c = np.where(small, series, (1.0 - a) / t)
+    return _exp(d, w, a, b, float(c) if np.ndim(c) == 0 else c, t)
+
+
+def _exp(d: Vec, w: Vec, a: Scalar, b: Scalar, c: Scalar, t: Scalar) -> Frame:
+    """Rodrigues: R = 1 + a w^ + b w^w^, p = (1 + b w^ + c w^w^) d, with w^w^ = w w' - t."""
+    x, y, z = w
+    diag = 1.0 - b * t
+    bx, by, bz = b * x, b * y, b * z
+    ax, ay, az = a * x, a * y, a * z
+    wd = cross(w, d)
+    s, u = c * dot(w, d), 1.0 - c * t
+    return Frame(
+        (diag + bx * x, bx * y + az, bx * z - ay),
+        (bx * y - az, diag + by * y, by * z + ax),
+        (bx * z + ay, by * z - ax, diag + bz * z),
+        (
+            u * d[0] + b * wd[0] + s * x,
+            u * d[1] + b * wd[1] + s * y,
+            u * d[2] + b * wd[2] + s * z,
+        ),
+    )
+
+
+def add_twists(a: Twist, b: Twist) -> Twist:
+    """Sum of two small twists in one frame."""
+    return tuple(x + y for x, y in zip(a, b, strict=True))  # type: ignore[return-value]
+
+
+def shift_twist(twist: Twist, to: Vec) -> Twist:
+    """The same small motion, read at point `to` (m) of the frame instead of its origin."""
+    d, w = twist[:3], twist[3:]
+    return (*add(d, cross(w, to)), *w)
+
+
+def rpy_frame(xyz: Vec, rpy: Vec) -> Frame:
+    """Pose from fixed-axis roll, pitch, yaw (rad) as in URDF: Rz(yaw) Ry(pitch) Rx(roll)."""
+    (cr, sr), (cp, sp), (cy, sy) = (_exact_cos_sin(float(a)) for a in rpy)
+    return Frame(
+        (cy * cp, sy * cp, -sp),
+        (cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr),
+        (cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr),
+        (float(xyz[0]), float(xyz[1]), float(xyz[2])),
+    )
