@@ -1,0 +1,66 @@
+# Everything runs from .venv, which `make setup` builds from nothing out of the package registry.
+PYTHON ?= python3
+PYTEST_ARGS ?= -n 2 --dist loadfile
+TORCH_ARGS ?=
+
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+STAMPS := $(VENV)/stamps
+
+.PHONY: setup test lint demo bench format system clean
+
+setup: $(STAMPS)/package
+
+# Each step is repeated only when what it installs from has changed.
+$(STAMPS)/python:
+	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(0 if (3, 10) <= v < (3, 14) else \
+	  f"Python 3.10 to 3.13 is needed, this is {v.major}.{v.minor}: make setup PYTHON=python3.12")'
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(PIP) install --quiet --upgrade pip 'setuptools>=68' wheel
+	@mkdir -p $(STAMPS) && touch $@
+
+# torch comes first and alone. Its CPU build is enough: TORCH_ARGS='--index-url ...' chooses another.
+$(STAMPS)/torch: requirements/torch.txt | $(STAMPS)/python
+	$(PIP) install --quiet $(TORCH_ARGS) -r $<
+	@touch $@
+
+$(STAMPS)/ros: requirements/ros.txt | $(STAMPS)/torch
+	$(PIP) install --quiet -r $<
+	@touch $@
+
+INTERFACES := $(shell find longarm_interfaces -type f -not -path '*/build/*')
+$(STAMPS)/interfaces: $(INTERFACES) $(STAMPS)/ros
+	$(PIP) install --quiet --no-build-isolation ./longarm_interfaces
+	@touch $@
+
+$(STAMPS)/package: setup.py setup.cfg pyproject.toml $(STAMPS)/interfaces $(STAMPS)/torch
+	$(PIP) install --quiet --no-build-isolation --editable '.[dev,fast]'
+	@touch $@
+
+test: setup
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: setup
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+demo: setup
+	$(BIN)/longarm demo --out build/demo
+
+bench: setup
+	$(BIN)/longarm bench
+
+# Debian packages: a compiler for the ROS interfaces, a browser for the test of the report's page.
+system:
+	apt-get update -qq
+	DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
+	  build-essential python3-venv chromium
+
+clean:
+	rm -rf $(VENV) build install log

@@ -1,0 +1,71 @@
+"""The build of longarm_comp: pip and colcon (ament_python) both read this file."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = "longarm_comp"
+
+NODES = ["kinematics", "error_predictor", "stereo_bridge", "servo_driver"]
+
+RUNTIME = [
+    "click>=8.1",
+    "jinja2>=3.1",
+    "joblib>=1.3",
+    "matplotlib>=3.8",
+    "numpy>=1.26",
+    "opencv-python-headless>=4.10",
+    "plotly>=5.20",
+    "pydantic>=2.6",
+    "pyserial>=3.5",
+    "pyyaml>=6.0",
+    "rich>=13.7",
+    "rosbags>=0.10",
+    "scikit-learn>=1.4",
+    "scipy>=1.12",
+    "torch>=2.2",
+]
+
+EXTRAS = {
+    "fast": ["numba>=0.59"],
+    "dev": [
+        "PyNiteFEA",
+        "dask[distributed]",
+        "dynamixel-sdk",
+        "example-robot-data",
+        "hypothesis",
+        "mypy",
+        "pin",
+        "pytest",
+        "pytest-xdist",
+        "roboticstoolbox-python",
+        "ruff",
+        "types-PyYAML",
+        "vassar-feetech-servo-sdk",
+    ],
+}
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Kinematics and error compensation of long, compliant robot arms, for ROS 2",
+    license="Apache-2.0",
+    python_requires=">=3.10",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed", "report/templates/*"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/config", sorted(glob("config/*.yaml") + glob("config/*.rviz"))),
+        (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
+    ],
+    install_requires=RUNTIME,
+    extras_require=EXTRAS,
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            f"longarm = {NAME}.cli:main",
+            *(f"{node} = {NAME}.nodes.{node}:main" for node in NODES),
+        ]
+    },
+)
