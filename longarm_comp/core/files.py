@@ -15,9 +15,8 @@ from longarm_comp.core.errors import InputError
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside ``path``; on a clean exit it replaces ``path`` in one step.
 
-    The temporary file keeps the suffix of ``path`` (writers that go by the suffix still work) and is
-    synced to disk first. When the block raises, ``path`` is left as it was. Missing parent folders
-    are made.
+    The temporary file keeps the suffix of ``path``, for writers that go by it, and is synced to disk
+    first. When the block raises, ``path`` is left as it was. Missing parent folders are made.
 
     Raises:
         InputError: the folder cannot be made or written to, or ``path`` is a folder.

@@ -1,0 +1,62 @@
+"""What every test may ask for: measured data, seeded numbers, an empty ROS graph of its own."""
+
+from __future__ import annotations
+
+import os
+
+for _pool in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_pool, "1")  # tests run side by side; read when numpy is first imported
+
+import fcntl
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = Path(os.environ.get("LONGARM_DATA", ROOT.parent / "shared" / "data"))
+
+# Above 101 the ports of a domain fall among those that Linux hands out to other programs.
+ROS_DOMAINS = range(1, 102)
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """The folder of real and simulated measurements; the test is skipped where it is absent."""
+    if not DATA.is_dir():
+        pytest.skip(f"no measurements in {DATA}: set LONGARM_DATA to the folder that holds them")
+    return DATA
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """A generator with a fixed seed, new for every test."""
+    return np.random.default_rng(20240521)
+
+
+@contextmanager
+def claimed_domain() -> Iterator[int]:
+    """A ROS domain that no other test on this machine uses, across processes and sessions."""
+    for domain in ROS_DOMAINS:
+        path = Path(tempfile.gettempdir()) / f"longarm_ros_domain_{os.getuid()}_{domain}.lock"
+        with path.open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            yield domain
+            return
+    raise RuntimeError("every ROS domain is taken by a running test")
+
+
+@pytest.fixture
+def ros_domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[int]:
+    """A ROS graph of this test's own: set in the environment, so child processes share it."""
+    with claimed_domain() as domain:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+        monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros_log"))
+        yield domain
