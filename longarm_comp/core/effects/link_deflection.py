@@ -1,0 +1,91 @@
+"""Sag of the declared beams under their own and the carried weight."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.posture import Element, Posture, abs_
+from longarm_comp.core.spatial import Scalar, Twist, Vec, cross
+
+
+@dataclass(frozen=True)
+class LinkDeflection(Effect):
+    """Every declared beam is a cantilever clamped to what is before it (paper, Section II.B).
+
+    It has no parameter: sections, moduli and masses are declared in the arm.
+    """
+
+    name: ClassVar[str] = "link_deflection"
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """Cantilever twist of every beam element at its end station."""
+        return {
+            e.station: cantilever(posture, e)
+            for row in posture.chain.rows
+            for e in row.elements_a + row.elements_d
+        }
+
+
+def cantilever(posture: Posture, element: Element) -> Twist:
+    """Twist at the end of a beam element under end force, end moment and dead weight.
+
+    With u the beam axis, l the length, F, M the end loads and w = density x gravity over
+    the last h of the beam, the bending moment is ``M(s) = M + (l-s) u x F + u x w (...)``,
+    the slope its integral over EI and the deflection ``int theta x u ds`` (Euler-Bernoulli;
+    a uniformly loaded beam has h = l: ``w l^3/6EI`` and ``w l^4/8EI``).  Loads are read in
+    the axes halfway along the bend, which makes one element second-order accurate.
+    """
+    station, axis = element.station, element.axis
+    signed = posture.lengths[station]
+    length = abs_(signed)
+    sign = -1.0 if signed is not length and signed != length else 1.0
+    u = [0.0, 0.0, 0.0]
+    u[axis] = sign
+    force, moment = posture.force(station), posture.moment(station)
+    gravity = posture.gravity_in(station)
+    first, second, torsion = element.beam.stiffness
+    inverse = _by_axis(axis, 1 / first, 1 / second, 1 / torsion)
+
+    # moments of w = 1 over the last h: integrals of M(s) and of M(s) (l - s)
+    slope_w: Scalar = 0.0
+    sag_w: Scalar = 0.0
+    for density, h in posture.line_loads[station]:
+        if h is length:
+            slope_w = slope_w + density * (length * length * length / 6)
+            sag_w = sag_w + density * (length * length * length * length / 8)
+            continue
+        rest = length - h
+        slope_w = slope_w + density * h * (0.5 * rest * length + h * h / 6)
+        sag_w = sag_w + density * h * (
+            h * h * h / 8
+            + (length * length * length - h * h * h) / 3
+            - h * (length * length - h * h) / 4
+        )
+
+    axis_u: Vec = (u[0], u[1], u[2])
+    uf, uw = cross(axis_u, force), cross(axis_u, gravity)
+    l1, l2, l3 = length, 0.5 * length * length, length * length * length / 3
+    theta = [
+        (l1 * moment[k] + l2 * uf[k] + slope_w * uw[k]) * inverse[k] for k in range(3)
+    ]
+    bend = [(l2 * moment[k] + l3 * uf[k] + sag_w * uw[k]) * inverse[k] for k in range(3)]
+    bend[axis] = 0.0
+    d = cross((bend[0], bend[1], bend[2]), axis_u)
+    half = (0.5 * theta[0], 0.5 * theta[1], 0.5 * theta[2])
+    turned_d, turned_w = cross(half, d), cross(half, (theta[0], theta[1], theta[2]))
+    return (
+        d[0] + turned_d[0],
+        d[1] + turned_d[1],
+        d[2] + turned_d[2],
+        theta[0] + turned_w[0],
+        theta[1] + turned_w[1],
+        theta[2] + turned_w[2],
+    )
+
+
+def _by_axis(axis: int, first: float, second: float, along: float) -> tuple[float, float, float]:
+    """Compliances about x, y, z of a beam along x (axis 0) or z (axis 2)."""
+    return (along, first, second) if axis == 0 else (first, second, along)
