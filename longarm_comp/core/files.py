@@ -15,7 +15,7 @@ from longarm_comp.core.errors import InputError
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside ``path``; on a clean exit it replaces ``path`` in one step.
 
-    The temporary file keeps the suffix of ``path``, for writers that go by it, and is synced to disk
+    The temporary file keeps the suffix of ``path``, for writers that go by it, and is synced
     first. When the block raises, ``path`` is left as it was. Missing parent folders are made.
 
     Raises:
