@@ -1,0 +1,1 @@
+"""The real arm, simulated: exact elastic lines and hidden effects, never the model's physics."""

@@ -1,0 +1,102 @@
+"""What a hidden effect may touch on the true arm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from longarm_comp.core.arm import Arm, Beam
+from longarm_comp.sim.context import Context
+from longarm_comp.sim.rods import Walker
+
+Array = np.ndarray
+ALPHA, A, THETA, D = range(4)
+
+
+@dataclass(frozen=True)
+class Place:
+    """A section where parts may give way.
+
+    Attributes:
+        kind: `base` (foot), `bearing` (after Rz, before Tz of the row), `slide` (where a
+            sliding beam leaves the one before it), `frame` (end of the row).
+        row: row number, 0 at the base.
+        joint: index in q of the row's motor; None where it has none.
+        prismatic: whether the row slides.
+        beam: the sliding beam.
+        overlap: length (N,) m of its body inside the beam before it.
+    """
+
+    kind: Literal["base", "bearing", "slide", "frame"]
+    row: int
+    joint: int | None = None
+    prismatic: bool = False
+    beam: Beam | None = None
+    overlap: Array | None = None
+
+
+@dataclass(frozen=True)
+class State:
+    """The circumstances of N postures while they are solved.
+
+    Attributes:
+        arm: as declared.
+        q: commanded joints, (N, n).
+        context: every field filled, (N, ...).
+    """
+
+    arm: Arm
+    q: Array
+    context: Context
+
+
+class HiddenEffect:
+    """Something on the true arm that its maker did not declare; every hook does nothing here.
+
+    Subclasses are frozen dataclasses and override what they touch.
+    """
+
+    name: ClassVar[str]
+    gated: ClassVar[bool] = False
+
+    def scaled(self, dose: float) -> Any:
+        """The same effect `dose` times as large."""
+        raise NotImplementedError
+
+    def joints(self, q: Array, state: State) -> Array:
+        """True joint values (N, n) from those that the effects before it leave."""
+        return q
+
+    def held(self, torques: Array, state: State) -> Array | float:
+        """Joint offsets (N, n) that hang on the settled torques (N, n), N m or N; see `gated`."""
+        return 0.0
+
+    def rows(self, rows: Array, state: State) -> Array:
+        """True geometry (4, R, N): alpha, a, theta offset, d of every row (without q)."""
+        return rows
+
+    def base(self, pose: Array) -> Array:
+        """True placement of the foot: x, y, z, roll, pitch, yaw, (6,) m and rad."""
+        return pose
+
+    def gravity(self, gravity: Array) -> Array:
+        """True gravity in the base frame, (3,) m/s^2."""
+        return gravity
+
+    def softness(self, beam: Beam, state: State) -> Array | float:
+        """Factor on the beam's compliance, scalar or (N,)."""
+        return 1.0
+
+    def masses(self, state: State) -> list[tuple[int, Array | float, tuple[float, float, float]]]:
+        """Undeclared masses: frame, kg, position m."""
+        return []
+
+    def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
+        """Rotation vector (3, B, N), rad, by which all beyond the place turns."""
+        return None
+
+    def readings(self, state: State) -> dict[str, Array]:
+        """Further session columns (N,) that such an arm would record, noise-free."""
+        return {}
