@@ -40,6 +40,57 @@ def sqrt(x: Scalar) -> Scalar:
     return math.sqrt(x) if type(x) is float else np.sqrt(x)
 
 
+def sign(x: Scalar) -> Scalar:
+    """-1, 0 or +1."""
+    return np.sign(x) if type(x) is not float else float((x > 0) - (x < 0))
+
+
+def where(condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
+    """`yes` where the condition holds, else `no` (both sides are evaluated)."""
+    if isinstance(condition, (bool, np.bool_)):
+        return yes if condition else no
+    if isinstance(condition, np.ndarray):
+        return np.where(condition, yes, no)
+    return condition.where(yes, no)
+
+
+def tanh(x: Scalar) -> Scalar:
+    """Hyperbolic tangent of a float or of anything NumPy's ufunc accepts."""
+    return math.tanh(x) if type(x) is float else np.tanh(x)
+
+
+def absolute(x: Scalar) -> Scalar:
+    """Absolute value."""
+    return abs(x) if type(x) is float else np.absolute(x)
+
+
+def sign(x: Scalar) -> Scalar:
+    """-1, 0 or +1."""
+    return float((x > 0) - (x < 0)) if type(x) is float else np.sign(x)
+
+
+def floor(x: Scalar) -> Scalar:
+    """Largest whole number not above x."""
+    return float(math.floor(x)) if type(x) is float else np.floor(x)
+
+
+def minimum(a: Scalar, b: Scalar) -> Scalar:
+    """The smaller of two."""
+    return min(a, b) if type(a) is float and type(b) is float else np.minimum(a, b)
+
+
+def maximum(a: Scalar, b: Scalar) -> Scalar:
+    """The larger of two."""
+    return max(a, b) if type(a) is float and type(b) is float else np.maximum(a, b)
+
+
+def where(condition: Scalar, a: Scalar, b: Scalar) -> Scalar:
+    """`a` where the condition (a bool, an (N,) array of them, a traced one) holds, else `b`."""
+    if isinstance(condition, (bool, np.bool_)):
+        return a if condition else b
+    return np.where(condition, a, b)
+
+
 def add(a: Vec, b: Vec) -> Vec:
     """a + b."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
