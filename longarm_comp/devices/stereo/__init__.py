@@ -1,0 +1,46 @@
+"""Stereo measurement of a marker, without ROS: pixels in, a point with covariance out."""
+
+from longarm_comp.devices.stereo.camera import Camera, CameraInfoLike, StereoRig
+from longarm_comp.devices.stereo.eye import Limits, Sighting, StereoEye
+from longarm_comp.devices.stereo.pairing import Drop, Pair, Side, StereoPairer
+from longarm_comp.devices.stereo.refusal import Reason, StereoRefusal
+from longarm_comp.devices.stereo.rigid import RigidFit, fit_rigid
+from longarm_comp.devices.stereo.target import (
+    CharucoTarget,
+    Chessboard,
+    Corners,
+    TagBoard,
+    Target,
+)
+from longarm_comp.devices.stereo.triangulate import (
+    PixelNoise,
+    Triangulation,
+    epipolar_px,
+    triangulate,
+)
+
+__all__ = [
+    "Camera",
+    "CameraInfoLike",
+    "CharucoTarget",
+    "Chessboard",
+    "Corners",
+    "Drop",
+    "Limits",
+    "Pair",
+    "PixelNoise",
+    "Reason",
+    "RigidFit",
+    "Side",
+    "Sighting",
+    "StereoEye",
+    "StereoPairer",
+    "StereoRefusal",
+    "StereoRig",
+    "TagBoard",
+    "Target",
+    "Triangulation",
+    "epipolar_px",
+    "fit_rigid",
+    "triangulate",
+]

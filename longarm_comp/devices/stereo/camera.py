@@ -1,0 +1,193 @@
+"""Two calibrated pinhole cameras in one frame: projection with its Jacobian, and undistortion.
+
+The rig frame is the left optical frame: x right, y down, z forward, metres. With `CameraInfo` of
+a raw image it is the *rectified* left frame, because there K, D, R and P share one convention:
+``X_camera = R' (X_rig + t)``, ``t = (P[0,3]/P[0,0], 0, 0)``, so the baseline is -P_right[3]/fx.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.devices.stereo.refusal import Reason, StereoRefusal
+
+Array = NDArray[np.float64]
+_MODELS = {"": 8, "plumb_bob": 5, "rational_polynomial": 8}  # distortion model -> coefficients
+
+
+class CameraInfoLike(Protocol):
+    """What is read of a sensor_msgs/CameraInfo (any object with these attributes will do)."""
+
+    width: int
+    height: int
+    distortion_model: str
+    d: Sequence[float]
+    k: Any
+    r: Any
+    p: Any
+
+
+@dataclass(frozen=True)
+class Camera:
+    """One pinhole camera with Brown-Conrady (plumb bob or rational) distortion.
+
+    Args:
+        k: (3, 3) intrinsic matrix, px.
+        rotation, translation: (3, 3) and (3,) m; ``X_camera = rotation X_rig + translation``.
+        size: (width, height), px.
+        d: k1 k2 p1 p2 k3 k4 k5 k6 as OpenCV orders them; shorter is padded with zeros.
+
+    Raises:
+        StereoRefusal: UNCALIBRATED, if k is zero, not finite or without focal length.
+    """
+
+    k: Array
+    rotation: Array
+    translation: Array
+    size: tuple[int, int]
+    d: Array
+
+    def __init__(
+        self,
+        k: ArrayLike,
+        rotation: ArrayLike,
+        translation: ArrayLike,
+        size: tuple[int, int],
+        d: ArrayLike = (),
+    ) -> None:
+        given = np.asarray(d, dtype=float).ravel()
+        if given.size > 8:
+            raise InputError("camera", "d", given.size, "at most 8 distortion coefficients")
+        values = {
+            "k": np.array(k, dtype=float).reshape(3, 3),
+            "rotation": np.array(rotation, dtype=float).reshape(3, 3),
+            "translation": np.array(translation, dtype=float).reshape(3),
+            "d": np.pad(given, (0, 8 - given.size)),
+        }
+        for name, value in values.items():
+            if not np.all(np.isfinite(value)):
+                raise StereoRefusal(Reason.UNCALIBRATED, not_finite=name)
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
+        if min(self.k[0, 0], self.k[1, 1]) <= 0.0:
+            raise StereoRefusal(Reason.UNCALIBRATED, fx=self.k[0, 0], fy=self.k[1, 1])
+        if abs(np.linalg.det(self.rotation) - 1.0) > 1e-3:
+            raise StereoRefusal(Reason.UNCALIBRATED, det_rotation=np.linalg.det(self.rotation))
+        object.__setattr__(self, "size", (int(size[0]), int(size[1])))
+
+    def project(self, points: Array) -> tuple[Array, Array]:
+        """Pixels (N, 2) of rig points (N, 3) and their Jacobian (N, 2, 3), px/m."""
+        x, y, z = (points @ self.rotation.T + self.translation).T
+        u, v = x / z, y / z
+        (ud, vd), ((uu, uv), (vu, vv)) = _distorted(u, v, self.d)
+        fx, skew, fy = self.k[0, 0], self.k[0, 1], self.k[1, 1]
+        pixels = np.stack([fx * ud + skew * vd + self.k[0, 2], fy * vd + self.k[1, 2]], axis=-1)
+        by_ray = np.empty((*z.shape, 2, 2))  # d pixel / d (u, v)
+        by_ray[:, 0, 0], by_ray[:, 0, 1] = fx * uu + skew * vu, fx * uv + skew * vv
+        by_ray[:, 1, 0], by_ray[:, 1, 1] = fy * vu, fy * vv
+        by_point = np.zeros((*z.shape, 2, 3))  # d (u, v) / d X_camera
+        by_point[:, 0, 0] = by_point[:, 1, 1] = 1.0 / z
+        by_point[:, 0, 2], by_point[:, 1, 2] = -u / z, -v / z
+        return pixels, by_ray @ (by_point @ self.rotation)
+
+    def rays(self, pixels: Array) -> Array:
+        """Undistorted directions (N, 3) with z = 1, in this camera's own frame, of pixels (N, 2)."""
+        stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
+        flat = np.ascontiguousarray(pixels, dtype=float).reshape(-1, 1, 2)
+        rays = cv2.undistortPoints(flat, self.k, self.d, criteria=stop).reshape(-1, 2)
+        return np.column_stack([rays, np.ones(len(rays))])
+
+    def depth(self, points: Array) -> Array:
+        """Distance (N,) m of rig points (N, 3) along this camera's optical axis."""
+        return points @ self.rotation[2] + self.translation[2]
+
+
+def _distorted(x: Array, y: Array, d: Array) -> tuple[Any, Any]:
+    """Distorted normalised coordinates and their 2x2 derivative (OpenCV's camera model)."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = d
+    s = x * x + y * y
+    over, under = 1 + s * (k1 + s * (k2 + s * k3)), 1 + s * (k4 + s * (k5 + s * k6))
+    radial = over / under
+    slope = (k1 + s * (2 * k2 + s * 3 * k3) - radial * (k4 + s * (2 * k5 + s * 3 * k6))) / under
+    mixed = 2 * (x * y * slope + p1 * x + p2 * y)
+    point = (
+        x * radial + 2 * p1 * x * y + p2 * (s + 2 * x * x),
+        y * radial + 2 * p2 * x * y + p1 * (s + 2 * y * y),
+    )
+    across = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
+    down = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
+    return point, ((across, mixed), (mixed, down))
+
+
+@dataclass(frozen=True)
+class StereoRig:
+    """Left and right camera in one frame (the left optical frame).
+
+    Raises:
+        StereoRefusal: UNCALIBRATED, if the cameras share one centre (no baseline).
+    """
+
+    left: Camera
+    right: Camera
+
+    def __post_init__(self) -> None:
+        if not self.baseline_m > 1e-6:
+            raise StereoRefusal(Reason.UNCALIBRATED, baseline_m=self.baseline_m)
+
+    @property
+    def baseline_m(self) -> float:
+        """Distance of the two camera centres, m."""
+        centres = [-camera.rotation.T @ camera.translation for camera in (self.left, self.right)]
+        return float(np.linalg.norm(centres[1] - centres[0]))
+
+    @classmethod
+    def from_camera_info(
+        cls, left: CameraInfoLike, right: CameraInfoLike, *, rectified: bool
+    ) -> StereoRig:
+        """The rig that a pair of CameraInfo messages describes.
+
+        Args:
+            rectified: whether the images are rectified (only P holds) or raw (K, D, R and P hold).
+
+        Raises:
+            StereoRefusal: UNCALIBRATED, if K or P is zero or P of the right has no baseline.
+            InputError: if the distortion model is not a known one.
+        """
+        return cls(_from_info(left, rectified), _from_info(right, rectified))
+
+    @classmethod
+    def from_extrinsics(
+        cls,
+        left: tuple[ArrayLike, ArrayLike],
+        right: tuple[ArrayLike, ArrayLike],
+        right_T_left: ArrayLike,
+        size: tuple[int, int],
+    ) -> StereoRig:
+        """The rig of two (K, D) and the (4, 4) transform of left-frame points to the right frame."""
+        transform = np.asarray(right_T_left, dtype=float).reshape(4, 4)
+        return cls(
+            Camera(left[0], np.eye(3), np.zeros(3), size, left[1]),
+            Camera(right[0], transform[:3, :3], transform[:3, 3], size, right[1]),
+        )
+
+
+def _from_info(info: CameraInfoLike, rectified: bool) -> Camera:
+    size = (int(info.width), int(info.height))
+    p = np.asarray(info.p, dtype=float).reshape(3, 4)
+    if not (np.all(np.isfinite(p)) and p[0, 0] > 0.0 and p[1, 1] > 0.0):
+        raise StereoRefusal(Reason.UNCALIBRATED, p=p.ravel().tolist())
+    shift = np.array([p[0, 3] / p[0, 0], p[1, 3] / p[1, 1], 0.0])
+    if rectified:
+        return Camera(p[:, :3], np.eye(3), shift, size)
+    if info.distortion_model not in _MODELS:
+        known = " or ".join(name for name in _MODELS if name)
+        raise InputError("camera_info", "distortion_model", info.distortion_model, known)
+    to_camera = np.asarray(info.r, dtype=float).reshape(3, 3).T
+    return Camera(info.k, to_camera, to_camera @ shift, size, info.d)

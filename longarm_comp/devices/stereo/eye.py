@@ -1,0 +1,236 @@
+"""One stereo pair in, one sighting of the tip in the base frame out, or a refusal that says why."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
+from longarm_comp.devices.stereo.marker_pose import MarkerPose, marker_pose
+from longarm_comp.devices.stereo.quality import edge_sigma_px, image_quality
+from longarm_comp.devices.stereo.refusal import Reason, StereoRefusal
+from longarm_comp.devices.stereo.target import Corners, Target
+from longarm_comp.devices.stereo.triangulate import (
+    PixelNoise,
+    epipolar_px,
+    triangulate,
+)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When a pair is refused.
+
+    Args:
+        min_corners: corners that both cameras must see.
+        epipolar_px: largest median distance from the epipolar lines.
+        rms_px: largest root mean square reprojection error of the whole board.
+        edge_px: largest blur (Gaussian sigma of the sharpest edges), px.
+        bright: grey level that 99 % of the pixels must not stay below, when no marker is found.
+        dark: grey level that 1 % of the pixels must stay below, when no marker is found.
+        size: largest relative difference of the seen from the declared marker size.
+        size_tolerance: how well the print's size is known (1 sigma, relative); it ties the depth
+            from the baseline to the depth from the size.
+    """
+
+    min_corners: int = 4
+    epipolar_px: float = 1.5
+    rms_px: float = 0.8
+    edge_px: float = 2.5
+    bright: float = 45.0
+    dark: float = 235.0
+    size: float = 0.05
+    size_tolerance: float = 0.005
+
+    def __post_init__(self) -> None:
+        if self.min_corners < 4:
+            raise InputError("stereo limits", "min_corners", self.min_corners, "4 or more")
+        for name in ("epipolar_px", "rms_px", "edge_px", "size", "size_tolerance"):
+            if not getattr(self, name) > 0.0:
+                raise InputError("stereo limits", name, getattr(self, name), "more than 0")
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """The tip as one stereo pair saw it.
+
+    Args:
+        stamp_ns: stamp of the left image.
+        point_camera, covariance_camera: tip (3,) m and (3, 3) m^2 in the left optical frame.
+        point, covariance: the same in the base frame.
+        pose: (4, 4) marker in the base frame.
+        pose_covariance: (6, 6) of ``[tip; rotation]`` along the base axes, m and rad.
+        corners: corners that both cameras saw.
+        rms_px: root mean square reprojection error.
+        sigma_px: pixel noise that the covariances stand on.
+        scale: seen / declared marker size (with the declared size as a prior).
+    """
+
+    stamp_ns: int
+    point_camera: Array
+    covariance_camera: Array
+    point: Array
+    covariance: Array
+    pose: Array
+    pose_covariance: Array
+    corners: int
+    rms_px: float
+    sigma_px: float
+    scale: float
+
+
+@dataclass
+class StereoEye:
+    """Measures the tip with a stereo rig and counts what it refuses.
+
+    Args:
+        rig: the calibrated cameras.
+        target: the printed marker.
+        base_T_camera: (4, 4) pose of the left optical frame in the base frame (hand-eye).
+        tip_in_marker: (3,) m, the tip in the marker frame.
+        limits, noise: when to refuse; how well a corner is located.
+
+    Raises:
+        InputError: if base_T_camera is not a rigid motion or tip_in_marker is not finite.
+    """
+
+    rig: StereoRig
+    target: Target
+    base_T_camera: ArrayLike = field(default_factory=lambda: np.eye(4))
+    tip_in_marker: ArrayLike = (0.0, 0.0, 0.0)
+    limits: Limits = field(default_factory=Limits)
+    noise: PixelNoise = field(default_factory=PixelNoise)
+    sightings: int = 0
+    refusals: Counter[Reason] = field(default_factory=Counter)
+
+    def __post_init__(self) -> None:
+        self._hand_eye = _rigid("stereo", "base_T_camera", self.base_T_camera)
+        self._tip = np.asarray(self.tip_in_marker, dtype=float).reshape(-1)
+        if self._tip.shape != (3,) or not np.all(np.isfinite(self._tip)):
+            raise InputError("stereo", "tip_in_marker", self.tip_in_marker, "three finite metres")
+
+    def measure(self, left: NDArray[np.uint8], right: NDArray[np.uint8], stamp_ns: int) -> Sighting:
+        """The sighting of one pair, images (H, W) grey or (H, W, 3) BGR, uint8.
+
+        Raises:
+            StereoRefusal: with the reason, which is also counted in `refusals`.
+        """
+        try:
+            sighting = self._measure(left, right, stamp_ns)
+        except StereoRefusal as refusal:
+            self.refusals[refusal.reason] += 1
+            raise
+        self.sightings += 1
+        return sighting
+
+    def _measure(
+        self, left: NDArray[np.uint8], right: NDArray[np.uint8], stamp_ns: int
+    ) -> Sighting:
+        greys = as_grey(left, self.rig.left, "left"), as_grey(right, self.rig.right, "right")
+        seen = (
+            self._corners(greys[0], Reason.NOT_FOUND_LEFT, "left"),
+            self._corners(greys[1], Reason.NOT_FOUND_RIGHT, "right"),
+        )
+        ids, in_left, in_right = np.intersect1d(seen[0].ids, seen[1].ids, return_indices=True)
+        self._require(Reason.OCCLUDED, len(ids) >= self.limits.min_corners, corners=len(ids))
+        left_px, right_px = seen[0].pixels[in_left], seen[1].pixels[in_right]
+        off = float(np.median(epipolar_px(self.rig, left_px, right_px)))
+        self._require(Reason.EPIPOLAR, off <= self.limits.epipolar_px, epipolar_px=round(off, 3))
+        points = triangulate(self.rig, left_px, right_px, self.noise)
+        pose = marker_pose(
+            self.rig,
+            self.target.points(ids),
+            points,
+            left_px,
+            right_px,
+            self.limits.size_tolerance,
+            self.noise,
+        )
+        rms = pose.rms_px
+        size = _size_seen(points.points, self.target.points(ids))
+        wrong = abs(size - 1.0) > self.limits.size
+        self._require(Reason.MARKER_SIZE, not wrong, seen_over_declared=round(size, 4))
+        self._require(Reason.REPROJECTION, rms <= self.limits.rms_px, rms_px=round(rms, 3))
+        return self._sighting(pose, len(ids), stamp_ns)
+
+    def _corners(self, grey: NDArray[np.uint8], missing: Reason, side: str) -> Corners:
+        seen = self.target.detect(grey)
+        if seen.repeated:
+            raise StereoRefusal(Reason.AMBIGUOUS, image=side, ids=seen.repeated)
+        if not len(seen):
+            self._explain(grey, missing, side)
+        blur = edge_sigma_px(grey, seen.pixels)
+        sharp = blur <= self.limits.edge_px
+        self._require(Reason.BLURRED, sharp, image=side, edge_px=round(blur, 2))
+        return seen
+
+    def _explain(self, grey: NDArray[np.uint8], missing: Reason, side: str) -> None:
+        look = image_quality(grey)
+        facts = {"image": side, "bright": round(look.bright), "dark": round(look.dark)}
+        self._require(Reason.TOO_DARK, look.bright >= self.limits.bright, **facts)
+        self._require(Reason.TOO_BRIGHT, look.dark <= self.limits.dark, **facts)
+        facts["edge_px"] = round(look.edge_px, 2)
+        self._require(Reason.BLURRED, look.edge_px <= self.limits.edge_px, **facts)
+        raise StereoRefusal(missing, **facts)
+
+    @staticmethod
+    def _require(reason: Reason, met: bool, **facts: object) -> None:
+        if not met:
+            raise StereoRefusal(reason, **facts)
+
+    def _sighting(self, pose: MarkerPose, corners: int, stamp_ns: int) -> Sighting:
+        point, covariance = pose.at(self._tip)
+        turn = self._hand_eye[:3, :3]
+        turns = np.kron(np.eye(2), turn)
+        in_base = turns @ covariance @ turns.T
+        return Sighting(
+            stamp_ns=stamp_ns,
+            point_camera=point,
+            covariance_camera=covariance[:3, :3],
+            point=turn @ point + self._hand_eye[:3, 3],
+            covariance=in_base[:3, :3],
+            pose=self._hand_eye @ pose.transform,
+            pose_covariance=in_base,
+            corners=corners,
+            rms_px=pose.rms_px,
+            sigma_px=pose.sigma_px,
+            scale=pose.scale,
+        )
+
+
+def as_grey(image: NDArray[np.uint8], camera: Camera, side: str) -> NDArray[np.uint8]:
+    """An image as (H, W) uint8 of the camera's size.
+
+    Raises:
+        StereoRefusal: BAD_IMAGE or WRONG_SIZE.
+    """
+    shape, kind = np.shape(image), getattr(image, "dtype", None)
+    if kind != np.uint8 or not (len(shape) == 2 or (len(shape) == 3 and shape[2] == 3)):
+        raise StereoRefusal(Reason.BAD_IMAGE, image=side, shape=shape, type=kind)
+    if (shape[1], shape[0]) != camera.size:
+        size = f"{shape[1]}x{shape[0]}"
+        allowed = f"{camera.size[0]}x{camera.size[1]}"
+        raise StereoRefusal(Reason.WRONG_SIZE, image=side, size=size, calibrated=allowed)
+    return image if len(shape) == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+
+
+def _size_seen(points: Array, corners: Array) -> float:
+    """Spread of the triangulated points over the spread of the declared corners."""
+    spread = [np.linalg.norm(p - p.mean(axis=0)) for p in (points, corners)]
+    return float(spread[0] / spread[1])
+
+
+def _rigid(where: str, what: str, matrix: ArrayLike) -> Array:
+    out = np.array(matrix, dtype=float)
+    good = out.shape == (4, 4) and bool(np.all(np.isfinite(out)))
+    if good:
+        turn = out[:3, :3]
+        good = np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) and np.linalg.det(turn) > 0.0
+    if not (good and np.allclose(out[3], [0.0, 0.0, 0.0, 1.0])):
+        raise InputError(where, what, "not a rigid motion", "a 4x4 rotation and translation")
+    return out

@@ -1,0 +1,123 @@
+"""Left and right images paired by their stamps: bounded, and every drop is counted."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Generic, TypeVar
+
+from longarm_comp.core.errors import InputError
+
+Image = TypeVar("Image")
+
+
+class Drop(str, Enum):
+    """Why an image was never part of a pair."""
+
+    UNSYNCHRONISED = "no partner within the slop"
+    OVERFLOW = "queue was full"
+    OUT_OF_ORDER = "stamp older than, or equal to, an image already paired or dropped"
+    RESTARTED = "clock jumped back; older images discarded"
+
+    def __str__(self) -> str:
+        return self.value
+
+
+class Side(Enum):
+    """One of the two cameras."""
+
+    LEFT = 0
+    RIGHT = 1
+
+
+@dataclass(frozen=True)
+class Pair(Generic[Image]):
+    """Two images taken together. `stamp_ns` is the left one's; `apart_ns` = right - left."""
+
+    stamp_ns: int
+    apart_ns: int
+    left: Image
+    right: Image
+
+
+@dataclass
+class StereoPairer(Generic[Image]):
+    """Matches two streams of stamped images, oldest first, one to one.
+
+    A pair is complete when two stamps are at most `slop_ns` apart and neither has a nearer
+    partner already waiting. With a slop below half a frame period no other pairing is possible.
+
+    Args:
+        slop_ns: largest difference of stamps within a pair, in nanoseconds.
+        queue: images kept per side while they wait for a partner.
+        restart_ns: a stamp that lies back by more than this is a restarted clock, not a late image.
+
+    Raises:
+        InputError: if an argument is out of range.
+    """
+
+    slop_ns: int = 5_000_000
+    queue: int = 8
+    restart_ns: int = 1_000_000_000
+    drops: Counter[Drop] = field(default_factory=Counter)
+    pairs: int = 0
+    _waiting: tuple[deque[tuple[int, Image]], deque[tuple[int, Image]]] = field(
+        default_factory=lambda: (deque(), deque()), repr=False
+    )
+    _done_ns: list[int | None] = field(default_factory=lambda: [None, None], repr=False)
+
+    def __post_init__(self) -> None:
+        if self.slop_ns < 0:
+            raise InputError("stereo pairing", "slop_ns", self.slop_ns, "zero or more nanoseconds")
+        if self.queue < 1:
+            raise InputError("stereo pairing", "queue", self.queue, "one image or more")
+
+    def add(self, side: Side, stamp_ns: int, image: Image) -> list[Pair[Image]]:
+        """Take one image; return the pairs that it completes (usually none or one)."""
+        mine = self._waiting[side.value]
+        newest = mine[-1][0] if mine else self._done_ns[side.value]
+        if newest is not None and stamp_ns <= newest:
+            if newest - stamp_ns <= self.restart_ns:
+                self.drops[Drop.OUT_OF_ORDER] += 1
+                return []
+            self._restart()
+        if len(mine) == self.queue:
+            self._drop(side.value, Drop.OVERFLOW)
+        mine.append((stamp_ns, image))
+        return self._match()
+
+    @property
+    def waiting(self) -> tuple[int, int]:
+        """Images that wait for a partner, left and right."""
+        return len(self._waiting[0]), len(self._waiting[1])
+
+    def _match(self) -> list[Pair[Image]]:
+        left, right = self._waiting
+        found: list[Pair[Image]] = []
+        while left and right:
+            apart = right[0][0] - left[0][0]
+            if apart > self.slop_ns or self._next_is_nearer(left, right[0][0], apart):
+                self._drop(Side.LEFT.value, Drop.UNSYNCHRONISED)
+            elif -apart > self.slop_ns or self._next_is_nearer(right, left[0][0], apart):
+                self._drop(Side.RIGHT.value, Drop.UNSYNCHRONISED)
+            else:
+                (stamp, left_image), (other, right_image) = left.popleft(), right.popleft()
+                self._done_ns = [stamp, other]
+                found.append(Pair(stamp, apart, left_image, right_image))
+        self.pairs += len(found)
+        return found
+
+    @staticmethod
+    def _next_is_nearer(waiting: deque[tuple[int, Image]], partner_ns: int, apart: int) -> bool:
+        return len(waiting) > 1 and abs(waiting[1][0] - partner_ns) < abs(apart)
+
+    def _drop(self, side: int, why: Drop) -> None:
+        self._done_ns[side] = self._waiting[side].popleft()[0]
+        self.drops[why] += 1
+
+    def _restart(self) -> None:
+        for waiting in self._waiting:
+            self.drops[Drop.RESTARTED] += len(waiting)
+            waiting.clear()
+        self._done_ns = [None, None]

@@ -1,0 +1,46 @@
+"""Why a stereo pair gave no measurement: one enumerated reason, with the facts to act on."""
+
+from __future__ import annotations
+
+import enum
+
+from longarm_comp.core.errors import JobError
+
+
+class Reason(str, enum.Enum):
+    """Everything that can be wrong with a pair of images, worst first."""
+
+    UNCALIBRATED = "camera is not calibrated"
+    BAD_IMAGE = "image is not 8-bit grey or colour"
+    WRONG_SIZE = "image size differs from the calibration"
+    UNSYNCHRONISED = "left and right were not taken together"
+    TOO_DARK = "image is too dark"
+    TOO_BRIGHT = "image is over-exposed"
+    BLURRED = "image is blurred"
+    NOT_FOUND_LEFT = "marker not found in the left image"
+    NOT_FOUND_RIGHT = "marker not found in the right image"
+    AMBIGUOUS = "the same marker is seen twice"
+    OCCLUDED = "too few corners are seen by both cameras"
+    EPIPOLAR = "corners violate the epipolar constraint"
+    BEHIND_CAMERA = "corners triangulate behind the camera"
+    REPROJECTION = "reprojection error is too large"
+    MARKER_SIZE = "marker has another size than declared"
+
+    def __str__(self) -> str:
+        return self.value
+
+
+class StereoRefusal(JobError):
+    """A pair of images (or a camera) that cannot be measured with.
+
+    Args:
+        reason: which of the known reasons.
+        facts: numbers to act on, with their unit in the name (``rms_px=3.1``).
+    """
+
+    reason: Reason
+
+    def __init__(self, reason: Reason | str, **facts: object) -> None:
+        reason = Reason(reason)
+        super().__init__(reason.value, **facts)
+        self.reason = reason

@@ -1,0 +1,234 @@
+"""Printed targets and their corners in an image: tag boards, ChArUco boards, chessboards.
+
+The marker frame of every target: origin in its middle, x to the right, y up as printed, z out of
+the paper towards the viewer; metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.devices.stereo.camera import Array
+from longarm_comp.devices.stereo.edges import refine_quads
+
+Grey = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Corners:
+    """Corners found in one image: ids (N,), unique and rising, and pixels (N, 2).
+
+    `repeated`: ids of tags that were seen more than once (none of them is among the corners).
+    """
+
+    ids: NDArray[np.int64]
+    pixels: Array
+    repeated: tuple[int, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+class Target(Protocol):
+    """Something printed whose corners are known by number."""
+
+    def detect(self, grey: Grey) -> Corners:
+        """The target's corners in an image (H, W) uint8; none if it is not seen."""
+        ...
+
+    def points(self, ids: NDArray[np.int64]) -> Array:
+        """Corners (N, 3) m in the marker frame."""
+        ...
+
+    @property
+    def n_corners(self) -> int:
+        """How many corners there are when all are seen."""
+        ...
+
+
+@dataclass(frozen=True)
+class TagBoard:
+    """A grid of ArUco tags or AprilTags, or a single one; each gives its four outer corners.
+
+    Args:
+        tag_m: side of a tag's black square, m.
+        gap_m: white between neighbouring tags, m.
+        columns, rows: of the grid; ids count along the rows from `first_id`, from the top left.
+        dictionary: an OpenCV name, such as DICT_4X4_50 or DICT_APRILTAG_36h11.
+    """
+
+    tag_m: float
+    gap_m: float = 0.0
+    columns: int = 1
+    rows: int = 1
+    dictionary: str = "DICT_4X4_50"
+    first_id: int = 0
+
+    def __post_init__(self) -> None:
+        _check_size("tag board", tag_m=self.tag_m)
+        if min(self.columns, self.rows) < 1 or self.gap_m < 0.0:
+            grid = (self.columns, self.rows, self.gap_m)
+            raise InputError("tag board", "columns, rows, gap_m", grid, ">= 1, >= 1, >= 0")
+        known = len(_dictionary(self.dictionary).bytesList)
+        if not 0 <= self.first_id <= known - self.columns * self.rows:
+            raise InputError("tag board", "first_id", self.first_id, f"ids inside 0..{known - 1}")
+
+    @property
+    def n_corners(self) -> int:
+        """Four a tag."""
+        return 4 * self.columns * self.rows
+
+    def points(self, ids: NDArray[np.int64]) -> Array:
+        """Corners (N, 3) m; corner id = 4 (tag id - first_id) + 0..3, clockwise from top left."""
+        row, column = np.divmod(ids // 4, self.columns)
+        pitch = self.tag_m + self.gap_m
+        x = (column - (self.columns - 1) / 2) * pitch
+        y = ((self.rows - 1) / 2 - row) * pitch
+        turn = np.array([[-0.5, 0.5], [0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])[ids % 4]
+        return np.column_stack([x, y, np.zeros(len(ids))]) + np.pad(
+            turn * self.tag_m, ((0, 0), (0, 1))
+        )
+
+    def detect(self, grey: Grey) -> Corners:
+        """Tags by OpenCV, each side then located to sub-pixel and the sides intersected."""
+        quads, tag_ids, _ = self._detector.detectMarkers(grey)
+        if tag_ids is None or not len(tag_ids):
+            return _NONE
+        ours = np.asarray(tag_ids).ravel().astype(np.int64) - self.first_id
+        count = np.bincount(ours[ours >= 0], minlength=1)
+        mine = (ours >= 0) & (ours < self.columns * self.rows)
+        repeated = tuple(int(i) + self.first_id for i in np.unique(ours[mine]) if count[i] > 1)
+        keep = [i for i in np.argsort(ours) if mine[i] and count[ours[i]] == 1]
+        if not keep:
+            return Corners(_NONE.ids, _NONE.pixels, repeated)
+        refined = refine_quads(grey, np.array([quads[i][0] for i in keep]), self._modules)
+        ids = (4 * ours[keep][:, None] + np.arange(4)).ravel()
+        return Corners(ids, refined.reshape(-1, 2), repeated)
+
+    @cached_property
+    def _modules(self) -> int:
+        return int(_dictionary(self.dictionary).markerSize) + 2
+
+    @cached_property
+    def _detector(self) -> cv2.aruco.ArucoDetector:
+        parameters = cv2.aruco.DetectorParameters()
+        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
+        return cv2.aruco.ArucoDetector(_dictionary(self.dictionary), parameters)
+
+
+@dataclass(frozen=True)
+class CharucoTarget:
+    """A chessboard with a tag in every white square; its inner corners are saddle points.
+
+    Args:
+        square_m, tag_m: sides of a square and of a tag's black square, m.
+        columns, rows: squares across and down.
+        dictionary: an OpenCV name, such as DICT_4X4_50.
+    """
+
+    square_m: float
+    tag_m: float
+    columns: int
+    rows: int
+    dictionary: str = "DICT_4X4_50"
+
+    def __post_init__(self) -> None:
+        _check_size("charuco board", square_m=self.square_m, tag_m=self.tag_m)
+        if min(self.columns, self.rows) < 3 or self.tag_m >= self.square_m:
+            shape = (self.columns, self.rows, self.tag_m)
+            raise InputError("charuco board", "columns, rows, tag_m", shape, ">= 3, >= 3, < square")
+        _dictionary(self.dictionary)
+
+    @property
+    def n_corners(self) -> int:
+        """Inner corners of the chessboard."""
+        return (self.columns - 1) * (self.rows - 1)
+
+    def points(self, ids: NDArray[np.int64]) -> Array:
+        """Inner corners (N, 3) m, counted along the rows from the top left."""
+        return _grid(ids, self.columns - 1, self.rows - 1, self.square_m)
+
+    def detect(self, grey: Grey) -> Corners:
+        """Inner corners next to tags that were read."""
+        found, ids, _, _ = self._detector.detectBoard(grey)
+        if ids is None or not len(ids):
+            return _NONE
+        ids = np.asarray(ids).ravel().astype(np.int64)
+        order = np.argsort(ids)
+        return Corners(ids[order], np.asarray(found, dtype=float).reshape(-1, 2)[order])
+
+    @cached_property
+    def _detector(self) -> cv2.aruco.CharucoDetector:
+        board = cv2.aruco.CharucoBoard(
+            (self.columns, self.rows), self.square_m, self.tag_m, _dictionary(self.dictionary)
+        )
+        return cv2.aruco.CharucoDetector(board)
+
+
+@dataclass(frozen=True)
+class Chessboard:
+    """A plain chessboard (for calibration), with `columns` x `rows` inner corners.
+
+    One of the two must be odd and the other even, or the board looks the same upside down.
+    """
+
+    square_m: float
+    columns: int
+    rows: int
+
+    def __post_init__(self) -> None:
+        _check_size("chessboard", square_m=self.square_m)
+        if min(self.columns, self.rows) < 3 or (self.columns + self.rows) % 2 == 0:
+            shape = (self.columns, self.rows)
+            raise InputError("chessboard", "columns, rows", shape, ">= 3, one odd and one even")
+
+    @property
+    def n_corners(self) -> int:
+        """Inner corners."""
+        return self.columns * self.rows
+
+    def points(self, ids: NDArray[np.int64]) -> Array:
+        """Inner corners (N, 3) m, counted along the rows."""
+        return _grid(ids, self.columns, self.rows, self.square_m)
+
+    def detect(self, grey: Grey) -> Corners:
+        """All inner corners or none."""
+        ok, found = cv2.findChessboardCorners(grey, (self.columns, self.rows))
+        if not ok:
+            return _NONE
+        pixels = np.asarray(found, dtype=np.float32).reshape(-1, 1, 2)
+        stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-3)
+        grid = pixels.reshape(self.rows, self.columns, 2)
+        steps = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1)]
+        half = int(np.clip(0.35 * min(steps), 2, 15))
+        cv2.cornerSubPix(grey, pixels, (half, half), (-1, -1), stop)
+        return Corners(np.arange(self.n_corners), pixels.reshape(-1, 2).astype(float))
+
+
+_NONE = Corners(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
+
+
+def _grid(ids: NDArray[np.int64], columns: int, rows: int, square: float) -> Array:
+    row, column = np.divmod(ids, columns)
+    x, y = (column - (columns - 1) / 2) * square, ((rows - 1) / 2 - row) * square
+    return np.column_stack([x, y, np.zeros(len(ids))])
+
+
+def _check_size(what: str, **sizes: float) -> None:
+    for name, size in sizes.items():
+        if not (np.isfinite(size) and size > 0.0):
+            raise InputError(what, name, size, "more than 0 m")
+
+
+def _dictionary(name: str) -> cv2.aruco.Dictionary:
+    known = sorted(key for key in vars(cv2.aruco) if key.startswith("DICT_"))
+    if name not in known:
+        raise InputError("marker", "dictionary", name, ", ".join(known))
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))

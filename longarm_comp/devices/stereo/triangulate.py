@@ -1,0 +1,146 @@
+"""Points from two images: linear start, then least squares on the reprojection error.
+
+The start is the homogeneous linear triangulation of Hartley & Zisserman, *Multiple View Geometry*
+(2nd ed., 12.2); Gauss-Newton then minimises the pixel error in both images (their 12.3, "gold
+standard"), through the lens distortion, and its normal matrix gives the covariance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
+from longarm_comp.devices.stereo.refusal import Reason, StereoRefusal
+
+_PASSES = 5  # Gauss-Newton from the linear start settles to 1e-12 m in 2-3
+
+
+@dataclass(frozen=True)
+class PixelNoise:
+    """How well a corner is located: an assumed sigma that the residuals may correct.
+
+    The estimate is ``(weight sigma^2 + sum r^2) / (weight + dof)``: the posterior mean of a
+    scaled-inverse-chi-square prior, so that few residuals do not make sigma erratic.
+
+    Args:
+        sigma_px: assumed standard deviation of a corner in u and in v.
+        weight: how many residuals the assumption is worth.
+    """
+
+    sigma_px: float = 0.08
+    weight: float = 20.0
+
+    def __post_init__(self) -> None:
+        if not self.sigma_px > 0.0:
+            raise InputError("stereo", "sigma_px", self.sigma_px, "more than 0 px")
+        if not self.weight >= 0.0:
+            raise InputError("stereo", "weight", self.weight, "0 or more")
+
+    def estimate(self, residuals_px: Array, dof: int) -> float:
+        """Sigma (px) given the residuals that were left and their degrees of freedom."""
+        total = self.weight * self.sigma_px**2 + float(np.sum(np.square(residuals_px)))
+        count = self.weight + dof
+        return float(np.sqrt(total / count)) if count > 0.0 else self.sigma_px
+
+
+@dataclass(frozen=True)
+class Triangulation:
+    """Points (N, 3) m in the rig frame, covariances (N, 3, 3) m^2, residuals (N, 4) px.
+
+    Residuals are seen - projected, ordered (left u, left v, right u, right v).
+    """
+
+    points: Array
+    covariances: Array
+    residuals: Array
+    sigma_px: float
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square of the residual components."""
+        return float(np.sqrt(np.mean(np.square(self.residuals))))
+
+
+def triangulate(
+    rig: StereoRig, left_px: Array, right_px: Array, noise: PixelNoise | None = None
+) -> Triangulation:
+    """Triangulate corners seen in both images.
+
+    Args:
+        rig: the two cameras.
+        left_px, right_px: (N, 2) pixels of the same N >= 1 corners in the images as they came
+            (distorted where the cameras are).
+        noise: the assumed pixel noise.
+
+    Raises:
+        InputError: if the two do not match in shape, or are not finite.
+        StereoRefusal: BEHIND_CAMERA, if a point does not lie in front of both cameras.
+    """
+    left_px, right_px = np.asarray(left_px, dtype=float), np.asarray(right_px, dtype=float)
+    if left_px.shape != right_px.shape or left_px.ndim != 2 or left_px.shape[1] != 2:
+        raise InputError("triangulate", "pixels", (left_px.shape, right_px.shape), "both (N, 2)")
+    if not (len(left_px) and np.all(np.isfinite(left_px)) and np.all(np.isfinite(right_px))):
+        raise InputError("triangulate", "pixels", len(left_px), "one or more, finite")
+    noise = noise or PixelNoise()
+    points = _linear(rig, left_px, right_px)
+    for _ in range(_PASSES):
+        in_front(rig, points)
+        residuals, jacobian = stereo_residuals(rig, points, left_px, right_px)
+        normal = jacobian.transpose(0, 2, 1) @ jacobian
+        gradient = jacobian.transpose(0, 2, 1) @ residuals[..., None]
+        points = points + np.linalg.solve(normal, gradient)[..., 0]
+    in_front(rig, points)
+    residuals, jacobian = stereo_residuals(rig, points, left_px, right_px)
+    sigma = noise.estimate(residuals, dof=len(points))  # 4 equations less 3 unknowns a point
+    normal = jacobian.transpose(0, 2, 1) @ jacobian
+    return Triangulation(points, sigma**2 * np.linalg.inv(normal), residuals, sigma)
+
+
+def stereo_residuals(
+    rig: StereoRig, points: Array, left_px: Array, right_px: Array
+) -> tuple[Array, Array]:
+    """Seen - projected (N, 4) px, and the Jacobian (N, 4, 3) of the projection, px/m."""
+    left, left_jacobian = rig.left.project(points)
+    right, right_jacobian = rig.right.project(points)
+    residuals = np.concatenate([left_px - left, right_px - right], axis=1)
+    return residuals, np.concatenate([left_jacobian, right_jacobian], axis=1)
+
+
+def epipolar_px(rig: StereoRig, left_px: Array, right_px: Array) -> Array:
+    """Distance (N,) px of the corners from each other's epipolar line (Sampson's approximation)."""
+    essential = _essential(rig.left, rig.right)
+    left, right = rig.left.rays(left_px), rig.right.rays(right_px)
+    lines_right, lines_left = left @ essential.T, right @ essential
+    off = np.einsum("ni,ni->n", right, lines_right)
+    slopes = np.hypot(*lines_right[:, :2].T) ** 2 + np.hypot(*lines_left[:, :2].T) ** 2
+    focal = float(np.sqrt(rig.left.k[0, 0] * rig.right.k[0, 0]))
+    return focal * np.abs(off) / np.sqrt(slopes)
+
+
+def _essential(left: Camera, right: Camera) -> Array:
+    rotation = right.rotation @ left.rotation.T
+    x, y, z = right.translation - rotation @ left.translation
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ rotation
+
+
+def _linear(rig: StereoRig, left_px: Array, right_px: Array) -> Array:
+    rows = []
+    for camera, pixels in ((rig.left, left_px), (rig.right, right_px)):
+        pose = np.column_stack([camera.rotation, camera.translation])
+        rays = camera.rays(pixels)
+        rows += [rays[:, :1] * pose[2] - pose[0], rays[:, 1:2] * pose[2] - pose[1]]
+    null = np.linalg.svd(np.stack(rows, axis=1))[2][:, -1]
+    weight = null[:, 3]
+    if np.any(np.abs(weight) < 1e-9 * np.linalg.norm(null[:, :3], axis=1)):
+        raise StereoRefusal(Reason.BEHIND_CAMERA, depth_m="infinite")
+    return null[:, :3] / weight[:, None]
+
+
+def in_front(rig: StereoRig, points: Array) -> None:
+    """Refuse points (N, 3) that do not lie in front of both cameras."""
+    depth = float(min(rig.left.depth(points).min(), rig.right.depth(points).min()))
+    if not depth > 1e-9:
+        raise StereoRefusal(Reason.BEHIND_CAMERA, depth_m=round(depth, 6))

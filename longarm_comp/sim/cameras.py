@@ -1,0 +1,317 @@
+"""Two rendered cameras that look at a printed marker, for tests and for the simulated arm.
+
+Geometry is exact: every image pixel is a grid of finer ones, each traced back through the lens
+onto the marker's plane, so edges fall where they belong to a few thousandths of a pixel. Then come
+defocus, motion blur, exposure, shot and read noise, and 8 bits. Nothing here is shared with the
+measuring side (`devices/stereo`), so the two check each other.
+
+Optical frames: x right, y down, z forward. Marker frame: x right, y up, z towards the viewer,
+origin in the middle of the plate. ``a_T_b`` takes points of b to a; metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from longarm_comp.core.errors import InputError
+
+Array = NDArray[np.float64]
+Grey = NDArray[np.uint8]
+_FINE = 8  # fine pixels along the side of an image pixel
+_BACK_GREY = 90.0  # the plate's unprinted side, and what covers it
+
+
+@dataclass(frozen=True)
+class Plate:
+    """A printed plate: `texture` (H, W) uint8 stretched over `size_m` (width, height)."""
+
+    texture: Grey
+    size_m: tuple[float, float]
+
+
+def tag_plate(
+    tag_m: float,
+    gap_m: float = 0.0,
+    columns: int = 1,
+    rows: int = 1,
+    dictionary: str = "DICT_4X4_50",
+    first_id: int = 0,
+    print_scale: float = 1.0,
+) -> Plate:
+    """A grid of tags, ids along the rows from the top left, with a white margin of a fifth of a tag.
+
+    `print_scale` is how much larger than declared the printer made everything.
+    """
+    tag_px = 30 * _dictionary(dictionary).markerSize
+    gap_px, margin_px = round(gap_m / tag_m * tag_px), round(0.2 * tag_px)
+    pitch = tag_px + gap_px
+    if abs(gap_px / tag_px - gap_m / tag_m) > 1e-9:
+        raise InputError("tag plate", "gap_m", gap_m, f"a multiple of tag_m / {tag_px}")
+    height = rows * pitch - gap_px + 2 * margin_px
+    width = columns * pitch - gap_px + 2 * margin_px
+    texture = np.full((height, width), 255, dtype=np.uint8)
+    for index in range(rows * columns):
+        row, column = divmod(index, columns)
+        top, left = margin_px + row * pitch, margin_px + column * pitch
+        texture[top : top + tag_px, left : left + tag_px] = cv2.aruco.generateImageMarker(
+            _dictionary(dictionary), first_id + index, tag_px
+        )
+    texel = tag_m / tag_px * print_scale
+    return Plate(texture, (width * texel, height * texel))
+
+
+def charuco_plate(
+    square_m: float, tag_m: float, columns: int, rows: int, dictionary: str = "DICT_4X4_50"
+) -> Plate:
+    """A ChArUco board of `columns` x `rows` squares, drawn by OpenCV, without a margin."""
+    board = cv2.aruco.CharucoBoard((columns, rows), square_m, tag_m, _dictionary(dictionary))
+    texture = board.generateImage((160 * columns, 160 * rows))
+    return Plate(np.asarray(texture, dtype=np.uint8), (columns * square_m, rows * square_m))
+
+
+@dataclass(frozen=True)
+class CameraInfo:
+    """What a sensor_msgs/CameraInfo says (the fields that a stereo pair needs)."""
+
+    width: int
+    height: int
+    distortion_model: str
+    d: tuple[float, ...]
+    k: tuple[float, ...]
+    r: tuple[float, ...]
+    p: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class StereoHead:
+    """Two equal cameras. The defaults look along +y of the base from 1.7 m beside the arm.
+
+    Args:
+        position_m: left camera's centre in the base frame.
+        optical_axis: where the left camera looks, base frame.
+        baseline_m: right camera's centre along the left camera's x.
+        focal_px, size: of both cameras; the principal point is the middle of the image.
+        d: plumb-bob distortion k1 k2 p1 p2 k3 of both.
+        right_turn_rad: rotation vector (3,) of the right camera against the left.
+    """
+
+    position_m: tuple[float, float, float] = (0.75, -1.7, 0.3)
+    optical_axis: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    baseline_m: float = 0.3
+    focal_px: float = 800.0
+    size: tuple[int, int] = (640, 480)
+    d: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    right_turn_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def k(self) -> Array:
+        """Intrinsic matrix (3, 3), px."""
+        cx, cy = (self.size[0] - 1) / 2, (self.size[1] - 1) / 2
+        return np.array([[self.focal_px, 0.0, cx], [0.0, self.focal_px, cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def base_T_left(self) -> Array:
+        """Pose (4, 4) of the left camera, level with the horizon."""
+        z = np.asarray(self.optical_axis, dtype=float)
+        z = z / np.linalg.norm(z)
+        x = np.cross(z, [0.0, 0.0, 1.0])
+        x = x / np.linalg.norm(x)
+        pose = np.eye(4)
+        pose[:3, :3] = np.column_stack([x, np.cross(z, x), z])
+        pose[:3, 3] = self.position_m
+        return pose
+
+    @property
+    def right_T_left(self) -> Array:
+        """Left-camera points to right-camera points, (4, 4)."""
+        turn = cv2.Rodrigues(np.asarray(self.right_turn_rad, dtype=float))[0].T
+        out = np.eye(4)
+        out[:3, :3], out[:3, 3] = turn, turn @ [-self.baseline_m, 0.0, 0.0]
+        return out
+
+    @property
+    def base_T_camera(self) -> Array:
+        """Pose (4, 4) of the left optical frame that `camera_infos` speak of (the rectified one)."""
+        out = self.base_T_left
+        out[:3, :3] = out[:3, :3] @ self._rectification()[0].T
+        return out
+
+    def camera_infos(self) -> tuple[CameraInfo, CameraInfo]:
+        """Calibration of the raw images, left and right, as camera drivers publish it."""
+        left, right, p_left, p_right = self._rectification()
+        return self._info(left, p_left), self._info(right, p_right)
+
+    def _info(self, r: Array, p: Array) -> CameraInfo:
+        k, r_, p_ = (tuple(float(x) for x in a.ravel()) for a in (self.k, r, p))
+        return CameraInfo(*self.size, "plumb_bob", self.d, k, r_, p_)
+
+    def _rectification(self) -> tuple[Array, Array, Array, Array]:
+        d, move = np.asarray(self.d), self.right_T_left
+        if not any(self.right_turn_rad):
+            p = np.hstack([self.k, np.zeros((3, 1))])
+            p_right = p.copy()
+            p_right[0, 3] = -self.focal_px * self.baseline_m
+            return np.eye(3), np.eye(3), p, p_right
+        out = cv2.stereoRectify(self.k, d, self.k, d, self.size, move[:3, :3], move[:3, 3])
+        return out[0], out[1], out[2], out[3]
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Light, lens and obstacles.
+
+    Args:
+        exposure: grey level = exposure * reflected light, then clipped at 255.
+        read_noise, shot_noise: grey levels; variance = read^2 + shot^2 * level / 255.
+        blur_px: Gaussian sigma of the lens, left and right alike.
+        motion_px: (right, down) path of the marker on the sensor during the exposure.
+        covered: share of the plate's width hidden, seen by the left and by the right camera.
+        background: seed of what is behind the marker.
+    """
+
+    exposure: float = 0.75
+    read_noise: float = 1.5
+    shot_noise: float = 3.0
+    blur_px: float = 0.6
+    motion_px: tuple[float, float] = (0.0, 0.0)
+    covered: tuple[float, float] = (0.0, 0.0)
+    background: int = 0
+
+
+def render(
+    base_T_marker: ArrayLike,
+    plate: Plate,
+    head: StereoHead,
+    rng: np.random.Generator,
+    conditions: Conditions | None = None,
+) -> tuple[Grey, Grey]:
+    """The two raw images (H, W) uint8 of a plate at a pose (4, 4) in the base frame."""
+    conditions = conditions or Conditions()
+    left_T_marker = np.linalg.inv(head.base_T_left) @ np.asarray(base_T_marker, dtype=float)
+    left = _image(left_T_marker, plate, head, conditions, 0, rng)
+    right = _image(head.right_T_left @ left_T_marker, plate, head, conditions, 1, rng)
+    return left, right
+
+
+def _image(
+    camera_T_marker: Array,
+    plate: Plate,
+    head: StereoHead,
+    conditions: Conditions,
+    eye: int,
+    rng: np.random.Generator,
+) -> Grey:
+    light = _background(conditions.background + eye, head.size).copy()
+    if conditions.blur_px > 0.0:
+        light = cv2.GaussianBlur(light, (0, 0), conditions.blur_px)
+    window = _window(camera_T_marker, plate, head, conditions)
+    if window is not None:
+        x0, y0, x1, y1 = window
+        colour, share = _fine_plate(window, camera_T_marker, plate, head, conditions.covered[eye])
+        colour, share = (_seen_through(a, conditions) for a in (colour, share))
+        patch = light[y0:y1, x0:x1]
+        patch *= 1.0 - share
+        patch += colour
+    level = conditions.exposure * light
+    sigma = np.sqrt(conditions.read_noise**2 + conditions.shot_noise**2 * level / 255.0)
+    noisy = level + sigma * rng.standard_normal(level.shape, dtype=np.float32)
+    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+
+
+def _window(
+    camera_T_marker: Array, plate: Plate, head: StereoHead, conditions: Conditions
+) -> tuple[int, int, int, int] | None:
+    """The part of the image (x0, y0, x1, y1) that the blurred plate may touch."""
+    half = np.asarray(plate.size_m) / 2
+    outline = np.array([[x, y, 0.0] for x in (-half[0], half[0]) for y in (-half[1], half[1])])
+    points = outline @ camera_T_marker[:3, :3].T + camera_T_marker[:3, 3]
+    if points[:, 2].min() < 0.01:
+        return None
+    pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), head.k, np.asarray(head.d))[0]
+    pad = 3.0 + 4.0 * conditions.blur_px + float(np.hypot(*conditions.motion_px))
+    low = np.floor(pixels.reshape(-1, 2).min(axis=0) - pad)
+    high = np.ceil(pixels.reshape(-1, 2).max(axis=0) + pad)
+    x0, y0 = (int(v) for v in np.maximum(low, 0))
+    x1, y1 = (int(v) for v in np.minimum(high, head.size))
+    return (x0, y0, x1, y1) if x1 - x0 > 1 and y1 - y0 > 1 else None
+
+
+def _fine_plate(
+    window: tuple[int, int, int, int],
+    camera_T_marker: Array,
+    plate: Plate,
+    head: StereoHead,
+    covered: float,
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Light from the plate and its share of every fine pixel of the window."""
+    x0, y0, x1, y1 = window
+    u = x0 - 0.5 + (np.arange((x1 - x0) * _FINE) + 0.5) / _FINE
+    v = y0 - 0.5 + (np.arange((y1 - y0) * _FINE) + 0.5) / _FINE
+    grid = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 1, 2)
+    if any(head.d):
+        stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-10)
+        rays = cv2.undistortPoints(grid, head.k, np.asarray(head.d), criteria=stop)
+    else:
+        rays = (grid - head.k[:2, 2]) / head.focal_px
+    to_plane = np.linalg.inv(camera_T_marker[:3, [0, 1, 3]])  # ray -> (X, Y, 1) of the plane
+    x, y, w = to_plane @ np.vstack([rays[:, 0].T, np.ones(len(grid))])
+    shape = (v.size, u.size)
+    across = (x / w / plate.size_m[0] + 0.5).reshape(shape)
+    down = (0.5 - y / w / plate.size_m[1]).reshape(shape)
+    height, width = plate.texture.shape
+    colour = cv2.remap(
+        plate.texture,
+        (across * width - 0.5).astype(np.float32),
+        (down * height - 0.5).astype(np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    ).astype(np.float32)
+    from_behind = camera_T_marker[:3, 2] @ camera_T_marker[:3, 3] > 0.0
+    colour[(across < covered) | from_behind] = _BACK_GREY
+    share = ((np.abs(across - 0.5) <= 0.5) & (np.abs(down - 0.5) <= 0.5)).astype(np.float32)
+    return colour * share, share
+
+
+def _seen_through(fine: NDArray[np.float32], conditions: Conditions) -> NDArray[np.float32]:
+    """Lens blur, motion and the pixel's own area: fine pixels to image pixels."""
+    if conditions.blur_px > 0.0:
+        fine = cv2.GaussianBlur(fine, (0, 0), conditions.blur_px * _FINE)
+    if any(conditions.motion_px):
+        fine = cv2.filter2D(fine, -1, _path_kernel(conditions.motion_px))
+    size = (fine.shape[1] // _FINE, fine.shape[0] // _FINE)
+    return cv2.resize(fine, size, interpolation=cv2.INTER_AREA)
+
+
+def _path_kernel(motion_px: tuple[float, float]) -> NDArray[np.float32]:
+    path = np.linspace(-0.5, 0.5, 201)[:, None] * np.asarray(motion_px) * _FINE
+    half = int(np.ceil(np.abs(path).max())) + 1
+    kernel = np.zeros((2 * half + 1, 2 * half + 1), dtype=np.float32)
+    at = np.rint(path).astype(int) + half
+    np.add.at(kernel, (at[:, 1], at[:, 0]), 1.0)
+    return kernel / kernel.sum()
+
+
+@lru_cache(maxsize=8)
+def _background(seed: int, size: tuple[int, int]) -> NDArray[np.float32]:
+    """A cluttered wall: soft patches, boxes with sharp edges, fine grain."""
+    rng = np.random.default_rng(seed)
+    soft = rng.uniform(60.0, 150.0, (size[1] // 80 + 2, size[0] // 80 + 2)).astype(np.float32)
+    wall = cv2.resize(soft, size, interpolation=cv2.INTER_CUBIC)
+    for _ in range(25):
+        x, y = rng.integers(0, size[0]), rng.integers(0, size[1])
+        w, h = rng.integers(4, 90, 2)
+        wall[y : y + h, x : x + w] = rng.uniform(30.0, 220.0)
+    wall += rng.normal(0.0, 4.0, wall.shape).astype(np.float32)
+    return np.clip(wall, 0.0, 255.0)
+
+
+def _dictionary(name: str) -> cv2.aruco.Dictionary:
+    known = sorted(key for key in vars(cv2.aruco) if key.startswith("DICT_"))
+    if name not in known:
+        raise InputError("plate", "dictionary", name, ", ".join(known))
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
