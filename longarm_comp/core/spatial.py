@@ -64,11 +64,6 @@ def absolute(x: Scalar) -> Scalar:
     return abs(x) if type(x) is float else np.absolute(x)
 
 
-def sign(x: Scalar) -> Scalar:
-    """-1, 0 or +1."""
-    return float((x > 0) - (x < 0)) if type(x) is float else np.sign(x)
-
-
 def floor(x: Scalar) -> Scalar:
     """Largest whole number not above x."""
     return float(math.floor(x)) if type(x) is float else np.floor(x)
@@ -82,13 +77,6 @@ def minimum(a: Scalar, b: Scalar) -> Scalar:
 def maximum(a: Scalar, b: Scalar) -> Scalar:
     """The larger of two."""
     return max(a, b) if type(a) is float and type(b) is float else np.maximum(a, b)
-
-
-def where(condition: Scalar, a: Scalar, b: Scalar) -> Scalar:
-    """`a` where the condition (a bool, an (N,) array of them, a traced one) holds, else `b`."""
-    if isinstance(condition, (bool, np.bool_)):
-        return a if condition else b
-    return np.where(condition, a, b)
 
 
 def add(a: Vec, b: Vec) -> Vec:
