@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 STAMPS := $(VENV)/stamps
 
-.PHONY: setup test lint demo bench format system clean
+.PHONY: setup test lint demo bench format system colcon clean
 
 setup: $(STAMPS)/package
 
@@ -17,7 +17,7 @@ $(STAMPS)/python:
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(0 if (3, 10) <= v < (3, 14) else \
 	  f"Python 3.10 to 3.13 is needed, this is {v.major}.{v.minor}: make setup PYTHON=python3.12")'
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(PIP) install --quiet --upgrade pip 'setuptools>=68' wheel
+	$(PIP) install --quiet --upgrade pip 'setuptools>=68,<80' wheel
 	@mkdir -p $(STAMPS) && touch $@
 
 # torch comes first and alone. Its CPU build is enough: TORCH_ARGS='--index-url ...' chooses another.
@@ -61,6 +61,10 @@ system:
 	apt-get update -qq
 	DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
 	  build-essential python3-venv chromium
+
+# A colcon workspace of both packages beside the sources, against the ROS of .venv.
+colcon: setup
+	. $(BIN)/activate && colcon build
 
 clean:
 	rm -rf $(VENV) build install log

@@ -6,7 +6,8 @@ from setuptools import find_packages, setup
 
 NAME = "longarm_comp"
 
-NODES = ["kinematics", "error_predictor", "stereo_bridge", "servo_driver"]
+# Programs that `ros2 run longarm_comp ...` finds: the modules of nodes/ that have a main.
+NODES: list[str] = []
 
 RUNTIME = [
     "click>=8.1",
@@ -30,11 +31,13 @@ EXTRAS = {
     "fast": ["numba>=0.59"],
     "dev": [
         "PyNiteFEA",
+        "colcon-common-extensions",
         "dask[distributed]",
         "dynamixel-sdk",
         "example-robot-data",
         "hypothesis",
         "mypy",
+        "packaging",
         "pin",
         "pytest",
         "pytest-xdist",

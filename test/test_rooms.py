@@ -1,0 +1,257 @@
+"""Who may import whom: the rooms of the package, read from the source without running it."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+PACKAGE = "longarm_comp"
+ROOT = Path(__file__).resolve().parents[1]
+
+ROS = (
+    *("rclpy", "launch", "launch_ros", "longarm_interfaces", "tf2_ros", "ament_index_python"),
+    *("builtin_interfaces", "rcl_interfaces", "rosgraph_msgs", "std_srvs", "std_msgs"),
+    *("diagnostic_msgs", "geometry_msgs", "lifecycle_msgs", "sensor_msgs", "trajectory_msgs"),
+    *("visualization_msgs", "nav_msgs", "action_msgs"),
+)
+
+# Imports point only upward in this list; modules of the core that it does not name are checked
+# through whatever they import.
+CORE_ORDER = (
+    *("errors", "files", "spatial", "arm", "posture", "effects", "model", "ik", "compensate"),
+    *("dataset", "learn", "identify"),
+)
+
+
+@dataclass(frozen=True)
+class Room:
+    """What a folder of the package may import.
+
+    Attributes:
+        forbidden: rooms of the package, as paths below it, and outside packages.
+        only: where set, the only parts of the package outside the room itself.
+    """
+
+    forbidden: tuple[str, ...] = ()
+    only: tuple[str, ...] | None = None
+
+
+ROOMS = {
+    "core": Room((*ROS, "cv2", "serial", "click", "rich", "matplotlib", "plotly"), only=()),
+    "devices": Room(ROS, only=("core.errors", "core.files")),
+    "sim": Room(ROS, only=("core.arm", "core.errors", "core.files", "devices")),
+    "report": Room((*ROS, "nodes", "devices", "sim", "cli")),
+    "nodes": Room(("cli", "report", "studies", "bench", "scipy", "torch")),
+}
+
+MATHS = {
+    *("linalg", "einsum", "matmul", "dot", "cross", "outer", "inv", "solve", "norm", "lstsq"),
+    *("sin", "cos", "tan", "arcsin", "arccos", "arctan2", "asin", "acos", "atan2", "hypot"),
+}
+
+
+@dataclass(frozen=True)
+class Import:
+    line: int
+    name: str
+    typing_only: bool
+
+
+def below(name: str, parents: tuple[str, ...]) -> bool:
+    """Whether a dotted name is one of the parents or lies inside one."""
+    return any(name == parent or name.startswith(f"{parent}.") for parent in parents)
+
+
+def imports(source: str, module: str, known: frozenset[str]) -> Iterator[Import]:
+    """Every import of a source text, nested ones too, as full names.
+
+    ``from a import b`` gives ``a.b`` where that is a known module and ``a`` otherwise. ``module``
+    ends in ``.__init__`` for a package's own file, so that relative imports come out right.
+    """
+    tree = ast.parse(source)
+    typing_only = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+        for statement in node.body
+        for inner in ast.walk(statement)
+    }
+    for node in ast.walk(tree):
+        names: list[str] = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                base = ".".join([*module.split(".")[: -node.level], *filter(None, [base])])
+            full = [f"{base}.{alias.name}" for alias in node.names]
+            names = sorted({name if name in known else base for name in full})
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+            names = [a.value for a in node.args if isinstance(a, ast.Constant)]
+        for name in names:
+            yield Import(node.lineno, name, id(node) in typing_only)
+
+
+def maths(source: str) -> Iterator[tuple[int, str]]:
+    """Where a source text computes: linear algebra, trigonometry, matrix products."""
+    for node in ast.walk(ast.parse(source)):
+        named = isinstance(node, ast.Attribute) and node.attr in MATHS
+        if named or (isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult)):
+            yield node.lineno, ast.unparse(node)
+        elif isinstance(node, ast.ImportFrom) and node.module in {"math", "numpy", "numpy.linalg"}:
+            for alias in node.names:
+                if alias.name in MATHS:
+                    yield node.lineno, alias.name
+
+
+def room_faults(room: str, file: str, found: list[Import]) -> list[str]:
+    """What a file imports against the rule of its room."""
+    rule = ROOMS[room]
+    faults = []
+    for entry in found:
+        inside = entry.name.removeprefix(f"{PACKAGE}.")
+        ours = inside != entry.name
+        allowed = rule.only is None or not ours or below(inside, (room, *rule.only))
+        if below(inside, rule.forbidden) or not allowed:
+            faults.append(f"{file}:{entry.line}: {room} must not import {entry.name}")
+    return faults
+
+
+def order_faults(graph: dict[str, set[str]]) -> list[str]:
+    """Modules of the core that reach, directly or through others, one lower in the list."""
+
+    def rank(module: str) -> int | None:
+        parts = module.split(".")
+        named = len(parts) > 2 and parts[1] == "core" and parts[2] in CORE_ORDER
+        return CORE_ORDER.index(parts[2]) if named else None
+
+    faults = []
+    for module in sorted(graph):
+        own = rank(module)
+        for reached in sorted(reach(graph, module)) if own is not None else ():
+            other = rank(reached)
+            if other is not None and own is not None and other > own:
+                faults.append(f"{module} reaches {reached}, which stands below it")
+    return faults
+
+
+def reach(graph: dict[str, set[str]], start: str) -> set[str]:
+    seen: set[str] = set()
+    ahead = [start]
+    while ahead:
+        fresh = graph.get(ahead.pop(), set()) - seen
+        seen |= fresh
+        ahead += fresh
+    return seen
+
+
+@cache
+def sources() -> dict[str, Path]:
+    """Module name -> file; a package's own file under ``name.__init__``."""
+    files = sorted((ROOT / PACKAGE).rglob("*.py"))
+    return {".".join(file.relative_to(ROOT).with_suffix("").parts): file for file in files}
+
+
+@cache
+def known() -> frozenset[str]:
+    return frozenset(module.removesuffix(".__init__") for module in sources())
+
+
+def read(module: str) -> list[Import]:
+    return list(imports(sources()[module].read_text("utf-8"), module, known()))
+
+
+def in_room(room: str) -> list[str]:
+    return [name for name in sources() if below(name, (f"{PACKAGE}.{room}",))]
+
+
+@cache
+def graph() -> dict[str, set[str]]:
+    """The package's modules and what each imports of it when it is loaded or run."""
+    return {
+        module.removesuffix(".__init__"): {
+            entry.name for entry in read(module) if entry.name in known() and not entry.typing_only
+        }
+        for module in sources()
+    }
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_room_imports_only_what_it_may(room: str) -> None:
+    modules = in_room(room)
+    faults = [fault for name in modules for fault in room_faults(room, name, read(name))]
+    assert not faults, "\n".join(faults)
+
+
+def test_core_imports_point_upward() -> None:
+    assert {"longarm_comp.core.errors", "longarm_comp.core.files"} <= known()
+    faults = order_faults(graph())
+    assert not faults, "\n".join(faults)
+
+
+def test_no_module_imports_itself_through_others() -> None:
+    loops = [module for module in graph() if module in reach(graph(), module)]
+    assert not loops, f"import cycle through {loops}"
+
+
+def test_nodes_hold_no_maths() -> None:
+    found = [
+        f"{name}:{line}: {what}"
+        for name in in_room("nodes")
+        for line, what in maths(sources()[name].read_text("utf-8"))
+    ]
+    assert not found, "\n".join(found)
+
+
+def test_only_the_entry_point_imports_the_command_line() -> None:
+    callers = [
+        name
+        for name in sources()
+        if not below(name, (f"{PACKAGE}.cli", f"{PACKAGE}.__main__"))
+        and any(below(entry.name, (f"{PACKAGE}.cli",)) for entry in read(name))
+    ]
+    assert not callers
+
+
+@pytest.mark.parametrize(
+    ("room", "source"),
+    [
+        ("core", "import rclpy"),
+        ("core", "def f():\n    from geometry_msgs.msg import Pose"),
+        ("core", "from longarm_comp import sim"),
+        ("core", "from ..nodes import kinematics"),
+        ("devices", "from sensor_msgs.msg import Image"),
+        ("devices", "from longarm_comp.core.model import Model"),
+        ("sim", "from longarm_comp.core import posture"),
+        ("sim", "from longarm_comp.core.effects.creep import Creep"),
+        ("sim", "import importlib\nimportlib.import_module('longarm_comp.core.ik')"),
+        ("nodes", "import scipy.linalg"),
+        ("report", "from longarm_comp.nodes.kinematics import Kinematics"),
+    ],
+)
+def test_a_planted_import_is_found(room: str, source: str) -> None:
+    modules = known() | {f"{PACKAGE}.{name}" for name in ("sim", "nodes", "core.posture")}
+    found = list(imports(source, f"{PACKAGE}.{room}.planted", modules))
+    assert len(room_faults(room, "planted", found)) == 1
+
+
+def test_a_planted_detour_downward_is_found() -> None:
+    core = f"{PACKAGE}.core"
+    detour = {f"{core}.arm": {f"{core}.helper"}, f"{core}.helper": {f"{core}.effects.creep"}}
+    assert order_faults(detour) == [
+        f"{core}.arm reaches {core}.effects.creep, which stands below it"
+    ]
+    assert order_faults({f"{core}.ik": {f"{core}.effects.creep"}}) == []
+
+
+@pytest.mark.parametrize(
+    "source", ["np.linalg.inv(a)", "a @ b", "math.sin(q)", "from numpy import cross"]
+)
+def test_planted_maths_is_found(source: str) -> None:
+    assert list(maths(source))
+    assert not list(maths("error = measured - predicted\nmath.isfinite(error)"))
