@@ -1,0 +1,32 @@
+"""Serial buses of smart servos: one file a protocol, one interface, typed faults."""
+
+from longarm_comp.devices.servo_bus.bus import SerialServoBus, ServoBus
+from longarm_comp.devices.servo_bus.errors import (
+    BusUnplugged,
+    IncompleteReply,
+    ServoBusError,
+    ServoChecksum,
+    ServoFault,
+    ServoRejected,
+    ServoTimeout,
+)
+from longarm_comp.devices.servo_bus.registry import MODELS, PROTOCOLS, open_bus
+from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
+
+__all__ = [
+    "MODELS",
+    "PROTOCOLS",
+    "BusUnplugged",
+    "IncompleteReply",
+    "SerialServoBus",
+    "ServoAlarm",
+    "ServoBus",
+    "ServoBusError",
+    "ServoChecksum",
+    "ServoFault",
+    "ServoModel",
+    "ServoRejected",
+    "ServoState",
+    "ServoTimeout",
+    "open_bus",
+]

@@ -1,0 +1,95 @@
+"""A wire protocol as pure bytes: frames, registers and units, with no port underneath.
+
+Why own frames and not the vendors' client libraries: both poll the port in a busy loop until a
+time-out of 34-50 ms on the wall clock, give up a sync read at the first silent servo and drop the
+status byte of the others (dynamixel-sdk), never empty the input so that a late answer is taken for
+the next one (scservo_sdk), and stay "busy" for ever after an exception from an unplugged port.
+The tests use them as independent judges of every byte instead.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """A status frame off the wire; ``intact`` is False when its checksum failed."""
+
+    servo_id: int
+    error: int
+    data: bytes
+    intact: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Consecutive registers that are read or written together."""
+
+    address: int
+    length: int
+
+
+class Dialect(ABC):
+    """What one protocol says; stateless.
+
+    Attributes:
+        overhead: bytes of a status frame besides its data.
+        model: the servo's model number.
+        state: everything a ``ServoState`` needs, in one read.
+        goal: goal position with its speed.
+        torque: one byte, 0 free, 1 driven.
+        turns: what decides between one turn and many, kept by the servo when unpowered.
+        turns_lock: write 0 here before and 1 after changing ``turns``; None: no lock.
+        alarm: where alarms are read when the status byte only says that there is one.
+    """
+
+    overhead: ClassVar[int]
+    model: ClassVar[Block]
+    state: ClassVar[Block]
+    goal: ClassVar[Block]
+    torque: ClassVar[Block]
+    turns: ClassVar[Block]
+    turns_lock: ClassVar[Block | None]
+    alarm: ClassVar[Block | None]
+
+    @abstractmethod
+    def decode(self, buffer: bytearray, final: bool) -> list[Reply]:
+        """Take every status frame off the front of ``buffer``; ``final``: no more bytes come."""
+
+    @abstractmethod
+    def sync_read(self, ids: Sequence[int], block: Block) -> bytes:
+        """The frame that asks every id for ``block``; each answers in turn."""
+
+    @abstractmethod
+    def sync_write(self, block: Block, values: Mapping[int, bytes]) -> bytes:
+        """The frame that writes ``block`` of every id at once; nobody answers."""
+
+    @abstractmethod
+    def refusal(self, error: int) -> int:
+        """The code in a status byte that says an instruction was refused; 0: it was not."""
+
+    @abstractmethod
+    def alarms(self, error: int) -> ServoAlarm | None:
+        """Alarms in a status byte; None: there are some, and ``alarm`` must be read."""
+
+    @abstractmethod
+    def alarm_flags(self, value: int) -> ServoAlarm:
+        """The servo's alarm bits as ``ServoAlarm``."""
+
+    @abstractmethod
+    def goal_bytes(self, ticks: int, speed_ticks_s: float) -> bytes:
+        """Contents of ``goal``; speed 0 is the servo's own maximum."""
+
+    @abstractmethod
+    def turns_bytes(self, many: bool) -> bytes:
+        """Contents of ``turns`` for one turn or many."""
+
+    @abstractmethod
+    def state_of(self, data: bytes, alarms: ServoAlarm, model: ServoModel) -> ServoState:
+        """``ServoState`` from the contents of ``state``."""

@@ -1,0 +1,64 @@
+"""The serial line under a servo bus: bytes out, bytes in, and one error when it is gone."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+
+import serial
+
+from longarm_comp.devices.servo_bus.errors import BusUnplugged
+
+
+class SerialPort:
+    """A serial port opened for this process alone.
+
+    Args:
+        path: device, for instance ``/dev/ttyUSB0``.
+        baudrate: bits a second.
+        reply_timeout_s: how long an answer may take after its bytes' own time on the wire.
+
+    Raises:
+        BusUnplugged: the port cannot be opened or another process holds it.
+    """
+
+    def __init__(self, path: str, baudrate: int, reply_timeout_s: float = 0.02) -> None:
+        self.path = path
+        self.baudrate = baudrate
+        self.reply_timeout_s = reply_timeout_s
+        try:
+            self._serial = serial.Serial(
+                path, baudrate, timeout=reply_timeout_s, write_timeout=1.0, exclusive=True
+            )
+        except (OSError, ValueError) as error:
+            raise BusUnplugged(path, str(error)) from error
+        # The USB adapter's 16 ms latency timer is the largest share of a round trip, where it has one.
+        with contextlib.suppress(OSError, ValueError, AttributeError, NotImplementedError):
+            self._serial.set_low_latency_mode(True)
+
+    def send(self, frame: bytes) -> int:
+        """Drop whatever stale bytes lie in the input, then send; returns the number dropped."""
+        try:
+            stale = self._serial.in_waiting
+            if stale:
+                self._serial.read(stale)
+            self._serial.write(frame)
+        except OSError as error:
+            raise BusUnplugged(self.path, str(error)) from error
+        return stale
+
+    def receive(self, count: int) -> bytes:
+        """At most ``count`` bytes; fewer (or none) when the reply time-out passes first."""
+        try:
+            return self._serial.read(count)
+        except OSError as error:
+            raise BusUnplugged(self.path, str(error)) from error
+
+    def deadline(self, byte_count: int) -> float:
+        """Monotonic time by which an answer of ``byte_count`` bytes must be complete."""
+        return time.monotonic() + self.reply_timeout_s + 10.0 * byte_count / self.baudrate
+
+    def close(self) -> None:
+        """Release the port; closing twice, or after an unplug, is fine."""
+        with contextlib.suppress(OSError):
+            self._serial.close()

@@ -1,0 +1,64 @@
+"""What a servo says about itself, the same for every protocol."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntFlag
+
+
+class ServoAlarm(IntFlag):
+    """Alarms a servo raises by itself; each protocol maps its own bits onto these."""
+
+    NONE = 0
+    VOLTAGE = 1
+    SENSOR = 2
+    OVERHEAT = 4
+    CURRENT = 8
+    OVERLOAD = 16
+    OTHER = 32
+
+
+@dataclass(frozen=True, slots=True)
+class ServoState:
+    """One read-back of one servo.
+
+    Attributes:
+        position_ticks: encoder position; may be negative or above one turn in multi-turn use.
+        velocity_ticks_s: encoder ticks a second.
+        load: drive effort as a signed share of the servo's maximum, -1 to 1.
+        voltage_v: supply voltage at the servo.
+        temperature_c: inside the case.
+        moving: the servo's own opinion.
+        error_flags: alarms it raises now.
+    """
+
+    position_ticks: int
+    velocity_ticks_s: float
+    load: float
+    voltage_v: float
+    temperature_c: float
+    moving: bool
+    error_flags: ServoAlarm = ServoAlarm.NONE
+
+
+@dataclass(frozen=True, slots=True)
+class ServoModel:
+    """A kind of servo, from its data sheet.
+
+    Attributes:
+        name: as written in the configuration.
+        protocol: name of the wire protocol.
+        model_number: what it answers to a ping.
+        ticks_per_turn: encoder ticks in one turn of the horn.
+        single_turn: lowest and highest goal in ordinary position mode, ticks.
+        multi_turn: the same when it may turn more than once.
+        full_load: present-load (or present-current) reading at full effort.
+    """
+
+    name: str
+    protocol: str
+    model_number: int
+    ticks_per_turn: int
+    single_turn: tuple[int, int]
+    multi_turn: tuple[int, int]
+    full_load: float

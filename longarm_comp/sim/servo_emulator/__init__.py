@@ -1,0 +1,7 @@
+"""Emulated servo buses on a pseudo-terminal, byte for byte; shares no code with the real driver."""
+
+from longarm_comp.sim.servo_emulator.emulator import WIRES, LoadOf, ServoEmulator
+from longarm_comp.sim.servo_emulator.faults import WireFaults
+from longarm_comp.sim.servo_emulator.motor import Motor, MotorSpec
+
+__all__ = ["WIRES", "LoadOf", "Motor", "MotorSpec", "ServoEmulator", "WireFaults"]

@@ -1,0 +1,197 @@
+"""A bus of emulated servos behind a pseudo-terminal; any client library may open it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import threading
+import time
+import tty
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+
+from longarm_comp.sim.servo_emulator.dynamixel import DynamixelWire
+from longarm_comp.sim.servo_emulator.faults import WireFaults
+from longarm_comp.sim.servo_emulator.feetech import FeetechWire
+from longarm_comp.sim.servo_emulator.motor import Motor, MotorSpec
+from longarm_comp.sim.servo_emulator.wire import Device, Wire
+
+WIRES: dict[str, Wire] = {wire.name: wire for wire in (FeetechWire(), DynamixelWire())}
+_STEP_S = 0.01
+
+LoadOf = Callable[[Mapping[int, float]], Mapping[int, float]]
+"""Servo positions (ticks) to external load on each, as a signed share of its stall torque."""
+
+
+class ServoEmulator:
+    """Servos on a pseudo-terminal, moved by a thread of their own.
+
+    Args:
+        protocol: ``feetech`` or ``dynamixel``.
+        positions: where each servo stands at the start, ticks, by id.
+        spec: mechanics of all servos, or of each by id.
+        link: a symbolic link to the pseudo-terminal to make (and move along on ``replug``).
+        load_of: external load from positions; none: unloaded.
+        baudrate: when given, replies take as long as their bytes take at this rate.
+
+    Use as a context manager, or ``start`` and ``stop``.
+    """
+
+    def __init__(
+        self,
+        protocol: str,
+        positions: Mapping[int, float],
+        spec: MotorSpec | Mapping[int, MotorSpec] = MotorSpec(),
+        link: Path | None = None,
+        load_of: LoadOf | None = None,
+        baudrate: int | None = None,
+    ) -> None:
+        self._wire = WIRES[protocol]
+        specs = dict.fromkeys(positions, spec) if isinstance(spec, MotorSpec) else spec
+        self._devices: dict[int, Device] = {
+            i: self._wire.device(i, Motor(specs[i], ticks)) for i, ticks in positions.items()
+        }
+        self._link = link
+        self._load_of = load_of
+        self._byte_s = 10.0 / baudrate if baudrate else 0.0
+        self._lock = threading.RLock()
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._fds: tuple[int, int] | None = None
+        self._now = time.monotonic()
+        self.faults = WireFaults()
+        self.port = ""
+        self.frames_heard = 0
+
+    def start(self) -> None:
+        """Open the pseudo-terminal (``port`` is its path) and begin to answer."""
+        master, slave = os.openpty()
+        tty.setraw(slave)
+        self._fds = master, slave
+        self.port = os.ttyname(slave)
+        if self._link is not None:
+            _point(self._link, self.port)
+        self._stop.clear()
+        self._thread = threading.Thread(target=self._serve, args=(master,), daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Close the pseudo-terminal and remove the link; may be called twice."""
+        self.unplug()
+        if self._link is not None:
+            with contextlib.suppress(FileNotFoundError):
+                self._link.unlink()
+
+    def unplug(self) -> None:
+        """Pull the cable: the client's next read or write fails. Servos keep their power."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+        if self._fds is not None:
+            for fd in self._fds:
+                os.close(fd)
+            self._fds = None
+
+    def replug(self) -> None:
+        """Put the cable back: a new pseudo-terminal, the same link, the same servos."""
+        self.unplug()
+        self.start()
+
+    def __enter__(self) -> ServoEmulator:
+        self.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+
+    def positions(self) -> dict[int, float]:
+        """Where the servos really stand now, ticks, not rounded."""
+        with self._lock:
+            self._advance()
+            return {i: d.motor.position for i, d in self._devices.items()}
+
+    def approaches(self) -> dict[int, int]:
+        """The direction each servo last moved in: +1, -1, or 0 before the first motion."""
+        with self._lock:
+            self._advance()
+            return {i: d.motor.approach for i, d in self._devices.items()}
+
+    def torques_on(self) -> dict[int, bool]:
+        """Which servos drive."""
+        with self._lock:
+            return {i: d.motor.torque_on for i, d in self._devices.items()}
+
+    def block(self, servo_id: int, blocked: bool = True) -> None:
+        """Jam the horn of a servo, or free it."""
+        with self._lock:
+            self._advance()
+            self._devices[servo_id].motor.blocked = blocked
+
+    def heat(self, servo_id: int, temperature_c: float) -> None:
+        """Set a servo's temperature."""
+        with self._lock:
+            self._devices[servo_id].motor.temperature_c = temperature_c
+
+    def supply(self, voltage_v: float) -> None:
+        """Set the supply voltage of all servos."""
+        with self._lock:
+            for device in self._devices.values():
+                device.motor.voltage_v = voltage_v
+
+    def push(self, servo_id: int, ticks: float) -> None:
+        """Turn a servo by hand to ``ticks``; driven servos go back to their goal."""
+        with self._lock:
+            self._advance()
+            self._devices[servo_id].motor.position = ticks
+
+    def _advance(self) -> None:
+        """Bring the mechanics up to the present in small steps (the load follows the motion)."""
+        now = time.monotonic()
+        while self._now < now:
+            dt = min(_STEP_S, now - self._now)
+            self._now += dt
+            if self._load_of is not None:
+                positions = {i: d.motor.position for i, d in self._devices.items()}
+                for servo_id, load in self._load_of(positions).items():
+                    self._devices[servo_id].motor.external_load = load
+            for device in self._devices.values():
+                device.motor.advance(dt)
+
+    def _serve(self, master: int) -> None:
+        buffer = bytearray()
+        while not self._stop.is_set():
+            ready, _, _ = select.select([master], [], [], _STEP_S)
+            if ready:
+                buffer += os.read(master, 4096)
+            with self._lock:
+                self._advance()
+                sent = [
+                    self.faults.apply(servo_id, reply)
+                    for frame in self._frames(buffer)
+                    for servo_id, reply in self._wire.answer(frame, self._devices)
+                ]
+            for late_s, reply in sent:
+                pause = late_s + self._byte_s * len(reply)
+                if pause:
+                    self._stop.wait(pause)
+                os.write(master, reply)
+
+    def _frames(self, buffer: bytearray) -> list[bytes]:
+        frames = self._wire.take(buffer)
+        self.frames_heard += len(frames)
+        return frames
+
+
+def _point(link: Path, target: str) -> None:
+    """Make or move a symbolic link in one step, so that no reader sees it missing."""
+    fresh = link.with_name(f".{link.name}.{os.getpid()}")
+    fresh.symlink_to(target)
+    fresh.replace(link)

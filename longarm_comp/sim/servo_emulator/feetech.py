@@ -1,0 +1,144 @@
+"""The emulated side of the Feetech STS protocol, written from the maker's memory table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from longarm_comp.sim.servo_emulator.motor import (
+    CURRENT,
+    OVERHEAT,
+    OVERLOAD,
+    SENSOR,
+    VOLTAGE,
+    Motor,
+)
+from longarm_comp.sim.servo_emulator.wire import BROADCAST, Device, Wire
+
+PING, READ, WRITE, REG_WRITE, ACTION, SYNC_READ, SYNC_WRITE = 1, 2, 3, 4, 5, 0x82, 0x83
+MODEL, ID, MIN_ANGLE, MAX_ANGLE, MAX_TEMPERATURE = 3, 5, 9, 11, 13
+TORQUE, GOAL, GOAL_SPEED, LOCK = 40, 42, 46, 55
+POSITION, SPEED, LOAD, VOLTS, TEMPERATURE, STATUS, MOVING, AMPS = 56, 58, 60, 62, 63, 65, 66, 69
+MEMORY = 87
+STATUS_BITS = {VOLTAGE: 1, SENSOR: 2, OVERHEAT: 4, CURRENT: 8, OVERLOAD: 32}
+
+
+class FeetechWire(Wire):
+    """STS3215."""
+
+    name = "feetech"
+
+    def device(self, servo_id: int, motor: Motor) -> Device:
+        device = Device(servo_id, bytearray(MEMORY), motor)
+        device.put(MODEL, 2, 777)
+        device.put(ID, 1, servo_id)
+        device.put(MIN_ANGLE, 2, 0)
+        device.put(MAX_ANGLE, 2, 4095)
+        device.put(MAX_TEMPERATURE, 1, round(motor.spec.shutdown_c))
+        device.put(LOCK, 1, 1)
+        device.put(GOAL, 2, _sign_magnitude(round(motor.position), 15))
+        return device
+
+    def take(self, buffer: bytearray) -> list[bytes]:
+        frames = []
+        while len(buffer) >= 6:
+            if buffer[0] != 0xFF or buffer[1] != 0xFF or buffer[2] == 0xFF or buffer[3] < 2:
+                del buffer[0]
+                continue
+            end = buffer[3] + 4
+            if len(buffer) < end:
+                break
+            if (sum(buffer[2:end]) & 0xFF) == 0xFF:
+                frames.append(bytes(buffer[:end]))
+                del buffer[:end]
+            else:
+                del buffer[0]
+        return frames
+
+    def answer(self, frame: bytes, devices: Mapping[int, Device]) -> list[tuple[int, bytes]]:
+        target, instruction, params = frame[2], frame[4], frame[5:-1]
+        if instruction == SYNC_READ:
+            address, length = params[0], params[1]
+            asked = [devices[i] for i in params[2:] if i in devices]
+            return [_status(d, self._read(d, address, length)) for d in asked]
+        if instruction == SYNC_WRITE:
+            address, length = params[0], params[1]
+            for start in range(2, len(params) - length, length + 1):
+                device = devices.get(params[start])
+                if device is not None:
+                    self._write(device, address, params[start + 1 : start + 1 + length])
+            return []
+        hearing = list(devices.values()) if target == BROADCAST else []
+        if target in devices:
+            hearing = [devices[target]]
+        replies = [_status(d, self._single(d, instruction, params)) for d in hearing]
+        return [] if target == BROADCAST else replies
+
+    def _single(self, device: Device, instruction: int, params: bytes) -> bytes:
+        """Carry out an instruction to one servo; the data it answers with."""
+        if instruction == READ:
+            return self._read(device, params[0], params[1])
+        if instruction == WRITE:
+            self._write(device, params[0], params[1:])
+        elif instruction == REG_WRITE:
+            device.pending = (params[0], params[1:])
+        elif instruction == ACTION and device.pending is not None:
+            self._write(device, *device.pending)
+            device.pending = None
+        return b""
+
+    def _read(self, device: Device, address: int, length: int) -> bytes:
+        _refresh(device)
+        return bytes(device.memory[address : address + length]).ljust(length, b"\0")
+
+    def _write(self, device: Device, address: int, data: bytes) -> None:
+        end = address + len(data)
+        if end > POSITION or not data:
+            return
+        device.memory[address:end] = data
+        motor = device.motor
+        if address <= GOAL_SPEED < end:
+            motor.speed_limit = float(device.get(GOAL_SPEED, 2) & 0x7FFF)
+        if address <= TORQUE < end:
+            motor.clear_alarms()
+            motor.switch(device.get(TORQUE, 1) == 1)
+        if address <= GOAL < end:
+            if not motor.torque_on:
+                motor.switch(True)  # a goal wakes an STS servo up
+            motor.goal = _bounded(device, _signed(device.get(GOAL, 2), 15))
+
+
+def _refresh(device: Device) -> None:
+    """Bring the read-only part of the memory up to date."""
+    motor = device.motor
+    device.put(TORQUE, 1, int(motor.torque_on))
+    device.put(POSITION, 2, _sign_magnitude(round(motor.position), 15))
+    device.put(SPEED, 2, _sign_magnitude(round(motor.velocity), 15))
+    device.put(LOAD, 2, _sign_magnitude(round(motor.effort * 1000), 10))
+    device.put(VOLTS, 1, round(motor.voltage_v * 10))
+    device.put(TEMPERATURE, 1, round(motor.temperature_c))
+    device.put(STATUS, 1, _status_bits(motor))
+    device.put(MOVING, 1, int(motor.moving))
+    device.put(AMPS, 2, round(abs(motor.effort) * 400))
+
+
+def _bounded(device: Device, goal: int) -> float:
+    low, high = device.get(MIN_ANGLE, 2), device.get(MAX_ANGLE, 2)
+    return float(max(-30719, min(30719, goal)) if high == 0 else max(low, min(high, goal)))
+
+
+def _status(device: Device, data: bytes) -> tuple[int, bytes]:
+    body = bytes((device.servo_id, len(data) + 2, _status_bits(device.motor))) + data
+    return device.servo_id, b"\xff\xff" + body + bytes((~sum(body) & 0xFF,))
+
+
+def _status_bits(motor: Motor) -> int:
+    return sum(STATUS_BITS[name] for name in motor.alarms)
+
+
+def _sign_magnitude(value: int, bit: int) -> int:
+    return min(abs(value), (1 << bit) - 1) | (int(value < 0) << bit)
+
+
+def _signed(raw: int, bit: int) -> int:
+    magnitude = raw & ((1 << bit) - 1)
+    return -magnitude if raw >> bit & 1 else magnitude

@@ -1,0 +1,136 @@
+"""The mechanics of one emulated bus servo: speed limit, lag, dead band, droop, heat, protection."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+VOLTAGE, SENSOR, OVERHEAT, CURRENT, OVERLOAD = (
+    "voltage",
+    "sensor",
+    "overheat",
+    "current",
+    "overload",
+)
+
+
+@dataclass(frozen=True)
+class MotorSpec:
+    """Constants of one servo; lengths of travel in encoder ticks.
+
+    Attributes:
+        max_speed_ticks_s: no-load speed (STS3215 at 7.4 V: about 3,000).
+        lag_s: time constant of the position loop near the goal.
+        dead_band_ticks: the drive rests within this distance, so the arrival side shows.
+        droop_ticks: how far full external load pushes the horn off its goal.
+        stiff_ticks: position error at which a jammed drive gives its full effort.
+        friction_share: effort to turn freely at full speed.
+        ambient_c, heating_c, heat_time_s: temperature at rest, rise at full effort, time constant.
+        shutdown_c: the servo alarms and lets go above this.
+        overload_share, overload_s: so much effort for so long makes it alarm and let go.
+    """
+
+    ticks_per_turn: int = 4096
+    max_speed_ticks_s: float = 3000.0
+    lag_s: float = 0.03
+    dead_band_ticks: float = 0.0
+    droop_ticks: float = 0.0
+    stiff_ticks: float = 200.0
+    friction_share: float = 0.2
+    ambient_c: float = 25.0
+    heating_c: float = 60.0
+    heat_time_s: float = 120.0
+    shutdown_c: float = 70.0
+    overload_share: float = 0.8
+    overload_s: float = 2.0
+
+
+class Motor:
+    """One servo's mechanics. Advance it in time; read and set its fields between."""
+
+    def __init__(self, spec: MotorSpec, position_ticks: float) -> None:
+        self.spec = spec
+        self.position = float(position_ticks)
+        self.goal = float(position_ticks)
+        self.velocity = 0.0
+        self.speed_limit = 0.0
+        self.torque_on = False
+        self.external_load = 0.0
+        self.effort = 0.0
+        self.temperature_c = spec.ambient_c
+        self.voltage_v = 7.4
+        self.blocked = False
+        self.approach = 0
+        self.alarms: set[str] = set()
+        self._overloaded_s = 0.0
+
+    @property
+    def moving(self) -> bool:
+        """Whether the horn turns faster than one tick in 20 ms."""
+        return abs(self.velocity) > 50.0
+
+    @property
+    def _hot(self) -> bool:
+        return self.temperature_c > self.spec.shutdown_c
+
+    def switch(self, on: bool) -> None:
+        """Torque on or off; it stays off while there is an alarm."""
+        self.torque_on = on and not self.alarms
+
+    def clear_alarms(self) -> None:
+        """What a reboot does; a servo that is still too hot keeps its alarm."""
+        self.alarms = {OVERHEAT} & self.alarms if self._hot else set()
+        self._overloaded_s = 0.0
+
+    def advance(self, dt_s: float) -> None:
+        """Move on by ``dt_s`` (exact for a constant goal and load)."""
+        if dt_s <= 0.0:
+            return
+        start = self.position
+        if self.torque_on and not self.blocked:
+            self.position = self._travelled(dt_s)
+        self.velocity = (self.position - start) / dt_s
+        if abs(self.position - start) > 1e-3:
+            self.approach = 1 if self.position > start else -1
+        self._drive(dt_s)
+
+    def _travelled(self, dt_s: float) -> float:
+        """Position after ``dt_s``: constant speed far from the goal, first-order lag near it."""
+        spec = self.spec
+        rest = self.goal + spec.droop_ticks * self.external_load
+        error = rest - self.position
+        distance = abs(error) - spec.dead_band_ticks
+        if distance <= 0.0:
+            return self.position
+        speed = spec.max_speed_ticks_s
+        if self.speed_limit > 0.0:
+            speed = min(speed, self.speed_limit)
+        slow_zone = speed * spec.lag_s
+        left, time_left = distance, dt_s
+        if left > slow_zone:
+            cruise = min(time_left, (left - slow_zone) / speed)
+            left -= speed * cruise
+            time_left -= cruise
+        left *= math.exp(-time_left / spec.lag_s)
+        return self.position + math.copysign(distance - left, error)
+
+    def _drive(self, dt_s: float) -> None:
+        """Effort, temperature and the servo's own protection."""
+        spec = self.spec
+        own = spec.friction_share * self.velocity / spec.max_speed_ticks_s
+        if self.blocked:
+            own = (self.goal - self.position) / spec.stiff_ticks
+        wanted = own - self.external_load
+        self.effort = max(-1.0, min(1.0, wanted)) if self.torque_on else 0.0
+        warm = spec.ambient_c + spec.heating_c * self.effort**2
+        self.temperature_c = warm + (self.temperature_c - warm) * math.exp(-dt_s / spec.heat_time_s)
+        overloaded = abs(self.effort) >= spec.overload_share
+        self._overloaded_s = self._overloaded_s + dt_s if overloaded else 0.0
+        if self._overloaded_s > spec.overload_s:
+            self._alarm(OVERLOAD)
+        if self._hot:
+            self._alarm(OVERHEAT)
+
+    def _alarm(self, name: str) -> None:
+        self.alarms.add(name)
+        self.torque_on = False

@@ -1,0 +1,47 @@
+"""What an emulated protocol is: instruction frames in, status frames out, a register image."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import ClassVar
+
+from longarm_comp.sim.servo_emulator.motor import Motor
+
+BROADCAST = 0xFE
+
+
+class Device:
+    """One servo on the wire: its memory and its mechanics."""
+
+    def __init__(self, servo_id: int, memory: bytearray, motor: Motor) -> None:
+        self.servo_id = servo_id
+        self.memory = memory
+        self.motor = motor
+        self.pending: tuple[int, bytes] | None = None
+
+    def put(self, address: int, length: int, value: int) -> None:
+        """Store an unsigned little-endian value."""
+        self.memory[address : address + length] = value.to_bytes(length, "little")
+
+    def get(self, address: int, length: int) -> int:
+        """An unsigned little-endian value."""
+        return int.from_bytes(self.memory[address : address + length], "little")
+
+
+class Wire(ABC):
+    """One emulated protocol; stateless."""
+
+    name: ClassVar[str]
+
+    @abstractmethod
+    def device(self, servo_id: int, motor: Motor) -> Device:
+        """A servo with this protocol's factory memory."""
+
+    @abstractmethod
+    def take(self, buffer: bytearray) -> list[bytes]:
+        """Remove whole, undamaged instruction frames from the front of ``buffer``."""
+
+    @abstractmethod
+    def answer(self, frame: bytes, devices: Mapping[int, Device]) -> list[tuple[int, bytes]]:
+        """Carry out one instruction; the replies, in the order in which they go out."""

@@ -1,0 +1,286 @@
+"""Our side of the servo bus: bytes against the vendors' libraries, faults against the emulator."""
+
+from __future__ import annotations
+
+import pickle
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.devices.servo_bus import (
+    MODELS,
+    PROTOCOLS,
+    BusUnplugged,
+    SerialServoBus,
+    ServoAlarm,
+    ServoChecksum,
+    ServoFault,
+    ServoTimeout,
+    open_bus,
+)
+from longarm_comp.devices.servo_bus.dialect import Block
+from longarm_comp.sim.servo_emulator import MotorSpec, ServoEmulator
+
+START = {1: 2048.0, 2: 1000.0, 3: 3000.0, 4: 512.0}
+IDS = list(START)
+MODEL = {"feetech": "sts3215", "dynamixel": "xl430-w250"}
+Rig = tuple[ServoEmulator, SerialServoBus]
+
+
+def _open(protocol: str, port: str, retries: int = 2) -> SerialServoBus:
+    models = dict.fromkeys(IDS, MODELS[MODEL[protocol]])
+    return open_bus(protocol, port, 1_000_000, models, reply_timeout_s=0.05, retries=retries)
+
+
+def _until(done: Callable[[], bool], limit_s: float = 5.0) -> bool:
+    """Wait for ``done``; the limit is only there to end a broken test."""
+    end = time.monotonic() + limit_s
+    while not done() and time.monotonic() < end:
+        time.sleep(0.005)
+    return done()
+
+
+@pytest.fixture(params=sorted(PROTOCOLS))
+def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
+    with ServoEmulator(request.param, START, MotorSpec(overload_s=0.3)) as emulator:
+        bus = _open(request.param, emulator.port)
+        yield emulator, bus
+        bus.close()
+
+
+def test_ping_read_and_move(rig: Rig) -> None:
+    emulator, bus = rig
+    assert bus.ping(2) in (777, 1060)
+    states = bus.read(IDS)
+    assert {i: s.position_ticks for i, s in states.items()} == START
+    assert all(s.voltage_v == 7.4 and s.temperature_c == 25.0 for s in states.values())
+    bus.torque(IDS, on=True)
+    goals = {1: 2100, 2: 940, 3: 3100, 4: 700}
+    bus.write_goal(goals, dict.fromkeys(IDS, 2000.0))
+    assert _until(lambda: {i: s.position_ticks for i, s in bus.read(IDS).items()} == goals)
+    assert bus.counters.retries == 0
+
+
+def test_switching_on_never_moves_a_servo(rig: Rig) -> None:
+    emulator, bus = rig
+    bus.torque(IDS, on=True)
+    bus.write_goal({2: 1500})
+    assert _until(lambda: abs(emulator.positions()[2] - 1500) < 0.5)
+    bus.torque(IDS, on=False)
+    emulator.push(2, 1800.0)
+    bus.torque(IDS, on=True)
+    assert all(emulator.torques_on().values())
+    time.sleep(0.1)
+    assert emulator.positions()[2] == pytest.approx(1800.0, abs=0.51)
+
+
+def test_one_silent_servo_is_named_and_the_others_are_not_lost(rig: Rig) -> None:
+    emulator, bus = rig
+    emulator.faults.silence(3)
+    with pytest.raises(ServoTimeout) as caught:
+        bus.read(IDS)
+    assert caught.value.silent == caught.value.ids == (3,)
+    assert caught.value.attempts == 3
+    assert {i: s.position_ticks for i, s in caught.value.answered.items()} == {
+        i: t for i, t in START.items() if i != 3
+    }
+    assert "silent=[3]" in str(caught.value)
+
+
+def test_a_lost_or_damaged_or_cut_reply_is_asked_for_again(rig: Rig) -> None:
+    emulator, bus = rig
+    emulator.faults.drop(1)
+    emulator.faults.corrupt(2)
+    emulator.faults.cut(3)
+    assert sorted(bus.read(IDS)) == IDS
+    assert bus.counters.checksum_errors >= 1 and bus.counters.retries >= 1
+
+
+def test_lasting_damage_is_a_checksum_error(rig: Rig) -> None:
+    emulator, bus = rig
+    emulator.faults.corrupt(2, count=100)
+    with pytest.raises(ServoChecksum) as caught:
+        bus.read(IDS)
+    assert caught.value.corrupt == (2,) and caught.value.silent == ()
+    assert sorted(caught.value.answered) == [1, 3, 4]
+
+
+def test_noise_and_a_late_reply_do_not_become_an_answer(rig: Rig) -> None:
+    emulator, bus = rig
+    emulator.faults.before_next(b"\xff\xff\x00\xff\xff\xfd\x13\xff\xff\x01")
+    assert bus.read([1])[1].position_ticks == 2048
+    emulator.faults.delay(1, 0.08)  # after the 0.05 s time-out: it arrives in the next exchange
+    late = _open_one_try(emulator, bus)
+    with pytest.raises(ServoTimeout):
+        late.read([1])
+    emulator.faults.delay(1, 0.0)
+    time.sleep(0.1)
+    assert late.read([2])[2].position_ticks == 1000
+
+
+def _open_one_try(emulator: ServoEmulator, bus: SerialServoBus) -> SerialServoBus:
+    """The same port again, without retries."""
+    bus.close()
+    protocol = "feetech" if emulator._wire.name == "feetech" else "dynamixel"
+    return _open(protocol, emulator.port, retries=0)
+
+
+def test_overheating_shows_as_an_alarm_and_refuses_torque(rig: Rig) -> None:
+    emulator, bus = rig
+    bus.torque(IDS, on=True)
+    emulator.heat(4, 95.0)
+    assert _until(lambda: bus.read([4])[4].error_flags == ServoAlarm.OVERHEAT)
+    assert bus.read([4])[4].temperature_c > 90
+    with pytest.raises(ServoFault) as caught:
+        bus.torque([4], on=True)
+    assert caught.value.servo_id == 4 and caught.value.flags & ServoAlarm.OVERHEAT
+
+
+def test_a_jammed_servo_shows_load_then_overload(rig: Rig) -> None:
+    emulator, bus = rig
+    bus.torque(IDS, on=True)
+    emulator.block(1)
+    bus.write_goal({1: 3000})
+    assert _until(lambda: bus.read([1])[1].load > 0.95)
+    assert _until(lambda: bus.read([1])[1].error_flags == ServoAlarm.OVERLOAD)
+
+
+def test_an_unplugged_bus_is_said_so_and_can_be_opened_again(rig: Rig) -> None:
+    emulator, bus = rig
+    assert sorted(bus.read(IDS)) == IDS
+    emulator.unplug()
+    for action in (
+        lambda: bus.read(IDS),
+        lambda: bus.write_goal({1: 2000}),
+        lambda: bus.torque(IDS, on=False),
+    ):
+        with pytest.raises(BusUnplugged):
+            action()
+    bus.close()
+    emulator.replug()
+    again = _open(emulator._wire.name, emulator.port)
+    assert sorted(again.read(IDS)) == IDS
+    again.close()
+
+
+def test_many_turns_are_set_once_and_then_used(rig: Rig) -> None:
+    emulator, bus = rig
+    assert bus.set_turns({1: True, 2: False}) == [1]
+    assert bus.set_turns({1: True, 2: False}) == []
+    bus.torque([1], on=True)
+    bus.write_goal({1: -900})
+    assert _until(lambda: bus.read([1])[1].position_ticks == -900)
+
+
+def test_torque_off_reaches_the_others_although_one_is_silent(rig: Rig) -> None:
+    emulator, bus = rig
+    bus.torque(IDS, on=True)
+    emulator.faults.silence(1)
+    with pytest.raises(ServoTimeout) as caught:
+        bus.torque(IDS, on=False)
+    assert caught.value.ids == (1,)
+    assert not any(emulator.torques_on().values())
+
+
+def test_the_port_is_for_one_process_and_must_exist(rig: Rig) -> None:
+    emulator, _ = rig
+    with pytest.raises(BusUnplugged, match="not usable"):
+        _open("feetech", emulator.port)
+    with pytest.raises(BusUnplugged, match="no-such-port"):
+        _open("feetech", "/dev/no-such-port")
+
+
+def test_unknown_protocol_and_mixed_models_are_refused() -> None:
+    with pytest.raises(InputError, match="feetech, dynamixel"):
+        open_bus("rs232", "/dev/null", 9600, {})
+    with pytest.raises(InputError, match="servo 1"):
+        open_bus("feetech", "/dev/null", 9600, {1: MODELS["xl430-w250"]})
+
+
+class _Line:
+    """A serial port for a vendor's library that keeps what is written to it."""
+
+    is_using = False
+
+    def __init__(self) -> None:
+        self.sent: list[bytes] = []
+
+    def clearPort(self) -> None:  # noqa: N802 - the library's name
+        pass
+
+    def setPacketTimeout(self, length: int) -> None:  # noqa: N802
+        pass
+
+    def writePort(self, packet: list[int]) -> int:  # noqa: N802
+        self.sent.append(bytes(packet))
+        self.is_using = False
+        return len(packet)
+
+
+def test_dynamixel_frames_equal_the_vendor_librarys() -> None:
+    dxl = pytest.importorskip("dynamixel_sdk")
+    line, packet, ours = _Line(), dxl.PacketHandler(2.0), PROTOCOLS["dynamixel"]()
+    packet.syncReadTx(line, 122, 25, [1, 2, 7], 3, False)
+    line.is_using = False
+    goal = ours.goal_bytes(-123456, 100.0)
+    packet.syncWriteTxOnly(line, 108, 12, [3, *goal], 13)
+    assert line.sent == [
+        ours.sync_read([1, 2, 7], Block(122, 25)),
+        ours.sync_write(Block(108, 12), {3: goal}),
+    ]
+
+
+def test_dynamixel_byte_stuffing_equals_the_vendor_librarys() -> None:
+    dxl = pytest.importorskip("dynamixel_sdk")
+    packet, ours = dxl.PacketHandler(2.0), PROTOCOLS["dynamixel"]()
+    goal = ours.goal_bytes(0x00FDFFFF, 100.0)
+    frame = ours.sync_write(Block(108, 12), {3: goal})
+    plain = [0xFF, 0xFF, 0xFD, 0, 0xFE, 20, 0, 0x83, 108, 0, 12, 0, 3, *goal, 0, 0]
+    # The library's own txPacket drops what addStuffing returns, so its result is taken here.
+    stuffed = packet.addStuffing(plain)
+    stuffed[:4] = plain[:4]
+    stuffed[4] = plain[4]
+    crc = packet.updateCRC(0, stuffed, len(stuffed) - 2)
+    assert frame == bytes(stuffed[:-2]) + crc.to_bytes(2, "little")
+    assert len(frame) == len(plain) + 1
+
+
+def test_feetech_frames_equal_the_vendor_librarys() -> None:
+    scs = pytest.importorskip("scservo_sdk")
+    line, ours = _Line(), PROTOCOLS["feetech"]()
+    servo = scs.sms_sts(line)
+    servo.syncReadTx(56, 11, [1, 2, 7], 3)
+    line.is_using = False
+    servo.SyncWritePosEx(3, -900, 1234, 0)
+    servo.groupSyncWrite.txPacket()
+    assert line.sent == [
+        ours.sync_read([1, 2, 7], Block(56, 11)),
+        ours.sync_write(Block(41, 7), {3: ours.goal_bytes(-900, 1234.0)}),
+    ]
+
+
+def test_decoding_survives_any_split_of_the_bytes() -> None:
+    for protocol in PROTOCOLS:
+        with ServoEmulator(protocol, START) as emulator:
+            dialect = PROTOCOLS[protocol]()
+            asked = dialect.sync_read(IDS, dialect.state)
+            frames = emulator._wire.take(bytearray(asked))
+            stream = b"".join(r for _, r in emulator._wire.answer(frames[0], emulator._devices))
+        whole = dialect.decode(bytearray(stream), final=True)
+        assert [reply.servo_id for reply in whole] == IDS
+        for cut in range(len(stream)):
+            buffer = bytearray(stream[:cut])
+            replies = dialect.decode(buffer, final=False)
+            buffer += stream[cut:]
+            assert replies + dialect.decode(buffer, final=True) == whole
+
+
+def test_errors_cross_a_process_boundary() -> None:
+    for error in (
+        ServoTimeout([3], [2], {}, 3),
+        BusUnplugged("/dev/x", "gone"),
+        ServoFault(1, ServoAlarm.OVERHEAT),
+    ):
+        assert str(pickle.loads(pickle.dumps(error))) == str(error)

@@ -1,0 +1,195 @@
+"""The emulated bus against the vendors' own client libraries, and its mechanics."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from longarm_comp.sim.servo_emulator import Motor, MotorSpec, ServoEmulator
+
+dxl = pytest.importorskip("dynamixel_sdk")
+scs = pytest.importorskip("scservo_sdk")
+
+START = {1: 2048.0, 2: 1000.0, 7: 3000.0}
+
+
+def _until(done: Callable[[], bool], limit_s: float = 5.0) -> bool:
+    """Wait for ``done``; the limit is only there to end a broken test."""
+    end = time.monotonic() + limit_s
+    while not done() and time.monotonic() < end:
+        time.sleep(0.005)
+    return done()
+
+
+@pytest.fixture
+def feetech():
+    with ServoEmulator("feetech", START) as emulator:
+        port = scs.PortHandler(emulator.port)
+        assert port.openPort()
+        yield emulator, scs.sms_sts(port)
+        port.closePort()
+
+
+@pytest.fixture
+def dynamixel():
+    with ServoEmulator("dynamixel", START) as emulator:
+        port = dxl.PortHandler(emulator.port)
+        assert port.openPort()
+        yield emulator, port, dxl.PacketHandler(2.0)
+        port.closePort()
+
+
+def test_feetech_library_pings_reads_and_moves(feetech) -> None:
+    emulator, servo = feetech
+    assert servo.ping(1) == (777, scs.COMM_SUCCESS, 0)
+    assert servo.ReadPos(2) == (1000, scs.COMM_SUCCESS, 0)
+    assert servo.WritePosEx(2, 1200, 2000, 0) == (scs.COMM_SUCCESS, 0)
+    assert _until(lambda: abs(emulator.positions()[2] - 1200) < 0.5)
+    assert servo.ReadPos(2)[0] == 1200
+    assert servo.ping(9)[1] == scs.COMM_RX_TIMEOUT
+
+
+def test_feetech_library_sync_writes_and_sync_reads(feetech) -> None:
+    emulator, servo = feetech
+    goals = {1: 2100, 2: 900, 7: 3111}
+    for servo_id, ticks in goals.items():
+        assert servo.SyncWritePosEx(servo_id, ticks, 0, 0)
+    assert servo.groupSyncWrite.txPacket() == scs.COMM_SUCCESS
+    assert _until(lambda: all(abs(emulator.positions()[i] - t) < 0.5 for i, t in goals.items()))
+    group = scs.GroupSyncRead(servo, 56, 11)
+    for servo_id in goals:
+        group.addParam(servo_id)
+    assert group.txRxPacket() == scs.COMM_SUCCESS
+    assert {i: group.getData(i, 56, 2) for i in goals} == goals
+    assert group.getData(1, 62, 1) == 74
+    assert group.getData(1, 63, 1) == 25
+
+
+def test_feetech_library_sees_the_faults(feetech) -> None:
+    emulator, servo = feetech
+    emulator.faults.corrupt(1)
+    assert servo.ReadPos(1)[1] == scs.COMM_RX_CORRUPT
+    emulator.faults.silence(1)
+    assert servo.ReadPos(1)[1] == scs.COMM_RX_TIMEOUT
+    emulator.faults.speak(1)
+    emulator.heat(1, 95.0)
+    assert _until(lambda: servo.ReadPos(1)[2] == 4)
+
+
+def test_dynamixel_library_pings_reads_and_moves(dynamixel) -> None:
+    emulator, port, packet = dynamixel
+    assert packet.ping(port, 1) == (1060, dxl.COMM_SUCCESS, 0)
+    assert packet.write1ByteTxRx(port, 2, 64, 1) == (dxl.COMM_SUCCESS, 0)
+    assert packet.write4ByteTxRx(port, 2, 116, 1200) == (dxl.COMM_SUCCESS, 0)
+    assert _until(lambda: abs(emulator.positions()[2] - 1200) < 0.5)
+    assert packet.read4ByteTxRx(port, 2, 132) == (1200, dxl.COMM_SUCCESS, 0)
+    assert packet.write4ByteTxRx(port, 2, 116, 9999) == (dxl.COMM_SUCCESS, 6)
+    assert packet.write1ByteTxRx(port, 2, 11, 4) == (dxl.COMM_SUCCESS, 7)
+    assert packet.ping(port, 9)[1] == dxl.COMM_RX_TIMEOUT
+
+
+def test_dynamixel_library_sync_and_bulk(dynamixel) -> None:
+    emulator, port, packet = dynamixel
+    write = dxl.GroupSyncWrite(port, packet, 64, 1)
+    for servo_id in START:
+        write.addParam(servo_id, [1])
+    assert write.txPacket() == dxl.COMM_SUCCESS
+    goals = {1: 2100, 2: 900, 7: 3111}
+    write = dxl.GroupSyncWrite(port, packet, 116, 4)
+    for servo_id, ticks in goals.items():
+        write.addParam(servo_id, list(ticks.to_bytes(4, "little")))
+    assert write.txPacket() == dxl.COMM_SUCCESS
+    assert _until(lambda: all(abs(emulator.positions()[i] - t) < 0.5 for i, t in goals.items()))
+    sync = dxl.GroupSyncRead(port, packet, 132, 4)
+    bulk = dxl.GroupBulkRead(port, packet)
+    for servo_id in goals:
+        sync.addParam(servo_id)
+        bulk.addParam(servo_id, 132, 4)
+    assert sync.txRxPacket() == dxl.COMM_SUCCESS
+    assert bulk.txRxPacket() == dxl.COMM_SUCCESS
+    assert {i: sync.getData(i, 132, 4) for i in goals} == goals
+    assert {i: bulk.getData(i, 132, 4) for i in goals} == goals
+
+
+def test_dynamixel_library_reads_a_byte_stuffed_value(dynamixel) -> None:
+    emulator, port, packet = dynamixel
+    stuffed = 0x00FDFFFF
+    assert packet.write4ByteTxRx(port, 1, 84, stuffed) == (dxl.COMM_SUCCESS, 0)
+    assert packet.read4ByteTxRx(port, 1, 84) == (stuffed, dxl.COMM_SUCCESS, 0)
+
+
+def test_dynamixel_library_sees_the_faults(dynamixel) -> None:
+    emulator, port, packet = dynamixel
+    emulator.faults.corrupt(1)
+    assert packet.read4ByteTxRx(port, 1, 132)[1] == dxl.COMM_RX_CORRUPT
+    emulator.heat(1, 95.0)
+    assert _until(lambda: packet.read1ByteTxRx(port, 1, 70)[0] == 4)
+    assert packet.read1ByteTxRx(port, 1, 70)[2] == 0x80
+    assert packet.write1ByteTxRx(port, 1, 64, 1)[0] == dxl.COMM_SUCCESS
+    assert not emulator.torques_on()[1]
+
+
+def test_motor_keeps_its_speed_limit_and_settles_as_first_order_lag() -> None:
+    motor = Motor(MotorSpec(max_speed_ticks_s=1000.0, lag_s=0.05), 0.0)
+    motor.torque_on, motor.goal = True, 500.0
+    motor.advance(0.1)
+    assert motor.position == pytest.approx(100.0)
+    motor.advance(0.35)  # 450 = 500 - 1000 * 0.05: the lag begins here
+    assert motor.position == pytest.approx(450.0)
+    motor.advance(0.05)
+    assert motor.position == pytest.approx(500.0 - 50.0 * math.exp(-1.0))
+
+
+def test_motor_steps_do_not_depend_on_their_size() -> None:
+    spec = MotorSpec(dead_band_ticks=2.0, droop_ticks=30.0)
+    one, many = Motor(spec, 100.0), Motor(spec, 100.0)
+    for motor in (one, many):
+        motor.torque_on, motor.goal, motor.external_load = True, 900.0, -0.4
+    one.advance(0.7)
+    for _ in range(700):
+        many.advance(0.001)
+    assert one.position == pytest.approx(many.position, abs=1e-6)
+
+
+def test_motor_rests_on_the_side_it_came_from_and_droops_under_load() -> None:
+    spec = MotorSpec(dead_band_ticks=3.0, droop_ticks=50.0)
+    for start, side in ((0.0, -1.0), (2000.0, 1.0)):
+        motor = Motor(spec, start)
+        motor.torque_on, motor.goal, motor.external_load = True, 1000.0, -0.5
+        motor.advance(5.0)
+        assert motor.position == pytest.approx(1000.0 - 25.0 + 3.0 * side)
+        assert motor.approach == -side
+
+
+def test_motor_jammed_overloads_and_lets_go() -> None:
+    motor = Motor(MotorSpec(overload_s=1.0), 0.0)
+    motor.torque_on, motor.goal, motor.blocked = True, 1000.0, True
+    for _ in range(90):
+        motor.advance(0.01)
+    assert motor.torque_on and motor.effort == 1.0
+    for _ in range(20):
+        motor.advance(0.01)
+    assert not motor.torque_on and motor.alarms == {"overload"}
+
+
+def test_link_follows_an_unplug_and_a_replug(tmp_path: Path) -> None:
+    link = tmp_path / "servo"
+    with ServoEmulator("feetech", START, link=link) as emulator:
+        assert link.resolve() == Path(emulator.port)
+        port = scs.PortHandler(str(link))
+        assert port.openPort()
+        assert scs.sms_sts(port).ping(7)[0] == 777
+        emulator.unplug()
+        with pytest.raises(OSError):
+            port.ser.write(b"\xff\xff\x07\x02\x01\xf5")
+        emulator.replug()
+        assert link.resolve() == Path(emulator.port)
+        fresh = scs.PortHandler(str(link))
+        assert fresh.openPort()
+        assert scs.sms_sts(fresh).ping(7)[0] == 777
+        fresh.closePort()
+    assert not link.exists()
