@@ -1,0 +1,175 @@
+"""A session as a CSV file (samples.csv, test.csv).
+
+Required: ``q1..qn`` (rad, m, the commanded joints in the order of the arm) and ``x,y,z`` (m; all
+three blank: the marker was lost).  Known besides: ``index, t_s, temperature_c, payload_kg,
+approach, repeat_id, sigma_x..z, cov_xx..zz, role, group, marker, incl_<frame>_x/_y`` and
+``approach_q1..qn`` (the direction per joint, where one for all joints does not do).
+
+A further column is kept as context, numbers as numbers and text as labels, unless its name
+comes close to a known one: then it is an error that says which.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.dataset import Session, derive_approach
+from longarm_comp.core.errors import InputError
+from longarm_comp.sessions.names import check_header, check_unknown
+from longarm_comp.sessions.table import Table, read_table, write_table
+
+XYZ = ("x", "y", "z")
+SIGMA = ("sigma_x", "sigma_y", "sigma_z")
+VARIANCE = ("cov_xx", "cov_yy", "cov_zz")
+UNITS = {"t_s": "s", "temperature_c": "degrees Celsius", "payload_kg": "kg"}
+LABELS = ("role", "group", "marker")
+_INDEX = ("index", "approach", "repeat_id")
+_COVARIANCE = (*VARIANCE, "cov_xy", "cov_xz", "cov_yz")
+_INCLINATION = re.compile(r"incl_\w+_[xy]")
+
+
+def read_csv(path: str | Path, arm: Arm, joint_columns: Sequence[str] | None = None) -> Session:
+    """Read a session.
+
+    Args:
+        path: the file.
+        arm: its commanded joints say how many q columns there are.
+        joint_columns: names of the joint columns when they are not ``q1..qn`` (an arm that is
+            one branch of a larger robot); other ``q`` columns are then kept as context.
+
+    Raises:
+        InputError: names file, line and column, what was found and what is allowed.
+    """
+    table = read_table(path)
+    joints = tuple(joint_columns or joint_names(arm.n))
+    known = (*joints, *_known(arm.n))
+    check_header(table.where, table.header, (*joints, *XYZ))
+    if joint_columns is None:
+        _refuse_further_joints(table, arm)
+    check_unknown(table.where, table.header, known, kept=_free(table.header, joint_columns))
+    columns, labels = _context(table, set(known))
+    return Session.record(
+        q=np.stack([table.numbers(name, "rad or m") for name in joints], axis=-1),
+        xyz=_measured(table),
+        index=table.integers("index") if "index" in table.cells else None,
+        approach=_approach(table, arm.n),
+        repeat_id=table.integers("repeat_id", -1) if "repeat_id" in table.cells else None,
+        sigma=_sigma(table),
+        columns=columns,
+        labels=labels,
+        source=table.where,
+    )
+
+
+def write_csv(session: Session, path: str | Path) -> None:
+    """Write a session; `read_csv` gives the same one back.
+
+    Raises:
+        InputError: the folder cannot be written to.
+    """
+    joints = joint_names(session.n)
+    columns: dict[str, Sequence[object] | np.ndarray] = {"index": session.index}
+    columns.update({name: session.columns[name] for name in UNITS if name in session.columns})
+    columns.update(_written_approach(session))
+    columns.update({name: session.q[:, j] for j, name in enumerate(joints)})
+    columns.update({name: session.xyz[:, j] for j, name in enumerate(XYZ)})
+    columns["repeat_id"] = [None if r < 0 else r for r in session.repeat_id]
+    if session.sigma is not None:
+        columns.update({name: session.sigma[:, j] for j, name in enumerate(SIGMA)})
+    columns.update({k: v for k, v in session.columns.items() if k not in columns})
+    columns.update(session.labels)
+    write_table(path, list(columns), zip(*columns.values(), strict=True))
+
+
+def joint_names(n: int) -> tuple[str, ...]:
+    """``q1..qn``."""
+    return tuple(f"q{j}" for j in range(1, n + 1))
+
+
+def _known(n: int) -> tuple[str, ...]:
+    per_joint = tuple(f"approach_{name}" for name in joint_names(n))
+    return (*XYZ, *_INDEX, *UNITS, *SIGMA, *_COVARIANCE, *LABELS, *per_joint)
+
+
+def _free(header: Sequence[str], joint_columns: Sequence[str] | None) -> set[str]:
+    """Names that follow a pattern and so are never misspelt ones."""
+    made = {name for name in header if _INCLINATION.fullmatch(name)}
+    if joint_columns is not None:
+        made |= {name for name in header if re.fullmatch(r"q\d+", name)}
+    return made
+
+
+def _refuse_further_joints(table: Table, arm: Arm) -> None:
+    for name in table.header:
+        if re.fullmatch(r"[qQ]_?\d+", name) and name not in joint_names(arm.n):
+            raise InputError(
+                table.where, f"column {name}", "unknown", f"q1..q{arm.n} of arm {arm.name}"
+            )
+
+
+def _measured(table: Table) -> np.ndarray:
+    lost = np.all([table.blank(name) for name in XYZ], axis=0)
+    for name in XYZ:
+        for row in np.flatnonzero(table.blank(name) & ~lost):
+            raise table.error(row, name, "a number (m); x, y and z all blank for a lost marker")
+    return np.stack([table.numbers(name, "m", blanks=True) for name in XYZ], axis=-1)
+
+
+def _approach(table: Table, n: int) -> np.ndarray | None:
+    def side(value: float) -> bool:
+        return value in (-1.0, 0.0, 1.0)
+
+    per_joint = [f"approach_{name}" for name in joint_names(n)]
+    if "approach" in table.cells:
+        common = table.numbers("approach", "+1 from below, -1 from above", True, side)
+        if not any(name in table.cells for name in per_joint):
+            return common
+        raise InputError(table.where, "column approach", "beside approach_q1", "one of the two")
+    if not any(name in table.cells for name in per_joint):
+        return None
+    check_header(table.where, table.header, per_joint)
+    units = "+1 from below, -1 from above, 0 unknown"
+    made = [table.numbers(name, units, False, side) for name in per_joint]
+    return np.stack(made, axis=-1)
+
+
+def _sigma(table: Table) -> np.ndarray | None:
+    for names, power in ((SIGMA, 1.0), (VARIANCE, 0.5)):
+        if any(name in table.cells for name in names):
+            check_header(table.where, table.header, names)
+            unit = "m, above 0" if power == 1.0 else "m^2, above 0"
+            made = [table.numbers(name, unit, False, lambda v: v > 0) for name in names]
+            return np.stack(made, axis=-1) ** power
+    return None
+
+
+def _context(table: Table, known: set[str]) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Numbers and texts that were recorded besides; a column that is blank throughout is absent."""
+    columns: dict[str, np.ndarray] = {}
+    labels: dict[str, np.ndarray] = {}
+    for name in table.header:
+        if table.blank(name).all():
+            continue
+        if name in UNITS:
+            columns[name] = table.numbers(name, f"{UNITS[name]}, in every row or in none")
+        elif name in LABELS or (name not in known and not table.is_numeric(name)):
+            labels[name] = np.array(table.cells[name])
+        elif name not in known or name in ("cov_xy", "cov_xz", "cov_yz"):
+            columns[name] = table.numbers(name, "in every row, or text")
+    return columns, labels
+
+
+def _written_approach(session: Session) -> dict[str, Sequence[object] | np.ndarray]:
+    """One column where reading it back derives the same directions, else one per joint."""
+    alike = (session.approach == session.approach[:, :1]).all(axis=1)
+    common = np.where(alike, session.approach[:, 0], 0)
+    if (derive_approach(session.q, session.index, common) == session.approach).all():
+        return {"approach": [None if side == 0 else side for side in common]}
+    return {
+        f"approach_{name}": session.approach[:, j] for j, name in enumerate(joint_names(session.n))
+    }

@@ -1,0 +1,71 @@
+"""Column names: a misspelt one is an error that says which name was meant."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Sequence
+
+from longarm_comp.core.errors import InputError
+
+
+def check_header(where: str, header: Sequence[str], required: Collection[str]) -> None:
+    """Raise `InputError` for a column that is empty, doubled or missing."""
+    for place, name in enumerate(header, 1):
+        if not name:
+            raise InputError(where, f"header, column {place}", name, "a name")
+        if header.index(name) != place - 1:
+            raise InputError(where, f"column {name}", "twice", "each column once")
+    for name in required:
+        if name not in header:
+            near = nearest(name, header)
+            hint = f" (is it {near}?)" if near else ""
+            raise InputError(where, f"column {name}", f"missing{hint}", " ".join(required))
+
+
+def check_unknown(
+    where: str, names: Collection[str], known: Collection[str], kept: Collection[str] = ()
+) -> None:
+    """Raise `InputError` for an unknown name that comes close to a known one.
+
+    Close: the same but for case, blanks and punctuation; without its unit (`temperature`);
+    one edit away, or two in a name of eight letters or more.  Any other name is kept as
+    context, so a recorded quantity needs no permission.
+    """
+    for name in names:
+        if name in known or name in kept:
+            continue
+        meant = nearest(name, known)
+        if meant is not None:
+            raise InputError(
+                where, f"column {name}", f"unknown, close to {meant}", f"{meant}, or another name"
+            )
+
+
+def nearest(name: str, known: Collection[str]) -> str | None:
+    """The known name that `name` most likely means, or None."""
+    plain = _plain(name)
+    for candidate in known:
+        if plain in (_plain(candidate), _plain(re.sub(r"_(c|kg|s|id|m|rad)$", "", candidate))):
+            return candidate
+    within = {candidate: _edits(plain, _plain(candidate)) for candidate in known}
+    allowed = 2 if len(plain) >= 8 else 1 if len(plain) >= 4 else 0
+    best = min(within, key=within.__getitem__, default=None)
+    return best if best is not None and within[best] <= allowed else None
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", name.lower())
+
+
+def _edits(a: str, b: str) -> int:
+    """Edits (insert, delete, replace, swap of neighbours) from a to b."""
+    rows = [list(range(len(b) + 1))]
+    for i, x in enumerate(a, 1):
+        row = [i]
+        for j, y in enumerate(b, 1):
+            best = min(rows[-1][j] + 1, row[-1] + 1, rows[-1][j - 1] + (x != y))
+            if i > 1 and j > 1 and x == b[j - 2] and a[i - 2] == y:
+                best = min(best, rows[-2][j - 2] + 1)
+            row.append(best)
+        rows.append(row)
+    return rows[-1][-1]

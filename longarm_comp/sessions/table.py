@@ -1,0 +1,132 @@
+"""A CSV file as columns of text, with the place of every cell for messages; and back."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import atomic_path
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells of a CSV file as text.
+
+    Attributes:
+        where: the file.
+        header: column names.
+        lines: line number of every row in the file.
+        cells: columns by name, blanks stripped.
+    """
+
+    where: str
+    header: tuple[str, ...]
+    lines: tuple[int, ...]
+    cells: dict[str, list[str]]
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.lines)
+
+    def error(self, row: int | np.integer, column: str, allowed: str) -> InputError:
+        """An error about one cell."""
+        value = self.cells[column][row]
+        return InputError(self.where, f"line {self.lines[row]}, {column}", value, allowed)
+
+    def blank(self, column: str) -> np.ndarray:
+        """(N,) whether a cell is empty; all of them where there is no such column."""
+        if column not in self.cells:
+            return np.ones(len(self), dtype=bool)
+        return np.array([not cell for cell in self.cells[column]])
+
+    def numbers(
+        self,
+        column: str,
+        unit: str,
+        blanks: bool = False,
+        test: Callable[[float], bool] | None = None,
+    ) -> np.ndarray:
+        """(N,) numbers; an empty cell is NaN where `blanks` are allowed.
+
+        Raises:
+            InputError: a cell is no finite number, or does not pass `test`.
+        """
+        allowed = f"a finite number ({unit})" + (", or blank" if blanks else "")
+        made = np.empty(len(self))
+        for row, cell in enumerate(self.cells[column]):
+            if not cell and blanks:
+                made[row] = math.nan
+                continue
+            try:
+                made[row] = float(cell)
+            except ValueError:
+                raise self.error(row, column, allowed) from None
+            if not math.isfinite(made[row]) or (test is not None and not test(made[row])):
+                raise self.error(row, column, allowed)
+        return made
+
+    def integers(self, column: str, blank: int | None = None) -> np.ndarray:
+        """(N,) whole numbers; an empty cell becomes `blank` where that is given."""
+        made = self.numbers(column, "whole", blank is not None, float.is_integer)
+        return np.where(np.isnan(made), -1 if blank is None else blank, made).astype(np.int64)
+
+    def is_numeric(self, column: str) -> bool:
+        """Whether every filled cell of a column reads as a number."""
+        try:
+            for cell in filter(None, self.cells[column]):
+                float(cell)
+        except ValueError:
+            return False
+        return True
+
+
+def read_table(path: str | Path) -> Table:
+    """Read a comma-separated file with a header.
+
+    Raises:
+        InputError: it cannot be read, is empty, has no row, or a row has a wrong number of cells.
+    """
+    where = str(path)
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file, strict=True)
+            rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
+    except OSError as error:
+        raise InputError(where, "file", error.strerror or str(error), "a readable file") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(where, "file", str(error), "comma-separated text in UTF-8") from error
+    rows = [(line, row) for line, row in rows if any(row)]
+    if not rows:
+        raise InputError(where, "file", "empty", "a header and at least one row")
+    header, body = rows[0][1], rows[1:]
+    if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
+        raise InputError(where, "header", header[0], "columns separated by commas")
+    if not body:
+        raise InputError(where, "rows", 0, "at least one row below the header")
+    for line, row in body:
+        if len(row) != len(header):
+            raise InputError(where, f"line {line}", f"{len(row)} cells", f"{len(header)} cells")
+    cells = {name: [row[k] for _, row in body] for k, name in enumerate(header)}
+    return Table(where, tuple(header), tuple(line for line, _ in body), cells)
+
+
+def write_table(path: str | Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write a CSV file, whole or not at all. Floats keep every digit; NaN and None are blank."""
+    with atomic_path(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows([_text(value) for value in row] for row in rows)
+
+
+def _text(value: object) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, (float, np.floating)):
+        return "" if math.isnan(value) else repr(float(value))
+    return str(value)
