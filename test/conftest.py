@@ -31,6 +31,12 @@ def data_dir() -> Path:
     return DATA
 
 
+@pytest.fixture(scope="session")
+def demo_arm_path() -> Path:
+    """The declared arm of the demonstration."""
+    return Path(__file__).parents[1] / "config" / "arm_demo.yaml"
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     """A generator with a fixed seed, new for every test."""

@@ -103,7 +103,9 @@ class Joint(_Declared):
             raise ValueError("a prismatic joint takes limits_m, not limits_deg")
         limits = self.limits_deg or self.limits_m
         if limits is not None and not limits[0] < limits[1]:
-            raise ValueError(f"limits must be [lower, upper] with lower < upper, got {list(limits)}")
+            raise ValueError(
+                f"limits must be [lower, upper] with lower < upper, got {list(limits)}"
+            )
         if self.type in ("revolute", "prismatic") and not self.mimic and limits is None:
             key = "limits_deg" if self.type == "revolute" else "limits_m"
             raise ValueError(f"a commanded {self.type} joint needs {key}")
@@ -321,7 +323,9 @@ class Arm(_Declared):
                 if role == "d" and joint.type == "prismatic" and joint.commanded:
                     lowest += joint.limits[0]
                 if rests > 1:
-                    raise ValueError(f"links: row {row} role {role} has {rests} beams of length rest")
+                    raise ValueError(
+                        f"links: row {row} role {role} has {rests} beams of length rest"
+                    )
                 if beams and (fixed > abs(lowest) + 1e-9 or (rests and fixed >= abs(lowest))):
                     raise ValueError(
                         f"links: beams of row {row} role {role} are {fixed} m long, the row is "
@@ -439,7 +443,9 @@ def _known_keys(cls: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:
                 node = {"$ref": tagged[part]}
                 part = None
                 break
-            node = next((o for o in options if "$ref" in o or "oneOf" in o or "items" in o), options[0])
+            node = next(
+                (o for o in options if "$ref" in o or "oneOf" in o or "items" in o), options[0]
+            )
         if part is None:
             if "$ref" in node:
                 node = schema["$defs"][node["$ref"].rsplit("/", 1)[1]]

@@ -28,7 +28,6 @@ class Slot:
     """One parameter of a model: which term, which of its parameters."""
 
     term: int
-    index: int
     owner: Effect | Bias
     parameter: Parameter
 
@@ -68,27 +67,22 @@ class Model:
 
     @cached_property
     def slots(self) -> tuple[Slot, ...]:
-        """Every parameter, in the order of `values` and of the columns."""
-        return tuple(
-            Slot(t, k, term, p)
-            for t, term in enumerate(self.terms)
-            for k, p in enumerate(term.parameters(self.arm))
-        )
+        """Every parameter that is not held, in the order of `values` and of the columns."""
+        return slots_of(self.arm, self.terms)
 
     @cached_property
     def values(self) -> np.ndarray:
         """Parameter values, (p,)."""
-        return np.array([v for term in self.terms for v in term.values])
+        return np.array([getattr(s.owner, s.parameter.name) for s in self.slots], dtype=float)
 
     def with_values(self, values: np.ndarray) -> Model:
         """The same model with other parameter values, (p,)."""
-        made: list[Effect | Bias] = []
-        start = 0
-        for term in self.terms:
-            stop = start + len(term.values)
-            made.append(term.with_values(values[start:stop]))
-            start = stop
-        return self._with_terms(made)
+        changes: list[dict[str, float]] = [{} for _ in self.terms]
+        for slot, value in zip(self.slots, values, strict=True):
+            changes[slot.term][slot.parameter.name] = float(value)
+        return self._with_terms(
+            [t.with_values(c) if c else t for t, c in zip(self.terms, changes, strict=True)]
+        )
 
     def _with_terms(self, terms: Sequence[Effect | Bias]) -> Model:
         cut = len(self.effects)
@@ -110,7 +104,8 @@ class Model:
         """The loaded, deflected arm at q (n scalars, each a float or (N,))."""
         context = context or Context.empty()
         posture = self._posture(q, context, {})
-        for _ in range(self.passes if self.effects else 0):
+        passes = self.passes if any(e.loaded for e in self.effects) else min(1, len(self.effects))
+        for _ in range(passes):
             posture = self._posture(q, context, self.twists(posture))
         return posture
 
@@ -188,14 +183,14 @@ class Model:
         made = []
         total = self.twists(posture)
         for slot in slots:
-            term, step = slot.owner, slot.parameter.prior
+            term, step = slot.owner, 0.01 * slot.parameter.prior
             if isinstance(term, Bias):
                 made.append(self._bias_column(slot, tip, posture.context, step))
                 continue
             raised, lowered = (
                 self._twists_at(slot, value, posture, total) for value in (step, -step)
             )
-            shift = self._tip_shift(posture, tip, raised, lowered, 0.5 / step)
+            shift = self._tip_shift(posture, tip, total, raised, lowered, 0.5 / step)
             made.append(self._seen_shift(tip, shift, posture.context))
         if not made:
             return stack(point), np.zeros((*np.shape(stack(point)), 0))
@@ -204,9 +199,8 @@ class Model:
         return stack(point), np.stack(columns, axis=-1)
 
     def _moved(self, slot: Slot, by: float) -> Effect | Bias:
-        values = list(slot.owner.values)
-        values[slot.index] += by
-        return slot.owner.with_values(values)
+        name = slot.parameter.name
+        return slot.owner.with_values({name: getattr(slot.owner, name) + by})
 
     def _twists_at(self, slot: Slot, by: float, posture: Posture, total: Twists) -> Twists:
         moved = self._moved(slot, by)
@@ -230,19 +224,31 @@ class Model:
         return model.twists(dataclasses.replace(bare, extra=extra, _cache={}))
 
     @staticmethod
-    def _tip_shift(posture: Posture, tip: Vec, raised: Twists, lowered: Twists, per: float) -> Vec:
-        """Eq. (5): the tip's motion under twists, ``sum_i R_i (d_i + delta_i x p_i)``."""
+    def _tip_shift(
+        posture: Posture, tip: Vec, total: Twists, raised: Twists, lowered: Twists, per: float
+    ) -> Vec:
+        """Eq. (5): the tip's motion under a change of twists, ``sum_i R_i (d_i + delta_i x p_i)``.
+
+        The change is taken about the twist that the station has now (exactly, also where
+        that is large, as for a base that stands elsewhere), the frames after it held.
+        """
         shift: Vec = spatial.ZERO
         for station in {*raised, *lowered}:
             up = raised.get(station, spatial.ZERO_TWIST)
             down = lowered.get(station, spatial.ZERO_TWIST)
-            if up is down:
+            change = tuple(0.5 * (a - b) for a, b in zip(up, down, strict=True))
+            if all(type(c) is float and c == 0.0 for c in change):
                 continue
+            now = total.get(station, spatial.ZERO_TWIST)
+            exp = spatial.exp if station else spatial.exp_large
             frame = posture.frames[station]
-            d = frame.rotate(tuple((a - b) * per for a, b in zip(up[:3], down[:3], strict=True)))
-            w = frame.rotate(tuple((a - b) * per for a, b in zip(up[3:], down[3:], strict=True)))
-            lever = spatial.sub(tip, frame.p)
-            shift = spatial.add(shift, spatial.add(d, spatial.cross(w, lever)))
+            here = frame.unrotate(spatial.sub(tip, frame.p))
+            ends = [
+                exp(tuple(n + s * c for n, c in zip(now, change, strict=True))).transform(here)  # type: ignore[arg-type]
+                for s in (1.0, -1.0)
+            ]
+            moved = exp(now).unrotate(spatial.sub(ends[0], ends[1]))
+            shift = spatial.add(shift, spatial.scale(per, frame.rotate(moved)))
         return shift
 
     def _seen_shift(self, tip: Vec, shift: Vec, context: Context) -> Vec:
@@ -268,6 +274,16 @@ class Model:
             model = dataclasses.replace(self, biases=tuple(biases))
             ends.append(model.seen(tip, context))
         return spatial.scale(0.5 / step, spatial.sub(ends[0], ends[1]))
+
+
+def slots_of(arm: Arm, terms: Sequence[Effect | Bias]) -> tuple[Slot, ...]:
+    """The parameters of some terms that are not held."""
+    return tuple(
+        Slot(t, term, p)
+        for t, term in enumerate(terms)
+        for p in term.parameters(arm)
+        if p.prior > 0
+    )
 
 
 def unstack(q: np.ndarray) -> tuple[Scalar, ...]:

@@ -122,15 +122,14 @@ class Chain:
 
         def deflect(frame: Frame, station: int) -> Frame:
             twist = twists.get(station)
-            frame = frame if twist is None else frame @ spatial.exp(twist)
+            exp = spatial.exp if station else spatial.exp_large  # a base may stand anywhere
+            frame = frame if twist is None else frame @ exp(twist)
             frames[station] = frame
             return frame
 
         def run(frame: Frame, elements: tuple[Element, ...], axis: int, size: Scalar) -> Frame:
             sign = -1.0 if type(size) is float and size < 0 else 1.0
-            fixed = sum(
-                e.share * e.beam.length_m for e in elements if e.beam.length_m != "rest"
-            )
+            fixed = sum(e.share * e.beam.length_m for e in elements if e.beam.length_m != "rest")
             left = size
             for e in elements:
                 whole = e.beam.length_m
@@ -280,9 +279,7 @@ class Posture:
 
     def gravity_in(self, station: int) -> Vec:
         """Gravity seen in a station's axes (m/s^2)."""
-        return self._cached(
-            "gravity", station, lambda: self.frames[station].unrotate(self.gravity)
-        )
+        return self._cached("gravity", station, lambda: self.frames[station].unrotate(self.gravity))
 
     def force(self, station: int) -> Vec:
         """Weight of all that is carried at a station, in its axes (N)."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -28,7 +28,7 @@ class Parameter:
     name: str
     unit: str
     meaning: str
-    prior: float
+    prior: float  # 0 means held at its value
     lower: float = -math.inf
     upper: float = math.inf
 
@@ -54,11 +54,13 @@ class _Term:
         name: canonical name, used in files and reports.
         needs: recorded inputs without which it cannot be tested.
         geometry: always fitted and never "named" by a diagnosis.
+        loaded: depends on the loads, so that it must be reconverged as the arm sags.
     """
 
     name: ClassVar[str]
     needs: ClassVar[tuple[str, ...]] = ()
     geometry: ClassVar[bool] = False
+    loaded: ClassVar[bool] = False
 
     @classmethod
     def declared(cls) -> tuple[Parameter, ...]:
@@ -73,15 +75,9 @@ class _Term:
         """The parameters of this instance; priors may come from the arm's tolerances."""
         return self.declared()
 
-    @property
-    def values(self) -> tuple[float, ...]:
-        """Current parameter values."""
-        return tuple(getattr(self, p.name) for p in self.declared())
-
-    def with_values(self, values: Sequence[float]) -> Self:
-        """The same effect with other parameter values."""
-        names = [p.name for p in self.declared()]
-        return dataclasses.replace(self, **dict(zip(names, map(float, values), strict=True)))
+    def with_values(self, values: Mapping[str, float]) -> Self:
+        """The same effect with other values of some parameters."""
+        return dataclasses.replace(self, **{name: float(v) for name, v in values.items()})
 
     @property
     def where(self) -> str:

@@ -19,6 +19,7 @@ class LinkDeflection(Effect):
     """
 
     name: ClassVar[str] = "link_deflection"
+    loaded: ClassVar[bool] = True
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Cantilever twist of every beam element at its end station."""
@@ -68,9 +69,7 @@ def cantilever(posture: Posture, element: Element) -> Twist:
     axis_u: Vec = (u[0], u[1], u[2])
     uf, uw = cross(axis_u, force), cross(axis_u, gravity)
     l1, l2, l3 = length, 0.5 * length * length, length * length * length / 3
-    theta = [
-        (l1 * moment[k] + l2 * uf[k] + slope_w * uw[k]) * inverse[k] for k in range(3)
-    ]
+    theta = [(l1 * moment[k] + l2 * uf[k] + slope_w * uw[k]) * inverse[k] for k in range(3)]
     bend = [(l2 * moment[k] + l3 * uf[k] + sag_w * uw[k]) * inverse[k] for k in range(3)]
     bend[axis] = 0.0
     d = cross((bend[0], bend[1], bend[2]), axis_u)

@@ -1,0 +1,42 @@
+"""A base that tilts with the overturning moment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.effects.effect import Effect, Parameter, parameter
+from longarm_comp.core.effects.joint_term import typical_loads, with_prior
+from longarm_comp.core.posture import Posture
+from longarm_comp.core.spatial import Twist
+
+
+@dataclass(frozen=True)
+class BaseCompliance(Effect):
+    """Soft ground, floor or carrier: tilt about x and y per moment about them."""
+
+    name: ClassVar[str] = "base_compliance"
+    loaded: ClassVar[bool] = True
+
+    compliance: float = parameter("rad/(N m)", "tilt per overturning moment", prior=2e-3, lower=0.0)
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """One base."""
+        return [(cls(),)]
+
+    @property
+    def where(self) -> str:
+        """``base``."""
+        return "base"
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Prior: 10 mrad under the arm's typical torque."""
+        return with_prior(self.declared(), prior=0.01 / typical_loads(arm)[1])
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """Rotation of the base frame."""
+        x, y, _ = posture.moment(0)
+        return {0: (0.0, 0.0, 0.0, self.compliance * x, self.compliance * y, 0.0)}

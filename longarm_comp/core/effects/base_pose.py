@@ -1,0 +1,50 @@
+"""Where the base stands, seen by the camera or tracker."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.effects.effect import Effect, parameter
+from longarm_comp.core.posture import Posture
+from longarm_comp.core.spatial import Twist
+
+
+@dataclass(frozen=True)
+class BasePose(Effect):
+    """Placement error of the base frame; one per `group` where the base was moved.
+
+    Gravity stays where it is declared (along the base's own z by default): a base that
+    leans also leans against gravity, which is `gravity_direction`.
+    """
+
+    name: ClassVar[str] = "base_pose"
+    geometry: ClassVar[bool] = True
+
+    group: str = ""
+    x: float = parameter("m", "base position error", prior=0.05)
+    y: float = parameter("m", "base position error", prior=0.05)
+    z: float = parameter("m", "base position error", prior=0.05)
+    rx: float = parameter("rad", "base orientation error", prior=0.05)
+    ry: float = parameter("rad", "base orientation error", prior=0.05)
+    rz: float = parameter("rad", "base orientation error", prior=0.05)
+
+    @property
+    def where(self) -> str:
+        """``base`` or ``base of group a``."""
+        return f"base of group {self.group}" if self.group else "base"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """One placement."""
+        return [(cls(),)]
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """The placement's twist at the base, for the rows of its group."""
+        twist: Twist = (self.x, self.y, self.z, self.rx, self.ry, self.rz)
+        if self.group:
+            mine = posture.context.is_label("group", self.group)
+            twist = tuple(mine * t for t in twist)  # type: ignore[assignment]
+        return {0: twist}

@@ -1,0 +1,42 @@
+"""A camera that moves slowly during the session."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.context import Context
+from longarm_comp.core.effects.effect import Bias, parameter
+from longarm_comp.core.spatial import Vec
+
+
+@dataclass(frozen=True)
+class CameraDrift(Bias):
+    """Seen points drift linearly in time."""
+
+    name: ClassVar[str] = "camera_drift"
+    needs: ClassVar[tuple[str, ...]] = ("t_s",)
+
+    x: float = parameter("m/h", "drift of the seen points", prior=2e-3)
+    y: float = parameter("m/h", "drift of the seen points", prior=2e-3)
+    z: float = parameter("m/h", "drift of the seen points", prior=2e-3)
+
+    @property
+    def where(self) -> str:
+        """``camera``."""
+        return "camera"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """One camera."""
+        return [(cls(),)]
+
+    def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
+        """The point moved by drift times hours since the session began."""
+        hours = context.column("t_s", 0.0) / 3600.0
+        return (
+            point[0] + self.x * hours,
+            point[1] + self.y * hours,
+            point[2] + self.z * hours,
+        )

@@ -1,0 +1,45 @@
+"""Placement error of the camera: the seen points, moved rigidly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+from longarm_comp.core import spatial
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.context import Context
+from longarm_comp.core.effects.effect import Bias, parameter
+from longarm_comp.core.spatial import Vec
+
+
+@dataclass(frozen=True)
+class CameraPose(Bias):
+    """The camera's pose in the base frame is not what was declared.
+
+    Position data cannot tell it from `base_pose`; a calibration fits one of the two.
+    """
+
+    name: ClassVar[str] = "camera_pose"
+    geometry: ClassVar[bool] = True
+
+    x: float = parameter("m", "shift of the seen points", prior=0.05)
+    y: float = parameter("m", "shift of the seen points", prior=0.05)
+    z: float = parameter("m", "shift of the seen points", prior=0.05)
+    rx: float = parameter("rad", "turn of the seen points", prior=0.05)
+    ry: float = parameter("rad", "turn of the seen points", prior=0.05)
+    rz: float = parameter("rad", "turn of the seen points", prior=0.05)
+
+    @property
+    def where(self) -> str:
+        """``camera``."""
+        return "camera"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """One camera."""
+        return [(cls(),)]
+
+    def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
+        """The point moved by the placement's twist."""
+        motion = spatial.exp_large((self.x, self.y, self.z, self.rx, self.ry, self.rz))
+        return motion.transform(point)

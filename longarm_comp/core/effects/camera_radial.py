@@ -1,0 +1,27 @@
+"""Radial distortion that the camera's calibration left over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.context import Context
+from longarm_comp.core.effects.camera_view import CameraView
+from longarm_comp.core.effects.effect import parameter
+from longarm_comp.core.spatial import Vec, dot, scale
+
+
+@dataclass(frozen=True)
+class CameraRadial(CameraView):
+    """Lateral part times ``1 + k1 r^2``, r the tangent of the angle off the optical axis (Brown)."""
+
+    name: ClassVar[str] = "camera_radial"
+
+    k1: float = parameter("1", "first radial coefficient left over", prior=0.05)
+
+    def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
+        """The distorted point at its true depth."""
+        position, depth, axis, lateral = self.split(point, arm)
+        r2 = dot(lateral, lateral) / (depth * depth)
+        return self.join(position, depth, axis, scale(1.0 + self.k1 * r2, lateral))

@@ -1,0 +1,27 @@
+"""Scale error of the stereo head (its baseline, or the marker's size)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.context import Context
+from longarm_comp.core.effects.camera_view import CameraView
+from longarm_comp.core.effects.effect import parameter
+from longarm_comp.core.spatial import Vec, scale
+
+
+@dataclass(frozen=True)
+class CameraScale(CameraView):
+    """Everything seen is ``1 + scale`` times as far from the camera."""
+
+    name: ClassVar[str] = "camera_scale"
+
+    scale: float = parameter("1", "relative scale error", prior=0.02)
+
+    def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
+        """Depth and lateral part, scaled."""
+        position, depth, axis, lateral = self.split(point, arm)
+        factor = 1.0 + self.scale
+        return self.join(position, factor * depth, axis, scale(factor, lateral))

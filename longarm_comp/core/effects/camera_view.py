@@ -1,0 +1,42 @@
+"""What camera-side biases share: a point split along and across the optical axis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.effects.effect import Bias
+from longarm_comp.core.spatial import Scalar, Vec, add, dot, scale, sub
+
+
+@dataclass(frozen=True)
+class CameraView(Bias):
+    """A bias that needs to know where the declared camera is."""
+
+    @property
+    def where(self) -> str:
+        """``camera``."""
+        return "camera"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """One camera, where it is declared."""
+        return [(cls(),)] if arm.camera is not None else []
+
+    @staticmethod
+    def split(point: Vec, arm: Arm) -> tuple[Vec, Scalar, Vec, Vec]:
+        """(camera position, depth, optical axis, lateral part) of a point, m, base frame."""
+        assert arm.camera is not None
+        size = float(np.linalg.norm(arm.camera.optical_axis))
+        axis = tuple(float(c) / size for c in arm.camera.optical_axis)
+        ray = sub(point, arm.camera.position_m)
+        depth = dot(ray, axis)  # type: ignore[arg-type]
+        return arm.camera.position_m, depth, axis, sub(ray, scale(depth, axis))  # type: ignore[arg-type, return-value]
+
+    @staticmethod
+    def join(position: Vec, depth: Scalar, axis: Vec, lateral: Vec) -> Vec:
+        """The point again."""
+        return add(position, add(scale(depth, axis), lateral))

@@ -1,0 +1,47 @@
+"""Beams that go on sagging under load: plastics creep."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.effects.effect import Effect, parameter
+from longarm_comp.core.effects.link_deflection import cantilever
+from longarm_comp.core.posture import Posture
+from longarm_comp.core.spatial import Twist
+
+TIMES_S = (900.0, 3600.0, 14400.0)
+
+
+@dataclass(frozen=True)
+class Creep(Effect):
+    """The declared sag grows by ``amount (1 - exp(-t/time))`` (one Kelvin-Voigt element).
+
+    Attributes:
+        time: time constant (s), counted from the start of the session.
+    """
+
+    name: ClassVar[str] = "creep"
+    needs: ClassVar[tuple[str, ...]] = ("t_s",)
+    loaded: ClassVar[bool] = True
+
+    time: float = 3600.0
+    amount: float = parameter("1", "final extra sag over the elastic one", prior=0.3, lower=0.0)
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """All beams together, by time constant."""
+        return [(cls(time=time),) for time in TIMES_S] if arm.links else []
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """The declared cantilever twist times the grown share."""
+        grown = self.amount * (1.0 - np.exp(-posture.context.column("t_s", 0.0) / self.time))
+        elements = (e for row in posture.chain.rows for e in row.elements_a + row.elements_d)
+        return {
+            e.station: tuple(grown * t for t in cantilever(posture, e))  # type: ignore[misc]
+            for e in elements
+        }

@@ -1,0 +1,68 @@
+"""Errors of a row's modified DH parameters."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.effects.effect import Effect, Parameter, parameter
+from longarm_comp.core.posture import Posture
+from longarm_comp.core.spatial import Twist
+
+
+@dataclass(frozen=True)
+class DhError(Effect):
+    """Manufacturing and assembly errors of one row.
+
+    ``a`` and ``alpha`` act along and about ``x_{i-1}``, ``beta`` about ``y_{i-1}`` (Hayati's
+    parameter, which parallel axes need), ``d`` and ``theta`` along and about ``z_i``.
+    The set is redundant on purpose; priors hold it.  What is the joint's own zero
+    (`joint_zero`) is held here.
+    """
+
+    name: ClassVar[str] = "dh_error"
+    geometry: ClassVar[bool] = True
+
+    row: int
+    a: float = parameter("m", "link length error along x_{i-1}", prior=1e-3)
+    alpha: float = parameter("rad", "twist error about x_{i-1}", prior=4e-3)
+    beta: float = parameter("rad", "tilt error about y_{i-1}", prior=4e-3)
+    d: float = parameter("m", "offset error along z_i", prior=1e-3)
+    theta: float = parameter("rad", "angle error about z_i", prior=4e-3)
+
+    @property
+    def where(self) -> str:
+        """``row 3``."""
+        return f"row {self.row}"
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Priors from the row's tolerances; the joint variable itself is held at zero."""
+        joint = arm.joints[self.row - 1]
+        angle = joint.tolerance.alpha_deg
+        turn = joint.tolerance.theta_deg
+        priors = {
+            "a": joint.tolerance.a_m or 1e-3,
+            "alpha": math.radians(angle) if angle else 4e-3,
+            "beta": math.radians(angle) if angle else 4e-3,
+            "d": joint.tolerance.d_m or 1e-3,
+            "theta": math.radians(turn) if turn else 4e-3,
+        }
+        if joint.commanded:
+            priors["theta" if joint.type == "revolute" else "d"] = 0.0
+        return tuple(dataclasses.replace(p, prior=priors[p.name]) for p in self.declared())
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """One group: every row (geometry is fitted, not diagnosed)."""
+        return [tuple(cls(row=j.id) for j in arm.joints)]
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """``[a 0 0; alpha beta 0]`` in frame i-1, ``[0 0 d; 0 0 theta]`` in frame i."""
+        return {
+            posture.frame(self.row - 1): (self.a, 0.0, 0.0, self.alpha, self.beta, 0.0),
+            posture.frame(self.row): (0.0, 0.0, self.d, 0.0, 0.0, self.theta),
+        }

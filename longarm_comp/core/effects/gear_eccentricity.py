@@ -1,0 +1,41 @@
+"""An eccentric gear, pulley or encoder disc: an error periodic in the joint angle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+from longarm_comp.core import spatial
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.effects.effect import parameter
+from longarm_comp.core.effects.joint_term import JointTerm
+from longarm_comp.core.posture import Posture
+from longarm_comp.core.spatial import Twist
+
+
+@dataclass(frozen=True)
+class GearEccentricity(JointTerm):
+    """``cosine cos(order q) + sine sin(order q)``.
+
+    Attributes:
+        order: periods per turn of the joint.
+    """
+
+    name: ClassVar[str] = "gear_eccentricity"
+
+    order: int = 1
+    cosine: float = parameter("rad", "cosine amplitude", prior=5e-3)
+    sine: float = parameter("rad", "sine amplitude", prior=5e-3)
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """Each revolute joint, orders 1 and 2."""
+        rows = [row for row in arm.commanded if cls.fits(arm, row)]
+        return [(cls(joint=row, order=order),) for row in rows for order in (1, 2)]
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """The periodic rotation."""
+        angle = float(self.order) * posture.q[posture.arm.commanded.index(self.joint)]
+        amount = self.cosine * spatial.cos(angle) + self.sine * spatial.sin(angle)
+        return self.motion(posture, amount)

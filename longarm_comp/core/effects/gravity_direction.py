@@ -1,0 +1,44 @@
+"""A base that leans, so that gravity does not come along its z axis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.effects.effect import Effect, parameter
+from longarm_comp.core.posture import Posture
+from longarm_comp.core.spatial import Twist, Vec, add, cross
+
+
+@dataclass(frozen=True)
+class GravityDirection(Effect):
+    """Gravity turned by two small angles about the base's x and y.
+
+    It has no twist of its own: it acts through every elastic effect of the model.
+    """
+
+    name: ClassVar[str] = "gravity_direction"
+    loaded: ClassVar[bool] = True
+
+    about_x: float = parameter("rad", "lean of gravity about base x", prior=0.03)
+    about_y: float = parameter("rad", "lean of gravity about base y", prior=0.03)
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """One gravity."""
+        return [(cls(),)]
+
+    @property
+    def where(self) -> str:
+        """``base``."""
+        return "base"
+
+    def gravity(self, gravity: Vec) -> Vec:
+        """The turned gravity (first order)."""
+        return add(gravity, cross((self.about_x, self.about_y, 0.0), gravity))
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """None of its own."""
+        return {}

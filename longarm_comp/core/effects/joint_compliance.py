@@ -1,0 +1,42 @@
+"""A joint that gives way under gravity torque."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.effects.effect import Parameter, parameter
+from longarm_comp.core.effects.joint_term import JointTerm, reach, typical_loads, with_prior
+from longarm_comp.core.posture import Posture
+from longarm_comp.core.spatial import Twist
+
+
+@dataclass(frozen=True)
+class JointCompliance(JointTerm):
+    """Linear torsion of gear, shaft and servo: ``dq = compliance * torque`` (Khalil & Besnard).
+
+    A prismatic joint gives way along its axis: m/N.
+    """
+
+    name: ClassVar[str] = "joint_compliance"
+    loaded: ClassVar[bool] = True
+
+    compliance: float = parameter("rad/(N m)", "torsion per gravity torque", prior=4e-3, lower=0.0)
+
+    @classmethod
+    def fits(cls, arm: Arm, row: int) -> bool:
+        """Every commanded joint can give way."""
+        return True
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Prior: 20 mrad (2 % of the reach) under the arm's typical load."""
+        force, torque = typical_loads(arm)
+        if arm.joints[self.joint - 1].type == "prismatic":
+            return with_prior(self.declared(), unit="m/N", prior=0.002 * reach(arm) / force)
+        return with_prior(self.declared(), prior=0.02 / torque)
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """Rotation about (translation along) the joint's axis at its bearing."""
+        return self.motion(posture, self.compliance * self.load(posture))

@@ -1,0 +1,26 @@
+"""Scale error of a joint's encoder or potentiometer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from longarm_comp.core.effects.effect import parameter
+from longarm_comp.core.effects.joint_term import JointTerm
+from longarm_comp.core.posture import Posture
+from longarm_comp.core.spatial import Twist
+
+
+@dataclass(frozen=True)
+class JointGain(JointTerm):
+    """A revolute joint turns ``(1 + gain) q``; its offset at q = 0 is `joint_zero`."""
+
+    name: ClassVar[str] = "joint_gain"
+
+    gain: float = parameter("1", "extra motion per commanded motion", prior=0.03)
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """Rotation ``gain * q``."""
+        q = posture.q[posture.arm.commanded.index(self.joint)]
+        return self.motion(posture, self.gain * q)

@@ -1,0 +1,90 @@
+"""What effects of one joint share: which joint, how it moves, how heavy the arm is."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Self
+
+import numpy as np
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.effects.effect import Effect, Parameter
+from longarm_comp.core.posture import Posture
+from longarm_comp.core.spatial import Scalar, Twist
+
+
+@dataclass(frozen=True)
+class JointTerm(Effect):
+    """An effect at one row's joint.
+
+    Attributes:
+        joint: row id.
+    """
+
+    joint: int
+
+    @property
+    def where(self) -> str:
+        """``joint 2``."""
+        return f"joint {self.joint}"
+
+    @classmethod
+    def fits(cls, arm: Arm, row: int) -> bool:
+        """Whether the effect makes sense at a commanded row; revolute joints by default."""
+        return arm.joints[row - 1].type == "revolute"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """Each joint alone."""
+        return [(cls(joint=row),) for row in arm.commanded if cls.fits(arm, row)]
+
+    def motion(self, posture: Posture, amount: Scalar) -> Mapping[int, Twist]:
+        """The joint moved by `amount` (rad or m) along its own z axis, at its bearing."""
+        station = posture.bearing(self.joint)
+        if posture.arm.joints[self.joint - 1].type == "prismatic":
+            return {station: (0.0, 0.0, amount, 0.0, 0.0, 0.0)}
+        return {station: (0.0, 0.0, 0.0, 0.0, 0.0, amount)}
+
+    def load(self, posture: Posture) -> Scalar:
+        """Gravity torque (N m) about, or force (N) along, the joint's z axis."""
+        station = posture.bearing(self.joint)
+        if posture.arm.joints[self.joint - 1].type == "prismatic":
+            return posture.force(station)[2]
+        return posture.moment(station)[2]
+
+    def direction(self, posture: Posture) -> Scalar:
+        """Side that the joint arrived from, -1, 0 (unknown) or +1."""
+        commanded = posture.arm.commanded
+        return posture.context.direction(commanded.index(self.joint))
+
+
+def with_prior(parameters: tuple[Parameter, ...], **changes: object) -> tuple[Parameter, ...]:
+    """The same parameters with other attributes (prior, unit) for an arm."""
+    return tuple(dataclasses.replace(p, **changes) for p in parameters)  # type: ignore[arg-type]
+
+
+@lru_cache(maxsize=64)
+def _scales(arm_hash: str, mass: float, reach: float, gravity: float) -> tuple[float, float]:
+    return max(mass * gravity, 1e-9), max(mass * gravity * reach / 4, 1e-9)
+
+
+def typical_loads(arm: Arm) -> tuple[float, float]:
+    """Weight (N) and a quarter of weight times reach (N m): the size of an arm's loads."""
+    mass = sum(b.mass_kg for b in arm.links) + sum(m.mass_kg for m in arm.point_masses)
+    mass += arm.payload.mass_kg if arm.payload else 0.0
+    return _scales(arm.hash, mass, reach(arm), float(np.linalg.norm(arm.gravity_mps2)))
+
+
+def reach(arm: Arm) -> float:
+    """Sum of the rows' lengths (m)."""
+    total = 0.0
+    for joint in arm.joints:
+        if joint.pose is not None:
+            total += float(np.linalg.norm(joint.pose.xyz_m))
+        total += abs(joint.a_m) + abs(joint.d_m)
+        if joint.type == "prismatic" and joint.commanded:
+            total += max(abs(v) for v in joint.limits)
+    return max(total + float(np.linalg.norm(arm.tip.position_m)), 1e-3)

@@ -1,0 +1,41 @@
+"""Zero offset of a joint."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.effects.effect import Parameter, parameter
+from longarm_comp.core.effects.joint_term import JointTerm, with_prior
+from longarm_comp.core.posture import Posture
+from longarm_comp.core.spatial import Twist
+
+
+@dataclass(frozen=True)
+class JointZero(JointTerm):
+    """The joint stands at ``q + offset``: the encoder's or servo horn's zero is off."""
+
+    name: ClassVar[str] = "joint_zero"
+    geometry: ClassVar[bool] = True
+
+    offset: float = parameter("rad", "joint value at command zero", prior=4e-3)
+
+    @classmethod
+    def fits(cls, arm: Arm, row: int) -> bool:
+        """Every commanded joint has a zero."""
+        return True
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Prior from the row's tolerance, else 4 mrad or 1 mm."""
+        joint = arm.joints[self.joint - 1]
+        if joint.type == "prismatic":
+            return with_prior(self.declared(), unit="m", prior=joint.tolerance.d_m or 1e-3)
+        declared = joint.tolerance.theta_deg
+        return with_prior(self.declared(), prior=math.radians(declared) if declared else 4e-3)
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """The joint moved by its offset."""
+        return self.motion(posture, self.offset)

@@ -1,0 +1,49 @@
+"""A beam that is softer or stiffer than declared."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.effects.effect import Effect, parameter
+from longarm_comp.core.effects.link_deflection import cantilever
+from longarm_comp.core.posture import Posture
+from longarm_comp.core.spatial import Twist
+
+
+@dataclass(frozen=True)
+class LinkStiffness(Effect):
+    """Wrong E or section: the beam bends by ``1 + softness`` times what is declared."""
+
+    name: ClassVar[str] = "link_stiffness"
+    loaded: ClassVar[bool] = True
+
+    beam: str
+    softness: float = parameter(
+        "1",
+        "extra deflection over the declared one (EI true = EI / (1 + softness))",
+        prior=0.5,
+        lower=-0.9,
+    )
+
+    @property
+    def where(self) -> str:
+        """``beam boom_outer``."""
+        return f"beam {self.beam}"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """Each beam alone, and all of them."""
+        each = [cls(beam=b.name) for b in arm.links]
+        return [(e,) for e in each] + ([tuple(each)] if len(each) > 1 else [])
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """The declared cantilever twist, times the softness."""
+        elements = (e for row in posture.chain.rows for e in row.elements_a + row.elements_d)
+        return {
+            e.station: tuple(self.softness * t for t in cantilever(posture, e))  # type: ignore[misc]
+            for e in elements
+            if e.beam.name == self.beam
+        }

@@ -1,0 +1,32 @@
+"""Pitch error of a lead screw or rack."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.effects.effect import parameter
+from longarm_comp.core.effects.joint_term import JointTerm
+from longarm_comp.core.posture import Posture
+from longarm_comp.core.spatial import Twist
+
+
+@dataclass(frozen=True)
+class PrismaticPitch(JointTerm):
+    """A prismatic joint travels ``(1 + gain) q``."""
+
+    name: ClassVar[str] = "prismatic_pitch"
+
+    gain: float = parameter("1", "extra travel per commanded travel", prior=0.02)
+
+    @classmethod
+    def fits(cls, arm: Arm, row: int) -> bool:
+        """Prismatic joints."""
+        return arm.joints[row - 1].type == "prismatic"
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """Translation ``gain * q``."""
+        q = posture.q[posture.arm.commanded.index(self.joint)]
+        return self.motion(posture, self.gain * q)

@@ -1,0 +1,48 @@
+"""A servo that can only stand on its steps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+from longarm_comp.core import spatial
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.effects.effect import parameter
+from longarm_comp.core.effects.joint_term import JointTerm
+from longarm_comp.core.posture import Posture
+from longarm_comp.core.spatial import Twist
+
+STEPS_PER_TURN = (300, 360, 512, 720, 1000, 1024, 2048, 4096)
+
+
+@dataclass(frozen=True)
+class ServoQuantisation(JointTerm):
+    """The joint stands at the nearest step: ``share (round(q/step) step - q)``.
+
+    Attributes:
+        steps_per_turn: steps of the servo in one turn.
+    """
+
+    name: ClassVar[str] = "servo_quantisation"
+
+    steps_per_turn: int = 1000
+    share: float = parameter("1", "1 where the servo really rounds so", prior=1.0, lower=0.0)
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """All revolute joints with one kind of servo, by its steps."""
+        rows = [row for row in arm.commanded if cls.fits(arm, row)]
+        return [
+            tuple(cls(joint=row, steps_per_turn=steps) for row in rows)
+            for steps in STEPS_PER_TURN
+            if rows
+        ]
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """The rounding error."""
+        step = 2 * math.pi / self.steps_per_turn
+        q = posture.q[posture.arm.commanded.index(self.joint)]
+        rounded = step * spatial.floor(q / step + 0.5)
+        return self.motion(posture, self.share * (rounded - q))

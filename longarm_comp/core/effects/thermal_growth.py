@@ -1,0 +1,40 @@
+"""Links that grow with temperature."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.effects.effect import Effect, parameter
+from longarm_comp.core.posture import Posture
+from longarm_comp.core.spatial import Twist, add_twists
+
+
+@dataclass(frozen=True)
+class ThermalGrowth(Effect):
+    """All lengths grow by ``expansion (T - T_ref)``."""
+
+    name: ClassVar[str] = "thermal_growth"
+    needs: ClassVar[tuple[str, ...]] = ("temperature_c",)
+
+    expansion: float = parameter("1/K", "expansion coefficient of the links", prior=1e-4)
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """One coefficient for the whole arm."""
+        return [(cls(),)]
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """Translation along every row's a and d, in proportion to their length."""
+        warm = posture.context.column("temperature_c", posture.arm.reference_temperature_c)
+        rise = self.expansion * (warm - posture.arm.reference_temperature_c)
+        made: dict[int, Twist] = {}
+        for joint, value in zip(posture.arm.joints, posture.values, strict=True):
+            d = joint.d_m + value if joint.type == "prismatic" else joint.d_m
+            before, here = posture.frame(joint.id - 1), posture.frame(joint.id)
+            made[here] = (0.0, 0.0, rise * d, 0.0, 0.0, 0.0)
+            along_x: Twist = (rise * joint.a_m, 0.0, 0.0, 0.0, 0.0, 0.0)
+            made[before] = add_twists(made[before], along_x) if before in made else along_x
+        return made

@@ -1,0 +1,45 @@
+"""Where the marker sits on the last link."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.effects.effect import Effect, parameter
+from longarm_comp.core.posture import Posture
+from longarm_comp.core.spatial import Twist
+
+
+@dataclass(frozen=True)
+class TipOffset(Effect):
+    """Position error of the tip (of one marker, where a session has several) in its frame."""
+
+    name: ClassVar[str] = "tip_offset"
+    geometry: ClassVar[bool] = True
+
+    marker: str = ""
+    x: float = parameter("m", "tip position error along x", prior=3e-3)
+    y: float = parameter("m", "tip position error along y", prior=3e-3)
+    z: float = parameter("m", "tip position error along z", prior=3e-3)
+
+    @property
+    def where(self) -> str:
+        """``tip`` or ``marker left``."""
+        return f"marker {self.marker}" if self.marker else "tip"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """Every declared marker, or the tip."""
+        return [tuple(cls(marker=name) for name in arm.markers) or (cls(),)]
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """Translation in the carrying frame."""
+        arm = posture.arm
+        if not self.marker:
+            station = posture.frame(arm.tip.frame)
+            return {station: (self.x, self.y, self.z, 0.0, 0.0, 0.0)}
+        mine = posture.context.is_label("marker", self.marker)
+        station = posture.frame(arm.markers[self.marker].frame)
+        return {station: (mine * self.x, mine * self.y, mine * self.z, 0.0, 0.0, 0.0)}

@@ -1,0 +1,101 @@
+"""The whole catalogue against central differences: Eq. (5) is every parameter's column."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.context import Context
+from longarm_comp.core.effects.catalogue import BY_NAME
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.model import Model, unstack
+
+N = 25
+
+
+@pytest.fixture(scope="module")
+def arm(demo_arm_path) -> Arm:
+    return Arm.load(demo_arm_path)
+
+
+def situation(arm: Arm) -> tuple[np.ndarray, Context]:
+    rng = np.random.default_rng(4)
+    q = arm.lower + (arm.upper - arm.lower) * rng.random((N, arm.n))
+    columns = {
+        "temperature_c": rng.uniform(15, 40, N),
+        "payload_kg": np.full(N, 0.3),
+        "t_s": np.linspace(0, 7200, N),
+    }
+    for frame in range(len(arm.joints) + 1):
+        for axis in "xy":
+            columns[f"incl_{frame}_{axis}"] = rng.normal(0, 0.01, N)
+    approach = tuple(rng.choice([-1.0, 0.0, 1.0], N) for _ in range(arm.n))
+    return q, Context(approach, columns)
+
+
+def instances(arm: Arm) -> list[Effect | Bias]:
+    return [term for kind in BY_NAME.values() for term in kind.for_arm(arm)]
+
+
+@pytest.mark.parametrize("name", sorted(BY_NAME))
+def test_column_is_the_derivative_at_zero(arm, name):
+    """At zero effect Eq. (5) is exact but for the load feedback of a rigid-model step.
+
+    The reference is a central difference of the whole model with a single load pass, in
+    which the feedback of a parameter on the other effects' loads is switched off; the
+    remaining tolerance is the cubic term of the difference.
+    """
+    q, context = situation(arm)
+    for term in BY_NAME[name].for_arm(arm):
+        base = Model(arm, (), ()).plus(term)
+        for slot in base.slots:
+            got = base.columns(base.posture(unstack(q), context), [slot])[1][..., 0]
+            h = 1e-3 * slot.parameter.prior
+            ends = []
+            for by in (h, -h):
+                moved = term.with_values(
+                    {slot.parameter.name: getattr(term, slot.parameter.name) + by}
+                )
+                ends.append(Model(arm, (), (), passes=1).plus(moved).measured(q, context))
+            want = (ends[0] - ends[1]) / (2 * h)
+            scale = np.abs(want).max()
+            np.testing.assert_allclose(got, want, atol=2e-6 * scale + 1e-12, err_msg=slot.label)
+
+
+def test_load_effects_act_through_the_elastic_ones(arm):
+    """Payload and gravity have columns only with something elastic, and then the right ones."""
+    q, context = situation(arm)
+    model = Model(arm, (LinkDeflection(),))
+    posture = model.posture(unstack(q), context)
+    for name in ("tip_payload", "gravity_direction"):
+        (term,) = BY_NAME[name].for_arm(arm)
+        with_it = model.plus(term)
+        for slot in with_it.slots:
+            got = with_it.columns(posture, [slot])[1][..., 0]
+            h = 1e-2 * slot.parameter.prior
+            up, down = (
+                model.plus(term.with_values({slot.parameter.name: by})).tip(q, context)
+                for by in (h, -h)
+            )
+            want = (up - down) / (2 * h)
+            assert np.abs(want).max() > 0
+            # the frames are held in a column: a few percent at this sag
+            assert np.abs(got - want).max() < 0.06 * np.abs(want).max(), slot.label
+
+
+def test_every_effect_moves_the_tip(arm):
+    """A parameter that moves nothing anywhere is a mistake (or a joint whose axis is vertical)."""
+    q, context = situation(arm)
+    model = Model(arm, (LinkDeflection(),))
+    posture = model.posture(unstack(q), context)
+    still = []
+    for term in instances(arm):
+        if not term.declared():
+            continue
+        slots = model.plus(term).slots
+        columns = model.plus(term).columns(posture, slots)[1]
+        if not np.abs(columns).max(axis=(0, 1)).any():
+            still.append(f"{term.name} {term.where}")
+    assert set(still) <= {"joint_compliance joint 1", "servo_droop joint 1", "backlash joint 1"}
