@@ -1,0 +1,72 @@
+"""Files are written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import atomic_path, write_text
+
+
+def test_text_arrives_in_a_folder_that_is_made(tmp_path: Path) -> None:
+    target = tmp_path / "new" / "folder" / "model.yaml"
+    write_text(target, "Grüße\n")
+    assert target.read_bytes() == "Grüße\n".encode()
+    assert os.listdir(target.parent) == ["model.yaml"]
+
+
+def test_a_block_that_fails_leaves_the_old_file_and_no_other(tmp_path: Path) -> None:
+    target = tmp_path / "model.yaml"
+    write_text(target, "old")
+    with pytest.raises(ZeroDivisionError), atomic_path(target) as partial:
+        partial.write_text("half of the new")
+        raise ZeroDivisionError
+    assert target.read_text() == "old"
+    assert os.listdir(tmp_path) == ["model.yaml"]
+
+
+def test_the_old_file_stands_until_the_new_one_is_whole(tmp_path: Path) -> None:
+    target = tmp_path / "model.yaml"
+    write_text(target, "old")
+    with atomic_path(target) as partial:
+        partial.write_text("new")
+        assert target.read_text() == "old"
+    assert target.read_text() == "new"
+
+
+def test_writers_that_go_by_the_suffix_hit_the_file(tmp_path: Path) -> None:
+    target = tmp_path / "predictor.npz"
+    with atomic_path(target) as partial:
+        np.savez(partial, weights=np.arange(3.0))
+    with np.load(target, allow_pickle=False) as held:
+        assert held["weights"].tolist() == [0.0, 1.0, 2.0]
+
+
+def test_permissions_are_those_of_a_plain_or_of_the_replaced_file(tmp_path: Path) -> None:
+    plain, target = tmp_path / "plain", tmp_path / "target"
+    plain.write_text("")
+    write_text(target, "new")
+    assert stat.S_IMODE(target.stat().st_mode) == stat.S_IMODE(plain.stat().st_mode)
+    target.chmod(0o640)
+    write_text(target, "newer")
+    assert stat.S_IMODE(target.stat().st_mode) == 0o640
+
+
+def test_a_place_that_takes_no_file_is_an_input_error(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for target in (tmp_path, tmp_path / "file" / "below.yaml", Path("/proc/none/model.yaml")):
+        with pytest.raises(InputError) as caught:
+            write_text(target, "text")
+        assert str(target) in str(caught.value)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root writes into read-only folders")
+def test_a_read_only_folder_is_an_input_error(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(InputError, match="folder to write in"):
+        write_text(tmp_path / "model.yaml", "text")
