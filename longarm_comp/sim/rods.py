@@ -1,6 +1,7 @@
 """Exact elastic lines, walked from the tip back to the base.
 
-Kirchhoff rods (bending and torsion, no extension or shear) under weight alone.  A walker
+Kirchhoff rods (bending and torsion; on request Cosserat's, with shear and extension) under
+weight alone.  A walker
 stands at a section of the chain and describes everything *beyond* it in the section's own
 axes: gravity, the moment of all that hangs beyond, points and directions.  One step back by
 ``du`` along the rod's axis ``e`` turns the axes by ``kappa du``, so that
@@ -118,6 +119,7 @@ class Walker:
         compliance: Array,
         density: Array | float,
         steps: int = STEPS,
+        stretch: Array | None = None,
     ) -> None:
         """Go back along an elastic rod (classical Runge-Kutta).
 
@@ -128,6 +130,8 @@ class Walker:
             compliance: 1/(EI, EI, GJ) in the order of the axes, (3,) or (3, N), 1/(N m^2).
             density: mass per length, kg/m, scalar or (N,).
             steps: integration steps.
+            stretch: 1/(kGA, kGA, EA) in the order of the axes, (3,), 1/N: shear and extension;
+                None leaves them out.
         """
         c = np.reshape(compliance, (3, 1, -1))
         h = length / steps
@@ -140,6 +144,10 @@ class Walker:
             out[i, _MOMENT] -= m * g[j]
             out[j, _MOMENT] += m * g[i]
             out[axis] += sign * self._point[:, None, None]
+            if stretch is not None:
+                strain = np.reshape(stretch, (3, 1, 1)) * mass * g
+                out += strain[:, None] * self._point[:, None, None]
+                out[:, _MOMENT] += cross(strain, mass * g)
             return out
 
         v, mass = self._v, self.mass

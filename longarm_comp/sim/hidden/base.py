@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal, TypeVar
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from longarm_comp.sim.rods import Walker
 
 Array = np.ndarray
 ALPHA, A, THETA, D = range(4)
+Dosed = TypeVar("Dosed", bound="HiddenEffect")
 
 
 @dataclass(frozen=True)
@@ -59,11 +60,12 @@ class HiddenEffect:
     """
 
     name: ClassVar[str]
+    doses: ClassVar[tuple[str, ...]]
     gated: ClassVar[bool] = False
 
-    def scaled(self, dose: float) -> Any:
-        """The same effect `dose` times as large."""
-        raise NotImplementedError
+    def scaled(self: Dosed, dose: float) -> Dosed:
+        """The same effect `dose` times as large: the fields in `doses` times `dose`."""
+        return replace(self, **{f: dose * getattr(self, f) for f in self.doses})  # type: ignore
 
     def joints(self, q: Array, state: State) -> Array:
         """True joint values (N, n) from those that the effects before it leave."""

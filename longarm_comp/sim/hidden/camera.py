@@ -1,0 +1,80 @@
+"""The camera side: where the stereo head believes a point to be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar, TypeVar
+
+import numpy as np
+
+from longarm_comp.sim.rods import rpy_matrix
+
+Array = np.ndarray
+Seeing = TypeVar("Seeing", bound="CameraEffect")
+
+
+class CameraEffect:
+    """Moves the seen point, not the arm. Points are in camera axes: x right, y down, z depth."""
+
+    name: ClassVar[str]
+    doses: ClassVar[tuple[str, ...]]
+
+    def scaled(self: Seeing, dose: float) -> Seeing:
+        """The same effect `dose` times as large."""
+        return replace(self, **{f: dose * getattr(self, f) for f in self.doses})  # type: ignore
+
+    def seen(self, points: Array, t_s: Array) -> Array:
+        """Seen points (N, 3) m of true points (N, 3) m at times (N,) s."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class CameraPose(CameraEffect):
+    """The head stands elsewhere than declared by `delta` (6,): m and rad, in camera axes."""
+
+    name: ClassVar[str] = "camera_pose"
+    doses: ClassVar[tuple[str, ...]] = ("delta",)
+    delta: Array
+
+    def seen(self, points: Array, t_s: Array) -> Array:
+        return (points - self.delta[:3]) @ rpy_matrix(self.delta[3:])
+
+
+@dataclass(frozen=True)
+class CameraScale(CameraEffect):
+    """A wrong baseline: seen distances are 1 + scale of the true ones."""
+
+    name: ClassVar[str] = "camera_scale"
+    doses: ClassVar[tuple[str, ...]] = ("scale",)
+    scale: float
+
+    def seen(self, points: Array, t_s: Array) -> Array:
+        return points * (1 + self.scale)
+
+
+@dataclass(frozen=True)
+class CameraRadial(CameraEffect):
+    """Lens distortion left over: across the axis 1 + k1 (x^2 + y^2) / z^2 of the true place."""
+
+    name: ClassVar[str] = "camera_radial"
+    doses: ClassVar[tuple[str, ...]] = ("k1",)
+    k1: float
+
+    def seen(self, points: Array, t_s: Array) -> Array:
+        r2 = (points[:, 0] ** 2 + points[:, 1] ** 2) / points[:, 2] ** 2
+        out = points.copy()
+        out[:, :2] *= (1 + self.k1 * r2)[:, None]
+        return out
+
+
+@dataclass(frozen=True)
+class CameraDrift(CameraEffect):
+    """The head's mount moves with time: `rate` (6,) m/h and rad/h, in camera axes."""
+
+    name: ClassVar[str] = "camera_drift"
+    doses: ClassVar[tuple[str, ...]] = ("rate",)
+    rate: Array
+
+    def seen(self, points: Array, t_s: Array) -> Array:
+        hours = t_s[:, None] / 3600
+        return points - hours * self.rate[:3] - np.cross(hours * self.rate[3:], points)

@@ -1,0 +1,208 @@
+"""Every hidden effect by its canonical name, at a typical size, and scaled to a wanted one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.errors import InputError
+from longarm_comp.sim.context import Context
+from longarm_comp.sim.hidden import camera, drives, geometry, loads
+from longarm_comp.sim.hidden.base import HiddenEffect
+from longarm_comp.sim.hidden.camera import CameraEffect
+
+Array = np.ndarray
+Hidden = HiddenEffect | CameraEffect
+Maker = Callable[[Arm, np.random.Generator], Hidden]
+
+
+def _kind(arm: Arm, kind: str) -> Array:
+    """1 for the motors of a kind, else 0, (n,)."""
+    return np.array([float(arm.joints[row - 1].type == kind) for row in arm.commanded])
+
+
+def _turning(arm: Arm, rng: np.random.Generator, low: float, high: float) -> Array:
+    """A draw per turning motor, 0 for sliding ones, (n,)."""
+    return _kind(arm, "revolute") * rng.uniform(low, high, arm.n)
+
+
+def _sliding(arm: Arm, rng: np.random.Generator, low: float, high: float) -> Array:
+    """A draw per sliding motor, 0 for turning ones, (n,)."""
+    return _kind(arm, "prismatic") * rng.uniform(low, high, arm.n)
+
+
+def _signs(rng: np.random.Generator, size: int) -> Array:
+    return rng.choice([-1.0, 1.0], size)
+
+
+def _joint_zero(arm: Arm, rng: np.random.Generator) -> Hidden:
+    sd = 4e-3 * _kind(arm, "revolute") + 1e-3 * _kind(arm, "prismatic")
+    return geometry.JointZero(sd * rng.standard_normal(arm.n))
+
+
+def _dh_error(arm: Arm, rng: np.random.Generator) -> Hidden:
+    sd = np.array([[3e-3], [1e-3], [0.0], [1e-3]])  # theta is the joint zero
+    delta = sd * rng.standard_normal((4, len(arm.joints)))
+    delta[:, [j.type == "fixed" and j.pose is not None for j in arm.joints]] = 0.0
+    return geometry.DhError(delta)
+
+
+def _base_pose(arm: Arm, rng: np.random.Generator) -> Hidden:
+    return geometry.BasePose(rng.standard_normal(6) * ([2e-3] * 3 + [4e-3] * 3))
+
+
+def _thermal(arm: Arm, rng: np.random.Generator) -> Hidden:
+    return geometry.ThermalGrowth(rng.uniform(7e-5, 1.2e-4))
+
+
+def _loose_screw(arm: Arm, rng: np.random.Generator) -> Hidden:
+    joint = int(rng.choice(np.flatnonzero(_kind(arm, "revolute"))))
+    at = rng.uniform(0.35, 0.65)
+    threshold = arm.lower[joint] + at * (arm.upper[joint] - arm.lower[joint])
+    return geometry.LooseScrew(arm.commanded[joint], joint, threshold, float(rng.choice([-8e-3, 8e-3])))
+
+
+def _eccentricity(arm: Arm, rng: np.random.Generator) -> Hidden:
+    amplitude = np.stack([_turning(arm, rng, 4e-3, 1e-2), _turning(arm, rng, 1e-3, 4e-3)])
+    return drives.GearEccentricity(amplitude, rng.uniform(-np.pi, np.pi, (2, arm.n)))
+
+
+def _cogging(arm: Arm, rng: np.random.Generator) -> Hidden:
+    joint = int(rng.choice(np.flatnonzero(_kind(arm, "revolute"))))
+    span = arm.upper[joint] - arm.lower[joint]
+    centre = arm.lower[joint] + rng.uniform(0.3, 0.7) * span
+    return drives.CoggingBump(joint, centre, 0.12 * span, float(rng.choice([-1e-2, 1e-2])))
+
+
+def _cable(arm: Arm, rng: np.random.Generator) -> Hidden:
+    joint, one, two = rng.permutation(np.flatnonzero(_kind(arm, "revolute")))[:3]
+    return drives.CableDrag(int(joint), (int(one), int(two)), float(rng.choice([-1e-2, 1e-2])))
+
+
+def _droop(arm: Arm, rng: np.random.Generator) -> Hidden:
+    return drives.ServoDroop(
+        _turning(arm, rng, 1e-3, 4e-3), _turning(arm, rng, 1e-3, 3e-3), friction=0.1
+    )
+
+
+def _backlash(arm: Arm, rng: np.random.Generator) -> Hidden:
+    return drives.Backlash(_turning(arm, rng, 3e-3, 8e-3), gate=rng.uniform(0.25, 0.45))
+
+
+def _link_stiffness(arm: Arm, rng: np.random.Generator) -> Hidden:
+    common = rng.uniform(0.15, 0.35)
+    return loads.LinkStiffness({b.name: common * rng.uniform(0.7, 1.3) for b in arm.links})
+
+
+def _measured_tilt(arm: Arm, rng: np.random.Generator) -> Hidden:
+    return loads.MeasuredTilt(
+        0, rng.uniform(1e-3, 3e-3, 2), rng.uniform(1500, 4000), rng.uniform(-3e-3, 3e-3, 2)
+    )
+
+
+HIDDEN: dict[str, Maker] = {
+    "joint_zero": _joint_zero,
+    "dh_error": _dh_error,
+    "base_pose": _base_pose,
+    "gravity_direction": lambda arm, rng: geometry.GravityDirection(0.3 * _signs(rng, 2)),
+    "thermal_growth": _thermal,
+    "joint_gain": lambda arm, rng: drives.JointGain(
+        _turning(arm, rng, 0.01, 0.03) * _signs(rng, arm.n)
+    ),
+    "prismatic_pitch": lambda arm, rng: drives.PrismaticPitch(
+        _sliding(arm, rng, 0.02, 0.05) * _signs(rng, arm.n)
+    ),
+    "gear_eccentricity": _eccentricity,
+    "servo_quantisation": lambda arm, rng: drives.ServoQuantisation(
+        2 * np.pi / 1000 * _kind(arm, "revolute")
+    ),
+    "servo_droop": _droop,
+    "backlash": _backlash,
+    "friction_hysteresis": lambda arm, rng: drives.FrictionHysteresis(
+        _turning(arm, rng, 2e-3, 6e-3)
+    ),
+    "joint_compliance": lambda arm, rng: loads.JointCompliance(_turning(arm, rng, 1e-3, 5e-3)),
+    "bearing_tilt": lambda arm, rng: loads.BearingTilt(_turning(arm, rng, 5e-4, 2e-3)),
+    "base_compliance": lambda arm, rng: loads.BaseCompliance(rng.uniform(5e-4, 1.5e-3)),
+    "telescope_clearance": lambda arm, rng: loads.TelescopeClearance(rng.uniform(3e-4, 8e-4)),
+    "link_stiffness": _link_stiffness,
+    "creep": lambda arm, rng: loads.Creep(rng.uniform(0.1, 0.3), rng.uniform(1500, 6000)),
+    "tip_payload": lambda arm, rng: loads.TipPayload(rng.uniform(0.05, 0.15)),
+    "measured_tilt": _measured_tilt,
+    "cogging_bump": _cogging,
+    "cable_drag": _cable,
+    "loose_screw": _loose_screw,
+    "camera_pose": lambda arm, rng: camera.CameraPose(
+        rng.standard_normal(6) * ([2e-3] * 3 + [2e-3] * 3)
+    ),
+    "camera_scale": lambda arm, rng: camera.CameraScale(float(rng.choice([-3e-3, 3e-3]))),
+    "camera_radial": lambda arm, rng: camera.CameraRadial(rng.uniform(0.02, 0.06)),
+    "camera_drift": lambda arm, rng: camera.CameraDrift(
+        rng.standard_normal(6) * ([1e-3] * 3 + [1e-3] * 3)
+    ),
+}
+OUTSIDE_EVERY_LIBRARY = ("cogging_bump", "cable_drag", "loose_screw")
+
+
+def hidden(name: str, arm: Arm, dose: float, rng: np.random.Generator) -> Hidden:
+    """An effect by name, `dose` times its typical size; where it sits is drawn.
+
+    Raises:
+        InputError: no effect has that name, or the arm cannot have it.
+    """
+    if name not in HIDDEN:
+        raise InputError("hidden effect", "name", name, ", ".join(HIDDEN))
+    return HIDDEN[name](arm, rng).scaled(dose)
+
+
+def draw(
+    name: str, arm: Arm, rng: np.random.Generator, size_mm: float, poses: Array | None = None
+) -> Hidden:
+    """An effect by name, scaled so that it shifts the seen tip by about `size_mm` rms.
+
+    Args:
+        name: canonical name.
+        arm: the declared arm.
+        rng: draws where it sits.
+        size_mm: wanted rms shift over the poses (3-D), mm.
+        poses: (N, n); 60 random ones by default.
+
+    Raises:
+        InputError: no such effect, or no dose of it moves this arm.
+    """
+    effect = HIDDEN[name](arm, rng) if name in HIDDEN else hidden(name, arm, 1.0, rng)
+    if poses is None:
+        poses = rng.uniform(arm.lower, arm.upper, (60, arm.n))
+    context = typical_context(len(poses), arm, rng)
+    dose = 1.0
+    for _ in range(8):
+        size = 1e3 * float(np.sqrt(np.mean(np.sum(shift(effect.scaled(dose), arm, poses, context) ** 2, 1))))
+        if size == 0.0:
+            raise InputError("hidden effect", "name", name, "an effect that moves this arm")
+        if abs(size - size_mm) < 0.02 * size_mm:
+            break
+        dose *= size_mm / size
+    return effect.scaled(dose)
+
+
+def shift(effect: Hidden, arm: Arm, poses: Array, context: Context) -> Array:
+    """By how much one effect moves the seen tip, (N, 3) m in the base frame."""
+    from longarm_comp.sim.arm_truth import TrueArm
+    from longarm_comp.sim.measure import StereoHead
+
+    if isinstance(effect, CameraEffect):
+        tip = TrueArm(arm).tip(poses, context)
+        assert isinstance(context.t_s, np.ndarray)
+        return StereoHead.of(arm, [effect]).seen(tip, context.t_s) - tip
+    return TrueArm(arm, [effect]).tip(poses, context) - TrueArm(arm).tip(poses, context)
+
+
+def typical_context(postures: int, arm: Arm, rng: np.random.Generator) -> Context:
+    """Random approach, two hours, some warming."""
+    return Context(
+        approach=np.repeat(_signs(rng, postures)[:, None], arm.n, axis=1),
+        temperature_c=arm.reference_temperature_c + rng.uniform(0, 12, postures),
+        t_s=rng.uniform(0, 7200, postures),
+    )

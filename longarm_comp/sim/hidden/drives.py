@@ -1,0 +1,161 @@
+"""Between the command and the shaft: gears, encoders, servos, cables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from longarm_comp.sim.hidden.base import HiddenEffect, Place, State
+from longarm_comp.sim.rods import Walker
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class JointGain(HiddenEffect):
+    """Encoder or pot scale of the turning joints: the shaft turns (1 + gain) q; gain (n,)."""
+
+    name: ClassVar[str] = "joint_gain"
+    doses: ClassVar[tuple[str, ...]] = ("gain",)
+    gain: Array
+
+    def joints(self, q: Array, state: State) -> Array:
+        return q * (1 + self.gain)
+
+
+@dataclass(frozen=True)
+class PrismaticPitch(JointGain):
+    """Screw pitch of the sliding joints: they travel (1 + gain) q; gain (n,)."""
+
+    name: ClassVar[str] = "prismatic_pitch"
+
+
+@dataclass(frozen=True)
+class GearEccentricity(HiddenEffect):
+    """Gears off centre: q + sum over orders k of amplitude_k sin(k q + phase_k); (2, n), rad."""
+
+    name: ClassVar[str] = "gear_eccentricity"
+    doses: ClassVar[tuple[str, ...]] = ("amplitude",)
+    amplitude: Array
+    phase: Array
+
+    def joints(self, q: Array, state: State) -> Array:
+        return q + sum(
+            a * np.sin(k * q + p)
+            for k, (a, p) in enumerate(zip(self.amplitude, self.phase, strict=True), 1)
+        )
+
+
+@dataclass(frozen=True)
+class ServoQuantisation(HiddenEffect):
+    """Servos stand on whole steps: q rounded to `step` (n,), rad or m; 0 leaves a joint alone."""
+
+    name: ClassVar[str] = "servo_quantisation"
+    doses: ClassVar[tuple[str, ...]] = ("step",)
+    step: Array
+
+    def joints(self, q: Array, state: State) -> Array:
+        step = np.where(self.step > 0, self.step, 1.0)
+        return np.where(self.step > 0, np.round(q / step) * step, q)
+
+
+@dataclass(frozen=True)
+class FrictionHysteresis(HiddenEffect):
+    """Lost motion by approach: the joint stops `lag` (n,) short of where it was sent, rad or m."""
+
+    name: ClassVar[str] = "friction_hysteresis"
+    doses: ClassVar[tuple[str, ...]] = ("lag",)
+    lag: Array
+
+    def joints(self, q: Array, state: State) -> Array:
+        return q - self.lag * state.context.approach
+
+
+@dataclass(frozen=True)
+class Backlash(HiddenEffect):
+    """Play: the load lies on one flank where |torque| > gate, else the approach decides.
+
+    Attributes:
+        half: half of the play, (n,), rad or m.
+        gate: torque or force above which the weight decides, N m or N.
+    """
+
+    name: ClassVar[str] = "backlash"
+    doses: ClassVar[tuple[str, ...]] = ("half",)
+    gated: ClassVar[bool] = True
+    half: Array
+    gate: float
+
+    def held(self, torques: Array, state: State) -> Array | float:
+        loaded = np.abs(torques) > self.gate
+        return self.half * np.where(loaded, np.sign(torques), -state.context.approach)
+
+
+@dataclass(frozen=True)
+class ServoDroop(HiddenEffect):
+    """A proportional servo yields by torque / gain and rests at the edge of its deadband.
+
+    Attributes:
+        yielding: 1 / proportional gain, (n,), rad/(N m), 0 on sliding joints.
+        deadband: half width, (n,), rad.
+        friction: torque below which the approach decides the edge, N m.
+    """
+
+    name: ClassVar[str] = "servo_droop"
+    doses: ClassVar[tuple[str, ...]] = ("yielding", "deadband")
+    gated: ClassVar[bool] = True
+    yielding: Array
+    deadband: Array
+    friction: float
+
+    def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
+        if place.kind != "bearing" or place.joint is None or place.prismatic:
+            return None
+        turn = np.zeros_like(beyond.moment)
+        turn[2] = self.yielding[place.joint] * beyond.moment[2]
+        return turn
+
+    def held(self, torques: Array, state: State) -> Array | float:
+        loaded = np.abs(torques) > self.friction
+        return self.deadband * np.where(loaded, np.sign(torques), -state.context.approach)
+
+
+@dataclass(frozen=True)
+class CoggingBump(HiddenEffect):
+    """Outside every library: joint `joint` is pushed off by `height` (rad) near one angle."""
+
+    name: ClassVar[str] = "cogging_bump"
+    doses: ClassVar[tuple[str, ...]] = ("height",)
+    joint: int
+    centre: float
+    width: float
+    height: float
+
+    def joints(self, q: Array, state: State) -> Array:
+        q = q.copy()
+        at = (q[:, self.joint] - self.centre) / self.width
+        q[:, self.joint] += self.height * np.exp(-0.5 * at**2)
+        return q
+
+
+@dataclass(frozen=True)
+class CableDrag(HiddenEffect):
+    """Outside every library: a cable pulls `joint` round as two other joints wind it up together.
+
+    The pull is `pull` (rad) times the product of both joints' places in their ranges, -1 to 1.
+    """
+
+    name: ClassVar[str] = "cable_drag"
+    doses: ClassVar[tuple[str, ...]] = ("pull",)
+    joint: int
+    wound_by: tuple[int, int]
+    pull: float
+
+    def joints(self, q: Array, state: State) -> Array:
+        arm = state.arm
+        place = 2 * (state.q - arm.mid) / (arm.upper - arm.lower)
+        q = q.copy()
+        q[:, self.joint] += self.pull * place[:, self.wound_by[0]] * place[:, self.wound_by[1]]
+        return q

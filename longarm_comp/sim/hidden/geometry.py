@@ -1,0 +1,96 @@
+"""Parts that are not where the drawing has them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from longarm_comp.sim.hidden.base import THETA, A, D, HiddenEffect, State
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class JointZero(HiddenEffect):
+    """Zeros off by `offset` (n,), rad or m."""
+
+    name: ClassVar[str] = "joint_zero"
+    doses: ClassVar[tuple[str, ...]] = ("offset",)
+    offset: Array
+
+    def joints(self, q: Array, state: State) -> Array:
+        return q + self.offset
+
+
+@dataclass(frozen=True)
+class DhError(HiddenEffect):
+    """Rows off by `delta` (4, R): alpha, a, theta, d in rad and m."""
+
+    name: ClassVar[str] = "dh_error"
+    doses: ClassVar[tuple[str, ...]] = ("delta",)
+    delta: Array
+
+    def rows(self, rows: Array, state: State) -> Array:
+        return rows + self.delta[:, :, None]
+
+
+@dataclass(frozen=True)
+class BasePose(HiddenEffect):
+    """The foot stands elsewhere by `delta` (6,): x, y, z, roll, pitch, yaw in m and rad."""
+
+    name: ClassVar[str] = "base_pose"
+    doses: ClassVar[tuple[str, ...]] = ("delta",)
+    delta: Array
+
+    def base(self, pose: Array) -> Array:
+        return pose + self.delta
+
+
+@dataclass(frozen=True)
+class GravityDirection(HiddenEffect):
+    """Down is off by `tilt` (2,), rad about x and y of the base frame; the frame is not."""
+
+    name: ClassVar[str] = "gravity_direction"
+    doses: ClassVar[tuple[str, ...]] = ("tilt",)
+    tilt: Array
+
+    def gravity(self, gravity: Array) -> Array:
+        (cx, cy), (sx, sy) = np.cos(self.tilt), np.sin(self.tilt)
+        x, y, z = gravity
+        y, z = cx * y - sx * z, sx * y + cx * z
+        return np.array([cy * x + sy * z, y, cy * z - sy * x])
+
+
+@dataclass(frozen=True)
+class ThermalGrowth(HiddenEffect):
+    """All printed lengths grow by `rate` (1/K) from the declared reference temperature."""
+
+    name: ClassVar[str] = "thermal_growth"
+    doses: ClassVar[tuple[str, ...]] = ("rate",)
+    rate: float
+
+    def rows(self, rows: Array, state: State) -> Array:
+        assert isinstance(state.context.temperature_c, np.ndarray)
+        growth = 1 + self.rate * (state.context.temperature_c - state.arm.reference_temperature_c)
+        rows = rows.copy()
+        rows[[A, D]] *= growth
+        return rows
+
+
+@dataclass(frozen=True)
+class LooseScrew(HiddenEffect):
+    """Outside every library: row `row` snaps round by `jump` (rad) beyond an angle of a joint."""
+
+    name: ClassVar[str] = "loose_screw"
+    doses: ClassVar[tuple[str, ...]] = ("jump",)
+    row: int
+    joint: int
+    threshold: float
+    jump: float
+
+    def rows(self, rows: Array, state: State) -> Array:
+        rows = rows.copy()
+        rows[THETA, self.row - 1] += self.jump * (state.q[:, self.joint] > self.threshold)
+        return rows

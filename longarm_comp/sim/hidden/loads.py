@@ -1,0 +1,165 @@
+"""Parts that give way under the true load, and loads that nobody declared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from longarm_comp.core.arm import Beam
+from longarm_comp.sim.hidden.base import HiddenEffect, Place, State
+from longarm_comp.sim.rods import Walker
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class JointCompliance(HiddenEffect):
+    """Gears wind up: a turning joint gives `compliance` (n,) rad/(N m) times its torque."""
+
+    name: ClassVar[str] = "joint_compliance"
+    doses: ClassVar[tuple[str, ...]] = ("compliance",)
+    compliance: Array
+
+    def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
+        if place.kind != "bearing" or place.joint is None or place.prismatic:
+            return None
+        turn = np.zeros_like(beyond.moment)
+        turn[2] = self.compliance[place.joint] * beyond.moment[2]
+        return turn
+
+
+@dataclass(frozen=True)
+class BearingTilt(HiddenEffect):
+    """Bearings tilt across their axis: `compliance` (n,) rad/(N m) times the moment across."""
+
+    name: ClassVar[str] = "bearing_tilt"
+    doses: ClassVar[tuple[str, ...]] = ("compliance",)
+    compliance: Array
+
+    def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
+        if place.kind != "bearing" or place.joint is None:
+            return None
+        turn = self.compliance[place.joint] * beyond.moment
+        turn[2] = 0.0
+        return turn
+
+
+@dataclass(frozen=True)
+class BaseCompliance(HiddenEffect):
+    """The foot tilts: `compliance` rad/(N m) times the overturning moment."""
+
+    name: ClassVar[str] = "base_compliance"
+    doses: ClassVar[tuple[str, ...]] = ("compliance",)
+    compliance: float
+
+    def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
+        if place.kind != "base":
+            return None
+        turn = self.compliance * beyond.moment
+        turn[2] = 0.0
+        return turn
+
+
+@dataclass(frozen=True)
+class TelescopeClearance(HiddenEffect):
+    """Sliding beams droop in their guides by clearance / overlap, towards the load.
+
+    Attributes:
+        clearance: across the guide, m.
+        firm: moment at which the play is taken up (tanh), N m.
+    """
+
+    name: ClassVar[str] = "telescope_clearance"
+    doses: ClassVar[tuple[str, ...]] = ("clearance",)
+    clearance: float
+    firm: float = 0.02
+
+    def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
+        if place.kind != "slide" or place.overlap is None:
+            return None
+        across = beyond.moment.copy()
+        along = 0 if place.beam is not None and place.beam.role == "a" else 2
+        across[along] = 0.0
+        size = np.sqrt(np.sum(across**2, axis=0))
+        tilt = self.clearance / np.maximum(place.overlap, 0.01) * np.tanh(size / self.firm)
+        return tilt * across / np.maximum(size, 1e-12)
+
+
+@dataclass(frozen=True)
+class LinkStiffness(HiddenEffect):
+    """The print is softer than declared: compliance times 1 + softer (by beam name)."""
+
+    name: ClassVar[str] = "link_stiffness"
+    doses: ClassVar[tuple[str, ...]] = ("dose",)
+    softer: dict[str, float]
+    dose: float = 1.0
+
+    def softness(self, beam: Beam, state: State) -> Array | float:
+        return 1 + self.dose * self.softer.get(beam.name, 0.0)
+
+
+@dataclass(frozen=True)
+class Creep(HiddenEffect):
+    """The print yields with time under load: compliance times 1 + more (1 - exp(-t / time))."""
+
+    name: ClassVar[str] = "creep"
+    doses: ClassVar[tuple[str, ...]] = ("more",)
+    more: float
+    time_s: float
+
+    def softness(self, beam: Beam, state: State) -> Array | float:
+        assert isinstance(state.context.t_s, np.ndarray)
+        return 1 + self.more * -np.expm1(-state.context.t_s / self.time_s)
+
+
+@dataclass(frozen=True)
+class TipPayload(HiddenEffect):
+    """An undeclared mass (kg) in the payload's place (the tip where none is declared)."""
+
+    name: ClassVar[str] = "tip_payload"
+    doses: ClassVar[tuple[str, ...]] = ("mass_kg",)
+    mass_kg: float
+
+    def masses(self, state: State) -> list[tuple[int, Array | float, tuple[float, float, float]]]:
+        place = state.arm.payload or state.arm.tip
+        return [(place.frame, self.mass_kg, place.position_m)]
+
+
+@dataclass(frozen=True)
+class MeasuredTilt(HiddenEffect):
+    """The structure at frame `row` tilts as it likes, and an inclinometer there says by how much.
+
+    The tilt, a rotation vector (x, y, 0) in that frame, sways with time and leans with the
+    first joint; a session records it as `incl_<row>_x` and `incl_<row>_y`.
+
+    Attributes:
+        sway: (2,) rad. period_s: of the sway. lean: (2,) rad at the first joint's limits.
+    """
+
+    name: ClassVar[str] = "measured_tilt"
+    doses: ClassVar[tuple[str, ...]] = ("sway", "lean")
+    row: int
+    sway: Array
+    period_s: float
+    lean: Array
+
+    def readings(self, state: State) -> dict[str, Array]:
+        arm, t = state.arm, state.context.t_s
+        assert isinstance(t, np.ndarray)
+        place = 2 * (state.q[:, 0] - arm.mid[0]) / (arm.upper[0] - arm.lower[0])
+        turn = 2 * np.pi * t / self.period_s
+        phases = (0.0, 1.3)
+        return {
+            f"incl_{self.row}_{axis}": s * np.sin(turn + p) + lean * place
+            for axis, s, lean, p in zip("xy", self.sway, self.lean, phases, strict=True)
+        }
+
+    def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
+        if place.kind != "frame" or place.row != self.row:
+            return None
+        tilt = self.readings(state)
+        turn = np.zeros_like(beyond.moment)
+        turn[0], turn[1] = tilt[f"incl_{self.row}_x"], tilt[f"incl_{self.row}_y"]
+        return turn

@@ -1,0 +1,255 @@
+"""What the stereo head reports of the true arm, and whole measured sessions."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import write_text
+from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.context import Context
+from longarm_comp.sim.hidden.camera import CameraEffect
+
+Array = np.ndarray
+Approach = Literal["both", "random", "mixed", "previous"]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Random errors of a sighting.
+
+    Attributes:
+        sigma_m: equal in all directions.
+        depth_m: along the line of sight, on top.
+        rho: correlation from one row to the next (AR(1)).
+        tail_dof: degrees of freedom of Student's t, scaled to the same variance; None: normal.
+    """
+
+    sigma_m: float = 0.22e-3
+    depth_m: float = 0.28e-3
+    rho: float = 0.0
+    tail_dof: float | None = None
+
+    def draw(self, sight: Array, rng: np.random.Generator) -> Array:
+        """Errors (N, 3) m for lines of sight (N, 3)."""
+        raw = self.sigma_m * self._unit((len(sight), 3), rng)
+        raw += self.depth_m * self._unit((len(sight), 1), rng) * sight
+        for k in range(1, len(raw)):
+            raw[k] = self.rho * raw[k - 1] + np.sqrt(1 - self.rho**2) * raw[k]
+        return raw
+
+    def _unit(self, shape: tuple[int, int], rng: np.random.Generator) -> Array:
+        if self.tail_dof is None:
+            return rng.standard_normal(shape)
+        return rng.standard_t(self.tail_dof, shape) * np.sqrt((self.tail_dof - 2) / self.tail_dof)
+
+
+@dataclass(frozen=True)
+class StereoHead:
+    """A stereo head that reports points in the base frame.
+
+    Attributes:
+        position_m: (3,) in the base frame.
+        axes: rows are its axes x right, y down, z along the optical axis, in the base frame.
+        effects: camera-side errors, in order.
+    """
+
+    position_m: Array
+    axes: Array
+    effects: tuple[CameraEffect, ...] = ()
+
+    @classmethod
+    def of(cls, arm: Arm, effects: Sequence[CameraEffect] = ()) -> StereoHead:
+        """The declared head of an arm, upright.
+
+        Raises:
+            InputError: the arm declares no camera, or one that looks straight up or down.
+        """
+        if arm.camera is None:
+            raise InputError(arm.name, "camera", "missing", "position_m and optical_axis")
+        z = np.asarray(arm.camera.optical_axis, float)
+        z = z / np.linalg.norm(z)
+        x = np.cross(z, (0.0, 0.0, 1.0))
+        if np.linalg.norm(x) < 1e-6:
+            raise InputError(arm.name, "camera.optical_axis", z, "a direction off the vertical")
+        x = x / np.linalg.norm(x)
+        axes = np.stack([x, np.cross(z, x), z])
+        return cls(np.asarray(arm.camera.position_m, float), axes, tuple(effects))
+
+    def seen(self, points: Array, t_s: Array | float = 0.0) -> Array:
+        """Noise-free report (N, 3) m of true points (N, 3) m, camera-side effects included."""
+        t = np.broadcast_to(t_s, len(points)).astype(float)
+        local = (points - self.position_m) @ self.axes.T
+        for effect in self.effects:
+            local = effect.seen(local, t)
+        return local @ self.axes + self.position_m
+
+    def sight(self, points: Array) -> Array:
+        """Unit line of sight to each point, (N, 3)."""
+        line = points - self.position_m
+        return line / np.linalg.norm(line, axis=1, keepdims=True)
+
+
+@dataclass(frozen=True)
+class Session:
+    """A measured session and what really was.
+
+    Attributes:
+        columns: as in samples.csv; NaN is blank.
+        truth: noise-free: `tip` (N, 3) m, `seen` (N, 3) m with camera-side effects, `side`
+            (N, n) true approach, `outlier` (N,) bool.
+    """
+
+    columns: dict[str, Array]
+    truth: dict[str, Array] = field(repr=False)
+
+
+def measure_session(
+    true_arm: TrueArm,
+    camera: StereoHead,
+    poses: Array,
+    *,
+    rng: np.random.Generator,
+    approach: Approach = "random",
+    repeats: int = 0,
+    lost: float = 0.0,
+    outliers: float = 0.0,
+    noise: Noise | None = None,
+    start_s: float = 0.0,
+    warming_k: float = 10.0,
+    payload_kg: float | Array | None = None,
+) -> Session:
+    """Drive the true arm through poses and measure its tip.
+
+    Args:
+        true_arm: what stands there.
+        camera: what looks at it.
+        poses: commanded joints (N, n).
+        rng: all chance.
+        approach: `both`: every pose twice, from below and from above; `random`: one side at
+            random; `mixed`: a third of these left blank; `previous`: all blank. A blank row
+            arrives joint by joint from the row before.
+        repeats: this many poses (drawn) come twice more, spread over the session.
+        lost: share of rows without a sighting.
+        outliers: share of rows with a gross error of 4-15 mm.
+        noise: `Noise()` by default.
+        start_s: clock at the first row.
+        warming_k: by how much the room warms up over hours.
+        payload_kg: carried mass, scalar or (N,); as declared by default.
+    """
+    arm = true_arm.arm
+    poses = true_arm.state(poses).q
+    order, repeat_id = _with_repeats(len(poses), repeats, approach == "both", rng)
+    q = poses[order]
+    rows = len(q)
+    written = _written_side(approach, order, rng)
+    side = arrival(q, written)
+    t = np.round(start_s + np.cumsum(rng.uniform(13.0, 19.0, rows)), 1)
+    temperature = np.round(_warming(t, arm.reference_temperature_c, warming_k, rng), 2)
+    declared = arm.payload.mass_kg if arm.payload else 0.0
+    mass = np.broadcast_to(declared if payload_kg is None else payload_kg, len(poses))[order]
+    context = Context(side, temperature, mass, t)
+    tip = true_arm.tip(q, context)
+    seen = camera.seen(tip, t)
+    sight = camera.sight(seen)
+    xyz = seen + (noise or Noise()).draw(sight, rng)
+    gross = rng.random(rows) < outliers
+    jump = rng.standard_normal((rows, 3)) * 0.4 + rng.choice([-1.0, 1.0], (rows, 1)) * sight
+    jump *= rng.uniform(4e-3, 15e-3, (rows, 1)) / np.linalg.norm(jump, axis=1, keepdims=True)
+    xyz = xyz + gross[:, None] * jump
+    xyz[rng.random(rows) < lost] = np.nan
+    columns = {
+        "index": np.arange(rows, dtype=float),
+        "t_s": t,
+        "temperature_c": temperature,
+        "payload_kg": mass.astype(float),
+        "approach": written,
+        **{f"q{k + 1}": q[:, k] for k in range(arm.n)},
+        **{axis: xyz[:, k] for k, axis in enumerate("xyz")},
+        "repeat_id": repeat_id,
+    }
+    for effect in true_arm.hidden:
+        for name, clean in effect.readings(true_arm.state(q, context)).items():
+            columns[name] = clean + 5e-5 * rng.standard_normal(rows)
+    return Session(columns, {"tip": tip, "seen": seen, "side": side, "outlier": gross})
+
+
+def arrival(q: Array, written: Array) -> Array:
+    """Side (N, n) of -1, 0, +1 that each joint arrived from: below is +1.
+
+    A row's written side (N,) holds for all joints; where it is blank (NaN) a joint that moved
+    says it, and one that did not keeps its side.
+    """
+    side = np.zeros_like(q)
+    for k in range(len(q)):
+        if np.isfinite(written[k]):
+            side[k] = written[k]
+        elif k > 0:
+            moved = np.sign(np.round(q[k] - q[k - 1], 9))
+            side[k] = np.where(moved != 0, moved, side[k - 1])
+    return side
+
+
+def write_session(path: str | Path, columns: Mapping[str, Array]) -> None:
+    """Write samples.csv (or any columns of one length); NaN becomes blank.
+
+    Raises:
+        InputError: the columns differ in length, or the file cannot be written.
+    """
+    lengths = {len(column) for column in columns.values()}
+    if len(lengths) != 1:
+        raise InputError(path, "columns", f"lengths {sorted(lengths)}", "columns of one length")
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    cells = [[_cell(name, value) for value in column] for name, column in columns.items()]
+    writer.writerows(zip(*cells, strict=True))
+    write_text(path, text.getvalue())
+
+
+_WHOLE = ("index", "approach", "repeat_id")
+
+
+def _cell(name: str, value: float) -> str:
+    if not np.isfinite(value):
+        return ""
+    return str(int(value)) if name in _WHOLE else f"{value:.9g}"
+
+
+def _with_repeats(
+    poses: int, repeats: int, both: bool, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Pose number of every row, and the repeat id (row of the first of its kind; NaN: alone)."""
+    order = np.arange(poses)
+    again = rng.choice(poses, min(repeats, poses), replace=False)
+    for pose in np.repeat(again, 2):
+        order = np.insert(order, rng.integers(0, len(order) + 1), pose)
+    if both:
+        order = np.repeat(order, 2)
+    first = {pose: int(np.argmax(order == pose)) for pose in again}
+    return order, np.array([first.get(pose, np.nan) for pose in order], float)
+
+
+def _written_side(approach: Approach, order: Array, rng: np.random.Generator) -> Array:
+    side = rng.choice([-1.0, 1.0], len(order))
+    if approach == "both":
+        side[1::2] = -side[::2]
+    if approach == "mixed":
+        side[rng.random(len(order)) < 1 / 3] = np.nan
+    if approach == "previous":
+        side[:] = np.nan
+    return side
+
+
+def _warming(t: Array, start_c: float, rise: float, rng: np.random.Generator) -> Array:
+    """Room and motors warm up over hours, with a draught, read to 0.03 K."""
+    slow = rise * -np.expm1(-t / 5000) + 0.15 * rise * np.sin(2 * np.pi * t / 2500)
+    return start_c + slow + 0.03 * rng.standard_normal(len(t))
