@@ -13,6 +13,7 @@ from longarm_comp.core.effects.joint_term import JointTerm, typical_loads
 from longarm_comp.core.posture import Posture
 from longarm_comp.core.spatial import Twist
 
+_RESTING = 1e-9  # N m: a vertical axis carries no torque but for rounding
 GATES = (0.0, 0.03, 0.075, 0.15, 0.3)
 
 
@@ -45,6 +46,6 @@ class Backlash(JointTerm):
         """Half the width to the side that holds."""
         load = self.load(posture)
         side = spatial.where(
-            abs(load) > self.threshold, spatial.sign(load), -1.0 * self.direction(posture)
+            abs(load) > self.threshold + _RESTING, spatial.sign(load), -1.0 * self.direction(posture)
         )
         return self.motion(posture, (0.5 * self.width) * side)

@@ -1,0 +1,1 @@
+"""One step of closing the loop each: fit, noise, structure, trace, confirm, next poses."""
