@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -68,6 +69,18 @@ class Context:
         if isinstance(held, str):
             return 1.0 if held == value else 0.0
         return (np.asarray(held) == value).astype(float)
+
+    def take(self, rows: np.ndarray | slice) -> Context:
+        """The context of some of N postures; what is one scalar for all stays so."""
+
+        def of(value: Any) -> Any:
+            return value[rows] if np.ndim(value) else value
+
+        return Context(
+            tuple(of(a) for a in self.approach),
+            {name: of(v) for name, v in self.columns.items()},
+            {name: of(v) for name, v in self.labels.items()},
+        )
 
     @classmethod
     def empty(cls) -> Context:

@@ -54,6 +54,11 @@ def where(condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
     return condition.where(yes, no)
 
 
+def atan2(y: Scalar, x: Scalar) -> Scalar:
+    """Angle of the point (x, y) (rad)."""
+    return math.atan2(y, x) if type(y) is float and type(x) is float else np.arctan2(y, x)
+
+
 def tanh(x: Scalar) -> Scalar:
     """Hyperbolic tangent of a float or of anything NumPy's ufunc accepts."""
     return math.tanh(x) if type(x) is float else np.tanh(x)

@@ -1,0 +1,112 @@
+"""One damped least-squares step inside a box: the linear algebra of the inverse kinematics.
+
+Written on flat buffers, without a branch on data in `solve_damped`, so that the same lines
+serve Python lists of floats, numba, and arrays whose entries are (N,) slices.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from longarm_comp.core.spatial import atan2, sqrt
+
+Buffer = Any  # list of floats, (k,) array, or (k, N) array
+
+
+def solve_damped(
+    J: Buffer,
+    e: Buffer,
+    free: Buffer,
+    damping: Any,
+    m: int,
+    n: int,
+    A: Buffer,
+    y: Buffer,
+    u: Buffer,
+) -> None:
+    """Smallest u with ``J F u = e`` in the damped sense: ``u = F J' (J F J' + damping 1)^-1 e``.
+
+    Args:
+        J: m x n, row after row.
+        e: m.
+        free: n; 1 where an unknown is free, 0 where it is held (F is its diagonal).
+        damping: above 0, so that the Cholesky factor exists.
+        A: m x m, work; keeps the factor (below the diagonal) and the inverse pivots.
+        y: m, work.
+        u: n, the result.
+    """
+    for i in range(m):
+        for j in range(i + 1):
+            s = J[i * n] * J[j * n] * free[0]
+            for k in range(1, n):
+                s = s + J[i * n + k] * J[j * n + k] * free[k]
+            A[i * m + j] = s
+        A[i * m + i] = A[i * m + i] + damping
+    for j in range(m):  # A = L D L'
+        pivot = A[j * m + j]
+        for k in range(j):
+            pivot = pivot - A[j * m + k] * A[j * m + k] * A[k * m + k]
+        A[j * m + j] = pivot
+        for i in range(j + 1, m):
+            s = A[i * m + j]
+            for k in range(j):
+                s = s - A[i * m + k] * A[j * m + k] * A[k * m + k]
+            A[i * m + j] = s / pivot
+    for i in range(m):
+        s = e[i]
+        for k in range(i):
+            s = s - A[i * m + k] * y[k]
+        y[i] = s
+    for i in range(m - 1, -1, -1):
+        s = y[i] / A[i * m + i]
+        for k in range(i + 1, m):
+            s = s - A[k * m + i] * y[k]
+        y[i] = s
+    for k in range(n):
+        s = J[k] * y[0]
+        for i in range(1, m):
+            s = s + J[i * n + k] * y[i]
+        u[k] = s * free[k]
+
+
+def rotation_error(R: Buffer, target: Buffer, e: Buffer, at: int) -> Any:
+    """Rotation vector (rad, base frame) from R to the target, written to ``e[at:at+3]``.
+
+    Args:
+        R, target: axes n, o, a one after the other, 9 numbers each.
+
+    Returns:
+        The angle (rad), 0 to pi.  At pi the direction is lost (the vector is 0), the angle is not.
+    """
+    x = 0.5 * (
+        R[1] * target[2]
+        - R[2] * target[1]
+        + R[4] * target[5]
+        - R[5] * target[4]
+        + R[7] * target[8]
+        - R[8] * target[7]
+    )
+    y = 0.5 * (
+        R[2] * target[0]
+        - R[0] * target[2]
+        + R[5] * target[3]
+        - R[3] * target[5]
+        + R[8] * target[6]
+        - R[6] * target[8]
+    )
+    z = 0.5 * (
+        R[0] * target[1]
+        - R[1] * target[0]
+        + R[3] * target[4]
+        - R[4] * target[3]
+        + R[6] * target[7]
+        - R[7] * target[6]
+    )
+    trace = R[0] * target[0] + R[1] * target[1] + R[2] * target[2]
+    trace = trace + R[3] * target[3] + R[4] * target[4] + R[5] * target[5]
+    trace = trace + R[6] * target[6] + R[7] * target[7] + R[8] * target[8]
+    s = sqrt(x * x + y * y + z * z)
+    angle = atan2(s, 0.5 * (trace - 1.0))
+    ratio = angle / (s + 1e-300)
+    e[at], e[at + 1], e[at + 2] = ratio * x, ratio * y, ratio * z
+    return angle
