@@ -52,7 +52,7 @@ def read_csv(path: str | Path, arm: Arm, joint_columns: Sequence[str] | None = N
     if joint_columns is None:
         _refuse_further_joints(table, arm)
     check_unknown(table.where, table.header, known, kept=_free(table.header, joint_columns))
-    columns, labels = _context(table, set(known))
+    columns, labels = recorded_besides(table, set(known))
     return Session.record(
         q=np.stack([table.numbers(name, "rad or m") for name in joints], axis=-1),
         xyz=_measured(table),
@@ -89,6 +89,24 @@ def write_csv(session: Session, path: str | Path) -> None:
 def joint_names(n: int) -> tuple[str, ...]:
     """``q1..qn``."""
     return tuple(f"q{j}" for j in range(1, n + 1))
+
+
+def recorded_besides(
+    table: Table, known: set[str]
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Numbers and texts that were recorded besides; a column that is blank throughout is absent."""
+    columns: dict[str, np.ndarray] = {}
+    labels: dict[str, np.ndarray] = {}
+    for name in table.header:
+        if table.blank(name).all():
+            continue
+        if name in UNITS:
+            columns[name] = table.numbers(name, f"{UNITS[name]}, in every row or in none")
+        elif name in LABELS or (name not in known and not table.is_numeric(name)):
+            labels[name] = np.array(table.cells[name])
+        elif name not in known or name in ("cov_xy", "cov_xz", "cov_yz"):
+            columns[name] = table.numbers(name, "in every row, or text")
+    return columns, labels
 
 
 def _known(n: int) -> tuple[str, ...]:
@@ -146,22 +164,6 @@ def _sigma(table: Table) -> np.ndarray | None:
             made = [table.numbers(name, unit, False, lambda v: v > 0) for name in names]
             return np.stack(made, axis=-1) ** power
     return None
-
-
-def _context(table: Table, known: set[str]) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Numbers and texts that were recorded besides; a column that is blank throughout is absent."""
-    columns: dict[str, np.ndarray] = {}
-    labels: dict[str, np.ndarray] = {}
-    for name in table.header:
-        if table.blank(name).all():
-            continue
-        if name in UNITS:
-            columns[name] = table.numbers(name, f"{UNITS[name]}, in every row or in none")
-        elif name in LABELS or (name not in known and not table.is_numeric(name)):
-            labels[name] = np.array(table.cells[name])
-        elif name not in known or name in ("cov_xy", "cov_xz", "cov_yz"):
-            columns[name] = table.numbers(name, "in every row, or text")
-    return columns, labels
 
 
 def _written_approach(session: Session) -> dict[str, Sequence[object] | np.ndarray]:

@@ -1,0 +1,56 @@
+"""A plan as a CSV file (poses.csv): ``index,approach,q1..qn[,payload_kg]``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.plan import Plan
+from longarm_comp.sessions.csv import joint_names
+from longarm_comp.sessions.names import check_header
+from longarm_comp.sessions.table import read_table, write_table
+
+_SLACK = 1e-6  # printed digits of a joint that stands on its limit
+
+
+def write_poses(plan: Plan, path: str | Path) -> None:
+    """Write a plan, whole or not at all."""
+    columns: dict[str, Sequence[object] | np.ndarray] = {
+        "index": range(len(plan)),
+        "approach": [None if side == 0 else int(side) for side in plan.approach],
+        **{name: plan.q[:, j] for j, name in enumerate(joint_names(plan.q.shape[1]))},
+    }
+    if plan.payload_kg is not None:
+        columns["payload_kg"] = plan.payload_kg
+    write_table(path, list(columns), zip(*columns.values(), strict=True))
+
+
+def read_poses(path: str | Path, arm: Arm) -> Plan:
+    """Read a plan for an arm; a blank approach is 0, from wherever the arm comes.
+
+    Raises:
+        InputError: a column is missing or unknown, a pose lies outside the joint limits.
+    """
+    table = read_table(path)
+    joints = joint_names(arm.n)
+    known = ("index", "approach", "payload_kg", *joints)
+    check_header(table.where, table.header, joints)
+    for name in table.header:
+        if name not in known:
+            raise InputError(table.where, f"column {name}", "unknown", " ".join(known))
+    q = np.stack([table.numbers(name, "rad or m") for name in joints], axis=-1)
+    for row, j in zip(
+        *np.nonzero((q < arm.lower - _SLACK) | (q > arm.upper + _SLACK)), strict=True
+    ):
+        limits = f"{arm.lower[j]:.6g} to {arm.upper[j]:.6g} (limits of {arm.joint_names[j]})"
+        raise table.error(row, joints[j], limits)
+    approach = np.zeros(len(table))
+    if "approach" in table.cells:
+        sides = table.numbers("approach", "+1 or -1", True, lambda v: v in (-1.0, 0.0, 1.0))
+        approach = np.nan_to_num(sides)
+    payload = table.numbers("payload_kg", "kg") if "payload_kg" in table.cells else None
+    return Plan(np.clip(q, arm.lower, arm.upper), approach.astype(int), payload)

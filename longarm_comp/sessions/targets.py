@@ -1,0 +1,150 @@
+"""Targets asked for (targets.csv) and joint commands answered (commands.csv)."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from longarm_comp.core.context import Context
+from longarm_comp.core.errors import InputError
+from longarm_comp.sessions.csv import UNITS, XYZ, joint_names, recorded_besides
+from longarm_comp.sessions.names import check_header, check_unknown
+from longarm_comp.sessions.table import read_table, write_table
+
+QUATERNION = ("qx", "qy", "qz", "qw")
+_UNIT_LENGTH = 1e-3  # a quaternion printed with few digits is this far from length 1
+
+
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """N points or poses to reach, in the base frame.
+
+    Attributes:
+        index: (N,) number of each target.
+        xyz: (N, 3), m.
+        quaternion: (N, 4) x, y, z, w of unit length; NaN rows leave the orientation free.
+        approach: (N,) side that all joints shall arrive from, 0 unknown.
+        columns: further numbers by name, (N,) each, as in `Session.columns`.
+        labels: text by name, (N,) each.
+        source: file, for messages.
+    """
+
+    index: np.ndarray
+    xyz: np.ndarray
+    quaternion: np.ndarray
+    approach: np.ndarray
+    columns: Mapping[str, np.ndarray] = field(default_factory=dict)
+    labels: Mapping[str, np.ndarray] = field(default_factory=dict)
+    source: str = "targets"
+
+    def __len__(self) -> int:
+        """Number of targets."""
+        return len(self.xyz)
+
+    def context(self, row: int, n: int) -> Context:
+        """Circumstances of one target for an arm of n joints: scalars are floats."""
+        side = float(self.approach[row])
+        return Context(
+            approach=(side,) * n if side else (),
+            columns={name: float(values[row]) for name, values in self.columns.items()},
+            labels={name: str(values[row]) for name, values in self.labels.items()},
+        )
+
+    @classmethod
+    def one(cls, numbers: Sequence[float]) -> Targets:
+        """One target from the command line: x y z, or x y z qx qy qz qw.
+
+        Raises:
+            InputError: another count, a number that is not finite, no unit quaternion.
+        """
+        values = np.asarray(numbers, dtype=float)
+        if values.shape not in ((3,), (7,)) or not np.isfinite(values).all():
+            allowed = "x y z or x y z qx qy qz qw, finite"
+            raise InputError("target", "numbers", list(numbers), allowed)
+        free = np.full((1, 4), np.nan)
+        made = cls(np.zeros(1, int), values[None, :3], free, np.zeros(1), source="target")
+        if len(values) == 3:
+            return made
+        length = np.linalg.norm(values[3:])
+        if abs(length - 1) > _UNIT_LENGTH:
+            raise InputError("target", "qx qy qz qw", f"length {length:.4g}", "length 1")
+        return dataclasses.replace(made, quaternion=values[None, 3:] / length)
+
+
+@dataclass(frozen=True)
+class Command:
+    """One line of commands.csv.
+
+    Attributes:
+        index: number of the target.
+        status: ``success``, or why not in one word.
+        reason: in one sentence; empty on success.
+        q: commanded joints (n,), rad and m; None without success.
+        target: asked for, (3,), m.
+        predicted_error: expected error (3,), m; None where none was predicted.
+        sigma_m: its standard deviation per axis, m.
+        passes: pseudo-target passes used.
+    """
+
+    index: int
+    status: str
+    reason: str
+    q: np.ndarray | None
+    target: np.ndarray
+    predicted_error: np.ndarray | None = None
+    sigma_m: float | None = None
+    passes: int = 0
+
+
+def read_targets(path: str | Path) -> Targets:
+    """Read ``x,y,z[,qx,qy,qz,qw][,temperature_c,payload_kg,t_s,approach][,index]``.
+
+    A row with a blank quaternion leaves the orientation free; other columns are kept as
+    context, as in a session.
+
+    Raises:
+        InputError: names file, line and column, what was found and what is allowed.
+    """
+    table = read_table(path)
+    required = XYZ + (QUATERNION if any(name in table.header for name in QUATERNION) else ())
+    known = (*XYZ, *QUATERNION, *UNITS, "approach", "index")
+    check_header(table.where, table.header, required)
+    check_unknown(table.where, table.header, known)
+    xyz = np.stack([table.numbers(name, "m") for name in XYZ], axis=-1)
+    quaternion = np.full((len(table), 4), np.nan)
+    if len(required) > len(XYZ):
+        made = [table.numbers(name, "unit quaternion", blanks=True) for name in QUATERNION]
+        quaternion = np.stack(made, axis=-1)
+        length = np.linalg.norm(quaternion, axis=1)
+        for row in range(len(table)):
+            blanks = np.isnan(quaternion[row]).sum()
+            if blanks not in (0, 4) or abs(length[row] - 1) > _UNIT_LENGTH:
+                raise table.error(row, "qx", "a quaternion of length 1, or four blanks")
+        quaternion = quaternion / length[:, None]
+    approach = np.zeros(len(table))
+    if "approach" in table.cells:
+        sides = table.numbers("approach", "+1 or -1", True, lambda v: v in (-1.0, 0.0, 1.0))
+        approach = np.nan_to_num(sides)
+    columns, labels = recorded_besides(table, set(known))
+    index = table.integers("index") if "index" in table.cells else np.arange(len(table))
+    return Targets(index, xyz, quaternion, approach, columns, labels, table.where)
+
+
+def write_commands(path: str | Path, n: int, commands: Sequence[Command]) -> None:
+    """Write commands.csv for an arm of n joints, whole or not at all."""
+    header = [
+        *("index", "status", "reason", *joint_names(n)),
+        *("target_x", "target_y", "target_z"),
+        *("predicted_error_x", "predicted_error_y", "predicted_error_z", "sigma_mm", "passes"),
+    ]
+    rows = []
+    for c in commands:
+        q = [None] * n if c.q is None else list(c.q)
+        error = [None] * 3 if c.predicted_error is None else list(c.predicted_error)
+        sigma_mm = None if c.sigma_m is None else 1e3 * c.sigma_m
+        rows.append([c.index, c.status, c.reason, *q, *c.target, *error, sigma_mm, c.passes])
+    write_table(path, header, rows)
