@@ -1,0 +1,208 @@
+"""Training of a predictor: encode, sparrow start, back-propagation, calibration of sigma."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.learn.inputs import Context, check_rows, fit_encoding, raw_columns
+from longarm_comp.core.learn.network import (
+    Shape,
+    forward,
+    output_jacobian,
+    sparrow_start,
+    with_ones,
+    xavier_start,
+)
+from longarm_comp.core.learn.predictor import Predictor, Provenance
+from longarm_comp.core.learn.sparrow import SparrowSearch
+from longarm_comp.core.learn.training import Fit, back_propagate
+
+Array = NDArray[np.float64]
+Progress = Callable[[int, int], None]
+Start = Callable[[Shape, Array, Array, np.random.Generator, SparrowSearch], Array]
+
+INITS: dict[str, Start] = {
+    "ssa": sparrow_start,
+    "xavier": lambda shape, x, y, rng, search: xavier_start(shape, rng),
+}
+HIDDEN_CHOICES = (8, 12, 18, 26)  # tried in turn while the evidence grows
+_FEWEST_ROWS = 20
+_Z90 = 1.6449
+
+
+def train(
+    q: Array,
+    residual: Array,
+    context: Context | None = None,
+    *,
+    inputs: str = "context",
+    init: str = "ssa",
+    seed: int = 0,
+    population: int = 50,
+    iterations: int = 50,
+    hidden: int | None = None,
+    ensemble: int = 5,
+    weights: Array | None = None,
+    progress: Progress | None = None,
+    provenance: Provenance | None = None,
+) -> Predictor:
+    """Train the paper's SSA-BP on residuals.
+
+    Parameters
+    ----------
+    q: (N, n) commanded joints, rad and m.
+    residual: (N, 3) measured - predicted, m.
+    context: ``approach`` (N, n) or (N,) in {-1, 0, +1}, 0 or NaN where not known,
+        ``temperature_c`` (N,), ``payload_kg`` (N,), ``t_s`` (N,).
+    inputs: ``context`` or ``joints`` (the paper's).
+    init: ``ssa`` or ``xavier`` (the control).
+    seed: the same seed gives the same predictor on the same machine.
+    population, iterations: of the sparrow search.
+    hidden: hidden units; ``None`` picks them by evidence.
+    ensemble: members, each from its own start.
+    weights: (N,) precision factors of the samples; 0 leaves one out.
+    progress: called with (members done, members in all).
+
+    Raises
+    ------
+    InputError: wrong shapes, values not finite, fewer than 20 samples, all rows one pose.
+    """
+    q, known = check_rows("train", q, context or {})
+    y, weights = _checked_targets(q, residual, weights)
+    if init not in INITS:
+        raise InputError("train", "init", init, f"one of {sorted(INITS)}")
+    if ensemble < 1:
+        raise InputError("train", "ensemble", ensemble, "an integer >= 1")
+    if hidden is not None and not 1 <= hidden <= 500:
+        raise InputError("train", "hidden", hidden, "an integer in 1..500")
+    encoding = fit_encoding(q, known, inputs)
+    search = SparrowSearch(population, iterations)
+    x = encoding.encode(q, known)
+    offset = np.median(y[weights > 0], axis=0)
+    scale = float(np.sqrt(np.mean(np.median(np.abs(y - offset)[weights > 0], axis=0) ** 2)))
+    scale = max(1.4826 * scale, 1e-9)
+    target = (y - offset) / scale
+    streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(ensemble + 1)]
+
+    def fit(units: int, rng: np.random.Generator) -> Fit:
+        shape = Shape(x.shape[1], units, 3)
+        start = INITS[init](shape, x, target, rng, search)
+        return back_propagate(shape, start, x, target, weights)
+
+    units = hidden or _likeliest_size(fit, seed, x.shape[1], int((weights > 0).sum()))
+    fits = []
+    for done, rng in enumerate(streams[:ensemble]):
+        if progress is not None:
+            progress(done, ensemble)
+        fits.append(fit(units, rng))
+    if progress is not None:
+        progress(ensemble, ensemble)
+    fits.sort(key=lambda each: -each.evidence)
+    settings = {
+        "inputs": inputs, "init": init, "seed": seed, "population": population,
+        "iterations": iterations, "hidden": units, "ensemble": ensemble, "samples": len(q),
+    }  # fmt: skip
+    origin = provenance or Provenance()
+    raw = raw_columns(q, known, encoding.context)
+    lower, upper = _ranges(raw)
+    draft = Predictor(
+        encoding=encoding,
+        lower=lower,
+        upper=upper,
+        weights=np.array([each.weights for each in fits]),
+        hidden=units,
+        posterior=fits[0].posterior.astype(np.float32),
+        offset=offset,
+        scale=scale,
+        noise=np.full(3, scale * float(np.median([each.sigma for each in fits]))),
+        widen=np.ones(3),
+        variance_limit=np.inf,
+        provenance=Provenance(
+            origin.arm_hash, origin.session_hash, origin.joint_names,
+            {**origin.settings, **settings},
+        ),
+    )  # fmt: skip
+    return _calibrated(draft, fits, x, y, weights, streams[-1])
+
+
+def _likeliest_size(
+    fit: Callable[[int, np.random.Generator], Fit], seed: int, inputs: int, samples: int
+) -> int:
+    """Hidden units of greatest evidence, tried upwards until it falls."""
+    best, best_evidence = HIDDEN_CHOICES[0], -np.inf
+    for units in HIDDEN_CHOICES:
+        if units > HIDDEN_CHOICES[0] and Shape(inputs, units, 3).size > 1.5 * samples:
+            break
+        evidence = fit(units, np.random.default_rng([seed, units])).evidence
+        if evidence <= best_evidence:
+            break
+        best, best_evidence = units, evidence
+    return best
+
+
+def _calibrated(
+    draft: Predictor,
+    fits: Sequence[Fit],
+    x: Array,
+    y: Array,
+    weights: Array,
+    rng: np.random.Generator,
+) -> Predictor:
+    """Set the conformal factors and the variance limit."""
+    from dataclasses import replace
+
+    _, epistemic = draft._mean_and_variance(x)
+    left_out = np.mean([_leave_one_out(draft.shape, f, x, (y - draft.offset) / draft.scale, weights)
+                        for f in fits], axis=0) * draft.scale  # fmt: skip
+    score = np.abs(left_out) / np.sqrt(epistemic + draft.noise**2)
+    used = score[weights > 0]
+    level = min(1.0, np.ceil(0.9 * (len(used) + 1)) / len(used))
+    widen = np.quantile(used, level, axis=0) / _Z90
+    # the training region as a box: joints anywhere in it, context as met in training
+    joints = int(np.sum(draft.encoding.kept < draft.encoding.joints))
+    probe = x[rng.integers(0, len(x), 2000)].copy()
+    probe[:, :joints] = rng.uniform(x[:, :joints].min(0), x[:, :joints].max(0), (2000, joints))
+    _, variance = draft._mean_and_variance(probe)
+    limit = 4.0 * float(np.quantile(variance.max(axis=1), 0.99))
+    return replace(draft, widen=widen, variance_limit=limit)
+
+
+def _leave_one_out(shape: Shape, fit: Fit, x: Array, target: Array, weights: Array) -> Array:
+    """Residuals (N, 3) as if each sample had been left out: ``(I - H_i)^-1 r_i``, linearised."""
+    left = np.empty_like(target)
+    precision = weights * fit.row_weights / fit.sigma**2
+    eye = np.eye(target.shape[1])
+    for start in range(0, len(x), 512):
+        rows = slice(start, start + 512)
+        x1 = with_ones(x[rows])
+        jacobian = output_jacobian(shape, fit.weights, x1)
+        half = jacobian @ fit.posterior.T
+        leverage = precision[rows, None, None] * (half @ half.transpose(0, 2, 1))
+        residual = target[rows] - forward(shape, fit.weights, x1)
+        keep = eye - leverage + 1e-6 * eye
+        left[rows] = np.linalg.solve(keep, residual[:, :, None])[:, :, 0]
+    return left
+
+
+def _ranges(raw: Array) -> tuple[Array, Array]:
+    known = np.where(np.isnan(raw).all(axis=0), 0.0, raw)
+    return np.nanmin(known, axis=0), np.nanmax(known, axis=0)
+
+
+def _checked_targets(q: Array, residual: Array, weights: Array | None) -> tuple[Array, Array]:
+    y = np.asarray(residual, float)
+    if y.shape != (len(q), 3):
+        raise InputError("train", "residual", f"shape {y.shape}", f"({len(q)}, 3) in m")
+    if not np.isfinite(y).all():
+        row = int(np.argwhere(~np.isfinite(y))[0, 0])
+        raise InputError("train", f"residual of row {row}", y[row], "finite (drop lost markers)")
+    w = np.ones(len(q)) if weights is None else np.asarray(weights, float)
+    if w.shape != (len(q),) or not np.isfinite(w).all() or (w < 0).any():
+        raise InputError("train", "weights", f"shape {w.shape}", f"({len(q)},), finite, >= 0")
+    if (w > 0).sum() < _FEWEST_ROWS:
+        raise InputError("train", "samples", int((w > 0).sum()), f">= {_FEWEST_ROWS}")
+    return y, w

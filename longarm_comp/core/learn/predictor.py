@@ -1,0 +1,144 @@
+"""The learned residual: an ensemble of BP networks that says how sure it is, or refuses.
+
+``error = measured - predicted`` (m), so a prediction is subtracted from the target. ``sigma`` is
+the standard deviation of a new measurement around the prediction: spread of the ensemble, Laplace
+posterior of its likeliest member and noise, scaled so that 90 % intervals (``+-1.645 sigma``) hold
+on leave-one-out residuals (normalised conformal; Lei et al. 2018, J. Am. Stat. Assoc. 113).
+
+Outside the training region the predictor refuses: ``in_domain`` is False and ``reason`` says why.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.learn.inputs import Context, Encoding, check_rows, raw_columns, raw_names
+from longarm_comp.core.learn.network import Shape, output_jacobian, with_ones
+
+Array = NDArray[np.float64]
+
+_JOINT_MARGIN = 0.02  # of a joint's training range
+_CONTEXT_MARGIN = 0.5  # of a context column's training range: it matters less, and drifts
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Expected residual at N postures."""
+
+    error: Array  # (N, 3) m, measured - predicted
+    sigma: Array  # (N, 3) m, sd of a measurement around ``error``
+    in_domain: NDArray[np.bool_]  # (N,)
+    reason: list[str]  # (N,) empty where in domain
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What the predictor belongs to and how it was made."""
+
+    arm_hash: str = ""
+    session_hash: str = ""
+    joint_names: tuple[str, ...] = ()
+    settings: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Predictor:
+    """A trained ensemble; ``train`` makes one, ``load`` reads one."""
+
+    encoding: Encoding
+    lower: Array  # (columns,) training range of every raw column
+    upper: Array
+    weights: Array  # (M, D), standardised units
+    hidden: int
+    posterior: NDArray[np.float32]  # (D, D) L^-1 of the first member, the likeliest
+    offset: Array  # (3,) m, subtracted from the residual before scaling
+    scale: float  # m, one for the three axes
+    noise: Array  # (3,) m
+    widen: Array  # (3,) conformal factor
+    variance_limit: float  # m^2, largest epistemic variance still trusted
+    provenance: Provenance = field(default_factory=Provenance)
+
+    def __post_init__(self) -> None:
+        shape = Shape(len(self.encoding.kept), self.hidden, len(self.offset))
+        object.__setattr__(self, "_shape", shape)
+        v, w, b = shape.split(self.weights)
+        object.__setattr__(self, "_members", tuple(map(np.ascontiguousarray, (v, w, b[:, None]))))
+        margin = np.full(len(self.lower), _CONTEXT_MARGIN)
+        margin[: self.encoding.joints] = _JOINT_MARGIN
+        width = margin * (self.upper - self.lower) + 1e-6
+        object.__setattr__(self, "_box", (self.lower - width, self.upper + width))
+
+    @property
+    def shape(self) -> Shape:
+        """Sizes of each network of the ensemble."""
+        shape: Shape = self._shape  # type: ignore[attr-defined]
+        return shape
+
+    def predict(self, q: Array, context: Context | None = None) -> Prediction:
+        """Expected residual at joints (N, n), rad and m.
+
+        Context that is absent or NaN is taken at its training mean.
+
+        Raises
+        ------
+        InputError: wrong shape or not finite, unknown context name.
+        """
+        q, known = check_rows("predict", q, context or {})
+        if q.shape[1] != self.encoding.joints:
+            raise InputError("predict", "q", f"{q.shape[1]} joints", f"{self.encoding.joints}")
+        error, epistemic = self._mean_and_variance(self.encoding.encode(q, known))
+        sigma = self.widen * np.sqrt(epistemic + self.noise**2)
+        inside, reason = self._domain(q, known, epistemic.max(axis=1))
+        return Prediction(error, sigma, inside, reason)
+
+    def _mean_and_variance(self, x: Array) -> tuple[Array, Array]:
+        """Mean (N, 3) and epistemic variance (N, 3) in m, m^2 for standardised inputs (N, d)."""
+        v, w, b = self._members  # type: ignore[attr-defined]
+        x1 = with_ones(x)
+        outputs = np.tanh(x1 @ v) @ w + b  # (M, N, 3)
+        mean = outputs.mean(axis=0)
+        variance = ((outputs - mean) ** 2).sum(axis=0) / max(1, len(outputs) - 1)
+        for start in range(0, len(x1), 1024):
+            rows = slice(start, start + 1024)
+            jacobian = output_jacobian(self.shape, self.weights[0], x1[rows])
+            flat = jacobian.reshape(-1, self.shape.size).astype(np.float32)
+            spread = flat @ self.posterior.T
+            laplace = np.einsum("ij,ij->i", spread, spread)
+            variance[rows] += laplace.reshape(-1, len(self.offset))
+        return mean * self.scale + self.offset, variance * self.scale**2
+
+    def _domain(
+        self, q: Array, known: Mapping[str, Array], variance: Array
+    ) -> tuple[NDArray[np.bool_], list[str]]:
+        low, high = self._box  # type: ignore[attr-defined]
+        raw = raw_columns(q, known, self.encoding.context)
+        outside = (raw < low) | (raw > high)  # NaN, not known, is neither
+        unsure = variance > self.variance_limit
+        bad = unsure | outside.any(axis=1)
+        reason = [""] * len(q)
+        names = raw_names(self.encoding.joints, self.encoding.context)
+        for row in np.flatnonzero(bad):
+            parts = [
+                f"{names[c]} = {raw[row, c]:.4g} outside the training range "
+                f"[{self.lower[c]:.4g}, {self.upper[c]:.4g}]"
+                for c in np.flatnonzero(outside[row])
+            ]
+            if unsure[row]:
+                parts.append(
+                    f"uncertainty {1e3 * variance[row] ** 0.5:.2f} mm above the limit "
+                    f"{1e3 * self.variance_limit**0.5:.2f} mm"
+                )
+            reason[row] = "; ".join(parts)
+        return ~bad, reason
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write to ``path`` (npz), whole or not at all; see ``predictor_file``."""
+        from longarm_comp.core.learn import predictor_file
+
+        predictor_file.save(self, path)

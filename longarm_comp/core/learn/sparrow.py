@@ -1,0 +1,263 @@
+"""Sparrow search (SSA): a population search for the start weights of the BP network.
+
+The algorithm of Xue and Shen, Systems Science & Control Engineering 8 (2020) 22-34, the paper's
+references [15] and [16], minimising ``fitness`` over a box. Sorted by fitness, ``i = 1..n``:
+
+===================  ========================  ====================================================
+role                 who                       update (``form="canonical"``)
+===================  ========================  ====================================================
+discoverer           ``i <= PD n``             ``X exp(-i / (alpha T))`` while ``R2 < ST``, else
+                                               ``X + Q`` (one ``Q ~ N(0, 1)`` for every dimension)
+follower             ``PD n < i <= n / 2``     ``Xp + sum_j(+-|X_j - Xp_j|) / D``
+starving follower    ``i > n / 2``             ``Q exp((Xworst - X) / i^2)``
+vigilante            random ``SD n``           ``Xbest + beta |X - Xbest|`` where ``f > f_best``, else
+                                               ``X + K |X - Xworst| / (f - f_worst)``
+===================  ========================  ====================================================
+
+``A+ = A'(AA')^-1`` of a row ``A`` of ``+-1`` is ``A' / D`` exactly, so nothing is inverted. The
+best and the worst are refreshed after the foragers have moved; each sparrow keeps its personal
+best; positions are clipped to the bounds. One iteration evaluates discoverers, followers and
+vigilantes as three batches.
+
+Errata of the paper's printed Eq. (6)-(8), kept selectable as ``form="printed"``:
+
+* (7) first line divides by ``alpha T`` instead of ``i^2``. With a long horizon the exponent is
+  nearly zero, so every starving sparrow becomes ``Q`` times a vector of ones: all weights of the
+  network alike, a start from which back-propagation cannot recover. As ``alpha -> 0`` it overflows.
+* (7) second line has ``X^{t+1}`` on both sides; read as ``X + ...`` it never moves a follower to
+  the discoverer ``Xp``.
+* (8) first line has ``exp(|Xworst - X| / (f - f_worst))``, unbounded as ``f -> f_worst``; the
+  canonical form has no exponential.
+* (8) second line draws one scalar ``beta``; the canonical form draws one per dimension.
+
+The measured effect stands in ``docs/ssa_bp.md`` and is printed again by
+``python -m longarm_comp.bench.ssa``.
+
+Known weakness: the update is biased towards the origin and the diagonal (all coordinates alike),
+so as a general-purpose optimiser it loses to differential evolution on shifted problems.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from longarm_comp.core.errors import InputError
+
+Array = NDArray[np.float64]
+Fitness = Callable[[Array], NDArray[np.floating]]
+
+_TINY = 1e-50
+
+
+@dataclass(frozen=True)
+class Flock:
+    """What the update rules may look at: best, worst and horizon of the current iteration."""
+
+    best: Array  # (D,)
+    worst: Array  # (D,)
+    best_fitness: float
+    worst_fitness: float
+    horizon: int  # T, iterations in all
+
+
+Discover = Callable[[np.random.Generator, Array, Array, int, bool], Array]
+Follow = Callable[[np.random.Generator, Array, Array], Array]
+Starve = Callable[[np.random.Generator, Array, Array, Flock], Array]
+Watch = Callable[[np.random.Generator, Array, Array, Flock], Array]
+
+
+@dataclass(frozen=True)
+class Rules:
+    """The four moves of one reading of the algorithm; each takes and returns (m, D) positions."""
+
+    discover: Discover  # (rng, position, rank (m,), horizon, alarmed)
+    follow: Follow  # (rng, position, leader (D,))
+    starve: Starve  # (rng, position, rank (m,), flock)
+    watch: Watch  # (rng, position, fitness (m,), flock)
+
+
+def _discover(
+    rng: np.random.Generator, position: Array, rank: Array, horizon: int, alarmed: bool
+) -> Array:
+    """Eq. (6): contract while calm, jump along the diagonal when alarmed."""
+    if alarmed:
+        return position + rng.standard_normal((len(position), 1))
+    alpha = 1.0 - rng.random(len(position))  # (0, 1]
+    shrink: Array = np.exp(-rank / (alpha * horizon))
+    return position * shrink[:, None]
+
+
+def _diagonal_step(rng: np.random.Generator, position: Array, leader: Array) -> Array:
+    """``|X - Xp| A+ L``: the mean of randomly signed distances, the same in every dimension."""
+    signs = rng.integers(0, 2, position.shape, dtype=np.int8) * 2 - 1
+    step: Array = np.mean(np.abs(position - leader) * signs, axis=1, keepdims=True)
+    return step
+
+
+def _follow(rng: np.random.Generator, position: Array, leader: Array) -> Array:
+    return leader + _diagonal_step(rng, position, leader)
+
+
+def _follow_printed(rng: np.random.Generator, position: Array, leader: Array) -> Array:
+    return position + _diagonal_step(rng, position, leader)
+
+
+def _starve(rng: np.random.Generator, position: Array, rank: Array, flock: Flock) -> Array:
+    quantity = rng.standard_normal((len(position), 1))
+    moved: Array = quantity * np.exp((flock.worst - position) / rank[:, None] ** 2)
+    return moved
+
+
+def _starve_printed(rng: np.random.Generator, position: Array, rank: Array, flock: Flock) -> Array:
+    quantity = rng.standard_normal((len(position), 1))
+    alpha = 1.0 - rng.random((len(position), 1))
+    moved: Array = quantity * np.exp((flock.worst - position) / (alpha * flock.horizon))
+    return moved
+
+
+def _watch(rng: np.random.Generator, position: Array, fitness: Array, flock: Flock) -> Array:
+    beta = rng.standard_normal(position.shape)
+    k = rng.uniform(-1.0, 1.0, (len(position), 1))
+    towards = flock.best + beta * np.abs(position - flock.best)
+    gap = (fitness - flock.worst_fitness)[:, None]
+    away = position + np.where(gap < 0, k * np.abs(position - flock.worst) / (gap - _TINY), 0.0)
+    moved: Array = np.where((fitness > flock.best_fitness)[:, None], towards, away)
+    return moved
+
+
+def _watch_printed(
+    rng: np.random.Generator, position: Array, fitness: Array, flock: Flock
+) -> Array:
+    beta = rng.standard_normal((len(position), 1))
+    k = rng.uniform(-1.0, 1.0, (len(position), 1))
+    towards = flock.best + beta * np.abs(position - flock.best)
+    gap = (fitness - flock.worst_fitness)[:, None]
+    away = position + k * np.exp(np.abs(flock.worst - position) / (gap + _TINY))
+    moved: Array = np.where((fitness > flock.best_fitness)[:, None], towards, away)
+    return moved
+
+
+FORMS: dict[str, Rules] = {
+    "canonical": Rules(_discover, _follow, _starve, _watch),
+    "printed": Rules(_discover, _follow_printed, _starve_printed, _watch_printed),
+}
+
+
+@dataclass(frozen=True)
+class SparrowResult:
+    """Outcome of one search."""
+
+    position: Array  # (D,) best position found
+    fitness: float
+    history: Array  # (T + 1,) best fitness after each iteration, the start first
+    evaluations: int
+
+
+@dataclass(frozen=True)
+class SparrowSearch:
+    """Settings of the search; defaults are those of the reference code."""
+
+    population: int = 50
+    iterations: int = 100
+    discoverers: float = 0.2  # PD, share of the flock
+    vigilantes: float = 0.1  # SD, share of the flock
+    safety: float = 0.8  # ST
+    form: str = "canonical"
+
+    def __post_init__(self) -> None:
+        where = "sparrow search"
+        if self.form not in FORMS:
+            raise InputError(where, "form", self.form, sorted(FORMS))
+        if self.population < 4:
+            raise InputError(where, "population", self.population, "an integer >= 4")
+        if self.iterations < 1:
+            raise InputError(where, "iterations", self.iterations, "an integer >= 1")
+        for name in ("discoverers", "vigilantes"):
+            share = getattr(self, name)
+            if not 0.0 < share <= 0.5:
+                raise InputError(where, name, share, "a share in (0, 0.5]")
+
+    def minimise(
+        self, fitness: Fitness, lower: Array, upper: Array, rng: np.random.Generator
+    ) -> SparrowResult:
+        """Minimise ``fitness`` over the box ``lower <= x <= upper``.
+
+        Parameters
+        ----------
+        fitness: maps positions (P, D) to values (P,) in one call; NaN counts as infinitely bad.
+        lower, upper: (D,), the box.
+        rng: the only source of randomness; the same state gives the same result.
+
+        Raises
+        ------
+        InputError: the box is empty, not finite, or its two sides differ in shape.
+        """
+        lower, upper = np.asarray(lower, float), np.asarray(upper, float)
+        if lower.shape != upper.shape or lower.ndim != 1 or not np.all(lower < upper):
+            raise InputError("sparrow search", "bounds", (lower, upper), "(D,) with lower < upper")
+        if not np.all(np.isfinite(upper - lower)):
+            raise InputError("sparrow search", "bounds", (lower, upper), "finite numbers")
+        rules = FORMS[self.form]
+        n, horizon = self.population, self.iterations
+        lead = max(1, round(self.discoverers * n))
+        half = max(lead, n // 2)
+        rank = np.arange(1, n + 1, dtype=float)
+        evaluations = 0
+
+        def evaluate(position: Array) -> Array:
+            nonlocal evaluations
+            evaluations += len(position)
+            value = np.asarray(fitness(position), float)
+            return np.where(np.isnan(value), np.inf, value)
+
+        def clip(position: Array) -> Array:
+            return np.minimum(np.maximum(np.nan_to_num(position, copy=False), lower), upper)
+
+        home = rng.uniform(lower, upper, (n, len(lower)))  # personal bests
+        value = evaluate(home)
+        history = np.empty(horizon + 1)
+        history[0] = value.min()
+        now, now_value = home.copy(), value.copy()
+        for t in range(1, horizon + 1):
+            order = np.argsort(value, kind="stable")
+            home, value = home[order], value[order]
+            worst = now[np.argmax(now_value)]
+            flock = Flock(home[0], worst, value[0], float(now_value.max()), horizon)
+            alarmed = bool(rng.random() >= self.safety)
+            with np.errstate(over="ignore", invalid="ignore"):
+                leaders = clip(rules.discover(rng, home[:lead], rank[:lead], horizon, alarmed))
+                leader_value = evaluate(leaders)
+                leader = leaders[np.argmin(leader_value)]
+                followers = rules.follow(rng, home[lead:half], leader)
+                starving = rules.starve(rng, home[half:], rank[half:], flock)
+                rest = clip(np.concatenate((followers, starving)))
+                now = np.concatenate((leaders, rest))
+                now_value = np.concatenate((leader_value, evaluate(rest)))
+                home, value = _keep_better(home, value, now, now_value)
+
+                watching = rng.permutation(n)[: max(1, round(self.vigilantes * n))]
+                best, worst_index = int(np.argmin(value)), int(np.argmax(now_value))
+                flock = Flock(
+                    home[best].copy(),
+                    now[worst_index].copy(),
+                    float(value[best]),
+                    float(now_value[worst_index]),
+                    horizon,
+                )
+                moved = clip(rules.watch(rng, home[watching], value[watching], flock))
+                now[watching] = moved
+                now_value[watching] = evaluate(moved)
+                home, value = _keep_better(home, value, now, now_value)
+            history[t] = value.min()
+        best = int(np.argmin(value))
+        return SparrowResult(home[best].copy(), float(value[best]), history, evaluations)
+
+
+def _keep_better(home: Array, value: Array, now: Array, now_value: Array) -> tuple[Array, Array]:
+    """Each sparrow's better of personal best and present place."""
+    better = now_value < value
+    return np.where(better[:, None], now, home), np.where(better, now_value, value)
