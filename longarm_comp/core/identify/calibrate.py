@@ -1,0 +1,137 @@
+"""Calibration: a ladder of ever fuller fits, each judged on poses that it did not see."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.dataset import Session
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.fit import Fit, align, fit, frames, geometry
+from longarm_comp.core.model import Model
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Position errors over a set of poses, in m (and m^2).
+
+    `mean`, `rms`, `p95`, `max` are of the 3-D length; `mean_abs_z` and `variance` (average of
+    the three axes') are the columns of the paper's Table I.
+    """
+
+    n: int
+    mean: float
+    rms: float
+    p95: float
+    max: float
+    mean_abs_z: float
+    variance: float
+
+    @classmethod
+    def of(cls, error: np.ndarray) -> Errors:
+        """From (N, 3) errors in m."""
+        length = np.linalg.norm(error, axis=1)
+        return cls(
+            len(error),
+            float(length.mean()),
+            float(np.sqrt((length**2).mean())),
+            float(np.percentile(length, 95)),
+            float(length.max()),
+            float(np.abs(error[:, 2]).mean()),
+            float(error.var(axis=0).mean()),
+        )
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One rung of the ladder: a name, its fit and its errors on train and held-out rows."""
+
+    name: str
+    model: Model
+    fit: Fit | None
+    train: Errors
+    held_out: Errors
+
+
+def errors(model: Model, session: Session) -> np.ndarray:
+    """(N, 3) measured - predicted over the seen rows, m."""
+    seen = session.take(session.seen)
+    return seen.xyz - model.measured(seen.q, seen.context())
+
+
+def declared_model(arm: Arm, *, deflection: bool = True) -> Model:
+    """The arm as declared: with its beams' sag, where it has beams."""
+    return Model(arm, (LinkDeflection(),) if deflection and arm.links else ())
+
+
+def ladder(
+    arm: Arm,
+    train: Session,
+    held_out: Session,
+    effects: Sequence[tuple[str, tuple[Effect | Bias, ...]]] = (),
+    *,
+    deflection: bool = True,
+    progress: Callable[[str], None] | None = None,
+) -> list[Rung]:
+    """Nominal, frames only, joint zeros, full geometry, then each effect on top of the last.
+
+    Args:
+        arm: as declared.
+        train: rows to fit.
+        held_out: rows to judge by; never fitted.
+        effects: (name, terms) rungs above the full geometry, cumulative.
+        deflection: declared beams sag (all rungs but none where False).
+        progress: called with each rung's name before it is fitted.
+
+    Raises:
+        InputError: too few rows, or an input that an effect needs is missing.
+    """
+    if not train.seen.any() or not held_out.seen.any():
+        raise InputError(train.source, "xyz", "no seen rows", "seen rows to train and to hold out")
+    base = declared_model(arm, deflection=deflection)
+    placed = frames(arm, train)
+    steps: list[tuple[str, tuple[Effect | Bias, ...]]] = [
+        ("frames_only", placed),
+        ("joint_zeros", (*placed, *JointZero.for_arm(arm))),
+        ("geometry", geometry(arm, train)),
+    ]
+    for name, terms in effects:
+        steps.append((name, (*steps[-1][1], *terms)))
+    rungs = [_rung("nominal", base, None, train, held_out)]
+    start = align(base.plus(*placed), train)
+    for name, terms in steps:
+        if progress is not None:
+            progress(name)
+        model = warm(base.plus(*terms), start)
+        fitted = fit(model, train)
+        start = fitted.model
+        rungs.append(_rung(name, fitted.model, fitted, train, held_out))
+    return rungs
+
+
+def warm(model: Model, known: Model) -> Model:
+    """A model started from another's values, where they share a parameter."""
+    held = {(s.owner.name, *s.owner.placement.values(), s.parameter.name): v
+            for s, v in zip(known.slots, known.values, strict=True)}
+    keys = [(s.owner.name, *s.owner.placement.values(), s.parameter.name) for s in model.slots]
+    return model.with_values(
+        np.array([held.get(k, v) for k, v in zip(keys, model.values, strict=True)])
+    )
+
+
+def _rung(
+    name: str, model: Model, fitted: Fit | None, train: Session, held_out: Session
+) -> Rung:
+    return Rung(
+        name,
+        model,
+        fitted,
+        Errors.of(errors(model, train)),
+        Errors.of(errors(model, held_out)),
+    )
