@@ -1,13 +1,22 @@
 # Lets this package build against ROS 2 from registry wheels; include it before any find_package.
 # With a sourced ROS the environment is already right and every path exists, so it changes nothing.
 
-# 1. No sourced ROS: it lies in the prefix of the Python environment that holds ament_package.
-if("$ENV{AMENT_PREFIX_PATH}" STREQUAL "")
+# 1. No sourced ROS: it lies in the Python environment that holds ament_package, which is the active
+#    one or the one that `make setup` builds in the folder above.
+find_path(LONGARM_SOURCED_ROS share/ament_cmake/package.xml
+  PATHS ENV AMENT_PREFIX_PATH ENV CMAKE_PREFIX_PATH NO_DEFAULT_PATH)
+mark_as_advanced(LONGARM_SOURCED_ROS)
+
+if(NOT LONGARM_SOURCED_ROS)
+  get_filename_component(own_python "${CMAKE_CURRENT_LIST_DIR}/../../.venv/bin/python" ABSOLUTE)
+  if("$ENV{VIRTUAL_ENV}" STREQUAL "" AND NOT DEFINED Python3_EXECUTABLE AND EXISTS "${own_python}")
+    set(Python3_EXECUTABLE "${own_python}" CACHE FILEPATH "The Python that holds ROS")
+  endif()
   find_package(Python3 REQUIRED COMPONENTS Interpreter)
   execute_process(
     COMMAND "${Python3_EXECUTABLE}" -c "import ament_package, pathlib, sys
 package = pathlib.Path(ament_package.__file__).resolve()
-holds_ros = lambda folder: (folder / 'share' / 'ament_index').is_dir()
+holds_ros = lambda folder: (folder / 'share' / 'ament_cmake').is_dir()
 print(next(filter(holds_ros, package.parents), sys.prefix))"
     OUTPUT_VARIABLE wheel_prefix
     OUTPUT_STRIP_TRAILING_WHITESPACE
@@ -15,7 +24,9 @@ print(next(filter(holds_ros, package.parents), sys.prefix))"
     ERROR_QUIET
   )
   if(NOT no_ament_package)
-    set(ENV{AMENT_PREFIX_PATH} "${wheel_prefix}")
+    set(prefixes $ENV{AMENT_PREFIX_PATH} "${wheel_prefix}")
+    list(JOIN prefixes ":" prefixes)
+    set(ENV{AMENT_PREFIX_PATH} "${prefixes}")
     list(APPEND CMAKE_PREFIX_PATH "${wheel_prefix}")
   endif()
 endif()
