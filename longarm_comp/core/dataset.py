@@ -53,14 +53,10 @@ class Session:
 
     def __post_init__(self) -> None:
         """Check the shapes and freeze the arrays."""
-        q = np.asarray(self.q, dtype=float)
-        if q.ndim != 2 or q.shape[1] < 1:
-            raise InputError(self.source, "q", f"shape {q.shape}", "(N, n) commanded joints")
+        q = _joints(self.source, self.q)
         n_rows, n = q.shape
         xyz = np.asarray(self.xyz, dtype=float)
         lost = np.isnan(xyz)
-        if not np.isfinite(q).all():
-            raise InputError(self.source, "q", "not finite", "finite numbers in rad or m")
         if xyz.shape == (n_rows, 3) and (np.isinf(xyz).any() or (lost.any(1) != lost.all(1)).any()):
             raise InputError(self.source, "xyz", "not finite", "three numbers in m, or three NaN")
         self._set("index", np.asarray(self.index, dtype=np.int64), (n_rows,))
@@ -114,12 +110,11 @@ class Session:
         Raises:
             InputError: shapes do not fit, or a number is not finite.
         """
-        q = np.asarray(q, dtype=float)
+        q = _joints(source, q)
         n_rows = len(q)
         index = np.arange(n_rows) if index is None else np.asarray(index)
+        _check_shape(source, "index", index, (n_rows,))
         repeat_id = np.full(n_rows, -1) if repeat_id is None else repeat_id
-        if q.ndim != 2:
-            raise InputError(source, "q", f"shape {q.shape}", "(N, n) commanded joints")
         directions = derive_approach(q, index, approach)
         return cls(index, q, xyz, directions, repeat_id, sigma, columns or {}, labels or {}, source)
 
@@ -256,3 +251,12 @@ def derive_approach(
 def _check_shape(where: str, name: str, values: np.ndarray, shape: tuple[int, ...]) -> None:
     if values.shape != shape:
         raise InputError(where, name, f"shape {values.shape}", f"shape {shape}")
+
+
+def _joints(where: str, q: np.ndarray) -> np.ndarray:
+    q = np.asarray(q, dtype=float)
+    if q.ndim != 2 or q.shape[1] < 1:
+        raise InputError(where, "q", f"shape {q.shape}", "(N, n) commanded joints")
+    if not np.isfinite(q).all():
+        raise InputError(where, "q", "not finite", "finite numbers in rad or m")
+    return q

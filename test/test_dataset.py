@@ -1,0 +1,172 @@
+"""Sessions: directions from the order, subsets, context, splits, the sealed hold-out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from small_arm import measured
+
+from longarm_comp.core.dataset import Session, derive_approach
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.holdout import Sealed, SealedError, blocked_split, random_split
+
+
+def test_direction_comes_from_the_row_before() -> None:
+    q = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, -2.0], [0.5, -2.0], [0.5, -2.0]])
+    made = derive_approach(q, np.arange(5))
+    assert made.tolist() == [[0, 0], [1, 0], [1, -1], [-1, -1], [-1, -1]]
+
+
+def test_a_gap_of_the_index_hides_the_direction() -> None:
+    q = np.array([[0.0], [1.0], [2.0], [3.0]])
+    assert derive_approach(q, np.array([0, 1, 3, 4])).ravel().tolist() == [0, 1, 0, 1]
+
+
+def test_a_recorded_direction_stands_for_all_joints_and_is_kept_by_those_that_rest() -> None:
+    q = np.array([[0.0, 5.0], [1.0, 5.0], [0.0, 5.0]])
+    made = derive_approach(q, np.arange(3), np.array([-1.0, np.nan, 0.0]))
+    assert made.tolist() == [[-1, -1], [1, -1], [-1, -1]]
+
+
+def test_two_markers_at_one_index_share_the_direction() -> None:
+    q = np.array([[0.0], [1.0], [1.0], [0.0]])
+    assert derive_approach(q, np.array([0, 1, 1, 2])).ravel().tolist() == [0, 1, 1, -1]
+
+
+def test_subsets_keep_the_directions_of_the_whole(rng: np.random.Generator) -> None:
+    session = measured(40, rng)
+    part = session.take(slice(0, 40, 3))
+    assert (part.approach == session.approach[::3]).all()
+    assert (part.approach != derive_approach(part.q, part.index)).any()
+
+
+def test_context_carries_what_was_recorded(rng: np.random.Generator) -> None:
+    session = measured(
+        6,
+        rng,
+        columns={"temperature_c": np.linspace(20, 25, 6)},
+        labels={"group": ["a", "a", "b", "b", "b", "b"]},
+    )
+    context = session.context([1, 4])
+    assert np.allclose(context.column("temperature_c"), [21, 24])
+    assert context.is_label("group", "b").tolist() == [0.0, 1.0]
+    assert np.array_equal(np.stack(context.approach, -1), session.approach[[1, 4]])
+    assert not context.has("payload_kg")
+    assert session.temperature_c is not None
+    assert session.payload_kg is None
+    assert len(session.where("group", "b")) == 4
+    with pytest.raises(InputError, match="there are: group"):
+        session.where("marker", "left")
+
+
+def test_one_row_knows_no_direction(rng: np.random.Generator) -> None:
+    assert not measured(1, rng).context().has("approach")
+
+
+def test_arrays_cannot_be_changed(rng: np.random.Generator) -> None:
+    session = measured(3, rng)
+    with pytest.raises(ValueError, match="read-only"):
+        session.q[0, 0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("q", np.full((3, 4), np.nan)),
+        ("xyz", np.array([[0, 0, 0], [np.nan, 0, 0], [0, 0, 0]])),
+        ("xyz", np.full((3, 3), np.inf)),
+        ("xyz", np.zeros((2, 3))),
+        ("index", np.arange(2)),
+        ("columns", {"t_s": np.array([0.0, np.nan, 1.0])}),
+    ],
+)
+def test_what_is_no_session_is_refused(name: str, value: object, rng: np.random.Generator) -> None:
+    good = measured(3, rng)
+    fields = {"q": good.q, "xyz": good.xyz} | {name: value}
+    with pytest.raises(InputError):
+        Session.record(**fields)  # type: ignore[arg-type]
+
+
+def test_hash_follows_the_contents(rng: np.random.Generator) -> None:
+    session = measured(5, rng)
+    same = Session.record(session.q, session.xyz, source="another file")
+    moved = session.xyz.copy()
+    moved[3, 1] += 1e-9
+    assert same.hash == session.hash
+    assert Session.record(session.q, moved).hash != session.hash
+    assert session.take([0, 1, 2, 3]).hash != session.hash
+
+
+def test_lost_markers_are_not_seen(rng: np.random.Generator) -> None:
+    session = measured(4, rng)
+    xyz = session.xyz.copy()
+    xyz[2] = np.nan
+    assert Session.record(session.q, xyz).seen.tolist() == [True, True, False, True]
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    poses=st.integers(2, 90),
+    visits=st.integers(0, 60),
+    seed=st.integers(0, 2**31),
+    blocked=st.booleans(),
+)
+def test_no_pose_straddles_a_split(poses: int, visits: int, seed: int, blocked: bool) -> None:
+    rng = np.random.default_rng(seed)
+    q = rng.random((poses, 2))[np.r_[np.arange(poses), rng.integers(0, poses, visits)]]
+    order = rng.permutation(len(q))
+    session = Session.record(q[order], np.zeros((len(q), 3)))
+    split = blocked_split if blocked else random_split
+    train, hold_out = split(session, rng=seed)
+    assert len(train) + len(hold_out) == len(session)
+    assert len(train) > 0
+    assert len(hold_out) > 0
+    assert not set(map(tuple, train.q)) & set(map(tuple, hold_out.q))
+
+
+def test_blocks_are_contiguous_and_large_enough(rng: np.random.Generator) -> None:
+    session = measured(300, rng)
+    train, hold_out = blocked_split(session, rng=4)
+    assert 60 <= len(hold_out) <= 100
+    runs = 1 + np.count_nonzero(np.diff(hold_out.index) > 1)
+    assert runs <= 7  # whole blocks of 12 rows; single rows would make about 50 runs
+    again, _ = blocked_split(session, rng=4)
+    other, _ = blocked_split(session, rng=5)
+    assert again.hash == train.hash
+    assert other.hash != train.hash
+
+
+def test_repeats_stay_together_even_when_commanded_a_little_differently() -> None:
+    q = np.arange(20.0)[:, None] + np.zeros(2)
+    q[15] = q[3] + 1e-3
+    repeat = np.full(20, -1)
+    repeat[[3, 15]] = 7
+    session = Session.record(q, np.zeros((20, 3)), repeat_id=repeat)
+    assert session.pose_id[3] == session.pose_id[15]
+    for seed in range(12):
+        _, hold_out = random_split(session, rng=seed)
+        assert (3 in hold_out.index) == (15 in hold_out.index)
+
+
+def test_one_pose_cannot_be_split() -> None:
+    session = Session.record(np.zeros((5, 2)), np.zeros((5, 3)))
+    with pytest.raises(InputError, match="2 distinct poses"):
+        blocked_split(session)
+
+
+def test_sealed_hold_out_opens_after_release_only(rng: np.random.Generator) -> None:
+    session = measured(5, rng)
+    sealed = Sealed(session)
+    assert len(sealed) == 5
+    assert sealed.hash == session.hash
+    with pytest.raises(SealedError, match="sealed until the fit is finished"):
+        sealed.open("a peek")
+    with pytest.raises(SealedError, match="xyz"):
+        _ = sealed.xyz
+    assert sealed.uses == ()
+    sealed.release("hash of the model")
+    assert sealed.open("proof") is session
+    sealed.open("again")
+    assert sealed.uses == ("proof", "again")

@@ -1,0 +1,105 @@
+"""Plans: the paper's grid on its arm, other arms, space filling, files."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_arm import ARM
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model import Model
+from longarm_comp.core.plan import grid, paper_grid, random_targets, sobol
+from longarm_comp.sessions.poses import read_poses, write_poses
+
+
+def test_the_papers_arm_gives_the_papers_grid(data_dir: Path) -> None:
+    arm = Arm.load(data_dir / "twin" / "arm.yaml")
+    poses = paper_grid(arm)
+    assert poses.shape == (1458, 7)
+    assert len(np.unique(poses, axis=0)) == 1458
+    for joint, levels in {0: [-15, 0, 15], 1: [0, 15, 30], 3: [0, 30, 60], 5: [-30, 0, 30]}.items():
+        assert np.allclose(np.unique(poses[:, joint].round(9)), np.radians(levels))
+    strokes = np.unique(poses[:, [2, 6]].round(9), axis=0) * 1e3
+    assert np.allclose(strokes, [[0, 0], [0, 63], [53, 63], [60, 10], [104, 18], [105, 63]])
+
+
+def test_grid_of_another_arm_takes_three_levels_of_every_joint() -> None:
+    poses = paper_grid(ARM)
+    assert poses.shape == (81, 4)
+    assert (poses.min(0) == ARM.lower).all()
+    assert (poses.max(0) == ARM.upper).all()
+
+
+def test_subset_of_the_grid_repeats_nothing_and_follows_the_seed() -> None:
+    plan, again, other = grid(ARM, 50, 1), grid(ARM, 50, 1), grid(ARM, 50, 2)
+    whole = set(map(tuple, paper_grid(ARM)))
+    assert len(set(map(tuple, plan.q))) == 50
+    assert set(map(tuple, plan.q)) <= whole
+    assert (plan.q == again.q).all()
+    assert (plan.q != other.q).any()
+    assert set(plan.approach.tolist()) == {-1, 1}
+
+
+@pytest.mark.parametrize("n", [1, 7, 64, 100])
+def test_sobol_fills_the_box(n: int) -> None:
+    plan = sobol(ARM, n, 3)
+    assert plan.q.shape == (n, 4)
+    assert (plan.q >= ARM.lower).all()
+    assert (plan.q <= ARM.upper).all()
+    if n >= 64:  # every eighth of every joint's range holds its share of points
+        share = (plan.q - ARM.lower) / (ARM.upper - ARM.lower)
+        for j in range(4):
+            counts = np.histogram(share[:, j], bins=8, range=(0, 1))[0]
+            assert counts.min() >= n // 8 - 2
+
+
+@pytest.mark.parametrize("make", [grid, sobol])
+def test_counts_that_cannot_be_are_refused(make) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(InputError, match="n: 0"):
+        make(ARM, 0)
+
+
+def test_more_than_the_grid_is_refused() -> None:
+    with pytest.raises(InputError, match="1 to 81"):
+        grid(ARM, 82)
+
+
+def test_random_targets_are_reachable() -> None:
+    model = Model(ARM)
+    targets = random_targets(model, 20, 5)
+    reach = np.linalg.norm(model.tip(paper_grid(ARM)), axis=1)
+    distance = np.linalg.norm(targets, axis=1)
+    assert targets.shape == (20, 3)
+    assert (distance < reach.max() + 0.05).all()
+    assert (distance > reach.min() - 0.05).all()
+
+
+def test_poses_file_round_trip(tmp_path: Path) -> None:
+    plan = dataclasses.replace(grid(ARM, 9, 1), payload_kg=np.linspace(0, 0.4, 9))
+    write_poses(plan, tmp_path / "poses.csv")
+    back = read_poses(tmp_path / "poses.csv", ARM)
+    assert (back.q == plan.q).all()
+    assert (back.approach == plan.approach).all()
+    assert back.payload_kg is not None
+    assert (back.payload_kg == plan.payload_kg).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("q1,q2,q3\n0,0.5,0\n", "column q4: 'missing'"),
+        ("q1,q2,q3,q4,speed\n0,0.5,0,0,1\n", "column speed: 'unknown'"),
+        ("q1,q2,q3,q4\n0,40,0,0\n", "line 2, q2: '40'"),
+        ("q1,q2,q3,q4,approach\n0,0.5,0,0,2\n", "line 2, approach: '2'"),
+    ],
+)
+def test_bad_plans_are_refused(text: str, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "poses.csv"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_poses(path, ARM)
+    assert words in str(caught.value)

@@ -1,0 +1,302 @@
+"""Sessions, targets and commands as CSV: what comes back, and what is refused with which words."""
+
+from __future__ import annotations
+
+import csv
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from small_arm import ARM, measured
+
+from longarm_comp.core import files
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.dataset import Session
+from longarm_comp.core.errors import InputError
+from longarm_comp.sessions.csv import read_csv, write_csv
+from longarm_comp.sessions.targets import Command, Targets, read_targets, write_commands
+
+HEADER = "index,approach,q1,q2,q3,q4,x,y,z"
+ROW = "0,1,0.1,0.5,0.05,0.2,0.4,0.1,0.3"
+SECOND = "1,,0.2,0.6,0.02,0.1,0.4,0.2,0.3"
+
+
+def written(path: Path, *lines: str) -> Path:
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        read_csv(path, ARM)
+    message = str(caught.value)
+    assert message.startswith(str(path))
+    assert "\n" not in message
+    return message
+
+
+# ------------------------------------------------------------------ what comes back
+
+
+@pytest.mark.parametrize("case", ["paper_twin_300", "none_mid_300", "one_backlash_300"])
+def test_reads_the_twin_as_a_plain_reader_does(case: str, data_dir: Path) -> None:
+    arm = Arm.load(data_dir / "twin" / "arm.yaml")
+    path = data_dir / "twin" / case / "samples.csv"
+    session = read_csv(path, arm)
+    with path.open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(session) == len(rows)
+    assert session.q[17].tolist() == [float(rows[17][f"q{j}"]) for j in range(1, 8)]
+    assert session.index.tolist() == [int(row["index"]) for row in rows]
+    lost = [row["x"] == "" for row in rows]
+    assert (~session.seen).tolist() == lost
+    assert any(lost)
+    assert session.temperature_c is not None
+    assert session.temperature_c[3] == float(rows[3]["temperature_c"])
+    for i, row in enumerate(rows):
+        if row["approach"]:
+            assert (session.approach[i] == int(row["approach"])).all()
+    blank = [i for i, row in enumerate(rows) if not row["approach"] and i]
+    after_gap = [i for i in blank if int(rows[i]["index"]) != int(rows[i - 1]["index"]) + 1]
+    assert all(not session.approach[i].any() for i in after_gap)
+    followed = [i for i in blank if i not in after_gap]
+    step = np.sign(session.q[followed] - session.q[np.array(followed) - 1])
+    assert (session.approach[followed][step != 0] == step[step != 0]).all()
+
+
+def test_only_joints_and_positions_are_required(tmp_path: Path) -> None:
+    path = written(tmp_path / "s.csv", "x,y,z,q4,q3,q2,q1", "1,2,3,4,5,6,7")
+    session = read_csv(path, ARM)
+    assert session.q.tolist() == [[7, 6, 5, 4]]
+    assert session.xyz.tolist() == [[1, 2, 3]]
+    assert session.index.tolist() == [0]
+    assert session.repeat_id.tolist() == [-1]
+    assert session.sigma is None
+    assert not session.columns
+    assert not session.labels
+
+
+def test_other_columns_are_context_and_text_is_a_label(tmp_path: Path) -> None:
+    path = written(
+        tmp_path / "s.csv",
+        HEADER + ",humidity,incl_4_x,operator,group,sigma_x,sigma_y,sigma_z,empty",
+        ROW + ",40,0.01,ann,1,0.001,0.002,0.003,",
+    )
+    session = read_csv(path, ARM)
+    assert {k: v.tolist() for k, v in session.columns.items()} == {
+        "humidity": [40.0],
+        "incl_4_x": [0.01],
+    }
+    assert {k: v.tolist() for k, v in session.labels.items()} == {
+        "operator": ["ann"],
+        "group": ["1"],
+    }
+    assert session.sigma is not None
+    assert session.sigma.tolist() == [[0.001, 0.002, 0.003]]
+
+
+def test_covariance_becomes_sigma(tmp_path: Path) -> None:
+    header = HEADER + ",cov_xx,cov_yy,cov_zz,cov_xy"
+    session = read_csv(written(tmp_path / "s.csv", header, ROW + ",1e-6,4e-6,9e-6,1e-7"), ARM)
+    assert session.sigma is not None
+    assert np.allclose(session.sigma, [[1e-3, 2e-3, 3e-3]])
+    assert session.columns["cov_xy"].tolist() == [1e-7]
+
+
+def test_one_branch_of_a_larger_robot(tmp_path: Path) -> None:
+    header = "q1,q2,q3,q4,q5,q6,x,y,z"
+    path = written(tmp_path / "s.csv", header, "1,2,3,4,5,6,0,0,0")
+    session = read_csv(path, ARM, joint_columns=("q1", "q2", "q5", "q6"))
+    assert session.q.tolist() == [[1, 2, 5, 6]]
+    assert {k: v.tolist() for k, v in session.columns.items()} == {"q3": [3], "q4": [4]}
+
+
+def test_bom_blank_lines_and_spaces_do_no_harm(tmp_path: Path) -> None:
+    path = tmp_path / "s.csv"
+    path.write_bytes(b"\xef\xbb\xbf" + f"{HEADER}\r\n\r\n{ROW.replace(',', ' , ')}\r\n".encode())
+    assert len(read_csv(path, ARM)) == 1
+
+
+@settings(
+    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(seed=st.integers(0, 2**31), rows=st.integers(1, 30))
+def test_round_trip_is_exact(seed: int, rows: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(seed)
+    base = measured(rows, rng)
+    xyz = base.xyz.copy()
+    xyz[rng.random(rows) < 0.2] = np.nan
+    session = Session.record(
+        base.q,
+        xyz,
+        index=np.cumsum(rng.integers(1, 3, rows)),
+        approach=rng.integers(-1, 2, rows if seed % 2 else (rows, 4)),
+        repeat_id=rng.integers(-1, 3, rows),
+        sigma=rng.random((rows, 3)) + 1e-4 if seed % 3 else None,
+        columns={"t_s": np.sort(rng.random(rows)), "humidity": rng.random(rows)},
+        labels={"group": rng.choice(["a", "b"], rows)},
+    )
+    if seed % 5 == 0:
+        session = session.take(rng.permutation(rows)[: max(1, rows // 2)])
+    write_csv(session, tmp_path / "s.csv")
+    assert read_csv(tmp_path / "s.csv", ARM).hash == session.hash
+
+
+# ------------------------------------------------------------------ what is refused
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "words"),
+    [
+        ("q1,q2,q4,x,y,z", "0,0,0,0,0,0", "column q3: 'missing'"),
+        ("q1,q2,q3,q4,x,y", "0,0,0,0,0,0", "column z: 'missing'"),
+        ("q1,q2,q3,q4,X,y,z", "0,0,0,0,0,0,0", "column x: 'missing (is it X?)'"),
+        (HEADER + ",q5", ROW + ",0", "column q5: 'unknown'; allowed: q1..q4 of arm small"),
+        (HEADER + ",temprature_c", ROW + ",20", "close to temperature_c"),
+        (HEADER + ",Temperature", ROW + ",20", "close to temperature_c"),
+        (HEADER + ",payload", ROW + ",0.2", "close to payload_kg"),
+        (HEADER + ",payload_gk", ROW + ",0.2", "close to payload_kg"),
+        (HEADER + ",T_S", ROW + ",20", "close to t_s"),
+        (HEADER + ",repeatid", ROW + ",1", "close to repeat_id"),
+        (HEADER + ",x", ROW + ",1", "column x: 'twice'"),
+        (HEADER + ",", ROW + ",1", "header, column 10"),
+        (HEADER, ROW.replace("0.05", "nan"), "line 2, q3: 'nan'"),
+        (HEADER, ROW.replace("0.05", "inf"), "line 2, q3: 'inf'"),
+        (HEADER, ROW.replace("0.05", ""), "line 2, q3: ''"),
+        (HEADER, ROW.replace("0.05", "abc"), "line 2, q3: 'abc'"),
+        (HEADER, ROW.replace("0.4", "NaN"), "line 2, x: 'NaN'"),
+        (HEADER, ROW.replace("0.4", "-inf"), "line 2, x: '-inf'"),
+        (HEADER, ROW.replace("0.4", ""), "x, y and z all blank"),
+        (HEADER, ROW.replace("0,1,", "0,2,"), "line 2, approach: '2'"),
+        (HEADER, ROW.replace("0,1,", "0.5,1,"), "line 2, index: '0.5'"),
+        (HEADER, ROW + ",7", "line 2: '10 cells'; allowed: 9 cells"),
+        (HEADER, ROW[:-4], "line 2: '8 cells'"),
+        (HEADER + ",sigma_x,sigma_y,sigma_z", ROW + ",0,1,1", "line 2, sigma_x: '0'"),
+        (HEADER + ",sigma_x", ROW + ",0.1", "column sigma_y: 'missing"),
+        (HEADER + ",humidity", ROW + ",inf", "line 2, humidity: 'inf'"),
+    ],
+)
+def test_bad_cells_and_columns(header: str, row: str, words: str, tmp_path: Path) -> None:
+    assert words in refusal(written(tmp_path / "s.csv", header, row))
+
+
+def test_a_number_missing_in_some_rows_is_refused(tmp_path: Path) -> None:
+    header = HEADER + ",temperature_c"
+    path = written(tmp_path / "s.csv", header, ROW + ",20", SECOND + ",")
+    assert "line 3, temperature_c: ''" in refusal(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "'empty'"),
+        (b"\n\n", "'empty'"),
+        (HEADER.encode() + b"\n", "rows: 0; allowed: at least one row"),
+        (HEADER.replace(",", ";").encode() + b"\n1;2", "separated by commas"),
+        (b"\xff\xfe\x00q1", "UTF-8"),
+        (HEADER.encode() + b'\n"0,1', "comma-separated text"),
+    ],
+)
+def test_what_is_no_table(content: bytes, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "s.csv"
+    path.write_bytes(content)
+    assert words in refusal(path)
+
+
+def test_no_such_file(tmp_path: Path) -> None:
+    assert "No such file" in refusal(tmp_path / "none.csv")
+
+
+# ------------------------------------------------------------------ writing
+
+
+def test_read_only_folder(tmp_path: Path, rng: np.random.Generator) -> None:
+    if os.geteuid() == 0:
+        blocked = Path("/proc/longarm/s.csv")  # root writes anywhere else
+    else:
+        tmp_path.chmod(0o500)
+        blocked = tmp_path / "s.csv"
+    with pytest.raises(InputError, match="output folder"):
+        write_csv(measured(3, rng), blocked)
+
+
+def test_interrupted_write_leaves_the_old_file(
+    tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "s.csv"
+    session = measured(3, rng)
+    write_csv(session, path)
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(files, "_publish", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_csv(measured(50, rng), path)
+    assert [p.name for p in tmp_path.iterdir()] == ["s.csv"]
+    assert read_csv(path, ARM).hash == session.hash
+
+
+# ------------------------------------------------------------------ targets and commands
+
+
+def test_targets(tmp_path: Path) -> None:
+    path = written(
+        tmp_path / "t.csv",
+        "x,y,z,qx,qy,qz,qw,approach,payload_kg",
+        "1,2,3,0,0,0.70711,0.70711,-1,0.3",
+        "4,5,6,,,,,,0.4",
+    )
+    targets = read_targets(path)
+    assert targets.xyz.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert np.isclose(np.linalg.norm(targets.quaternion[0]), 1, atol=1e-12)
+    assert np.isnan(targets.quaternion[1]).all()
+    first, second = targets.context(0, 4), targets.context(1, 4)
+    assert first.approach == (-1.0,) * 4
+    assert not second.has("approach")
+    assert second.column("payload_kg") == 0.4
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        (("x,y", "1,2"), "column z: 'missing'"),
+        (("x,y,z", "1,2,nan"), "line 2, z: 'nan'"),
+        (("x,y,z", "1,2,"), "line 2, z: ''"),
+        (("x,y,z,qx,qy,qz", "1,2,3,0,0,0"), "column qw: 'missing"),
+        (("x,y,z,qx,qy,qz,qw", "1,2,3,0,0,0,0.5"), "a quaternion of length 1"),
+        (("x,y,z,qx,qy,qz,qw", "1,2,3,0,0,0,"), "a quaternion of length 1"),
+        (("x,y,z,approch", "1,2,3,1"), "close to approach"),
+    ],
+)
+def test_bad_targets(lines: tuple[str, ...], words: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        read_targets(written(tmp_path / "t.csv", *lines))
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("numbers", [[1, 2], [1, 2, np.nan], [1, 2, 3, 0, 0, 0, 0.2]])
+def test_bad_target_on_the_command_line(numbers: list[float]) -> None:
+    with pytest.raises(InputError, match="target"):
+        Targets.one(numbers)
+
+
+def test_commands_file_has_the_agreed_columns(tmp_path: Path) -> None:
+    good = Command(
+        0, "success", "", np.array([0.1, 0.2]), np.ones(3), np.array([0, 0.001, -0.002]), 5e-4, 2
+    )
+    bad = Command(1, "unreachable", "too far, by 1 m", None, np.array([9.0, 0, 0]))
+    write_commands(tmp_path / "c.csv", 2, [good, bad])
+    with (tmp_path / "c.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert ",".join(rows[0]) == (
+        "index,status,reason,q1,q2,target_x,target_y,target_z,predicted_error_x,"
+        "predicted_error_y,predicted_error_z,sigma_mm,passes"
+    )
+    assert float(rows[0]["q2"]) == 0.2
+    assert float(rows[0]["sigma_mm"]) == 0.5
+    assert rows[1]["reason"] == "too far, by 1 m"
+    assert rows[1]["q1"] == rows[1]["predicted_error_x"] == rows[1]["sigma_mm"] == ""
