@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.errors import InputError
 
 Array = np.ndarray
 
@@ -14,10 +17,10 @@ class Context:
     """Circumstances of N postures; what is None is as declared, or not known.
 
     Attributes:
-        approach: side each joint arrived from, (N, n) of -1, 0, +1.
-        temperature_c: (N,) degrees Celsius.
-        payload_kg: carried mass, (N,).
-        t_s: time since the session began, (N,).
+        approach: side each joint arrived from, (N, n) or (n,) of -1, 0, +1: from below is +1.
+        temperature_c: (N,) or one number, degrees Celsius.
+        payload_kg: carried mass, (N,) or one number.
+        t_s: time since the session began, (N,) or one number.
     """
 
     approach: Array | None = None
@@ -25,17 +28,64 @@ class Context:
     payload_kg: Array | float | None = None
     t_s: Array | float | None = None
 
-    def filled(self, postures: int, joints: int, temperature_c: float, payload_kg: float) -> Context:
-        """The same with every field an array of N rows."""
 
-        def column(value: Array | float | None, otherwise: float) -> Array:
-            return np.broadcast_to(otherwise if value is None else value, (postures,)).astype(float)
+@dataclass(frozen=True)
+class State:
+    """N postures as commanded, with every circumstance filled in.
 
-        approach = np.zeros(joints) if self.approach is None else self.approach
-        return replace(
-            self,
-            approach=np.broadcast_to(approach, (postures, joints)).astype(float),
-            temperature_c=column(self.temperature_c, temperature_c),
-            payload_kg=column(self.payload_kg, payload_kg),
-            t_s=column(self.t_s, 0.0),
+    Attributes:
+        arm: as declared.
+        q: commanded joints, (N, n), rad or m.
+        approach: (N, n).
+        temperature_c: (N,).
+        payload_kg: (N,).
+        t_s: (N,).
+    """
+
+    arm: Arm
+    q: Array
+    approach: Array
+    temperature_c: Array
+    payload_kg: Array
+    t_s: Array
+
+    @classmethod
+    def of(cls, arm: Arm, q: Array, context: Context | None) -> State:
+        """Fill in what the context leaves open.
+
+        Args:
+            arm: as declared.
+            q: (N, n) or (n,).
+            context: circumstances; all as declared where None.
+
+        Raises:
+            InputError: a value has the wrong shape or is not finite.
+        """
+        given = context or Context()
+        q = _array("q", q, (len(np.atleast_2d(q)), arm.n))
+        declared = arm.payload.mass_kg if arm.payload else 0.0
+
+        def column(name: str, value: Array | float | None, otherwise: float) -> Array:
+            return _array(name, otherwise if value is None else value, (len(q),))
+
+        return cls(
+            arm,
+            q,
+            _array("approach", 0.0 if given.approach is None else given.approach, q.shape),
+            column("temperature_c", given.temperature_c, arm.reference_temperature_c),
+            column("payload_kg", given.payload_kg, declared),
+            column("t_s", given.t_s, 0.0),
         )
+
+
+def _array(name: str, value: Array | float, shape: tuple[int, ...]) -> Array:
+    """`value` as finite numbers of a shape."""
+    try:
+        array = np.broadcast_to(np.asarray(value, float), shape)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            "simulated arm", name, f"shape {np.shape(value)}", f"numbers of shape {shape}"
+        ) from error
+    if not np.all(np.isfinite(array)):
+        raise InputError("simulated arm", name, "not finite", "finite numbers")
+    return array

@@ -15,7 +15,7 @@ from longarm_comp.core.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_text
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.context import Context
+from longarm_comp.sim.context import Context, State
 from longarm_comp.sim.hidden.camera import CameraEffect
 
 Array = np.ndarray
@@ -146,7 +146,7 @@ def measure_session(
         payload_kg: carried mass, scalar or (N,); as declared by default.
     """
     arm = true_arm.arm
-    poses = true_arm.state(poses).q
+    poses = State.of(arm, poses, None).q
     order, repeat_id = _with_repeats(len(poses), repeats, approach == "both", rng)
     q = poses[order]
     rows = len(q)
@@ -177,7 +177,7 @@ def measure_session(
         "repeat_id": repeat_id,
     }
     for effect in true_arm.hidden:
-        for name, clean in effect.readings(true_arm.state(q, context)).items():
+        for name, clean in effect.readings(State.of(arm, q, context)).items():
             columns[name] = clean + 5e-5 * rng.standard_normal(rows)
     return Session(columns, {"tip": tip, "seen": seen, "side": side, "outlier": gross})
 

@@ -38,16 +38,20 @@ class Walker:
     Args:
         gamma: gravity in the axes of the last frame, (3, B, N) m/s^2: N postures, B trial
             directions each.
+        trace: follow every section that `point` is called at.
 
     Attributes:
         mass: carried mass, kg, broadcast against (B, N).
+        line: numbers of the followed sections, tip first.
     """
 
-    def __init__(self, gamma: Array) -> None:
+    def __init__(self, gamma: Array, *, trace: bool = False) -> None:
         self._v = np.zeros((3, 2, *gamma.shape[1:]))  # component, vector, trial, posture
         self._v[:, _GRAVITY] = gamma
         self._point = np.zeros(2)
         self.mass: Array | float = 0.0
+        self._trace = trace
+        self.line: list[int] = []
 
     @property
     def gravity(self) -> Array:
@@ -68,13 +72,18 @@ class Walker:
         """Marked point or direction number `index` from here, (3, B, N)."""
         return self._v[:, 2 + index]
 
-    def mark(self, vector: Sequence[float], *, point: bool) -> int:
+    def mark(self, vector: Sequence[float] | Array, *, point: bool) -> int:
         """Follow a point (m) or a direction that is now `vector`; its number."""
         new = np.empty((3, 1, *self._v.shape[2:]))
         new[:] = np.reshape(vector, (3, 1, 1, 1))
         self._v = np.concatenate([self._v, new], axis=1)
         self._point = np.append(self._point, float(point))
         return len(self._point) - 3
+
+    def point(self) -> None:
+        """Follow this section's origin, where wanted."""
+        if self._trace:
+            self.line.append(self.mark((0.0, 0.0, 0.0), point=True))
 
     def hang(self, mass: Array | float, at: Sequence[float] | Array) -> None:
         """Add a mass (kg) at a position (m) in these axes."""
@@ -229,7 +238,7 @@ def cross(a: Array, b: Array) -> Array:
     return out
 
 
-def rpy_matrix(rpy: Sequence[float]) -> Array:
+def rpy_matrix(rpy: Sequence[float] | Array) -> Array:
     """Rotation matrix (3, 3) of fixed-axis roll, pitch, yaw (rad)."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
     rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])

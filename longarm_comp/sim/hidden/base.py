@@ -7,8 +7,8 @@ from typing import ClassVar, Literal, TypeVar
 
 import numpy as np
 
-from longarm_comp.core.arm import Arm, Beam
-from longarm_comp.sim.context import Context
+from longarm_comp.core.arm import Beam
+from longarm_comp.sim.context import State
 from longarm_comp.sim.rods import Walker
 
 Array = np.ndarray
@@ -36,21 +36,6 @@ class Place:
     prismatic: bool = False
     beam: Beam | None = None
     overlap: Array | None = None
-
-
-@dataclass(frozen=True)
-class State:
-    """The circumstances of N postures while they are solved.
-
-    Attributes:
-        arm: as declared.
-        q: commanded joints, (N, n).
-        context: every field filled, (N, ...).
-    """
-
-    arm: Arm
-    q: Array
-    context: Context
 
 
 class HiddenEffect:

@@ -8,7 +8,7 @@ import numpy as np
 
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.errors import InputError
-from longarm_comp.sim.context import Context
+from longarm_comp.sim.context import Context, State
 from longarm_comp.sim.hidden import camera, drives, geometry, loads
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.camera import CameraEffect
@@ -61,7 +61,8 @@ def _loose_screw(arm: Arm, rng: np.random.Generator) -> Hidden:
     joint = int(rng.choice(np.flatnonzero(_kind(arm, "revolute"))))
     at = rng.uniform(0.35, 0.65)
     threshold = arm.lower[joint] + at * (arm.upper[joint] - arm.lower[joint])
-    return geometry.LooseScrew(arm.commanded[joint], joint, threshold, float(rng.choice([-8e-3, 8e-3])))
+    jump = float(rng.choice([-8e-3, 8e-3]))
+    return geometry.LooseScrew(arm.commanded[joint], joint, threshold, jump)
 
 
 def _eccentricity(arm: Arm, rng: np.random.Generator) -> Hidden:
@@ -178,7 +179,8 @@ def draw(
     context = typical_context(len(poses), arm, rng)
     dose = 1.0
     for _ in range(8):
-        size = 1e3 * float(np.sqrt(np.mean(np.sum(shift(effect.scaled(dose), arm, poses, context) ** 2, 1))))
+        moved = shift(effect.scaled(dose), arm, poses, context)
+        size = 1e3 * float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
         if size == 0.0:
             raise InputError("hidden effect", "name", name, "an effect that moves this arm")
         if abs(size - size_mm) < 0.02 * size_mm:
@@ -194,8 +196,7 @@ def shift(effect: Hidden, arm: Arm, poses: Array, context: Context) -> Array:
 
     if isinstance(effect, CameraEffect):
         tip = TrueArm(arm).tip(poses, context)
-        assert isinstance(context.t_s, np.ndarray)
-        return StereoHead.of(arm, [effect]).seen(tip, context.t_s) - tip
+        return StereoHead.of(arm, [effect]).seen(tip, State.of(arm, poses, context).t_s) - tip
     return TrueArm(arm, [effect]).tip(poses, context) - TrueArm(arm).tip(poses, context)
 
 

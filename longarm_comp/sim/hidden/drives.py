@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from longarm_comp.sim.hidden.base import HiddenEffect, Place, State
+from longarm_comp.sim.context import State
+from longarm_comp.sim.hidden.base import HiddenEffect, Place
 from longarm_comp.sim.rods import Walker
 
 Array = np.ndarray
@@ -70,7 +71,7 @@ class FrictionHysteresis(HiddenEffect):
     lag: Array
 
     def joints(self, q: Array, state: State) -> Array:
-        return q - self.lag * state.context.approach
+        return q - self.lag * state.approach
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ class Backlash(HiddenEffect):
 
     def held(self, torques: Array, state: State) -> Array | float:
         loaded = np.abs(torques) > self.gate
-        return self.half * np.where(loaded, np.sign(torques), -state.context.approach)
+        return self.half * np.where(loaded, np.sign(torques), -state.approach)
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,7 @@ class ServoDroop(HiddenEffect):
 
     def held(self, torques: Array, state: State) -> Array | float:
         loaded = np.abs(torques) > self.friction
-        return self.deadband * np.where(loaded, np.sign(torques), -state.context.approach)
+        return self.deadband * np.where(loaded, np.sign(torques), -state.approach)
 
 
 @dataclass(frozen=True)

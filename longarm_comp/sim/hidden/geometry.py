@@ -7,7 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from longarm_comp.sim.hidden.base import THETA, A, D, HiddenEffect, State
+from longarm_comp.sim.context import State
+from longarm_comp.sim.hidden.base import THETA, A, D, HiddenEffect
 
 Array = np.ndarray
 
@@ -72,8 +73,7 @@ class ThermalGrowth(HiddenEffect):
     rate: float
 
     def rows(self, rows: Array, state: State) -> Array:
-        assert isinstance(state.context.temperature_c, np.ndarray)
-        growth = 1 + self.rate * (state.context.temperature_c - state.arm.reference_temperature_c)
+        growth = 1 + self.rate * (state.temperature_c - state.arm.reference_temperature_c)
         rows = rows.copy()
         rows[[A, D]] *= growth
         return rows

@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from longarm_comp.core.arm import Beam
-from longarm_comp.sim.hidden.base import HiddenEffect, Place, State
+from longarm_comp.sim.context import State
+from longarm_comp.sim.hidden.base import HiddenEffect, Place
 from longarm_comp.sim.rods import Walker
 
 Array = np.ndarray
@@ -110,8 +111,7 @@ class Creep(HiddenEffect):
     time_s: float
 
     def softness(self, beam: Beam, state: State) -> Array | float:
-        assert isinstance(state.context.t_s, np.ndarray)
-        return 1 + self.more * -np.expm1(-state.context.t_s / self.time_s)
+        return 1 + self.more * -np.expm1(-state.t_s / self.time_s)
 
 
 @dataclass(frozen=True)
@@ -146,8 +146,7 @@ class MeasuredTilt(HiddenEffect):
     lean: Array
 
     def readings(self, state: State) -> dict[str, Array]:
-        arm, t = state.arm, state.context.t_s
-        assert isinstance(t, np.ndarray)
+        arm, t = state.arm, state.t_s
         place = 2 * (state.q[:, 0] - arm.mid[0]) / (arm.upper[0] - arm.lower[0])
         turn = 2 * np.pi * t / self.period_s
         phases = (0.0, 1.3)
