@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 
 import numpy as np
 
@@ -195,29 +196,41 @@ def characteristic_length(model: Model) -> float:
     return max(0.25 * size, 0.01)
 
 
+def target_faults(targets: np.ndarray, position_only: bool, where: str) -> list[str]:
+    """What is wrong with each of N targets; an empty string where nothing is.
+
+    Raises:
+        InputError: the targets are neither (N, 3) nor (N, 4, 4).
+    """
+    if targets.ndim not in (2, 3) or targets.shape[1:] not in ((3,), (4, 4)):
+        allowed = "shape (N, 3) or (N, 4, 4)"
+        raise InputError(where, "targets", f"shape {targets.shape}", allowed)
+    finite = np.isfinite(targets).reshape(len(targets), -1).all(axis=1)
+    turned = np.ones(len(targets), bool)
+    if targets.ndim == 3 and not position_only:
+        T = np.where(finite[:, None, None], targets, 0.0)
+        R = T[:, :3, :3]
+        off = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2))
+        turned = (off < 1e-6) & (np.linalg.det(R) > 0) & (T[:, 3] == [0, 0, 0, 1]).all(axis=1)
+    return [
+        ("" if t else "its orientation is no rotation") if f else "it holds a number not finite"
+        for f, t in zip(finite, turned, strict=True)
+    ]
+
+
 def checked_targets(
     targets: np.ndarray, position_only: bool, where: str = "ik.solve_many"
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Positions (N, 3) and axes n, o, a (N, 9) or None, checked at the door."""
     targets = np.asarray(targets, dtype=float)
-    if targets.ndim not in (2, 3) or targets.shape[1:] not in ((3,), (4, 4)):
-        allowed = "shape (N, 3) or (N, 4, 4)"
-        raise InputError(where, "targets", f"shape {targets.shape}", allowed)
-    bad = ~np.isfinite(targets).reshape(len(targets), -1).all(axis=1)
-    if bad.any():
-        raise InputError(where, f"target {bad.argmax()}", targets[bad][0], "finite numbers (m)")
+    for i, fault in enumerate(target_faults(targets, position_only, where)):
+        if fault:
+            allowed = f"finite numbers in m, a rotation and [0, 0, 0, 1]: {fault}"
+            raise InputError(where, f"target {i}", targets[i].tolist(), allowed)
     if targets.ndim == 2:
         return targets, None
-    R = targets[:, :3, :3]
-    if not position_only:
-        off = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2))
-        bad = (off > 1e-6) | (np.linalg.det(R) < 0) | (targets[:, 3] != [0, 0, 0, 1]).any(axis=1)
-        if bad.any():
-            raise InputError(
-                where, f"target {bad.argmax()}", targets[bad][0], "a rotation and [0, 0, 0, 1]"
-            )
-        return targets[:, :3, 3], R.transpose(0, 2, 1).reshape(-1, 9)
-    return targets[:, :3, 3], None
+    axes = targets[:, :3, :3].transpose(0, 2, 1).reshape(-1, 9)
+    return targets[:, :3, 3], None if position_only else axes
 
 
 def checked_seed(
@@ -299,7 +312,7 @@ def _restarted(
         centre = (1 - radius) * start[:, failed] + radius * (sub.lower + 0.5 * box)
         q0 = centre + radius * (point[:, None] - 0.5) * box
         q0 = np.clip(q0, sub.lower, sub.upper)
-        found = search(lambda q, ids, f=failed: evaluate(q, f[ids]), sub, q0, max_iterations)
+        found = search(partial(_among, evaluate, failed), sub, q0, max_iterations)
         score = np.hypot(found.position, task.length * found.angle)
         held = np.hypot(best.position[failed], task.length * best.angle[failed])
         won = score < held
@@ -309,6 +322,12 @@ def _restarted(
         best.iterations[failed] += found.iterations
         starts[failed] += 1
     return best, task, starts
+
+
+def _among(
+    evaluate: Evaluate, some: np.ndarray, q: np.ndarray, ids: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return evaluate(q, some[ids])
 
 
 def restart_points(n: int, count: int, rng: np.random.Generator | None) -> np.ndarray:
