@@ -116,7 +116,7 @@ def test_dynamixel_library_sync_and_bulk(dynamixel) -> None:
 
 
 def test_dynamixel_library_reads_a_byte_stuffed_value(dynamixel) -> None:
-    emulator, port, packet = dynamixel
+    _, port, packet = dynamixel
     stuffed = 0x00FDFFFF
     assert packet.write4ByteTxRx(port, 1, 84, stuffed) == (dxl.COMM_SUCCESS, 0)
     assert packet.read4ByteTxRx(port, 1, 84) == (stuffed, dxl.COMM_SUCCESS, 0)

@@ -18,7 +18,7 @@ class ServoBusError(JobError):
         return type(self), self.args
 
 
-class BusUnplugged(ServoBusError):
+class BusUnplugged(ServoBusError):  # noqa: N818
     """The serial port cannot be opened, is held by another process, or has gone away."""
 
     def __init__(self, port: str, why: str) -> None:
@@ -27,7 +27,7 @@ class BusUnplugged(ServoBusError):
         self.port = port
 
 
-class IncompleteReply(ServoBusError):
+class IncompleteReply(ServoBusError):  # noqa: N818
     """Some servos gave no usable answer after every retry.
 
     Attributes:
@@ -76,7 +76,7 @@ class ServoChecksum(IncompleteReply):
     reason_text = "answers of servos failed their checksum"
 
 
-class ServoFault(ServoBusError):
+class ServoFault(ServoBusError):  # noqa: N818
     """A servo reports an alarm of its own (overheating, overload, voltage, sensor)."""
 
     def __init__(self, servo_id: int, flags: ServoAlarm) -> None:
@@ -86,7 +86,7 @@ class ServoFault(ServoBusError):
         self.flags = flags
 
 
-class ServoRejected(ServoBusError):
+class ServoRejected(ServoBusError):  # noqa: N818
     """A servo refused an instruction (range, access, length); the code is the servo's own."""
 
     def __init__(self, servo_id: int, code: int) -> None:

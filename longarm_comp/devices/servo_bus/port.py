@@ -32,14 +32,14 @@ class SerialPort:
             )
         except (OSError, ValueError) as error:
             raise BusUnplugged(path, str(error)) from error
-        # The USB adapter's 16 ms latency timer is the largest share of a round trip, where it has one.
+        # Where a USB adapter has a latency timer (16 ms), that is most of a round trip.
         with contextlib.suppress(OSError, ValueError, AttributeError, NotImplementedError):
             self._serial.set_low_latency_mode(True)
 
     def send(self, frame: bytes) -> int:
         """Drop whatever stale bytes lie in the input, then send; returns the number dropped."""
         try:
-            stale = self._serial.in_waiting
+            stale = int(self._serial.in_waiting)
             if stale:
                 self._serial.read(stale)
             self._serial.write(frame)
@@ -50,7 +50,7 @@ class SerialPort:
     def receive(self, count: int) -> bytes:
         """At most ``count`` bytes; fewer (or none) when the reply time-out passes first."""
         try:
-            return self._serial.read(count)
+            return bytes(self._serial.read(count))
         except OSError as error:
             raise BusUnplugged(self.path, str(error)) from error
 

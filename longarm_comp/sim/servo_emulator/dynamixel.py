@@ -117,7 +117,7 @@ class DynamixelWire(Wire):
         """Write registers; the error code (0: done)."""
         end = address + len(data)
         motor = device.motor
-        if end > MEMORY or address < TORQUE and motor.torque_on or end > MOVING:
+        if end > MEMORY or (address < TORQUE and motor.torque_on) or end > MOVING:
             return NO_ACCESS
         if address <= GOAL < end:
             goal = int.from_bytes(data[GOAL - address : GOAL - address + 4], "little", signed=True)

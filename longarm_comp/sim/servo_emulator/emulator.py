@@ -31,7 +31,7 @@ class ServoEmulator:
     Args:
         protocol: ``feetech`` or ``dynamixel``.
         positions: where each servo stands at the start, ticks, by id.
-        spec: mechanics of all servos, or of each by id.
+        spec: mechanics of all servos, or of each by id; none: an unloaded STS3215.
         link: a symbolic link to the pseudo-terminal to make (and move along on ``replug``).
         load_of: external load from positions; none: unloaded.
         baudrate: when given, replies take as long as their bytes take at this rate.
@@ -43,13 +43,14 @@ class ServoEmulator:
         self,
         protocol: str,
         positions: Mapping[int, float],
-        spec: MotorSpec | Mapping[int, MotorSpec] = MotorSpec(),
+        spec: MotorSpec | Mapping[int, MotorSpec] | None = None,
         link: Path | None = None,
         load_of: LoadOf | None = None,
         baudrate: int | None = None,
     ) -> None:
         self._wire = WIRES[protocol]
-        specs = dict.fromkeys(positions, spec) if isinstance(spec, MotorSpec) else spec
+        same = MotorSpec() if spec is None else spec
+        specs = dict.fromkeys(positions, same) if isinstance(same, MotorSpec) else same
         self._devices: dict[int, Device] = {
             i: self._wire.device(i, Motor(specs[i], ticks)) for i, ticks in positions.items()
         }
@@ -61,6 +62,7 @@ class ServoEmulator:
         self._thread: threading.Thread | None = None
         self._fds: tuple[int, int] | None = None
         self._now = time.monotonic()
+        self.protocol = protocol
         self.faults = WireFaults()
         self.port = ""
         self.frames_heard = 0

@@ -1,0 +1,151 @@
+"""A smooth path through joint way-points that keeps velocity limits: cubic Hermite segments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TrajectoryPoint:
+    """One way-point: seconds from the start, positions (rad, m) and perhaps velocities."""
+
+    time_from_start_s: float
+    positions: tuple[float, ...]
+    velocities: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class JointTrajectory:
+    """Way-points of named joints, as ``trajectory_msgs/JointTrajectory`` has them."""
+
+    joint_names: tuple[str, ...]
+    points: tuple[TrajectoryPoint, ...]
+
+
+@dataclass(frozen=True)
+class JointPath:
+    """Cubic Hermite path.
+
+    Attributes:
+        times: (k,) s, from 0, increasing.
+        positions: (k, n) rad or m.
+        slopes: (k, n) rad/s or m/s at the knots.
+        stretch: how much slower than asked, so that the velocity limits hold; 1: not slowed.
+    """
+
+    times: Array
+    positions: Array
+    slopes: Array
+    stretch: float = 1.0
+
+    @property
+    def duration(self) -> float:
+        """s"""
+        return float(self.times[-1])
+
+    @property
+    def end(self) -> Array:
+        """(n,) where it rests."""
+        return self.positions[-1]
+
+    def at(self, time_s: float) -> Array:
+        """(n,) position; before the start and after the end it rests there."""
+        if len(self.times) == 1 or time_s >= self.times[-1]:
+            return self.positions[-1]
+        k = max(int(np.searchsorted(self.times, time_s, side="right")) - 1, 0)
+        h = self.times[k + 1] - self.times[k]
+        u = max((time_s - self.times[k]) / h, 0.0)
+        p, q, m, n = *self.positions[k : k + 2], *self.slopes[k : k + 2]
+        step = q - p
+        return p + h * m * u + (3 * step - h * (2 * m + n)) * u**2 + (h * (m + n) - 2 * step) * u**3
+
+    def extremes(self) -> tuple[Array, Array]:
+        """(n,), (n,): lowest and highest position reached anywhere."""
+        if len(self.times) == 1:
+            return self.positions[0], self.positions[0]
+        h = np.diff(self.times)[:, None]
+        b, c = self._velocity_terms()
+        m = self.slopes[:-1]
+        # Turning points: m + b u + c u^2 = 0 with the stable form of the quadratic formula.
+        root = np.sqrt(np.maximum(b**2 - 4 * c * m, 0.0))
+        half = -0.5 * (b + np.where(b < 0, -root, root))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            turns = np.stack((half / c, m / half))
+        turns = np.clip(np.where(np.isfinite(turns), turns, 0.0), 0.0, 1.0)
+        reached = self.positions[:-1] + h * (m * turns + b * turns**2 / 2 + c * turns**3 / 3)
+        every = np.concatenate((self.positions[None], reached), axis=None).reshape(
+            -1, self.positions.shape[1]
+        )
+        return every.min(axis=0), every.max(axis=0)
+
+    def peak_velocity(self) -> Array:
+        """(n,) highest speed anywhere."""
+        if len(self.times) == 1:
+            return np.zeros(self.positions.shape[1])
+        b, c = self._velocity_terms()
+        m = self.slopes[:-1]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u = -b / (2 * c)
+        inside = (u > 0.0) & (u < 1.0)
+        u = np.where(inside, u, 0.0)
+        return np.maximum(np.abs(self.slopes).max(axis=0), np.abs(m + b * u + c * u**2).max(axis=0))
+
+    def _velocity_terms(self) -> tuple[Array, Array]:
+        """Velocity in a segment is ``slope + b u + c u^2``, u from 0 to 1."""
+        chord = np.diff(self.positions, axis=0) / np.diff(self.times)[:, None]
+        m, n = self.slopes[:-1], self.slopes[1:]
+        return 6 * chord - 4 * m - 2 * n, 3 * (m + n) - 6 * chord
+
+
+def plan_path(
+    start: Array, times: Array, positions: Array, velocities: Array | None, max_velocity: Array
+) -> JointPath:
+    """From rest at ``start`` through the way-points to rest, slowed down where it is too fast.
+
+    A segment whose mean velocity is too high is lengthened; then all are, by one factor, until the
+    peak velocity is allowed. A first point at time 0 away from ``start`` is reached as fast as
+    that. Without velocities the slopes are those of Fritsch and Butland (1984): monotone between
+    way-points, so the path never leaves the box they span.
+
+    Args:
+        start: (n,). times: (k,) s, increasing, from 0 or later. positions, velocities: (k, n).
+        max_velocity: (n,).
+    """
+    away = float(np.max(np.abs(positions[0] - start) / max_velocity))
+    points, asked = positions, np.diff(times)
+    if away > 1e-9 or times[0] > 1e-9:
+        points = np.concatenate((start[None], positions))
+        asked = np.diff(times, prepend=0.0)
+    least = np.max(np.abs(np.diff(points, axis=0)) / max_velocity, axis=1)
+    steps = np.maximum(asked, least)
+    knots = np.concatenate(([0.0], np.cumsum(steps)))
+    slopes = _monotone_slopes(knots, points)
+    if velocities is not None:
+        ratio = np.minimum(np.divide(asked, steps, out=np.ones_like(steps), where=steps > 0.0), 1.0)
+        inner = np.minimum(ratio[:-1], ratio[1:])[:, None]
+        slopes[1:-1] = velocities[-1 - len(inner) : -1] * inner
+    path = JointPath(knots, points, slopes)
+    slower = max(1.0, float(np.max(path.peak_velocity() / max_velocity)))
+    expected = max(float(times[-1]), 1.5 * away)
+    stretch = max(path.duration * slower / expected, 1.0) if expected > 0.0 else 1.0
+    return JointPath(knots * slower, points, slopes / slower, stretch)
+
+
+def _monotone_slopes(times: Array, positions: Array) -> Array:
+    """Fritsch-Butland slopes, zero at both ends and wherever the direction turns."""
+    slopes = np.zeros_like(positions)
+    if len(times) < 3:
+        return slopes
+    h = np.diff(times)[:, None]
+    chord = np.diff(positions, axis=0) / h
+    before, after = chord[:-1], chord[1:]
+    weight = (h[:-1] + 2 * h[1:]) / (3 * (h[:-1] + h[1:]))
+    same = before * after > 0.0
+    bottom = np.where(same, weight * after + (1 - weight) * before, 1.0)
+    slopes[1:-1] = np.where(same, before * after / bottom, 0.0)
+    return slopes

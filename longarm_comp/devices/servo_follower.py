@@ -1,0 +1,297 @@
+"""From a joint trajectory to bounded servo goals, one step at a time; never on doubtful data.
+
+Pure: it knows neither ROS nor a port. The caller reads the bus, calls ``step`` with what it got,
+and sends the goals it gets back. A fault holds every servo where it is and sends nothing more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.devices.joint_path import Array, JointPath, JointTrajectory, plan_path
+from longarm_comp.devices.servo_bus import ServoState
+from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.devices.servo_watch import Finding, ServoWatch
+from longarm_comp.devices.trajectory_check import checked
+
+_SETTLED_TICKS_S = 30.0
+
+
+class FollowerState(Enum):
+    """What the follower is doing."""
+
+    IDLE = "idle"
+    TRACKING = "tracking"
+    HOLDING = "holding"
+    FAULT = "fault"
+    ESTOP = "estop"
+
+
+class EventKind(Enum):
+    """What happened in a step, or since the last one."""
+
+    STARTED = "started"
+    REPLACED = "replaced"
+    SLOWED = "slowed"
+    ARRIVED = "arrived"
+    DOUBTFUL = "doubtful"
+    FAULT = "fault"
+    ESTOP = "estop"
+    RESET = "reset"
+
+
+@dataclass(frozen=True)
+class Event:
+    """One thing worth telling the user; ``finding`` only with FAULT."""
+
+    kind: EventKind
+    message: str
+    finding: Finding | None = None
+
+
+@dataclass(frozen=True)
+class Step:
+    """The outcome of one step.
+
+    Attributes:
+        state: after the step.
+        goals: ticks by servo id to send now; None: send nothing.
+        set_points: commanded joint values, rad or m; empty when nothing is commanded.
+        events: in the order in which they happened.
+    """
+
+    state: FollowerState
+    goals: dict[int, int] | None
+    set_points: dict[str, float]
+    events: tuple[Event, ...]
+
+
+class TrajectoryFollower:
+    """Follows one trajectory at a time within the limits of ``config``.
+
+    Call ``step`` at a steady rate, also while idle: it is what keeps the read-back known.
+    ``now`` is monotonic seconds everywhere.
+    """
+
+    def __init__(self, config: ServoConfig) -> None:
+        self._config = config
+        self._joints = list(config.joints.values())
+        self._names = tuple(config.joints)
+        self._lower = np.array([j.lower for j in self._joints])
+        self._upper = np.array([j.upper for j in self._joints])
+        self._max_velocity = np.array([j.max_velocity for j in self._joints])
+        self._watch = ServoWatch(config)
+        self._state = FollowerState.IDLE
+        self._events: list[Event] = []
+        self._now: float | None = None
+        self._fresh = False
+        self._doubting = False
+        self._settled = True
+        self._set: Array | None = None
+        self._velocity = np.zeros(len(self._joints))
+        self._goals: dict[int, int] | None = None
+        self._path: JointPath | None = None
+        self._path_time = 0.0
+        self._from: tuple[Array, Array] = (self._lower, self._velocity)
+
+    @property
+    def state(self) -> FollowerState:
+        """What it is doing."""
+        return self._state
+
+    def accept(self, trajectory: JointTrajectory, now: float) -> None:
+        """Take over a trajectory; it starts with the next step, from where the set-point is.
+
+        Joints it does not name stay where they are. No point at all: stop smoothly. A first point
+        at time 0 away from the arm is reached as fast as the limits allow; a trajectory that is
+        too fast is slowed down evenly (SLOWED says by how much). It always ends at rest.
+
+        Raises:
+            InputError: unknown or repeated joint, wrong length, not finite, times not increasing,
+                outside the limits (on the way too); nothing changes then.
+            JobError: no trusted read-back yet, fault, or emergency stop.
+        """
+        self._check_ready(now)
+        start = self._start()
+        wanted = checked(trajectory, self._config, start)
+        if wanted is None:
+            brake = start + 0.5 * self._config.follower.blend_s * self._velocity
+            rest = np.clip(brake, self._lower, self._upper)[None]
+            path = JointPath(np.zeros(1), rest, np.zeros_like(rest))
+        else:
+            path = plan_path(
+                start, wanted.times, wanted.positions, wanted.velocities, self._max_velocity
+            )
+            self._check_inside(path)
+        replaces = self._state is FollowerState.TRACKING
+        self._set = start
+        self._path, self._path_time, self._from = path, 0.0, (start, self._velocity.copy())
+        self._state, self._settled = FollowerState.TRACKING, False
+        kind = EventKind.REPLACED if replaces else EventKind.STARTED
+        self._say(kind, f"{len(trajectory.points)} points, {path.duration:.2f} s")
+        if path.stretch > 1.001:
+            self._say(EventKind.SLOWED, f"{path.stretch:.2f} times slower, for the velocity limits")
+
+    def halt(self, now: float) -> None:
+        """Stop smoothly and hold. Raises as ``accept``."""
+        self.accept(JointTrajectory((), ()), now)
+
+    def estop(self, now: float) -> None:
+        """Command nothing more until ``reset``; the caller switches the torque off."""
+        self._state = FollowerState.ESTOP
+        self._drop_motion()
+        self._say(EventKind.ESTOP, "emergency stop")
+
+    def reset(self, now: float) -> None:
+        """Back to idle after a fault or an emergency stop.
+
+        Raises:
+            JobError: a servo is silent, hot or alarmed still; the message says which.
+        """
+        self._check_health(now)
+        self._watch.forget_errors()
+        self._drop_motion()
+        self._state = FollowerState.IDLE
+        self._say(EventKind.RESET, "ready")
+
+    def step(self, now: float, states: Mapping[int, ServoState]) -> Step:
+        """Take in one read-back (by servo id, silent servos left out) and say what to send.
+
+        Raises:
+            InputError: ``now`` is not finite.
+        """
+        if not math.isfinite(now):
+            raise InputError("servo follower", "now", now, "finite seconds")
+        limit = self._config.follower.max_step_s
+        dt = 0.0 if self._now is None else min(max(now - self._now, 0.0), limit)
+        self._now = now if self._now is None else max(now, self._now)
+        self._fresh, findings = self._watch.update(self._now, states, self._goals)
+        goals = None
+        if self._state in (FollowerState.TRACKING, FollowerState.HOLDING):
+            goals = self._fault(findings) if findings else self._move(dt)
+        set_points = (
+            {} if self._set is None else dict(zip(self._names, self._set.tolist(), strict=True))
+        )
+        events, self._events = tuple(self._events), []
+        return Step(self._state, goals, set_points, events)
+
+    def _move(self, dt: float) -> dict[int, int] | None:
+        """One bounded step along the path; nothing at all while any servo is in doubt."""
+        if not self._fresh:
+            if not self._doubting:
+                self._say(EventKind.DOUBTFUL, "waiting for a trusted read-back of every servo")
+            self._doubting = True
+            self._velocity = np.zeros_like(self._velocity)
+            return None
+        self._doubting = False
+        assert self._path is not None and self._set is not None
+        self._path_time += dt
+        wanted = np.clip(self._reference(), self._lower, self._upper)
+        bound = self._max_velocity * dt
+        step = np.clip(wanted - self._set, -bound, bound)
+        self._set = self._set + step
+        self._velocity = step / dt if dt > 0.0 else self._velocity
+        arrived = self._path_time >= self._path.duration + self._config.follower.blend_s
+        if arrived and np.allclose(self._set, self._path.end, rtol=0.0, atol=1e-9):
+            self._state = FollowerState.HOLDING
+            self._settle()
+        self._goals = {
+            joint.servo_id: joint.to_ticks(value)
+            for joint, value in zip(self._joints, self._set.tolist(), strict=True)
+        }
+        return self._goals
+
+    def _reference(self) -> Array:
+        """The path, blended in over a brake from the set-point and speed of the take-over.
+
+        Both lie within the joint box, so their blend does; position and velocity are continuous.
+        """
+        assert self._path is not None
+        blend, t = self._config.follower.blend_s, self._path_time
+        wanted = self._path.at(t)
+        if t >= blend:
+            return wanted
+        start, speed = self._from
+        u = t / blend
+        brake = np.clip(start + speed * t * (1.0 - 0.5 * u), self._lower, self._upper)
+        weight = u * u * (3.0 - 2.0 * u)
+        return (1.0 - weight) * brake + weight * wanted
+
+    def _settle(self) -> None:
+        """Say once that the arm has come to rest at the end of its trajectory."""
+        states = [self._watch.state(name) for name in self._names]
+        still = all(s is not None and abs(s.velocity_ticks_s) < _SETTLED_TICKS_S for s in states)
+        if still and not self._settled:
+            self._settled = True
+            self._say(EventKind.ARRIVED, "at rest at the end of the trajectory")
+
+    def _fault(self, findings: list[Finding]) -> dict[int, int]:
+        """Stop where the servos are, once; a servo not heard just now keeps its last goal."""
+        self._state = FollowerState.FAULT
+        for finding in findings:
+            what = f"{finding.joint} {finding.trouble.value}: {finding.message}"
+            self._say(EventKind.FAULT, what, finding)
+        hold = {}
+        for name, joint in self._config.joints.items():
+            state = self._watch.state(name)
+            if state is not None and self._watch.heard(name):
+                low, high = joint.tick_limits
+                hold[joint.servo_id] = min(max(state.position_ticks, low), high)
+        self._drop_motion()
+        return hold
+
+    def _drop_motion(self) -> None:
+        self._path = self._set = self._goals = None
+        self._velocity = np.zeros_like(self._velocity)
+
+    def _check_ready(self, now: float) -> None:
+        if self._state in (FollowerState.FAULT, FollowerState.ESTOP):
+            raise JobError("no trajectory is taken until the arm is reset", state=self._state.value)
+        late = self._now is None or now - self._now > self._config.follower.silence_s
+        if late or not self._fresh:
+            raise JobError("no fresh read-back of every servo", servos=len(self._joints))
+        self._check_health(now)
+
+    def _start(self) -> Array:
+        """The set-point now; from idle, where the arm stands."""
+        if self._set is not None:
+            return self._set
+        values = []
+        for name, joint in self._config.joints.items():
+            state = self._watch.state(name)
+            assert state is not None
+            value = joint.to_si(state.position_ticks)
+            slack = self._config.follower.stall_error_ticks * joint.si_per_tick
+            if not joint.lower - slack <= value <= joint.upper + slack:
+                allowed = f"{joint.lower:g} to {joint.upper:g} {joint.unit}; move it by hand"
+                raise InputError("read-back", name, value, allowed)
+            values.append(min(max(value, joint.lower), joint.upper))
+        return np.array(values)
+
+    def _check_inside(self, path: JointPath) -> None:
+        low, high = path.extremes()
+        for k, joint in enumerate(self._joints):
+            slack = 0.5 * joint.si_per_tick
+            for value in (low[k], high[k]):
+                if not joint.lower - slack <= value <= joint.upper + slack:
+                    allowed = f"{joint.lower:g} to {joint.upper:g} {joint.unit}"
+                    raise InputError(
+                        "joint trajectory", f"{self._names[k]} on the way", value, allowed
+                    )
+
+    def _check_health(self, now: float) -> None:
+        standing = self._watch.standing(now)
+        if standing:
+            first = standing[0]
+            raise JobError(
+                f"a servo is {first.trouble.value}", joint=first.joint, why=first.message
+            )
+
+    def _say(self, kind: EventKind, message: str, finding: Finding | None = None) -> None:
+        self._events.append(Event(kind, message, finding))

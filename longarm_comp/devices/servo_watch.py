@@ -1,0 +1,162 @@
+"""Is the read-back to be trusted, and do the servos do as they are told?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+from longarm_comp.devices.servo_bus import ServoAlarm, ServoState
+from longarm_comp.devices.servo_config import JointConfig, ServoConfig
+
+
+class Trouble(Enum):
+    """What a servo can be found guilty of; each is a fault that stops the arm."""
+
+    SILENT = "silent"
+    ALARM = "alarm"
+    OVERHEATED = "overheated"
+    STALLED = "stalled"
+    NOT_FOLLOWING = "not following"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One trouble of one joint, in words."""
+
+    trouble: Trouble
+    joint: str
+    message: str
+
+
+@dataclass
+class _Seen:
+    """What is known of one servo."""
+
+    state: ServoState | None = None
+    at: float = 0.0
+    off_since: float | None = None
+    lost_since: float | None = None
+
+
+class ServoWatch:
+    """Keeps the last trusted read-back of every joint and finds trouble in it.
+
+    Args:
+        config: the joints and their limits.
+    """
+
+    def __init__(self, config: ServoConfig) -> None:
+        self._config = config
+        self._seen = {name: _Seen() for name in config.joints}
+        self._started: float | None = None
+        self._now = 0.0
+
+    def update(
+        self,
+        now: float,
+        states: Mapping[int, ServoState],
+        goals: Mapping[int, int] | None,
+    ) -> tuple[bool, list[Finding]]:
+        """Take in one read-back, by servo id; servos that gave none are left out of it.
+
+        Args:
+            now: s, monotonic.
+            goals: what was commanded last, ticks by id; None: nothing, so nothing can be off.
+
+        Returns:
+            Whether every joint was heard and believed this time, and the troubles found.
+        """
+        if self._started is None:
+            self._started = now
+        self._now = now
+        findings: list[Finding] = []
+        fresh = True
+        for name, joint in self._config.joints.items():
+            seen = self._seen[name]
+            state = states.get(joint.servo_id)
+            if state is None or (goals is not None and self._jumped(seen, joint, state, now)):
+                fresh = False
+            else:
+                seen.state, seen.at = state, now
+                findings += self._health(name, state)
+            goal = None if goals is None else goals.get(joint.servo_id)
+            findings += self._obedience(name, joint, seen, goal, now)
+            findings += self._silence(name, seen, now)
+        return fresh, findings
+
+    def standing(self, now: float) -> list[Finding]:
+        """What is wrong with the servos whether they are commanded or not."""
+        findings: list[Finding] = []
+        for name, seen in self._seen.items():
+            findings += self._silence(name, seen, now)
+            if seen.state is not None:
+                findings += self._health(name, seen.state)
+        return findings
+
+    def state(self, joint: str) -> ServoState | None:
+        """The last trusted read-back of a joint."""
+        return self._seen[joint].state
+
+    def heard(self, joint: str) -> bool:
+        """Whether a joint was heard and believed in the last update."""
+        seen = self._seen[joint]
+        return seen.state is not None and seen.at == self._now
+
+    def forget_errors(self) -> None:
+        """Start the stall clocks anew (after a reset)."""
+        for seen in self._seen.values():
+            seen.off_since = seen.lost_since = None
+
+    def _jumped(self, seen: _Seen, joint: JointConfig, state: ServoState, now: float) -> bool:
+        """Whether the joint would have had to move faster than it can to be there."""
+        if seen.state is None:
+            return False
+        reach = 4.0 * joint.max_speed_ticks_s * (now - seen.at) + self._config.follower.jump_ticks
+        return abs(state.position_ticks - seen.state.position_ticks) > reach
+
+    def _silence(self, name: str, seen: _Seen, now: float) -> list[Finding]:
+        since = seen.at if seen.state is not None else self._started
+        if since is None or now - since <= self._config.follower.silence_s:
+            return []
+        message = f"no read-back to trust for {now - since:.2f} s"
+        return [Finding(Trouble.SILENT, name, message)]
+
+    def _health(self, name: str, state: ServoState) -> list[Finding]:
+        joint = self._config.joints[name]
+        findings = []
+        if state.error_flags:
+            alarm = ServoAlarm(state.error_flags).name or int(state.error_flags)
+            findings.append(Finding(Trouble.ALARM, name, f"the servo reports {alarm}"))
+        if not state.temperature_c <= joint.max_temperature_c:
+            hot = f"{state.temperature_c:.0f} C, allowed {joint.max_temperature_c:.0f} C"
+            findings.append(Finding(Trouble.OVERHEATED, name, hot))
+        return findings
+
+    def _obedience(
+        self, name: str, joint: JointConfig, seen: _Seen, goal: int | None, now: float
+    ) -> list[Finding]:
+        """Commanded against read back: pushing without moving, or not there at all."""
+        if goal is None or seen.state is None:
+            seen.off_since = seen.lost_since = None
+            return []
+        limits = self._config.follower
+        off = abs(goal - seen.state.position_ticks)
+        pushing = off > limits.stall_error_ticks and abs(seen.state.load) >= joint.max_load
+        seen.off_since = _since(seen.off_since, pushing, now)
+        seen.lost_since = _since(seen.lost_since, off > limits.lost_error_ticks, now)
+        where = (
+            f"{off * joint.si_per_tick:.4g} {joint.unit} off its goal for {limits.stall_time_s} s"
+        )
+        if seen.off_since is not None and now - seen.off_since >= limits.stall_time_s:
+            load = f"{where} at {abs(seen.state.load):.0%} load"
+            return [Finding(Trouble.STALLED, name, load)]
+        if seen.lost_since is not None and now - seen.lost_since >= limits.stall_time_s:
+            return [Finding(Trouble.NOT_FOLLOWING, name, where)]
+        return []
+
+
+def _since(start: float | None, holds: bool, now: float) -> float | None:
+    if not holds:
+        return None
+    return now if start is None else start

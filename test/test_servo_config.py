@@ -1,0 +1,144 @@
+"""The servo configuration: conversions, and errors that name the field."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.devices.servo_config import JointConfig, ServoConfig
+
+REVOLUTE: dict[str, Any] = {
+    "servo_id": 1,
+    "model": "sts3215",
+    "type": "revolute",
+    "zero_ticks": 2048,
+    "lower": -1.0,
+    "upper": 1.2,
+    "max_velocity": 1.0,
+}
+SCREW = REVOLUTE | {
+    "servo_id": 2,
+    "type": "prismatic",
+    "screw_lead_m": 0.008,
+    "multi_turn": True,
+    "lower": 0.0,
+    "upper": 0.05,
+    "max_velocity": 0.02,
+}
+RACK = REVOLUTE | {
+    "servo_id": 3,
+    "type": "prismatic",
+    "pinion_radius_m": 0.018,
+    "zero_ticks": 4000,
+    "direction": -1,
+    "lower": 0.0,
+    "upper": 0.1,
+    "max_velocity": 0.05,
+}
+
+
+def _document(**joints: dict[str, Any]) -> dict[str, Any]:
+    return {"bus": {"protocol": "feetech", "port": "/dev/null"}, "joints": joints}
+
+
+def _refused(data: Any) -> str:
+    with pytest.raises(InputError) as caught:
+        ServoConfig.parse(data, "servo.yaml")
+    assert caught.value.where == "servo.yaml"
+    return f"{caught.value.field} | {caught.value}"
+
+
+def test_a_tick_is_what_the_gearing_makes_of_it() -> None:
+    assert JointConfig(**REVOLUTE).si_per_tick == pytest.approx(2 * math.pi / 4096)
+    geared = JointConfig(**REVOLUTE | {"gear_ratio": 5.0})
+    assert geared.si_per_tick == pytest.approx(2 * math.pi / 4096 / 5)
+    assert JointConfig(**SCREW).si_per_tick == pytest.approx(0.008 / 4096)
+    assert JointConfig(**RACK).si_per_tick == pytest.approx(2 * math.pi * 0.018 / 4096)
+
+
+@pytest.mark.parametrize("fields", [REVOLUTE, SCREW, RACK])
+def test_every_tick_within_the_limits_comes_back_unchanged(fields: dict[str, Any]) -> None:
+    joint = JointConfig(**fields)
+    low, high = joint.tick_limits
+    assert all(joint.to_ticks(joint.to_si(t)) == t for t in range(low, high + 1))
+    assert joint.to_si(joint.zero_ticks) == 0.0
+
+
+@pytest.mark.parametrize("fields", [REVOLUTE, SCREW, RACK])
+def test_a_goal_at_a_limit_is_not_rounded_past_it(fields: dict[str, Any]) -> None:
+    joint = JointConfig(**fields)
+    for limit in (joint.lower, joint.upper):
+        reached = joint.to_si(joint.to_ticks(limit))
+        assert joint.lower - 1e-12 <= reached <= joint.upper + 1e-12
+        assert abs(reached - limit) < joint.si_per_tick
+
+
+def test_direction_turns_position_and_speed_around() -> None:
+    joint = JointConfig(**RACK)
+    assert joint.to_ticks(0.05) < joint.to_ticks(0.01)
+    assert joint.speed_to_si(100.0) == pytest.approx(-100 * joint.si_per_tick)
+
+
+@pytest.mark.parametrize("value", [1.3, -1.1, math.nan, math.inf])
+def test_values_outside_the_limits_are_refused(value: float) -> None:
+    with pytest.raises(InputError, match=r"-1 to 1\.2 rad"):
+        JointConfig(**REVOLUTE).to_ticks(value)
+
+
+@pytest.mark.parametrize(
+    ("change", "field", "said"),
+    [
+        ({"servo_id": 999}, "joints.a.servo_id", "252"),
+        ({"model": "mg996r"}, "joints.a.model", "sts3215"),
+        ({"model": "xl430-w250"}, "joints.a.model", "sts3215"),
+        ({"type": "ball"}, "joints.a.type", "revolute"),
+        ({"direction": 0}, "joints.a.direction", "1 or -1"),
+        ({"gear_ratio": 0.0}, "joints.a.gear_ratio", "greater than 0"),
+        ({"zero_ticks": math.nan}, "joints.a.zero_ticks", "finite"),
+        ({"upper": -2.0}, "joints.a.upper", "above lower"),
+        ({"lower": -4.0}, "joints.a.lower", "multi_turn"),
+        ({"zero_ticks": 4000}, "joints.a.upper", "multi_turn"),
+        ({"max_velocity": -1}, "joints.a.max_velocity", "greater than 0"),
+        ({"screw_lead_m": 0.008}, "joints.a.pinion_radius_m", "revolute"),
+        ({"type": "prismatic"}, "joints.a.pinion_radius_m", "exactly one of"),
+        ({"max_tempreature_c": 60}, "joints.a.max_tempreature_c", "max_temperature_c"),
+    ],
+)
+def test_a_wrong_field_is_named_with_what_is_allowed(
+    change: dict[str, Any], field: str, said: str
+) -> None:
+    message = _refused(_document(a=REVOLUTE | change))
+    assert message.startswith(field + " |")
+    assert said in message
+
+
+def test_wrong_documents_are_named() -> None:
+    assert "missing" in _refused({"joints": {"a": REVOLUTE}})
+    assert "servo_id" in _refused(_document(a=REVOLUTE, b=SCREW | {"servo_id": 1}))
+    assert "feetech, dynamixel" in _refused(
+        _document(a=REVOLUTE) | {"bus": {"protocol": "canopen", "port": "x"}}
+    )
+    assert "follower" in _refused(_document(a=REVOLUTE) | {"limits": {}})
+    assert _refused([1]).startswith("document")
+    assert _refused(_document()).startswith("joints")
+
+
+def test_plain_and_ros_parameter_files_are_read(tmp_path: Path) -> None:
+    data = _document(b=SCREW, a=REVOLUTE)
+    plain, ros = tmp_path / "plain.yaml", tmp_path / "ros.yaml"
+    plain.write_text(yaml.safe_dump(data, sort_keys=False))
+    params = data | {"rate_hz": 50.0}
+    ros.write_text(yaml.safe_dump({"/**": {"ros__parameters": params}}, sort_keys=False))
+    config = ServoConfig.load(plain)
+    assert config == ServoConfig.load(ros)
+    assert list(config.ids.items()) == [("b", 2), ("a", 1)]
+    with pytest.raises(InputError, match="a readable file"):
+        ServoConfig.load(tmp_path / "none.yaml")
+    plain.write_text("bus: [")
+    with pytest.raises(InputError, match="valid YAML"):
+        ServoConfig.load(plain)
