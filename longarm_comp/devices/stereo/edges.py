@@ -15,7 +15,7 @@ from longarm_comp.devices.stereo.camera import Array
 
 _ALONG = np.linspace(0.12, 0.88, 24)  # where on a side the edge is located
 _STEP_PX = 0.25
-_PASSES = 2  # the second starts on the first one's line
+_REACH = (0.7, 0.5, 0.45, 0.45)  # half window across a side, in cells; one pass each
 
 
 def refine_quads(grey: NDArray[np.uint8], quads: Array, modules: int) -> Array:
@@ -27,12 +27,12 @@ def refine_quads(grey: NDArray[np.uint8], quads: Array, modules: int) -> Array:
         modules: cells along a side, border included: the edge is sought within one cell of it.
     """
     quads = np.asarray(quads, dtype=float)
-    for _ in range(_PASSES):
+    for share in _REACH:
         start, end = quads, np.roll(quads, -1, axis=1)
         along = end - start
         length = np.linalg.norm(along, axis=2)
         normal = np.stack([along[..., 1], -along[..., 0]], axis=-1) / length[..., None]
-        reach = float(np.clip(0.8 * length.min() / modules, 1.5, 5.0))
+        reach = float(np.clip(share * length.min() / modules, 1.0, 4.0))
         across = np.arange(-reach, reach + _STEP_PX / 2, _STEP_PX)
         feet = start[:, :, None] + _ALONG[:, None] * along[:, :, None]  # (N, 4, 24, 2)
         at = feet[..., None, :] + across[:, None] * normal[:, :, None, None]

@@ -137,14 +137,16 @@ class StereoEye:
             self._corners(greys[1], Reason.NOT_FOUND_RIGHT, "right"),
         )
         ids, in_left, in_right = np.intersect1d(seen[0].ids, seen[1].ids, return_indices=True)
-        self._require(Reason.OCCLUDED, len(ids) >= self.limits.min_corners, corners=len(ids))
+        corners = self.target.points(ids)
+        enough = len(ids) >= self.limits.min_corners and _span_m(corners) > 0.0
+        self._require(Reason.OCCLUDED, enough, corners=len(ids), of=self.target.n_corners)
         left_px, right_px = seen[0].pixels[in_left], seen[1].pixels[in_right]
         off = float(np.median(epipolar_px(self.rig, left_px, right_px)))
         self._require(Reason.EPIPOLAR, off <= self.limits.epipolar_px, epipolar_px=round(off, 3))
         points = triangulate(self.rig, left_px, right_px, self.noise)
         pose = marker_pose(
             self.rig,
-            self.target.points(ids),
+            corners,
             points,
             left_px,
             right_px,
@@ -152,7 +154,7 @@ class StereoEye:
             self.noise,
         )
         rms = pose.rms_px
-        size = _size_seen(points.points, self.target.points(ids))
+        size = _size_seen(points.points, corners)
         wrong = abs(size - 1.0) > self.limits.size
         self._require(Reason.MARKER_SIZE, not wrong, seen_over_declared=round(size, 4))
         self._require(Reason.REPROJECTION, rms <= self.limits.rms_px, rms_px=round(rms, 3))
@@ -217,6 +219,12 @@ def as_grey(image: NDArray[np.uint8], camera: Camera, side: str) -> NDArray[np.u
         allowed = f"{camera.size[0]}x{camera.size[1]}"
         raise StereoRefusal(Reason.WRONG_SIZE, image=side, size=size, calibrated=allowed)
     return image if len(shape) == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+
+
+def _span_m(corners: Array) -> float:
+    """Second-largest extent (m) of the corners (N, 3): 0 where they lie on one line."""
+    extent = np.linalg.svd(corners - corners.mean(axis=0), compute_uv=False)
+    return float(extent[1]) if extent[1] > 0.05 * extent[0] else 0.0
 
 
 def _size_seen(points: Array, corners: Array) -> float:

@@ -98,7 +98,10 @@ class TagBoard:
 
     def detect(self, grey: Grey) -> Corners:
         """Tags by OpenCV, each side then located to sub-pixel and the sides intersected."""
-        quads, tag_ids, _ = self._detector.detectMarkers(grey)
+        for detector in self._detectors:  # the quick one is enough unless a tag is missing
+            quads, tag_ids, _ = detector.detectMarkers(grey)
+            if tag_ids is not None and len(tag_ids) >= self.columns * self.rows:
+                break
         if tag_ids is None or not len(tag_ids):
             return _NONE
         ours = np.asarray(tag_ids).ravel().astype(np.int64) - self.first_id
@@ -117,10 +120,13 @@ class TagBoard:
         return int(_dictionary(self.dictionary).markerSize) + 2
 
     @cached_property
-    def _detector(self) -> cv2.aruco.ArucoDetector:
-        parameters = cv2.aruco.DetectorParameters()
-        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
-        return cv2.aruco.ArucoDetector(_dictionary(self.dictionary), parameters)
+    def _detectors(self) -> tuple[cv2.aruco.ArucoDetector, cv2.aruco.ArucoDetector]:
+        """One threshold window (0.8 ms an image of 640x480), then OpenCV's three (2.7 ms)."""
+        quick = cv2.aruco.DetectorParameters()
+        quick.adaptiveThreshWinSizeMin = quick.adaptiveThreshWinSizeMax = 11
+        thorough = cv2.aruco.DetectorParameters()
+        known = _dictionary(self.dictionary)
+        return cv2.aruco.ArucoDetector(known, quick), cv2.aruco.ArucoDetector(known, thorough)
 
 
 @dataclass(frozen=True)
