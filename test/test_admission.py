@@ -107,13 +107,13 @@ def test_mirrored_axes(
     assert "right-handed" in message
 
 
-def test_turned_axes_say_what_base_would_explain_them(session: Session) -> None:
+def test_turned_frame_is_noted_with_the_base_that_explains_it(session: Session) -> None:
     base = rpy_frame((0.3, -0.2, 0.1), (0.0, 0.0, np.pi / 2)).matrix()
     turned = session.xyz @ base[:3, :3].T + base[:3, 3]
-    message = refusal(with_xyz(session, turned))
-    assert "axes like -y,x,z" in message
-    assert "rpy_deg: [" in message
-    words = message.split("declare base: ")[1]
+    (finding,) = admit(with_xyz(session, turned), ARM).findings
+    assert finding.check == "frame"
+    assert "turned by 90 deg against the declared arm, axes like -y,x,z" in finding.message
+    words = finding.message.split("as base: ")[1]
     xyz = [float(v) for v in words.split("xyz_m: [")[1].split("]")[0].split(",")]
     rpy = [float(v) for v in words.split("rpy_deg: [")[1].split("]")[0].split(",")]
     assert np.allclose(xyz, [0.3, -0.2, 0.1], atol=2e-3)

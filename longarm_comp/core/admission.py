@@ -247,13 +247,12 @@ def _frame_of(
     clear = 0.3 * straight.misfit
     if axes.mirrored and axes.misfit < min(clear, 0.5 * turned.misfit):
         raise case.refuse(field, f"axes like {name}", "a right-handed x,y,z in the base frame")
-    if turned.misfit < clear and turned.angle > _TILTED:
-        value = f"turned by {np.degrees(turned.angle):.0f} deg against the declared arm"
-        if axes.misfit < clear:
-            value += f", axes like {name}"
-        raise case.refuse(field, value, f"the base frame; or declare {_base(case.arm, turned)}")
     away = np.linalg.norm(straight.offset)
-    if away > 0.3 * _spread(predicted):
+    if turned.misfit < clear and turned.angle > _TILTED:
+        like = f", axes like {name}" if axes.misfit < clear else ""
+        text = f"turned by {np.degrees(turned.angle):.0f} deg against the declared arm{like}"
+        yield Finding("frame", field, f"{text}; as {_base(case.arm, turned)}")
+    elif away > 0.3 * _spread(predicted):
         yield Finding("frame", field, f"{away:.3f} m away from where the declared arm is")
     distance = np.linalg.norm(measured - predicted @ turned.rotation.T - turned.offset, axis=1)
     far = distance > max(_OUTLIER * 1.4826 * turned.misfit, 1e-9)
