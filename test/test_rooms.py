@@ -45,6 +45,7 @@ ROOMS = {
     "core": Room((*ROS, "cv2", "serial", "click", "rich", "matplotlib", "plotly"), only=()),
     "devices": Room(ROS, only=("core.errors", "core.files")),
     "sim": Room(ROS, only=("core.arm", "core.errors", "core.files", "devices")),
+    "sessions": Room((*ROS, "nodes", "devices", "sim", "report", "cli")),
     "report": Room((*ROS, "nodes", "devices", "sim", "cli")),
     "nodes": Room(("cli", "report", "studies", "bench", "scipy", "torch")),
 }
@@ -57,9 +58,12 @@ MATHS = {
 
 @dataclass(frozen=True)
 class Import:
+    """One import: where, of what, and whether loading the module carries it out."""
+
     line: int
     name: str
     typing_only: bool
+    in_function: bool
 
 
 def below(name: str, parents: tuple[str, ...]) -> bool:
@@ -81,6 +85,12 @@ def imports(source: str, module: str, known: frozenset[str]) -> Iterator[Import]
         for statement in node.body
         for inner in ast.walk(statement)
     }
+    in_function = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        for inner in ast.walk(node)
+    }
     for node in ast.walk(tree):
         names: list[str] = []
         if isinstance(node, ast.Import):
@@ -94,7 +104,7 @@ def imports(source: str, module: str, known: frozenset[str]) -> Iterator[Import]
         elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
             names = [a.value for a in node.args if isinstance(a, ast.Constant)]
         for name in names:
-            yield Import(node.lineno, name, id(node) in typing_only)
+            yield Import(node.lineno, name, id(node) in typing_only, id(node) in in_function)
 
 
 def maths(source: str) -> Iterator[tuple[int, str]]:
@@ -172,13 +182,25 @@ def in_room(room: str) -> list[str]:
 
 @cache
 def graph() -> dict[str, set[str]]:
-    """The package's modules and what each imports of it when it is loaded or run."""
+    """The package's modules and what each needs of it.
+
+    An import within a function, of a neighbour in the same folder, does not count: a record's own
+    ``save`` may hand itself to the file format beside it.
+    """
     return {
         module.removesuffix(".__init__"): {
-            entry.name for entry in read(module) if entry.name in known() and not entry.typing_only
+            entry.name
+            for entry in read(module)
+            if entry.name in known()
+            and not entry.typing_only
+            and not (entry.in_function and neighbours(module, entry.name))
         }
         for module in sources()
     }
+
+
+def neighbours(one: str, other: str) -> bool:
+    return one.rpartition(".")[0] == other.rpartition(".")[0]
 
 
 @pytest.mark.parametrize("room", ROOMS)
