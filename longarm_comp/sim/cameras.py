@@ -88,7 +88,7 @@ class CameraInfo:
 
 
 @dataclass(frozen=True)
-class StereoHead:
+class CameraPair:
     """Two equal cameras. The defaults look along +y of the base from 1.7 m beside the arm.
 
     Args:
@@ -186,7 +186,7 @@ class Conditions:
 def render(
     base_T_marker: ArrayLike,
     plate: Plate,
-    head: StereoHead,
+    head: CameraPair,
     rng: np.random.Generator,
     conditions: Conditions | None = None,
 ) -> tuple[Grey, Grey]:
@@ -201,7 +201,7 @@ def render(
 def _image(
     camera_T_marker: Array,
     plate: Plate,
-    head: StereoHead,
+    head: CameraPair,
     conditions: Conditions,
     eye: int,
     rng: np.random.Generator,
@@ -224,7 +224,7 @@ def _image(
 
 
 def _window(
-    camera_T_marker: Array, plate: Plate, head: StereoHead, conditions: Conditions
+    camera_T_marker: Array, plate: Plate, head: CameraPair, conditions: Conditions
 ) -> tuple[int, int, int, int] | None:
     """The part of the image (x0, y0, x1, y1) that the blurred plate may touch."""
     half = np.asarray(plate.size_m) / 2
@@ -245,7 +245,7 @@ def _fine_plate(
     window: tuple[int, int, int, int],
     camera_T_marker: Array,
     plate: Plate,
-    head: StereoHead,
+    head: CameraPair,
     covered: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Light from the plate and its share of every fine pixel of the window."""
