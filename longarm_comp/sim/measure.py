@@ -53,7 +53,7 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class StereoHead:
+class Camera:
     """A stereo head that reports points in the base frame.
 
     Attributes:
@@ -67,7 +67,7 @@ class StereoHead:
     effects: tuple[CameraEffect, ...] = ()
 
     @classmethod
-    def of(cls, arm: Arm, effects: Sequence[CameraEffect] = ()) -> StereoHead:
+    def of(cls, arm: Arm, effects: Sequence[CameraEffect] = ()) -> Camera:
         """The declared head of an arm, upright.
 
         Raises:
@@ -114,7 +114,7 @@ class Session:
 
 def measure_session(
     true_arm: TrueArm,
-    camera: StereoHead,
+    camera: Camera,
     poses: Array,
     *,
     rng: np.random.Generator,

@@ -26,7 +26,7 @@ import numpy as np
 from longarm_comp.core.errors import JobError
 
 Array = np.ndarray
-STEPS = 6
+STEPS = 4
 _GRAVITY, _MOMENT = 0, 1
 _CONVERGED = 1e-11  # rad, of gravity's direction in the base frame
 _NEWTON = 12
@@ -195,7 +195,8 @@ def settle(walk: Callable[[Array], Walker], start: Array, gravity: Array) -> Arr
     for parts in (1, 4, 16, 64):
         unit = start / size
         for part in range(1, parts + 1):
-            unit, left = _newton(walk, unit, gravity / size, size * part / parts)
+            with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+                unit, left = _newton(walk, unit, gravity / size, size * part / parts)
         if left < _CONVERGED:
             return size * unit
     raise JobError("the rods found no equilibrium", left_rad=left, postures=start.shape[1])

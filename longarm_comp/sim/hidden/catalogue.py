@@ -107,7 +107,7 @@ HIDDEN: dict[str, Maker] = {
     "joint_zero": _joint_zero,
     "dh_error": _dh_error,
     "base_pose": _base_pose,
-    "gravity_direction": lambda arm, rng: geometry.GravityDirection(0.3 * _signs(rng, 2)),
+    "gravity_direction": lambda arm, rng: geometry.GravityDirection(0.05 * _signs(rng, 2)),
     "thermal_growth": _thermal,
     "joint_gain": lambda arm, rng: drives.JointGain(
         _turning(arm, rng, 0.01, 0.03) * _signs(rng, arm.n)
@@ -192,11 +192,11 @@ def draw(
 def shift(effect: Hidden, arm: Arm, poses: Array, context: Context) -> Array:
     """By how much one effect moves the seen tip, (N, 3) m in the base frame."""
     from longarm_comp.sim.arm_truth import TrueArm
-    from longarm_comp.sim.measure import StereoHead
+    from longarm_comp.sim.measure import Camera
 
     if isinstance(effect, CameraEffect):
         tip = TrueArm(arm).tip(poses, context)
-        return StereoHead.of(arm, [effect]).seen(tip, State.of(arm, poses, context).t_s) - tip
+        return Camera.of(arm, [effect]).seen(tip, State.of(arm, poses, context).t_s) - tip
     return TrueArm(arm, [effect]).tip(poses, context) - TrueArm(arm).tip(poses, context)
 
 

@@ -1,0 +1,327 @@
+"""The simulated arm against textbooks, an FE library, another simulator, and its own claims."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_bvp
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.context import Context
+
+G = 9.81
+EI, GJ = 2.0, 1.5
+
+
+def one_beam(length: float = 1.0, mass: float = 0.0, tip_mass: float = 0.0, **more: Any) -> Arm:
+    """A beam along -y of the base (z of row 1 after Rx(90 deg)), turned by q about itself."""
+    return Arm.parse(
+        {
+            "name": "beam",
+            "convention": "mdh_craig",
+            "tip": {"frame": 1},
+            "gravity_mps2": [0, 0, -G],
+            "joints": [
+                {"id": 1, "type": "revolute", "alpha_deg": 90, "d_m": length}
+                | {"limits_deg": [-180, 180]}
+            ],
+            "links": [
+                {"name": "rod", "row": 1, "role": "d", "length_m": length, "mass_kg": mass}
+                | {"body_length_m": length, "EI_nm2": EI, "GJ_nm2": GJ}
+            ],
+            "point_masses": [{"name": "load", "frame": 1, "mass_kg": tip_mass}],
+            **more,
+        },
+        "test",
+    )
+
+
+@pytest.fixture(scope="module")
+def twin(data_dir: Path) -> Arm:
+    """The declared arm of the shared twin cases."""
+    return Arm.load(data_dir / "twin" / "arm.yaml")
+
+
+def test_small_tip_load_is_the_cantilever_formula() -> None:
+    mass = 1e-4
+    pose = TrueArm(one_beam(0.8, tip_mass=mass)).pose(np.zeros(1))
+    assert pose[2, 3] == pytest.approx(-mass * G * 0.8**3 / (3 * EI), rel=1e-6)
+    assert pose[1, 3] == pytest.approx(-0.8, abs=1e-7)
+    slope = np.arctan2(pose[2, 2], -pose[1, 2])
+    assert slope == pytest.approx(-mass * G * 0.8**2 / (2 * EI), rel=1e-6)
+
+
+def test_small_dead_weight_is_the_cantilever_formula() -> None:
+    mass = 1e-4
+    pose = TrueArm(one_beam(0.8, mass=mass)).pose(np.zeros(1))
+    assert pose[2, 3] == pytest.approx(-mass * G * 0.8**3 / (8 * EI), rel=1e-6)
+
+
+def test_offset_load_twists_the_rod() -> None:
+    mass = 1e-5
+    load = {"name": "arm", "frame": 1, "mass_kg": mass, "position_m": [0.3, 0, 0]}
+    pose = TrueArm(one_beam(point_masses=[load])).pose(np.zeros(1))
+    assert pose[2, 0] == pytest.approx(-mass * G * 0.3 * 1.0 / GJ, rel=1e-6)
+
+
+def test_rectangle_is_stiff_on_edge() -> None:
+    section = {"type": "rect", "width_m": 0.01, "height_m": 0.03}
+    rod = {"name": "rod", "row": 1, "role": "d", "length_m": 1.0, "section": section}
+    arm = one_beam(tip_mass=1e-4, links=[rod | {"E_pa": 2e9, "poisson": 0.3}])
+    flat, on_edge = (-TrueArm(arm).tip(np.array([[np.pi / 2], [0.0]])))[:, 2]
+    assert on_edge == pytest.approx(1e-4 * G / (3 * 2e9 * 0.01 * 0.03**3 / 12), rel=1e-5)
+    assert flat / on_edge == pytest.approx(9.0, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("alpha", "drop", "shortening", "slope"),
+    [
+        (1.0, 0.30172, 0.05643, 0.46135),
+        (2.0, 0.49346, 0.16064, 0.78175),
+        (5.0, 0.71379, 0.38763, 1.21537),
+        (10.0, 0.81061, 0.55500, 1.43029),
+    ],
+)
+def test_elastica(alpha: float, drop: float, shortening: float, slope: float) -> None:
+    """Bisshopp and Drucker (1945), as tabulated by Mattiasson (1981); alpha = P L^2 / EI."""
+    arm = one_beam(tip_mass=alpha * EI / G)
+    pose = TrueArm(arm, steps=60).pose(np.zeros(1))
+    assert -pose[2, 3] == pytest.approx(drop, abs=1e-5)
+    assert 1 + pose[1, 3] == pytest.approx(shortening, abs=1e-5)
+    assert np.arctan2(-pose[2, 2], -pose[1, 2]) == pytest.approx(slope, abs=1e-5)
+
+
+def test_heavy_elastica_solves_its_boundary_value_problem() -> None:
+    """EI theta'' = w (L - s) cos theta, theta(0) = 0, theta'(L) = 0, by collocation."""
+    w = 8.0
+
+    def rate(s: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return np.stack([y[1], w * (1 - s) * np.cos(y[0]) / EI, np.cos(y[0]), np.sin(y[0])])
+
+    mesh = np.linspace(0, 1, 50)
+    solved = solve_bvp(
+        rate,
+        lambda a, b: np.array([a[0], b[1], a[2], a[3]]),
+        mesh,
+        np.zeros((4, 50)),
+        tol=1e-10,
+        max_nodes=20000,
+    )
+    tip = TrueArm(one_beam(mass=w / G), steps=60).tip(np.zeros(1))
+    assert tip[2] == pytest.approx(solved.sol(1.0)[3], abs=1e-8)
+    assert -tip[1] == pytest.approx(solved.sol(1.0)[2], abs=1e-8)
+
+
+def test_sliding_body_hangs_in_the_beam_before_it() -> None:
+    """Small load, by hand: outer beam 0.4 m, inner 0.2 m out of a body of 0.3 m."""
+    outer = {"name": "outer", "row": 1, "role": "d", "length_m": 0.4, "EI_nm2": 4.0, "GJ_nm2": 1.0}
+    inner = {"name": "inner", "row": 1, "role": "d", "length_m": "rest", "EI_nm2": 1.0}
+    inner |= {"GJ_nm2": 1.0, "mass_kg": 3e-5, "body_length_m": 0.3}
+    joint = {"id": 1, "type": "prismatic", "alpha_deg": 90, "d_m": 0.5, "limits_m": [0, 0.2]}
+    arm = one_beam(joints=[joint], links=[outer, inner], point_masses=[])
+    drop = -TrueArm(arm).tip(np.array([0.1]))[2]
+    w = 3e-5 / 0.3 * G
+    # unit-load theorem: integral of M(s) (0.6 - s) / EI with M = w (0.6 - max(s, 0.3))^2 / 2 ...
+    s = np.linspace(0, 0.6, 600_001)
+    moment = np.where(s < 0.3, w * 0.3 * (0.45 - s), w * (0.6 - s) ** 2 / 2)
+    curvature = moment / np.where(s < 0.4, 4.0, 1.0)
+    assert drop == pytest.approx(np.trapezoid(curvature * (0.6 - s), s), rel=1e-5)
+
+
+def test_more_steps_change_nothing(twin: Arm, rng: np.random.Generator) -> None:
+    q = rng.uniform(twin.lower, twin.upper, (30, twin.n))
+    assert np.abs(TrueArm(twin).tip(q) - TrueArm(twin, steps=24).tip(q)).max() < 1e-9
+
+
+def test_single_and_batch_agree(twin: Arm, rng: np.random.Generator) -> None:
+    q = rng.uniform(twin.lower, twin.upper, (7, twin.n))
+    true = TrueArm(twin)
+    batch = true.pose(q)
+    for one, pose in zip(q, batch, strict=True):
+        assert np.allclose(true.pose(one), pose, atol=1e-11)
+    rotation = batch[:, :3, :3]
+    assert np.allclose(rotation @ rotation.transpose(0, 2, 1), np.eye(3), atol=1e-9)
+
+
+def test_centre_line_runs_from_foot_to_tip(twin: Arm, rng: np.random.Generator) -> None:
+    q = rng.uniform(twin.lower, twin.upper, (3, twin.n))
+    points = TrueArm(twin).points(q)
+    assert np.allclose(points[:, 0], 0.0)
+    assert np.allclose(points[:, -1], TrueArm(twin).tip(q))
+    assert np.linalg.norm(np.diff(points, axis=1), axis=2).max() < 0.4
+
+
+def test_torques_are_the_slope_of_potential_energy(twin: Arm, rng: np.random.Generator) -> None:
+    """Virtual work: at rest, with joints held, torque = dE/dq' by the payload's share."""
+    stiff = _stiffened(twin, 1e7)
+    q = rng.uniform(twin.lower, twin.upper, (1, twin.n))[0]
+    heavy, light = (TrueArm(stiff).torques(q, Context(payload_kg=m))[0] for m in (0.35, 0.25))
+    step = 1e-5
+    for k in range(twin.n):
+        dq = step * np.eye(twin.n)[k]
+        rise = (TrueArm(stiff).tip(q + dq)[2] - TrueArm(stiff).tip(q - dq)[2]) / (2 * step)
+        assert heavy[k] - light[k] == pytest.approx(-0.1 * G * rise, abs=1e-5)
+
+
+def test_overload_is_an_error_not_a_number() -> None:
+    with pytest.raises(JobError, match="no equilibrium"):
+        TrueArm(one_beam(tip_mass=1e9)).tip(np.zeros(1))
+
+
+@pytest.mark.parametrize("bad", [np.zeros(3), np.zeros((2, 2)), np.array([np.nan] * 7)])
+def test_bad_joints_are_refused(twin: Arm, bad: np.ndarray) -> None:
+    with pytest.raises(InputError, match="q"):
+        TrueArm(twin).tip(bad)
+
+
+def test_mimic_and_fixed_rows() -> None:
+    """A doubled telescope and a fixed row equal the same arm written out."""
+    rows: list[dict[str, Any]] = [
+        {"id": 1, "type": "revolute", "alpha_deg": 90, "limits_deg": [-90, 90], "d_m": 0.1},
+        {"id": 2, "type": "prismatic", "alpha_deg": 30, "d_m": 0.5, "limits_m": [0, 0.2]},
+        {"id": 3, "type": "fixed", "pose": {"xyz_m": [0.1, 0.2, 0.3], "rpy_deg": [10, 20, 30]}},
+        {"id": 4, "type": "prismatic", "d_m": 0.3, "mimic": {"joint": 2, "multiplier": 2.0}},
+    ]
+    beams = [
+        {"name": n, "row": r, "role": "d", "length_m": "rest", "EI_nm2": EI, "GJ_nm2": GJ}
+        for n, r in (("one", 2), ("two", 4))
+    ]
+    shared: dict[str, Any] = {"tip": {"frame": 4}, "links": beams}
+    load = [{"name": "load", "frame": 4, "mass_kg": 0.3}]
+    mimic = one_beam(joints=rows, point_masses=load, **shared)
+    free = [*rows[:3], {"id": 4, "type": "prismatic", "d_m": 0.3, "limits_m": [0, 0.4]}]
+    written = one_beam(joints=free, point_masses=load, **shared)
+    assert np.allclose(
+        TrueArm(mimic).pose(np.array([0.3, 0.1])), TrueArm(written).pose(np.array([0.3, 0.1, 0.2]))
+    )
+
+
+def _stiffened(arm: Arm, factor: float) -> Arm:
+    data = arm.model_dump(mode="json", exclude_none=True)
+    for beam in data["links"]:
+        beam["E_pa"] *= factor
+    return Arm.parse(data, "test")
+
+
+def read_noise_free(folder: Path, n: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Joints of the rows that have an answer, and the answers' three positions by prefix."""
+    q = {}
+    for part in ("samples", "test"):
+        with (folder / f"{part}.csv").open(encoding="utf-8") as file:
+            for row in csv.DictReader(file):
+                q[part, row["index"]] = [float(row[f"q{k + 1}"]) for k in range(n)]
+    with (folder / "answer" / "noise_free.csv").open(encoding="utf-8") as file:
+        answers = [r for r in csv.DictReader(file) if (r["set"], r["index"]) in q]
+    joints = np.array([q[r["set"], r["index"]] for r in answers])
+    return joints, {
+        p: np.array([[float(r[p + axis]) for axis in "xyz"] for r in answers])
+        for p in ("", "declared_", "rigid_")
+    }
+
+
+def test_another_authors_simulator(data_dir: Path, twin: Arm) -> None:
+    """Its beams also shear: with shear 0.005 mm apart, without 0.05 mm, at 13 mm of sag."""
+    q, answer = read_noise_free(data_dir / "twin" / "none_mid_300", twin.n)
+    weightless = twin.model_copy(update={"gravity_mps2": (0.0, 0.0, 0.0)})
+    assert np.abs(TrueArm(weightless).tip(q) - answer["rigid_"]).max() < 2e-7  # its last digit
+    for shear, allowed in ((True, 5e-6), (False, 5e-5)):
+        tip = TrueArm(twin, shear=shear).tip(q)
+        assert np.linalg.norm(tip - answer[""], axis=1).max() < allowed
+
+
+@pytest.mark.parametrize("case", range(8))
+def test_finite_elements(twin: Arm, case: int) -> None:
+    """PyNite is linear, so the arm is made stiff: 13 um of sag instead of 13 mm."""
+    pynite = pytest.importorskip("Pynite")
+    stiff = _stiffened(twin, 1e3)
+    q = np.random.default_rng(case).uniform(twin.lower, twin.upper)
+    weightless = stiff.model_copy(update={"gravity_mps2": (0.0, 0.0, 0.0)})
+    ours = TrueArm(stiff).tip(q) - TrueArm(weightless).tip(q)
+    theirs = fe_sag(pynite, stiff, q)
+    assert np.linalg.norm(ours - theirs) < 1e-4 * np.linalg.norm(theirs)
+
+
+def mdh(alpha: float, a: float, theta: float, d: float) -> np.ndarray:
+    """One Craig row, written out."""
+    ca, sa, ct, st = np.cos(alpha), np.sin(alpha), np.cos(theta), np.sin(theta)
+    return np.array(
+        [
+            [ct, -st, 0, a],
+            [st * ca, ct * ca, -sa, -d * sa],
+            [st * sa, ct * sa, ca, d * ca],
+            [0, 0, 0, 1],
+        ]
+    )
+
+
+def fe_sag(pynite: Any, arm: Arm, q: np.ndarray) -> np.ndarray:
+    """Linear sag of the tip by frame elements in the undeformed posture, (3,) m."""
+    model = pynite.FEModel3D()
+    model.add_node("N0", 0, 0, 0)
+    model.def_support("N0", *[True] * 6)
+    count, at = 0, np.zeros(3)
+    frame, frames, nodes = np.eye(4), [np.eye(4)], ["N0"]
+
+    def beam(end: np.ndarray, b: Any, loads: list[tuple[float, float]], length: float) -> None:
+        nonlocal count, at
+        count += 1
+        model.add_node(f"N{count}", *end)
+        name = f"M{count}"
+        if b is None:
+            model.add_material(name, 1e14, 1e14, 0.3, 0.0)
+            model.add_section(name, 1e-3, 1e-5, 1e-5, 2e-5)
+        else:
+            first, second, torsion = b.stiffness
+            model.add_material(name, b.E_pa, b.E_pa / (2 * (1 + b.poisson)), b.poisson, 0.0)
+            shear = b.E_pa / (2 * (1 + b.poisson))
+            model.add_section(name, 1e-2, first / b.E_pa, second / b.E_pa, torsion / shear)
+        model.add_member(name, f"N{count - 1}", f"N{count}", name, name)
+        for density, reach in loads:
+            w = -density * G
+            model.add_member_dist_load(name, "FZ", w, w, length - reach, length)
+        at = end
+
+    def run(start: np.ndarray, axis: np.ndarray, size: float, row: int, role: str) -> None:
+        beams = [b for b in arm.links if b.row == row and b.role == role]
+        fixed = sum(b.length_m for b in beams if b.length_m != "rest")
+        lengths = [size - fixed if b.length_m == "rest" else b.length_m for b in beams]
+        ends = np.cumsum(lengths)
+        for k, b in enumerate(beams):
+            loads = []
+            for j in range(k, len(beams)):
+                body = beams[j].body_length_m
+                reach = min(max(body - (ends[j] - ends[k]), 0.0), lengths[k])
+                if reach > 0:
+                    loads.append((beams[j].mass_kg / body, reach))
+            beam(start + axis * ends[k], b, loads, lengths[k])
+        if not beams and abs(size) > 0:
+            beam(start + axis * size, None, [], abs(size))
+
+    for k, joint in enumerate(arm.joints):
+        theta, d = np.radians(joint.theta_offset_deg), joint.d_m
+        theta, d = (theta + q[k], d) if joint.type == "revolute" else (theta, d + q[k])
+        alpha = np.radians(joint.alpha_deg)
+        run(at, frame[:3, 0], joint.a_m, k + 1, "a")
+        frame = frame @ mdh(alpha, joint.a_m, theta, d)
+        run(at, frame[:3, 2], d, k + 1, "d")
+        assert np.allclose(at, frame[:3, 3])
+        frames.append(frame)
+        nodes.append(f"N{count}")
+    masses = [(m.frame, m.mass_kg, m.position_m) for m in arm.point_masses]
+    assert arm.payload is not None
+    masses.append((arm.payload.frame, arm.payload.mass_kg, arm.payload.position_m))
+    for number, mass, position in masses:
+        lever = frames[number][:3, :3] @ np.array(position)
+        moment = np.cross(lever, [0, 0, -mass * G])
+        model.add_node_load(nodes[number], "FZ", -mass * G)
+        for name, value in zip(("MX", "MY", "MZ"), moment, strict=True):
+            model.add_node_load(nodes[number], name, float(value))
+    model.analyze_linear()
+    tip = model.nodes[f"N{count}"]
+    return np.array([tip.DX["Combo 1"], tip.DY["Combo 1"], tip.DZ["Combo 1"]])

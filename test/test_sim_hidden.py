@@ -1,0 +1,271 @@
+"""Every hidden effect: its dose, its sign, and by hand where a hand can."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.errors import InputError
+from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.context import Context, State
+from longarm_comp.sim.hidden import camera, drives, geometry, loads
+from longarm_comp.sim.hidden.camera import CameraEffect
+from longarm_comp.sim.hidden.catalogue import (
+    HIDDEN,
+    OUTSIDE_EVERY_LIBRARY,
+    draw,
+    hidden,
+    shift,
+    typical_context,
+)
+from longarm_comp.sim.variety import paper_mix, random_arm
+
+G = 9.81
+LIBRARY = (
+    *("joint_zero", "dh_error", "base_pose", "camera_pose"),
+    *("joint_compliance", "bearing_tilt", "link_stiffness", "tip_payload", "telescope_clearance"),
+    *("base_compliance", "measured_tilt", "gravity_direction", "backlash", "friction_hysteresis"),
+    *("gear_eccentricity", "joint_gain", "prismatic_pitch", "servo_droop", "servo_quantisation"),
+    *("thermal_growth", "creep", "camera_scale", "camera_radial", "camera_drift"),
+)
+
+
+def lever(**more: Any) -> Arm:
+    """A rigid lever of 0.5 m that a horizontal motor lifts, with 2 kg at its end.
+
+    q = 0 is level along x; the motor's axis is -y, so that q lifts.
+    """
+    return Arm.parse(
+        {
+            "name": "lever",
+            "convention": "mdh_craig",
+            "tip": {"frame": 1, "position_m": [0.5, 0, 0]},
+            "gravity_mps2": [0, 0, -G],
+            "joints": [{"id": 1, "type": "revolute", "alpha_deg": 90, "limits_deg": [-90, 90]}],
+            "point_masses": [{"name": "w", "frame": 1, "mass_kg": 2.0, "position_m": [0.5, 0, 0]}],
+            "camera": {"position_m": [0.5, -2.0, 0.0]},
+        }
+        | more,
+        "test",
+    )
+
+
+@pytest.fixture(scope="module")
+def twin(data_dir: Path) -> Arm:
+    """The declared arm of the shared twin cases."""
+    return Arm.load(data_dir / "twin" / "arm.yaml")
+
+
+def angle(arm: Arm, effect: Any, q: float = 0.0, **context: Any) -> float:
+    """Angle at which the lever comes to rest."""
+    tip = TrueArm(arm, [effect]).tip(np.array([q]), Context(**context))
+    return float(np.arctan2(tip[2], tip[0]))
+
+
+def test_the_library_and_more_are_there() -> None:
+    assert set(LIBRARY) | set(OUTSIDE_EVERY_LIBRARY) == set(HIDDEN)
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_dose(twin: Arm, name: str) -> None:
+    """No dose no shift; the wanted size is met; half the dose is about half the shift."""
+    rng = np.random.default_rng(5)
+    poses = rng.uniform(twin.lower, twin.upper, (40, twin.n))
+    context = typical_context(len(poses), twin, rng)
+    effect = draw(name, twin, rng, 3.0, poses)
+    assert effect.name == name
+
+    def rms_mm(dose: float) -> float:
+        moved = shift(effect.scaled(dose), twin, poses, context)
+        return 1e3 * float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
+
+    assert rms_mm(0.0) < 1e-9
+    assert rms_mm(1.0) == pytest.approx(3.0, rel=0.2)  # another draw of the context
+    assert rms_mm(0.5) == pytest.approx(0.5 * rms_mm(1.0), rel=0.25)
+
+
+def test_unknown_name_lists_the_known_ones(twin: Arm, rng: np.random.Generator) -> None:
+    with pytest.raises(InputError, match="joint_compliance"):
+        hidden("joint_complaince", twin, 1.0, rng)
+    with pytest.raises(InputError, match="moves this arm"):
+        draw("prismatic_pitch", lever(), rng, 1.0)
+
+
+def test_same_seed_same_effect(twin: Arm) -> None:
+    one, two = (draw("gear_eccentricity", twin, np.random.default_rng(3), 2.0) for _ in range(2))
+    assert np.array_equal(one.amplitude, two.amplitude)  # type: ignore[union-attr]
+
+
+def test_joint_compliance_yields_under_the_true_torque() -> None:
+    """theta = -c m g l cos(theta), solved by iteration."""
+    c = 0.02
+    theta = 0.0
+    for _ in range(100):
+        theta = -c * 2.0 * G * 0.5 * np.cos(theta)
+    found = angle(lever(), loads.JointCompliance(np.array([c])))
+    assert found == pytest.approx(theta, abs=1e-9)
+    assert TrueArm(lever()).torques(np.zeros(1))[0, 0] == pytest.approx(-2.0 * G * 0.5)
+
+
+def test_base_compliance_tilts_the_same_lever() -> None:
+    same = angle(lever(), loads.BaseCompliance(0.02))
+    assert same == pytest.approx(angle(lever(), loads.JointCompliance(np.array([0.02]))), abs=1e-9)
+
+
+def test_bearing_tilt_leans_across_the_axis() -> None:
+    """A standing post with an offset load leans by c m g times the offset that it then has."""
+    post = lever(
+        joints=[{"id": 1, "type": "revolute", "d_m": 1.0, "limits_deg": [-90, 90]}],
+        tip={"frame": 1},
+        point_masses=[{"name": "w", "frame": 1, "mass_kg": 1.0, "position_m": [0.2, 0, 0]}],
+    )
+    tip = TrueArm(post, [loads.BearingTilt(np.array([0.01]))]).tip(np.zeros(1))
+    lean = np.arctan2(tip[0], tip[2])
+    assert lean == pytest.approx(0.01 * G * (np.sin(lean) + 0.2 * np.cos(lean)), abs=1e-9)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("q", [0.0, np.radians(89.0)])
+def test_backlash_follows_the_load_else_the_approach(side: float, q: float) -> None:
+    effect = drives.Backlash(np.array([0.01]), gate=1.0)
+    loaded = 2.0 * G * 0.5 * np.cos(q) > 1.0
+    expected = -0.01 if loaded else -0.01 * side
+    assert angle(lever(), effect, q, approach=np.array([side])) - q == pytest.approx(expected)
+
+
+def test_friction_stops_short_of_the_command() -> None:
+    effect = drives.FrictionHysteresis(np.array([0.01]))
+    assert angle(lever(), effect, approach=np.array([1.0])) == pytest.approx(-0.01)
+    assert angle(lever(), effect, approach=np.array([-1.0])) == pytest.approx(0.01)
+    assert angle(lever(), effect) == pytest.approx(0.0)
+
+
+def test_servo_droop_is_sag_and_the_edge_of_the_deadband() -> None:
+    effect = drives.ServoDroop(np.array([0.001]), np.array([0.004]), friction=0.1)
+    assert angle(lever(), effect) == pytest.approx(-0.004 - 0.001 * 2 * G * 0.5, rel=1e-3)
+
+
+def test_servo_steps_gain_and_eccentricity() -> None:
+    assert angle(lever(), drives.ServoQuantisation(np.array([0.1])), 0.27) == pytest.approx(0.3)
+    assert angle(lever(), drives.JointGain(np.array([0.1])), 0.2) == pytest.approx(0.22)
+    eccentric = drives.GearEccentricity(np.array([[0.01], [0.002]]), np.array([[0.3], [-0.5]]))
+    expected = 0.2 + 0.01 * np.sin(0.5) + 0.002 * np.sin(-0.1)
+    assert angle(lever(), eccentric, 0.2) == pytest.approx(expected)
+
+
+def test_lengths_grow_with_temperature(twin: Arm) -> None:
+    effect = geometry.ThermalGrowth(1e-4)
+    weightless = twin.model_copy(update={"gravity_mps2": (0.0, 0.0, 0.0)})
+    q = np.zeros((1, twin.n))
+    cold = TrueArm(weightless, [effect]).tip(q, Context(temperature_c=22.0))
+    warm = TrueArm(weightless, [effect]).tip(q, Context(temperature_c=32.0))
+    assert np.allclose(cold, TrueArm(weightless).tip(q), atol=1e-12)
+    assert np.allclose(warm, cold * (1 + 1e-3), rtol=0, atol=1e-12)
+
+
+def test_creep_and_softness_act_on_the_sag(twin: Arm) -> None:
+    q = twin.mid[None]
+    sag = TrueArm(twin).tip(q) - _rigid(twin, q)
+    soft = TrueArm(twin, [loads.LinkStiffness({b.name: 0.1 for b in twin.links})]).tip(q)
+    assert (soft - _rigid(twin, q))[0, 2] == pytest.approx(1.1 * sag[0, 2], rel=2e-3)
+    creep = TrueArm(twin, [loads.Creep(0.1, 100.0)])
+    assert creep.tip(q, Context(t_s=0.0))[0, 2] == pytest.approx(TrueArm(twin).tip(q)[0, 2])
+    assert np.allclose(creep.tip(q, Context(t_s=1e5)), soft, atol=1e-9)
+
+
+def test_undeclared_payload_is_payload(twin: Arm) -> None:
+    q = twin.mid[None]
+    more = TrueArm(twin, [loads.TipPayload(0.1)]).tip(q)
+    assert np.allclose(more, TrueArm(twin).tip(q, Context(payload_kg=0.35)), atol=1e-12)
+
+
+def test_telescope_droops_less_with_more_overlap(twin: Arm) -> None:
+    effect = loads.TelescopeClearance(5e-4)
+    q = np.repeat(twin.mid[None], 2, axis=0)
+    q[:, 2] = twin.lower[2], twin.upper[2]
+    droop = (TrueArm(twin, [effect]).tip(q) - TrueArm(twin).tip(q))[:, 2]
+    assert droop[1] < droop[0] < 0
+
+
+def test_tilted_gravity_is_a_tilted_base(twin: Arm, rng: np.random.Generator) -> None:
+    """Tilting down and turning the result equals tilting the base the other way."""
+    q = rng.uniform(twin.lower, twin.upper, (5, twin.n))
+    level = TrueArm(twin, [geometry.GravityDirection(np.array([0.1, 0.0]))]).tip(q)
+    tilted = TrueArm(twin, [geometry.BasePose(np.array([0, 0, 0, -0.1, 0, 0]))]).tip(q)
+    c, s = np.cos(-0.1), np.sin(-0.1)
+    turn = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+    assert np.allclose(level @ turn.T, tilted, atol=1e-9)
+
+
+def test_inclinometer_reads_the_tilt_that_acts(twin: Arm, rng: np.random.Generator) -> None:
+    effect = hidden("measured_tilt", twin, 1.0, rng)
+    assert isinstance(effect, loads.MeasuredTilt)
+    q = rng.uniform(twin.lower, twin.upper, (1, twin.n))
+    true = TrueArm(_weightless(twin), [effect])
+    read = effect.readings(State.of(twin, q, Context(t_s=500.0)))
+    w = np.array([read["incl_0_x"][0], read["incl_0_y"][0], 0.0])
+    tip, moved = _rigid(twin, q)[0], true.tip(q, Context(t_s=500.0))[0]
+    assert np.allclose(moved - tip, np.cross(w, tip + np.cross(w, tip) / 2), atol=1e-7)
+
+
+def test_camera_effects_by_hand() -> None:
+    points, t = np.array([[0.1, 0.2, 2.0], [0.0, 0.0, 1.5]]), np.array([0.0, 3600.0])
+    radial = camera.CameraRadial(0.1).seen(points, t)
+    assert np.allclose(radial, [[0.1 * 1.00125, 0.2 * 1.00125, 2.0], [0, 0, 1.5]])
+    assert np.allclose(camera.CameraScale(0.01).seen(points, t), 1.01 * points)
+    drift = camera.CameraDrift(np.array([1e-3, 0, 0, 0, 0, 0])).seen(points, t)
+    assert np.allclose(drift, [points[0], [-1e-3, 0, 1.5]])
+    turned = camera.CameraPose(np.array([0, 0, 0, 0, 0, np.pi / 2])).seen(points, t)
+    assert np.allclose(turned[0], [0.2, -0.1, 2.0])
+
+
+def test_arm_side_and_camera_side_are_apart() -> None:
+    side = {
+        n: isinstance(HIDDEN[n](lever6(), np.random.default_rng(0)), CameraEffect) for n in HIDDEN
+    }
+    assert {n for n, seen in side.items() if seen} == {n for n in HIDDEN if n.startswith("camera_")}
+
+
+def lever6() -> Arm:
+    """An arm with enough motors for every effect."""
+    joints = [
+        {"id": k, "type": "revolute", "alpha_deg": 90, "limits_deg": [-90, 90]} for k in (1, 2, 3)
+    ]
+    slide = {"id": 4, "type": "prismatic", "d_m": 0.3, "limits_m": [0, 0.1]}
+    return lever(joints=[*joints, slide], tip={"frame": 4})
+
+
+def test_paper_mix_errs_as_the_paper_did(twin: Arm) -> None:
+    """Table I: 17.7 mm uncompensated, 15.39 mm with the deflection alone."""
+    rng = np.random.default_rng(2)
+    arm = random_arm(rng, twin)
+    assert arm.hash != twin.hash
+    mix = paper_mix(rng, arm)
+    poses = rng.uniform(arm.lower, arm.upper, (150, arm.n))
+    tip = TrueArm(arm, mix.arm_side).tip(poses, typical_context(len(poses), arm, rng))
+    left = 1e3 * np.abs((tip - TrueArm(arm).tip(poses))[:, 2]).mean()
+    raw = 1e3 * np.abs((tip - _rigid(arm, poses))[:, 2]).mean()
+    assert left == pytest.approx(15.4, rel=0.15)
+    assert 14.0 < raw < 23.0
+
+
+def test_random_arms_differ_and_stand(twin: Arm) -> None:
+    sags = []
+    for seed in range(5):
+        arm = random_arm(np.random.default_rng(seed), twin)
+        q = arm.mid[None]
+        sags.append(1e3 * (TrueArm(arm).tip(q) - _rigid(arm, q))[0, 2])
+    assert np.std(sags) > 0.5
+    assert np.all((np.array(sags) < -5) & (np.array(sags) > -30))
+
+
+def _weightless(arm: Arm) -> Arm:
+    return arm.model_copy(update={"gravity_mps2": (0.0, 0.0, 0.0)})
+
+
+def _rigid(arm: Arm, q: np.ndarray) -> np.ndarray:
+    return TrueArm(_weightless(arm)).tip(q)
