@@ -1,0 +1,168 @@
+"""A rosbag2 folder (mcap or sqlite3) as a session.
+
+A row is a command and what was seen once the arm had settled at it: the mean of the settled
+sightings up to the next command.  A command without any sighting only passes through: like
+the via points of a trajectory it tells from which side the joints arrived.  A sighting at NaN
+is a lost marker.  Temperature and payload hold until the next message; `session_row`
+messages, where recorded, add index, repeats, labels and further columns.
+
+Topics are found by their last name, so any namespace will do; other topics and unknown types
+are passed over.
+"""
+
+from __future__ import annotations
+
+import math
+import sqlite3
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.rosbag2 import Reader, ReaderError
+from rosbags.serde import SerdeError
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.dataset import Session, derive_approach
+from longarm_comp.core.errors import InputError
+from longarm_comp.sessions.message_types import message_types
+from longarm_comp.sessions.settled import settled
+from longarm_comp.sessions.tape import TYPES, Tape
+
+_BROKEN = (
+    *(ReaderError, SerdeError, sqlite3.Error, struct.error, OSError, EOFError),
+    *(AssertionError, AttributeError, KeyError, IndexError, TypeError, ValueError),
+)
+"""What the readers of broken files raise, by experiment (tests cut bags at many lengths)."""
+
+
+def read_bag(path: str | Path, arm: Arm, namespace: str | None = None) -> Session:
+    """Read a session from a bag.
+
+    Args:
+        path: the bag's folder, or one of its files.
+        arm: names and orders the joints.
+        namespace: which arm, when the bag holds several.
+
+    Raises:
+        InputError: no bag, cut short, without commands or sightings, joints of another arm.
+    """
+    where = str(path)
+    with open_bag(path) as reader:
+        try:
+            tape = _wind(reader, arm, namespace, where)
+        except InputError:
+            raise
+        except _BROKEN as error:
+            raise broken(where, error) from error
+    for topic, found in (("joint_trajectory", tape.commands), ("tip_measured", tape.sightings)):
+        if not found:
+            raise InputError(where, topic, "no message", "commands and the sightings they led to")
+    if len(tape.frames) > 1:
+        raise InputError(where, "tip_measured frame_id", sorted(tape.frames), "one frame")
+    return _session(tape)
+
+
+@contextmanager
+def open_bag(path: str | Path) -> Iterator[Reader]:
+    """A bag, open for reading.
+
+    Raises:
+        InputError: there is none, or it is cut short.
+    """
+    where = str(path)
+    if Path(path).is_dir() and not (Path(path) / "metadata.yaml").is_file():
+        allowed = "a bag folder with metadata.yaml (a recording that was killed has none)"
+        raise InputError(where, "metadata.yaml", "missing", allowed)
+    try:
+        reader = Reader(Path(path))
+        reader.open()
+    except _BROKEN as error:
+        raise broken(where, error) from error
+    try:
+        yield reader
+    finally:
+        reader.close()
+
+
+def broken(where: str, error: Exception) -> InputError:
+    """What to say about a bag that its reader could not read."""
+    said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    return InputError(where, "bag", said, "a complete rosbag2 (mcap or sqlite3)")
+
+
+def _wind(reader: Reader, arm: Arm, namespace: str | None, where: str) -> Tape:
+    chosen = {}
+    for connection in reader.connections:
+        space, _, name = connection.topic.rpartition("/")
+        wanted = namespace is None or space.strip("/") == namespace.strip("/")
+        if wanted and TYPES.get(name) == connection.msgtype:
+            chosen[connection.id] = connection
+    spaces = sorted({c.topic.rpartition("/")[0] or "/" for c in chosen.values()})
+    if len(spaces) > 1:
+        raise InputError(where, "namespaces", ", ".join(spaces), "one arm, or say which")
+    if not chosen:
+        topics = ", ".join(sorted({c.topic for c in reader.connections})) or "no topic"
+        raise InputError(where, "topics", topics, ", ".join(TYPES))
+    types = message_types()
+    tape = Tape(arm, where, reader.start_time)
+    for connection, stamp, raw in reader.messages(connections=list(chosen.values())):
+        name = connection.topic.rpartition("/")[2]
+        tape.take(name, stamp, types.deserialize_cdr(raw, TYPES[name]))
+    return tape
+
+
+def _session(tape: Tape) -> Session:
+    ends = [t for t, _ in tape.commands[1:]] + [math.inf]
+    path: list[np.ndarray] = []  # every point passed, rows and vias
+    count: list[int] = []  # its place; a step of two is a gap
+    at_row: list[int] = []
+    made: list[Any] = []
+    facts: list[dict[str, Any]] = []
+    place, passed = 0, False
+    for (begin, points), end in zip(tape.commands, ends, strict=True):
+        seen = settled(tape.sightings, tape.states, begin, end)
+        fact = next((row for t, row in tape.rows if begin < t < end), {})
+        index = int(fact.get("index", facts[-1]["index"] + 1 if facts else 0)) if seen else 0
+        gap = seen and facts and not passed and not 0 <= index - facts[-1]["index"] <= 1
+        for k, q in enumerate(points):
+            place += 2 if gap and k == 0 else 1
+            path.append(q)
+            count.append(place)
+        passed = seen is None
+        if seen is not None:
+            at_row.append(len(path) - 1)
+            made.append(seen)
+            facts.append({**fact, "index": index})
+    if not made:
+        raise InputError(
+            tape.where, "tip_measured", "none after a command", "a sighting per command"
+        )
+    q = np.array(path)
+    xyz = np.array([seen.xyz for seen in made])
+    variance = np.array([seen.variance for seen in made])
+    times = np.array([seen.t for seen in made])
+    columns = {"t_s": times}
+    for name, held in tape.columns.items():
+        moments, values = np.array(held).T
+        columns[name] = values[np.maximum(np.searchsorted(moments, times, "right") - 1, 0)]
+    columns |= _told(facts, "columns", float)
+    return Session(
+        index=np.array([fact["index"] for fact in facts]),
+        q=q[at_row],
+        xyz=xyz,
+        approach=derive_approach(q, np.array(count))[at_row],
+        repeat_id=np.array([fact.get("repeat_id", -1) for fact in facts]),
+        sigma=np.sqrt(variance) if (variance > 0).all() else None,
+        columns=columns,
+        labels=_told(facts, "labels", str),
+        source=tape.where,
+    )
+
+
+def _told(facts: list[dict[str, Any]], group: str, kind: type) -> dict[str, np.ndarray]:
+    """Columns that every row's `session_row` tells."""
+    names = [n for n in facts[0].get(group, {}) if all(n in f.get(group, {}) for f in facts)]
+    return {name: np.array([kind(fact[group][name]) for fact in facts]) for name in names}

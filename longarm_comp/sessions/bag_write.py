@@ -1,0 +1,199 @@
+"""A session as a rosbag2 of the robot's own topics, whole or not at all.
+
+Per row: a `joint_trajectory` command, the circumstances (`temperature`, `payload`), one
+`tip_measured` sighting, and a `session_row` with what no topic of the robot says (index,
+repeat, labels, further columns).  A joint's direction is told by the motion: where it does not
+follow from the command before, the trajectory passes a via point first.  A lost marker is a
+sighting at NaN.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.dataset import SAME_POSE, Session, derive_approach
+from longarm_comp.core.errors import InputError
+from longarm_comp.sessions.message_types import message_types
+
+STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
+PERIOD_S = 10.0  # between rows of a session that has no times
+_DWELL_S = 2.0  # from a command to its sighting
+_START_NS = 1_000_000_000_000  # a clock of 0 would read as "no stamp"
+_VIA = 0.02  # rad or m, from a via point to the pose
+
+
+def write_bag(
+    session: Session,
+    path: str | Path,
+    arm: Arm,
+    storage: Literal["mcap", "sqlite3"] = "mcap",
+    namespace: str = "",
+) -> None:
+    """Write a session as a bag folder; `read_bag` gives the same one back.
+
+    Args:
+        session: rows in the order of recording.
+        path: the bag's folder, which must not exist yet.
+        arm: names the joints.
+        storage: file format inside the bag.
+        namespace: put before every topic.
+
+    Raises:
+        InputError: the folder exists or cannot be written, the arm has other joints.
+    """
+    if session.n != arm.n:
+        raise InputError(str(path), "joints", session.n, f"{arm.n} joints of arm {arm.name}")
+    if storage not in STORAGE:
+        raise InputError(str(path), "storage", storage, " or ".join(STORAGE))
+    with (
+        _whole_folder(Path(path)) as folder,
+        Writer(folder, version=9, storage_plugin=STORAGE[storage]) as writer,
+    ):
+        _Recorder(writer, arm, namespace).write(session)
+
+
+@contextmanager
+def _whole_folder(path: Path) -> Iterator[Path]:
+    """A folder to fill, of the same name, moved to its place when it is complete."""
+    if path.exists():
+        raise InputError(str(path), "bag", "exists", "a folder that does not exist yet")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+    except OSError as error:
+        raise InputError(
+            str(path), "output folder", error.strerror or str(error), "a folder to write in"
+        ) from error
+    try:
+        yield partial / path.name
+        (partial / path.name).replace(path)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+class _Recorder:
+    def __init__(self, writer: Writer, arm: Arm, namespace: str) -> None:
+        self._writer = writer
+        self._arm = arm
+        self._prefix = f"/{namespace.strip('/')}/" if namespace.strip("/") else "/"
+        self._types = message_types()
+        self._connections: dict[str, Any] = {}
+
+    def write(self, session: Session) -> None:
+        times = session.t_s if session.t_s is not None else np.arange(len(session)) * PERIOD_S
+        stamps = _START_NS + np.round((times - times[0]) * 1e9).astype(np.int64)
+        dwell = int(1e9 * min(_DWELL_S, _shortest(times) / 4))
+        vias = _vias(session)
+        for i, stamp in enumerate(stamps):
+            self._command(int(stamp) - dwell, vias[i], session.q[i])
+            self._circumstances(int(stamp) - dwell // 2, session, i)
+            self._sighting(int(stamp), session, i)
+            self._row(int(stamp) + dwell // 2, session, i)
+
+    def _put(self, topic: str, kind: str, stamp: int, message: Any) -> None:
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add_connection(
+                self._prefix + topic, kind, typestore=self._types
+            )
+        data = self._types.serialize_cdr(message, kind)
+        self._writer.write(self._connections[topic], stamp, data)
+
+    def _make(self, kind: str, **fields: Any) -> Any:
+        return self._types.types[kind](**fields)
+
+    def _header(self, stamp: int, frame: str) -> Any:
+        seconds, rest = divmod(stamp, 10**9)
+        time = self._make("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
+        return self._make("std_msgs/msg/Header", stamp=time, frame_id=frame)
+
+    def _command(self, stamp: int, via: np.ndarray | None, q: np.ndarray) -> None:
+        empty = np.array([])
+        points = []
+        for k, positions in enumerate([q] if via is None else [via, q]):
+            after = self._make("builtin_interfaces/msg/Duration", sec=k, nanosec=0)
+            points.append(
+                self._make(
+                    "trajectory_msgs/msg/JointTrajectoryPoint",
+                    positions=np.array(positions),
+                    velocities=empty,
+                    accelerations=empty,
+                    effort=empty,
+                    time_from_start=after,
+                )
+            )
+        kind = "trajectory_msgs/msg/JointTrajectory"
+        message = self._make(
+            kind,
+            header=self._header(stamp, "base"),
+            joint_names=list(self._arm.joint_names),
+            points=points,
+        )
+        self._put("joint_trajectory", kind, stamp, message)
+
+    def _circumstances(self, stamp: int, session: Session, i: int) -> None:
+        if session.temperature_c is not None:
+            kind = "sensor_msgs/msg/Temperature"
+            value = float(session.temperature_c[i])
+            header = self._header(stamp, "base")
+            message = self._make(kind, header=header, temperature=value, variance=0.0)
+            self._put("temperature", kind, stamp, message)
+        if session.payload_kg is not None:
+            kind = "std_msgs/msg/Float64"
+            message = self._make(kind, data=float(session.payload_kg[i]))
+            self._put("payload", kind, stamp, message)
+
+    def _sighting(self, stamp: int, session: Session, i: int) -> None:
+        x, y, z = (float(v) for v in session.xyz[i])
+        covariance = np.zeros(36)
+        if session.sigma is not None:
+            covariance[[0, 7, 14]] = session.sigma[i] ** 2
+        kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
+        pose = self._make(
+            "geometry_msgs/msg/Pose",
+            position=self._make("geometry_msgs/msg/Point", x=x, y=y, z=z),
+            orientation=self._make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+        )
+        with_covariance = self._make(
+            "geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance
+        )
+        message = self._make(kind, header=self._header(stamp, "base"), pose=with_covariance)
+        self._put("tip_measured", kind, stamp, message)
+
+    def _row(self, stamp: int, session: Session, i: int) -> None:
+        row = {
+            "index": int(session.index[i]),
+            "repeat_id": int(session.repeat_id[i]),
+            "columns": {name: float(values[i]) for name, values in session.columns.items()},
+            "labels": {name: str(values[i]) for name, values in session.labels.items()},
+        }
+        kind = "std_msgs/msg/String"
+        self._put("session_row", kind, stamp, self._make(kind, data=json.dumps(row)))
+
+
+def _shortest(times: np.ndarray) -> float:
+    steps = np.diff(times)
+    return float(steps[steps > 0].min()) if (steps > 0).any() else PERIOD_S
+
+
+def _vias(session: Session) -> list[np.ndarray | None]:
+    """Per row the via point that tells its directions, or None where the motion tells them."""
+    plain = derive_approach(session.q, session.index)
+    vias: list[np.ndarray | None] = []
+    for i, (q, want) in enumerate(zip(session.q, session.approach, strict=True)):
+        if i and 0 <= session.index[i] - session.index[i - 1] <= 1:
+            step = q - session.q[i - 1]
+            moved = np.where(np.abs(step) < SAME_POSE, session.approach[i - 1], np.sign(step))
+        else:
+            moved = plain[i]
+        vias.append(None if (moved == want).all() else q - _VIA * want)
+    return vias

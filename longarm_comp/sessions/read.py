@@ -1,0 +1,23 @@
+"""A session from whichever form it is kept in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.dataset import Session
+from longarm_comp.sessions.csv import read_csv
+
+
+def read_session(path: str | Path, arm: Arm) -> Session:
+    """A CSV file, or a rosbag2: its folder or a ``.mcap`` or ``.db3`` file.
+
+    Raises:
+        InputError: it cannot be read as what it looks like.
+    """
+    path = Path(path)
+    if path.is_dir() or path.suffix in (".mcap", ".db3"):
+        from longarm_comp.sessions.bag import read_bag  # a CSV needs none of its libraries
+
+        return read_bag(path, arm)
+    return read_csv(path, arm)

@@ -1,0 +1,69 @@
+"""Which sightings after a command show the arm at rest, and their mean."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+JOINT_REST = 2e-3
+"""Joints (rad, m) this close to where they end are at rest."""
+TIP_REST_M = 3e-3
+"""A sighting this close to where the sightings end shows the arm at rest."""
+_LAST = 5
+
+
+class Sighting(NamedTuple):
+    """One measured tip: time (s), position (3,) m or NaN, variance (3,) m^2 or 0."""
+
+    t: float
+    xyz: np.ndarray
+    variance: np.ndarray
+
+
+class State(NamedTuple):
+    """Measured joints: time (s), positions (n,) rad and m."""
+
+    t: float
+    q: np.ndarray
+
+
+def settled(
+    sightings: Sequence[Sighting], states: Sequence[State], begin: float, end: float
+) -> Sighting | None:
+    """The mean of the settled sightings between two commands.
+
+    The arm is at rest from when the measured joints stay where they end (`JOINT_REST`), and
+    the sightings stay where they end (`TIP_REST_M` about the median of the last five).
+
+    Returns:
+        Mean time and position, and the variance of the mean; at NaN when the marker was only
+        ever lost; None when nothing was sighted.
+    """
+    mine = [s for s in sightings if begin < s.t < end]
+    if not mine:
+        return None
+    seen = [s for s in mine if not np.isnan(s.xyz).any()]
+    if not seen:
+        return mine[-1]
+    joints = [s for s in states if begin < s.t < end]
+    rest = begin
+    for state in joints:
+        if np.abs(state.q - joints[-1].q).max() > JOINT_REST:
+            rest = state.t
+    seen = [s for s in seen if s.t >= rest] or seen[-1:]
+    last = np.median([s.xyz for s in seen[-_LAST:]], axis=0)
+    kept: list[Sighting] = []
+    for s in reversed(seen):
+        if np.linalg.norm(s.xyz - last) <= TIP_REST_M:
+            kept.append(s)
+        elif len(kept) >= _LAST:
+            break
+    kept = kept or seen[-1:]
+    n = len(kept)
+    return Sighting(
+        sum(s.t for s in kept) / n,
+        np.mean([s.xyz for s in kept], axis=0),
+        np.sum([s.variance for s in kept], axis=0) / n**2,
+    )
