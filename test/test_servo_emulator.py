@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from longarm_comp.sim.servo_emulator import Motor, MotorSpec, ServoEmulator
+from longarm_comp.core.errors import InputError
+from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.sim.servo_emulator import Motor, MotorSpec, ServoEmulator, read_arm
 
 dxl = pytest.importorskip("dynamixel_sdk")
 scs = pytest.importorskip("scservo_sdk")
@@ -193,3 +198,71 @@ def test_link_follows_an_unplug_and_a_replug(tmp_path: Path) -> None:
         assert scs.sms_sts(fresh).ping(7)[0] == 777
         fresh.closePort()
     assert not link.exists()
+
+
+CONFIG = """
+servo_driver:
+  ros__parameters:
+    rate_hz: 50.0
+    bus: {protocol: feetech, port: /dev/null}
+    joints:
+      lift: {servo_id: 4, model: sts3215, type: revolute, zero_ticks: 2000, direction: -1,
+             gear_ratio: 2.0, lower: 0.1, upper: 0.5, max_velocity: 1.0}
+      feed: {servo_id: 2, model: sts3215, type: prismatic, zero_ticks: 100, screw_lead_m: 0.008,
+             multi_turn: true, lower: 0.0, upper: 0.03, max_velocity: 0.01}
+"""
+
+
+def test_joints_of_the_configuration_agree_with_the_drivers(tmp_path: Path) -> None:
+    """Two conversions, written apart, on the same file."""
+    path = tmp_path / "servo_driver.yaml"
+    path.write_text(CONFIG)
+    arm, config = read_arm(path), ServoConfig.load(path)
+    assert arm.protocol == config.bus.protocol
+    assert arm.values(arm.start_ticks()) == pytest.approx({"lift": 0.1, "feed": 0.0})
+    for value in (0.1, 0.3, 0.5):
+        ticks = config.joints["lift"].to_ticks(value)
+        assert arm.joints[0].value(ticks) == pytest.approx(config.joints["lift"].to_si(ticks))
+        assert arm.joints[0].value(ticks) == pytest.approx(value, abs=8e-4)  # one tick
+    ticks = config.joints["feed"].to_ticks(0.02)
+    assert arm.joints[1].value(ticks) == pytest.approx(0.02, abs=1e-6)
+    path.write_text("joints: {}")
+    with pytest.raises(InputError, match=r"bus\.protocol"):
+        read_arm(path)
+
+
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
+def test_as_a_process_it_serves_a_link_and_cleans_up(tmp_path: Path, ending: int) -> None:
+    config, link = tmp_path / "servo_driver.yaml", tmp_path / "servo"
+    config.write_text(CONFIG)
+    command = [sys.executable, "-m", "longarm_comp.sim.servo_emulator"]
+    process = subprocess.Popen(
+        [*command, "--config", str(config), "--link", str(link)],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        assert "feetech servos [2, 4]" in process.stdout.readline()
+        port = scs.PortHandler(str(link))
+        assert port.openPort()
+        assert scs.sms_sts(port).ReadPos(2)[0] == 100
+        port.closePort()
+        process.send_signal(ending)
+        assert process.wait(timeout=20) == 0
+        assert not link.is_symlink()
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_as_a_process_it_names_what_is_wrong(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "longarm_comp.sim.servo_emulator"]
+    done = subprocess.run(
+        [*command, "--config", str(tmp_path / "none.yaml"), "--link", str(tmp_path / "x")],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "none.yaml" in done.stderr and "Traceback" not in done.stderr

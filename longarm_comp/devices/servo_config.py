@@ -7,35 +7,18 @@ A ROS parameter file with these keys under ``ros__parameters`` is read as well.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import yaml
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    ValidationError,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import BaseModel, Field, ValidationError, field_validator, model_validator
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.devices.servo_bus import MODELS, PROTOCOLS, SerialServoBus, ServoModel, open_bus
+from longarm_comp.devices.servo_joint import Declared, JointConfig, Positive
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-
-
-class _Declared(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class BusConfig(_Declared):
+class BusConfig(Declared):
     """The serial line."""
 
     protocol: str
@@ -52,7 +35,7 @@ class BusConfig(_Declared):
         return value
 
 
-class FollowerConfig(_Declared):
+class FollowerConfig(Declared):
     """Limits that hold for every joint; ticks are the servo's own.
 
     Attributes:
@@ -73,121 +56,7 @@ class FollowerConfig(_Declared):
     jump_ticks: Positive = 200.0
 
 
-class JointConfig(_Declared):
-    """One joint and its servo; ``lower``, ``upper``, ``max_velocity`` in rad or m.
-
-    Attributes:
-        zero_ticks: encoder reading at joint value 0.
-        gear_ratio: servo turns for one turn of the joint (or of the screw or pinion).
-        screw_lead_m, pinion_radius_m: travel of a prismatic joint; one of the two.
-        direction: +1 when ticks grow with the joint value.
-        max_load: share of the servo's full effort that counts as stalled, 0 to 1.
-    """
-
-    servo_id: int = Field(ge=0, le=252)
-    model: str
-    type: Literal["revolute", "prismatic"]
-    zero_ticks: Finite
-    direction: Literal[1, -1] = 1
-    gear_ratio: Positive = 1.0
-    screw_lead_m: Positive | None = None
-    pinion_radius_m: Positive | None = Field(None, validate_default=True)
-    multi_turn: bool = False
-    lower: Finite
-    upper: Finite
-    max_velocity: Positive
-    max_temperature_c: float = Field(65.0, ge=30.0, le=100.0)
-    max_load: float = Field(0.8, gt=0.0, le=1.0)
-
-    @field_validator("model")
-    @classmethod
-    def _known(cls, value: str) -> str:
-        if value not in MODELS:
-            raise ValueError("one of " + ", ".join(MODELS))
-        return value
-
-    @field_validator("pinion_radius_m")
-    @classmethod
-    def _one_transmission(cls, value: float | None, info: ValidationInfo) -> float | None:
-        given = (value is not None) + (info.data.get("screw_lead_m") is not None)
-        needed = int(info.data.get("type") == "prismatic")
-        if "type" in info.data and given != needed:
-            raise ValueError(
-                "exactly one of screw_lead_m and pinion_radius_m"
-                if needed
-                else "no screw_lead_m or pinion_radius_m at a revolute joint"
-            )
-        return value
-
-    @field_validator("upper")
-    @classmethod
-    def _ordered(cls, value: float, info: ValidationInfo) -> float:
-        if value <= info.data.get("lower", -math.inf):
-            raise ValueError(f"above lower ({info.data['lower']})")
-        return value
-
-    @property
-    def servo(self) -> ServoModel:
-        """The kind of servo."""
-        return MODELS[self.model]
-
-    @property
-    def unit(self) -> str:
-        """Of the joint value."""
-        return "m" if self.type == "prismatic" else "rad"
-
-    @property
-    def si_per_tick(self) -> float:
-        """rad or m the joint moves for one encoder tick, without the sign."""
-        per_turn = 2.0 * math.pi
-        if self.screw_lead_m is not None:
-            per_turn = self.screw_lead_m
-        elif self.pinion_radius_m is not None:
-            per_turn = 2.0 * math.pi * self.pinion_radius_m
-        return per_turn / (self.gear_ratio * self.servo.ticks_per_turn)
-
-    @property
-    def goal_range(self) -> tuple[int, int]:
-        """Goals the servo accepts, ticks."""
-        return self.servo.multi_turn if self.multi_turn else self.servo.single_turn
-
-    @cached_property
-    def tick_limits(self) -> tuple[int, int]:
-        """Lowest and highest goal, ticks, rounded inwards so that no limit is passed."""
-        ends = sorted(self._exact_ticks(limit) for limit in (self.lower, self.upper))
-        return math.ceil(ends[0] - 1e-9), math.floor(ends[1] + 1e-9)
-
-    def to_ticks(self, value: float) -> int:
-        """The goal nearest to a joint value, rad or m.
-
-        Raises:
-            InputError: not finite, or outside the limits by more than half a tick.
-        """
-        slack = 0.5 * self.si_per_tick
-        if not self.lower - slack <= value <= self.upper + slack:
-            allowed = f"{self.lower:g} to {self.upper:g} {self.unit}"
-            raise InputError(f"servo {self.servo_id}", "position", value, allowed)
-        low, high = self.tick_limits
-        return min(max(round(self._exact_ticks(value)), low), high)
-
-    def to_si(self, ticks: float) -> float:
-        """Joint value (rad or m) of an encoder reading."""
-        return self.direction * (ticks - self.zero_ticks) * self.si_per_tick
-
-    def speed_to_si(self, ticks_s: float) -> float:
-        """Joint velocity (rad/s or m/s) of an encoder speed."""
-        return self.direction * ticks_s * self.si_per_tick
-
-    @property
-    def max_speed_ticks_s(self) -> float:
-        """``max_velocity`` at the servo."""
-        return self.max_velocity / self.si_per_tick
-
-    def _exact_ticks(self, value: float) -> float:
-        return self.zero_ticks + self.direction * value / self.si_per_tick
-
-
-class ServoConfig(_Declared):
+class ServoConfig(Declared):
     """The whole servo side of an arm; ``joints`` keeps the order of the file."""
 
     bus: BusConfig

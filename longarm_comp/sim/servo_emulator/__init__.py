@@ -2,6 +2,7 @@
 
 from longarm_comp.sim.servo_emulator.emulator import WIRES, LoadOf, ServoEmulator
 from longarm_comp.sim.servo_emulator.faults import WireFaults
+from longarm_comp.sim.servo_emulator.joints import EmulatedArm, EmulatedJoint, read_arm
 from longarm_comp.sim.servo_emulator.motor import Motor, MotorSpec
 
-__all__ = ["WIRES", "LoadOf", "Motor", "MotorSpec", "ServoEmulator", "WireFaults"]
+__all__ = ["WIRES", "EmulatedArm", "EmulatedJoint", "LoadOf", "Motor", "MotorSpec", "ServoEmulator", "WireFaults", "read_arm"]

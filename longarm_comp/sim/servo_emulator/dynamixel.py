@@ -159,14 +159,21 @@ def _status(device: Device, error: int, data: bytes) -> tuple[int, bytes]:
     return device.servo_id, frame + crc16(frame).to_bytes(2, "little")
 
 
+def _shifted(register: int) -> int:
+    """The CRC register after eight more zero bits, as the e-Manual's division defines it."""
+    for _ in range(8):
+        register = (register << 1) ^ (0x18005 if register & 0x8000 else 0)
+    return register
+
+
+_SHIFTED = tuple(_shifted(byte << 8) for byte in range(256))
+
+
 def crc16(data: bytes) -> int:
-    """CRC-16/UMTS (polynomial 0x8005, initial value 0), bit by bit as the e-Manual defines it."""
+    """CRC-16 with polynomial 0x8005, initial value 0, not reflected."""
     register = 0
     for byte in data:
-        register ^= byte << 8
-        for _ in range(8):
-            register = (register << 1) ^ (0x8005 if register & 0x8000 else 0)
-            register &= 0xFFFF
+        register = _SHIFTED[(register >> 8) ^ byte] ^ ((register & 0xFF) << 8)
     return register
 
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 
+from longarm_comp.core.errors import InputError
 from longarm_comp.sim.servo_emulator.dynamixel import DynamixelWire
 from longarm_comp.sim.servo_emulator.faults import WireFaults
 from longarm_comp.sim.servo_emulator.feetech import FeetechWire
@@ -48,6 +49,8 @@ class ServoEmulator:
         load_of: LoadOf | None = None,
         baudrate: int | None = None,
     ) -> None:
+        if protocol not in WIRES:
+            raise InputError("servo emulator", "protocol", protocol, ", ".join(WIRES))
         self._wire = WIRES[protocol]
         same = MotorSpec() if spec is None else spec
         specs = dict.fromkeys(positions, same) if isinstance(same, MotorSpec) else same

@@ -1,0 +1,98 @@
+"""The joints behind emulated servos: which servo, and how far the joint moves a tick.
+
+Read from the driver's configuration file but with conversions of its own, so that an error in the
+driver's cannot hide: a wrong sign there moves the simulated arm the wrong way.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from longarm_comp.core.errors import InputError
+
+TICKS_PER_TURN = 4096.0
+
+
+@dataclass(frozen=True)
+class EmulatedJoint:
+    """One joint: value (rad, m) = travel * (ticks - zero), ``travel`` signed, per tick."""
+
+    name: str
+    servo_id: int
+    zero_ticks: float
+    travel: float
+    lower: float
+    upper: float
+
+    def value(self, ticks: float) -> float:
+        """Joint value, rad or m."""
+        return self.travel * (ticks - self.zero_ticks)
+
+    def ticks(self, value: float) -> float:
+        """Encoder ticks, not rounded."""
+        return self.zero_ticks + value / self.travel
+
+
+@dataclass(frozen=True)
+class EmulatedArm:
+    """What the configuration says about the servos that the emulator needs to know."""
+
+    protocol: str
+    joints: tuple[EmulatedJoint, ...]
+
+    def start_ticks(self, values: Mapping[str, float] | None = None) -> dict[int, float]:
+        """Ticks by servo id at joint values (rad, m); left out: the allowed value nearest to 0."""
+        given = values or {}
+        return {
+            j.servo_id: j.ticks(given.get(j.name, min(max(0.0, j.lower), j.upper)))
+            for j in self.joints
+        }
+
+    def values(self, ticks: Mapping[int, float]) -> dict[str, float]:
+        """Joint values (rad, m) by name, in the order of the file."""
+        return {j.name: j.value(ticks[j.servo_id]) for j in self.joints}
+
+
+def read_arm(path: str | Path) -> EmulatedArm:
+    """From a servo driver's YAML, plain or as ROS parameters.
+
+    Raises:
+        InputError: the file cannot be read, or a value that the emulator needs is missing.
+    """
+    try:
+        data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise InputError(path, "file", error, "readable YAML") from error
+    if isinstance(data, dict) and len(data) == 1:
+        (only,) = data.values()
+        data = only.get("ros__parameters", data) if isinstance(only, dict) else data
+    try:
+        protocol = str(data["bus"]["protocol"])
+        joints = tuple(_joint(name, fields) for name, fields in data["joints"].items())
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        allowed = "bus.protocol and joints.<name>.servo_id, type, zero_ticks, lower, upper"
+        raise InputError(path, "servo configuration", repr(error), allowed) from error
+    return EmulatedArm(protocol, joints)
+
+
+def _joint(name: str, fields: Mapping[str, Any]) -> EmulatedJoint:
+    turn = 2.0 * math.pi  # rad, or the radius' m
+    if fields["type"] == "prismatic" and "screw_lead_m" in fields:
+        turn = float(fields["screw_lead_m"])
+    elif fields["type"] == "prismatic":
+        turn *= float(fields["pinion_radius_m"])
+    gearing = float(fields.get("gear_ratio", 1.0)) * TICKS_PER_TURN
+    return EmulatedJoint(
+        name=str(name),
+        servo_id=int(fields["servo_id"]),
+        zero_ticks=float(fields["zero_ticks"]),
+        travel=int(fields.get("direction", 1)) * turn / gearing,
+        lower=float(fields["lower"]),
+        upper=float(fields["upper"]),
+    )

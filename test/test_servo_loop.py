@@ -1,0 +1,178 @@
+"""The whole servo side without ROS: configuration, follower and bus against emulated servos."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
+from longarm_comp.devices.servo_bus import BusUnplugged, IncompleteReply, SerialServoBus, ServoState
+from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.devices.servo_follower import FollowerState, Step, TrajectoryFollower
+from longarm_comp.devices.servo_watch import Trouble
+from longarm_comp.sim.servo_emulator import EmulatedArm, MotorSpec, ServoEmulator, read_arm
+
+CONFIG = """
+bus: {protocol: %s, port: %s, reply_timeout_s: 0.03, retries: 1}
+joints:
+  shoulder: {servo_id: 1, model: %s, type: revolute, zero_ticks: 2048, gear_ratio: 3.0,
+             multi_turn: true, lower: -0.5, upper: 1.0, max_velocity: 1.0}
+  boom: {servo_id: 2, model: %s, type: prismatic, zero_ticks: 3900, direction: -1,
+         pinion_radius_m: 0.018, lower: 0.0, upper: 0.1, max_velocity: 0.1}
+follower: {stall_time_s: 0.2, silence_s: 0.5}
+"""
+MODEL = {"feetech": "sts3215", "dynamixel": "xl430-w250"}
+
+
+class Loop:
+    """What a driver does, without ROS."""
+
+    def __init__(self, config: ServoConfig, emulator: ServoEmulator, arm: EmulatedArm) -> None:
+        self.config, self.emulator, self.arm = config, emulator, arm
+        self.follower = TrajectoryFollower(config)
+        self.ids = list(config.ids.values())
+        self.bus: SerialServoBus | None = None
+        self.troubles: list[tuple[Trouble, str]] = []
+
+    def connect(self) -> None:
+        self.bus = self.config.open_bus()
+        self.bus.set_turns({j.servo_id: j.multi_turn for j in self.config.joints.values()})
+        self.bus.torque(self.ids, on=True)
+
+    def cycle(self) -> Step:
+        time.sleep(0.005)
+        step = self.follower.step(time.monotonic(), self._states())
+        findings = [event.finding for event in step.events if event.finding is not None]
+        self.troubles += [(f.trouble, f.joint) for f in findings]
+        if step.goals is not None and self.bus is not None:
+            self.bus.write_goal(step.goals)
+        return step
+
+    def _states(self) -> dict[int, ServoState]:
+        if self.bus is None:
+            return {}
+        try:
+            return self.bus.read(self.ids)
+        except IncompleteReply as error:
+            return error.answered
+        except BusUnplugged:
+            self.bus.close()
+            self.bus = None
+            return {}
+
+    def until(self, done: Callable[[], bool], limit_s: float = 8.0) -> bool:
+        """Cycle until ``done``; the limit is only there to end a broken test."""
+        end = time.monotonic() + limit_s
+        while not done() and time.monotonic() < end:
+            self.cycle()
+        return done()
+
+    def send(self, **target: float) -> None:
+        self.until(lambda: len(self._states()) == len(self.ids))
+        self.cycle()
+        point = TrajectoryPoint(0.0, tuple(target.values()))
+        self.follower.accept(JointTrajectory(tuple(target), (point,)), time.monotonic())
+
+    def state(self) -> FollowerState:
+        return self.follower.state
+
+    def joints(self) -> dict[str, float]:
+        """Where the arm really is: the emulator's own conversion."""
+        return self.arm.values(self.emulator.positions())
+
+
+@pytest.fixture(params=sorted(MODEL))
+def loop(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Loop]:
+    model, link = MODEL[request.param], tmp_path / "bus"
+    path = tmp_path / "servo_driver.yaml"
+    path.write_text(CONFIG % (request.param, link, model, model))
+    arm = read_arm(path)
+    start = arm.start_ticks({"shoulder": 0.2, "boom": 0.02})
+    with ServoEmulator(request.param, start, MotorSpec(max_speed_ticks_s=6000), link) as emulator:
+        loop = Loop(ServoConfig.load(path), emulator, arm)
+        loop.connect()
+        yield loop
+        if loop.bus is not None:
+            loop.bus.close()
+
+
+def _holding(loop: Loop) -> Callable[[], bool]:
+    return lambda: loop.state() is FollowerState.HOLDING
+
+
+def test_the_arm_goes_where_it_is_told_and_arrives_from_both_sides(loop: Loop) -> None:
+    for shoulder, boom, side in ((0.9, 0.08, 1), (0.5, 0.05, -1)):
+        loop.send(shoulder=shoulder, boom=boom)
+        assert loop.until(_holding(loop))
+        loop.until(lambda want=shoulder: abs(loop.joints()["shoulder"] - want) < 6e-4)  # noqa: B023
+        assert loop.joints()["shoulder"] == pytest.approx(shoulder, abs=6e-4)  # one tick
+        assert loop.joints()["boom"] == pytest.approx(boom, abs=3e-5)
+        assert loop.emulator.approaches() == {1: side, 2: -side}
+    assert loop.troubles == []
+
+
+def test_lost_and_damaged_replies_on_the_way_do_not_matter(loop: Loop) -> None:
+    loop.send(shoulder=0.6)
+    for k in range(30):
+        loop.emulator.faults.drop(1 + k % 2)
+        loop.emulator.faults.corrupt(2 - k % 2)
+        loop.cycle()
+    assert loop.until(_holding(loop))
+    loop.until(lambda: abs(loop.joints()["shoulder"] - 0.6) < 6e-4)
+    assert loop.joints()["shoulder"] == pytest.approx(0.6, abs=6e-4)
+    assert loop.troubles == []
+    assert loop.bus is not None and loop.bus.counters.retries > 0
+
+
+def test_a_servo_that_falls_silent_stops_the_arm(loop: Loop) -> None:
+    loop.send(shoulder=1.0, boom=0.1)
+    loop.until(lambda: loop.joints()["shoulder"] > 0.4)
+    loop.emulator.faults.silence(2)
+    assert loop.until(lambda: loop.state() is FollowerState.FAULT)
+    assert loop.troubles == [(Trouble.SILENT, "boom")]
+    time.sleep(0.3)
+    assert loop.joints()["shoulder"] < 0.95
+    loop.emulator.faults.speak(2)
+    loop.cycle()
+    loop.follower.reset(time.monotonic())
+    loop.send(shoulder=0.3)
+    assert loop.until(_holding(loop))
+
+
+def test_a_jammed_servo_is_relieved_of_its_load(loop: Loop) -> None:
+    loop.send(boom=0.1)
+    loop.until(lambda: loop.joints()["boom"] > 0.04)
+    loop.emulator.block(2)
+    assert loop.until(lambda: loop.state() is FollowerState.FAULT)
+    assert loop.troubles == [(Trouble.STALLED, "boom")]
+    assert loop.bus is not None
+    time.sleep(0.05)
+    assert abs(loop.bus.read([2])[2].load) < 0.05
+
+
+def test_an_overheating_servo_stops_the_arm_before_it_lets_go(loop: Loop) -> None:
+    loop.send(shoulder=1.0)
+    loop.cycle()
+    loop.emulator.heat(1, 68.0)  # above the joint's 65, below the servo's own 70
+    assert loop.until(lambda: loop.state() is FollowerState.FAULT)
+    assert loop.troubles == [(Trouble.OVERHEATED, "shoulder")]
+    assert loop.emulator.torques_on() == {1: True, 2: True}
+
+
+def test_an_unplugged_bus_is_a_fault_and_the_arm_goes_on_after_reset(loop: Loop) -> None:
+    loop.send(shoulder=1.0)
+    loop.until(lambda: loop.joints()["shoulder"] > 0.3)
+    loop.emulator.unplug()
+    assert loop.until(lambda: loop.state() is FollowerState.FAULT)
+    assert {trouble for trouble, _ in loop.troubles} == {Trouble.SILENT}
+    loop.emulator.replug()
+    loop.connect()
+    loop.cycle()
+    loop.follower.reset(time.monotonic())
+    loop.send(shoulder=0.4)
+    assert loop.until(_holding(loop))
+    loop.until(lambda: abs(loop.joints()["shoulder"] - 0.4) < 6e-4)
+    assert loop.joints()["shoulder"] == pytest.approx(0.4, abs=6e-4)
