@@ -13,16 +13,14 @@ are passed over.
 from __future__ import annotations
 
 import math
-import sqlite3
-import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.rosbag2 import Reader, ReaderError
-from rosbags.serde import SerdeError
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import Reader
 
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.dataset import Session, derive_approach
@@ -30,12 +28,6 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.message_types import message_types
 from longarm_comp.sessions.settled import settled
 from longarm_comp.sessions.tape import TYPES, Tape
-
-_BROKEN = (
-    *(ReaderError, SerdeError, sqlite3.Error, struct.error, OSError, EOFError),
-    *(AssertionError, AttributeError, KeyError, IndexError, TypeError, ValueError),
-)
-"""What the readers of broken files raise, by experiment (tests cut bags at many lengths)."""
 
 
 def read_bag(path: str | Path, arm: Arm, namespace: str | None = None) -> Session:
@@ -51,12 +43,7 @@ def read_bag(path: str | Path, arm: Arm, namespace: str | None = None) -> Sessio
     """
     where = str(path)
     with open_bag(path) as reader:
-        try:
-            tape = _wind(reader, arm, namespace, where)
-        except InputError:
-            raise
-        except _BROKEN as error:
-            raise broken(where, error) from error
+        tape = _wind(reader, arm, namespace, where)
     for topic, found in (("joint_trajectory", tape.commands), ("tip_measured", tape.sightings)):
         if not found:
             raise InputError(where, topic, "no message", "commands and the sightings they led to")
@@ -79,16 +66,15 @@ def open_bag(path: str | Path) -> Iterator[Reader]:
     try:
         reader = Reader(Path(path))
         reader.open()
-    except _BROKEN as error:
-        raise broken(where, error) from error
+    except Exception as error:  # whatever the decoders of YAML, SQLite and mcap raise
+        raise _broken(where, error) from error
     try:
         yield reader
     finally:
         reader.close()
 
 
-def broken(where: str, error: Exception) -> InputError:
-    """What to say about a bag that its reader could not read."""
+def _broken(where: str, error: Exception) -> InputError:
     said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
     return InputError(where, "bag", said, "a complete rosbag2 (mcap or sqlite3)")
 
@@ -106,12 +92,23 @@ def _wind(reader: Reader, arm: Arm, namespace: str | None, where: str) -> Tape:
     if not chosen:
         topics = ", ".join(sorted({c.topic for c in reader.connections})) or "no topic"
         raise InputError(where, "topics", topics, ", ".join(TYPES))
-    types = message_types()
     tape = Tape(arm, where, reader.start_time)
-    for connection, stamp, raw in reader.messages(connections=list(chosen.values())):
-        name = connection.topic.rpartition("/")[2]
-        tape.take(name, stamp, types.deserialize_cdr(raw, TYPES[name]))
+    for name, stamp, message in _messages(reader, list(chosen.values()), where):
+        tape.take(name, stamp, message)
     return tape
+
+
+def _messages(
+    reader: Reader, connections: list[Connection], where: str
+) -> Iterator[tuple[str, int, Any]]:
+    """Topic's last name, time of recording (ns) and message, in the order of time."""
+    types = message_types()
+    try:
+        for connection, stamp, raw in reader.messages(connections=connections):
+            name = connection.topic.rpartition("/")[2]
+            yield name, stamp, types.deserialize_cdr(raw, TYPES[name])
+    except Exception as error:  # as in open_bag; what the caller raises does not come here
+        raise _broken(where, error) from error
 
 
 def _session(tape: Tape) -> Session:
