@@ -11,7 +11,7 @@ origin in the middle of the plate. ``a_T_b`` takes points of b to a; metres.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
@@ -157,7 +157,7 @@ class CameraPair:
             p_right = p.copy()
             p_right[0, 3] = -self.focal_px * self.baseline_m
             return np.eye(3), np.eye(3), p, p_right
-        out = cv2.stereoRectify(self.k, d, self.k, d, self.size, move[:3, :3], move[:3, 3])
+        out = cv2.stereoRectify(self.k, d, self.k, d, self.size, move[:3, :3], move[:3, 3:])
         return out[0], out[1], out[2], out[3]
 
 

@@ -63,13 +63,13 @@ class Camera:
         d: ArrayLike = (),
     ) -> None:
         given = np.asarray(d, dtype=float).ravel()
-        if given.size > 8:
-            raise InputError("camera", "d", given.size, "at most 8 distortion coefficients")
+        if np.any(given[8:]):
+            raise InputError("camera", "d", given.tolist(), "8 coefficients, zeros after them")
         values = {
             "k": np.array(k, dtype=float).reshape(3, 3),
             "rotation": np.array(rotation, dtype=float).reshape(3, 3),
             "translation": np.array(translation, dtype=float).reshape(3),
-            "d": np.pad(given, (0, 8 - given.size)),
+            "d": np.pad(given[:8], (0, max(8 - given.size, 0))),
         }
         for name, value in values.items():
             if not np.all(np.isfinite(value)):

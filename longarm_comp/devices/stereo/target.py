@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from longarm_comp.core.errors import InputError
 from longarm_comp.devices.stereo.camera import Array
 from longarm_comp.devices.stereo.edges import refine_quads
+from longarm_comp.devices.stereo.saddle import refine_saddles
 
 Grey = NDArray[np.uint8]
 
@@ -166,9 +167,19 @@ class CharucoTarget:
         found, ids, _, _ = self._detector.detectBoard(grey)
         if ids is None or not len(ids):
             return _NONE
-        ids = np.asarray(ids).ravel().astype(np.int64)
-        order = np.argsort(ids)
-        return Corners(ids[order], np.asarray(found, dtype=float).reshape(-1, 2)[order])
+        order = np.argsort(np.asarray(ids).ravel())
+        ids = np.asarray(ids).ravel()[order].astype(np.int64)
+        pixels = np.asarray(found, dtype=float).reshape(-1, 2)[order]
+        white = (self.square_m - self.tag_m) / 2  # between a corner and the tags beside it
+        half = int(white * self._px_per_m(ids, pixels))
+        return Corners(ids, refine_saddles(grey, pixels, half) if half >= 3 else pixels)
+
+    def _px_per_m(self, ids: NDArray[np.int64], pixels: Array) -> float:
+        """Smallest distance between neighbouring corners seen, over the side of a square."""
+        apart = np.linalg.norm(pixels[:, None] - pixels, axis=2)
+        neighbours = np.linalg.norm(self.points(ids)[:, None] - self.points(ids), axis=2)
+        near = np.abs(neighbours - self.square_m) < 1e-6 * self.square_m
+        return float(apart[near].min() / self.square_m) if np.any(near) else 0.0
 
     @cached_property
     def _detector(self) -> cv2.aruco.CharucoDetector:
@@ -210,12 +221,14 @@ class Chessboard:
         if not ok:
             return _NONE
         pixels = np.asarray(found, dtype=np.float32).reshape(-1, 1, 2)
-        stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-3)
         grid = pixels.reshape(self.rows, self.columns, 2)
         steps = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min() for axis in (0, 1)]
-        half = int(np.clip(0.35 * min(steps), 2, 15))
-        cv2.cornerSubPix(grey, pixels, (half, half), (-1, -1), stop)
-        return Corners(np.arange(self.n_corners), pixels.reshape(-1, 2).astype(float))
+        near = int(np.clip(0.3 * min(steps), 2, 7))
+        stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-3)
+        cv2.cornerSubPix(grey, pixels, (near, near), (-1, -1), stop)
+        half = int(np.clip(0.55 * min(steps), 3, 15))
+        refined = refine_saddles(grey, pixels.reshape(-1, 2).astype(float), half)
+        return Corners(np.arange(self.n_corners), refined)
 
 
 _NONE = Corners(np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
