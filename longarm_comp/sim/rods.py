@@ -28,7 +28,7 @@ from longarm_comp.core.errors import JobError
 Array = np.ndarray
 STEPS = 4
 _GRAVITY, _MOMENT = 0, 1
-_CONVERGED = 1e-11  # rad, of gravity's direction in the base frame
+_CONVERGED = 3e-7  # rad, of gravity's direction in the base frame, before the last Newton step
 _NEWTON = 12
 
 
@@ -216,8 +216,6 @@ def _newton(
         wrong = np.sum(down[:, None] * found[:, 0], 0) < 0
         angle = np.where(wrong, np.pi, np.hypot(r[0, 0], r[1, 0]))
         left = float(np.max(angle, initial=0.0))
-        if left < _CONVERGED:
-            break
         (a, b), (c, d) = (r[0, 1:] - r[0, 0]) / step, (r[1, 1:] - r[1, 0]) / step
         det = a * d - b * c
         x = (-d * r[0, 0] + b * r[1, 0]) / det
@@ -227,6 +225,8 @@ def _newton(
         unit = unit / np.sqrt(np.sum(unit * unit, axis=0))
         if not np.all(np.isfinite(unit)):
             return unit, np.inf
+        if left < _CONVERGED:
+            break
     return unit, left
 
 

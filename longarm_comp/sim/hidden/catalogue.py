@@ -8,10 +8,12 @@ import numpy as np
 
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.errors import InputError
+from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import Context, State
 from longarm_comp.sim.hidden import camera, drives, geometry, loads
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.camera import CameraEffect
+from longarm_comp.sim.measure import Camera
 
 Array = np.ndarray
 Hidden = HiddenEffect | CameraEffect
@@ -174,12 +176,12 @@ def draw(
         InputError: no such effect, or no dose of it moves this arm.
     """
     effect = HIDDEN[name](arm, rng) if name in HIDDEN else hidden(name, arm, 1.0, rng)
-    if poses is None:
-        poses = rng.uniform(arm.lower, arm.upper, (60, arm.n))
+    poses = rng.uniform(arm.lower, arm.upper, (60, arm.n)) if poses is None else poses
     context = typical_context(len(poses), arm, rng)
+    sound = TrueArm(arm).tip(poses, context)
     dose = 1.0
     for _ in range(8):
-        moved = shift(effect.scaled(dose), arm, poses, context)
+        moved = _tip(effect.scaled(dose), arm, poses, context, sound) - sound
         size = 1e3 * float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
         if size == 0.0:
             raise InputError("hidden effect", "name", name, "an effect that moves this arm")
@@ -191,13 +193,15 @@ def draw(
 
 def shift(effect: Hidden, arm: Arm, poses: Array, context: Context) -> Array:
     """By how much one effect moves the seen tip, (N, 3) m in the base frame."""
-    from longarm_comp.sim.arm_truth import TrueArm
-    from longarm_comp.sim.measure import Camera
+    sound = TrueArm(arm).tip(poses, context)
+    return _tip(effect, arm, poses, context, sound) - sound
 
+
+def _tip(effect: Hidden, arm: Arm, poses: Array, context: Context, sound: Array) -> Array:
+    """Seen tip (N, 3) with one effect; `sound` is where the sound arm's is."""
     if isinstance(effect, CameraEffect):
-        tip = TrueArm(arm).tip(poses, context)
-        return Camera.of(arm, [effect]).seen(tip, State.of(arm, poses, context).t_s) - tip
-    return TrueArm(arm, [effect]).tip(poses, context) - TrueArm(arm).tip(poses, context)
+        return Camera.of(arm, [effect]).seen(sound, State.of(arm, poses, context).t_s)
+    return TrueArm(arm, [effect]).tip(poses, context)
 
 
 def typical_context(postures: int, arm: Arm, rng: np.random.Generator) -> Context:
