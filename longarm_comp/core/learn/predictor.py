@@ -56,7 +56,7 @@ class Predictor:
     upper: Array
     weights: Array  # (M, D), standardised units
     hidden: int
-    posterior: NDArray[np.float32]  # (D, D) L^-1 of the first member, the likeliest
+    posterior: NDArray[np.float32]  # (r, D) covariance C ~ P'P of the first member, the likeliest
     offset: Array  # (3,) m, subtracted from the residual before scaling
     scale: float  # m, one for the three axes
     noise: Array  # (3,) m

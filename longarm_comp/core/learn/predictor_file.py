@@ -7,6 +7,7 @@ import json
 import os
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,10 +86,10 @@ def load(
         raise InputError(path, "kept", kept.tolist(), f"distinct columns below {columns}")
     d = len(kept)
     size = Shape(d, hidden, 3).size
-    members = len(arrays["weights"]) if arrays["weights"].ndim == 2 else 0
+    members, rank = (max(1, len(np.atleast_1d(arrays[n]))) for n in ("weights", "posterior"))
     shapes = {
         "mean": (d,), "input_scale": (d,), "lower": (columns,), "upper": (columns,),
-        "weights": (max(1, members), size), "posterior": (size, size), "offset": (3,),
+        "weights": (members, size), "posterior": (rank, size), "offset": (3,),
         "noise": (3,), "widen": (3,),
     }  # fmt: skip
     for name, shape in shapes.items():
@@ -122,7 +123,7 @@ def load(
     )
 
 
-def _arrays(path: str | os.PathLike[str]) -> dict[str, NDArray]:
+def _arrays(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
     try:
         with zipfile.ZipFile(Path(path)) as probe:
             broken = probe.testzip()
@@ -149,7 +150,7 @@ _HEADER_TYPES: dict[str, type | tuple[type, ...]] = {
 }  # fmt: skip
 
 
-def _header(path: str | os.PathLike[str], arrays: dict[str, NDArray]) -> dict:
+def _header(path: str | os.PathLike[str], arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
     try:
         header = json.loads(arrays["header"].tobytes().decode())
     except ValueError as error:

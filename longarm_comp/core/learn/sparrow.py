@@ -10,8 +10,8 @@ discoverer           ``i <= PD n``             ``X exp(-i / (alpha T))`` while `
                                                ``X + Q`` (one ``Q ~ N(0, 1)`` for every dimension)
 follower             ``PD n < i <= n / 2``     ``Xp + sum_j(+-|X_j - Xp_j|) / D``
 starving follower    ``i > n / 2``             ``Q exp((Xworst - X) / i^2)``
-vigilante            random ``SD n``           ``Xbest + beta |X - Xbest|`` where ``f > f_best``, else
-                                               ``X + K |X - Xworst| / (f - f_worst)``
+vigilante            random ``SD n``           ``Xbest + beta |X - Xbest|``, ``beta`` per dimension;
+                                               the best itself ``X + K |X - Xworst| / (f - f_worst)``
 ===================  ========================  ====================================================
 
 ``A+ = A'(AA')^-1`` of a row ``A`` of ``+-1`` is ``A' / D`` exactly, so nothing is inverted. The
@@ -93,8 +93,8 @@ def _discover(
 
 def _diagonal_step(rng: np.random.Generator, position: Array, leader: Array) -> Array:
     """``|X - Xp| A+ L``: the mean of randomly signed distances, the same in every dimension."""
-    signs = rng.integers(0, 2, position.shape, dtype=np.int8) * 2 - 1
-    step: Array = np.mean(np.abs(position - leader) * signs, axis=1, keepdims=True)
+    sign = 1.0 - 2.0 * rng.integers(0, 2, position.shape, dtype=np.int8)
+    step: Array = np.mean(np.abs(position - leader) * sign, axis=1, keepdims=True)
     return step
 
 
@@ -215,7 +215,8 @@ class SparrowSearch:
             return np.where(np.isnan(value), np.inf, value)
 
         def clip(position: Array) -> Array:
-            return np.minimum(np.maximum(np.nan_to_num(position, copy=False), lower), upper)
+            inside: Array = np.fmax(np.fmin(position, upper), lower)  # a NaN goes to a bound
+            return inside
 
         home = rng.uniform(lower, upper, (n, len(lower)))  # personal bests
         value = evaluate(home)
@@ -237,27 +238,18 @@ class SparrowSearch:
                 rest = clip(np.concatenate((followers, starving)))
                 now = np.concatenate((leaders, rest))
                 now_value = np.concatenate((leader_value, evaluate(rest)))
-                home, value = _keep_better(home, value, now, now_value)
+                better = now_value < value
+                home[better], value[better] = now[better], now_value[better]
 
                 watching = rng.permutation(n)[: max(1, round(self.vigilantes * n))]
                 best, worst_index = int(np.argmin(value)), int(np.argmax(now_value))
-                flock = Flock(
-                    home[best].copy(),
-                    now[worst_index].copy(),
-                    float(value[best]),
-                    float(now_value[worst_index]),
-                    horizon,
-                )
+                f_best, f_worst = float(value[best]), float(now_value[worst_index])
+                flock = Flock(home[best], now[worst_index], f_best, f_worst, horizon)
                 moved = clip(rules.watch(rng, home[watching], value[watching], flock))
                 now[watching] = moved
                 now_value[watching] = evaluate(moved)
-                home, value = _keep_better(home, value, now, now_value)
+                better = now_value < value
+                home[better], value[better] = now[better], now_value[better]
             history[t] = value.min()
         best = int(np.argmin(value))
         return SparrowResult(home[best].copy(), float(value[best]), history, evaluations)
-
-
-def _keep_better(home: Array, value: Array, now: Array, now_value: Array) -> tuple[Array, Array]:
-    """Each sparrow's better of personal best and present place."""
-    better = now_value < value
-    return np.where(better[:, None], now, home), np.where(better, now_value, value)

@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 _TAILS = np.array([2.5, 3.0, 4.0, 6.0, 9.0, 15.0, 30.0, 100.0, 1e4])  # nu; the last is Gaussian
 _PLAIN_STEPS = 5  # steps before the evidence and the robust weights join in
 _ALPHA = (1e-4, 1e6)
+_SETTLED, _SETTLED_STEPS = 7e-4, 8  # change of log beta, over so many steps in a row
 
 
 @dataclass(frozen=True)
@@ -91,8 +92,8 @@ def back_propagate(
         alpha = np.clip(gamma / (np.bincount(group, weights**2) + 1e-9), *_ALPHA)
         spread = float(np.sum((count * robust)[:, None] * residual**2))
         beta = max(used - gamma.sum(), 0.02 * used) / max(spread, 1e-12 * used)
-        settled = settled + 1 if abs(np.log(beta) - before) < 2e-3 else 0
-        if settled >= 6:
+        settled = settled + 1 if abs(np.log(beta) - before) < _SETTLED else 0
+        if settled >= _SETTLED_STEPS:
             break
     return _finished(
         shape, weights, matrix, residual, count, robust, alpha, beta, float(tail), gamma, step
@@ -104,7 +105,9 @@ def _cost(residual: Array, weights: Array, row: Array, prior: Array, beta: float
     return float(value)
 
 
-def _determined(matrix: Array, group: Array, members: Array, alpha: Array, beta: float) -> Array:
+def _determined(
+    matrix: Array, group: NDArray[np.intp], members: Array, alpha: Array, beta: float
+) -> Array:
     """gamma per group: how many of its weights the data determine."""
     factor = cholesky(beta * matrix + np.diag(alpha[group]), lower=True, check_finite=False)
     inverse = solve_triangular(factor, np.eye(len(group)), lower=True, check_finite=False)
@@ -154,6 +157,8 @@ def _finished(
         - 0.5 * np.sum(prior * weights**2)
         + 0.5 * np.sum(np.log(prior))
         - np.sum(np.log(np.diag(factor)))
+        + gammaln(shape.hidden + 1)
+        + shape.hidden * np.log(2.0)  # equal optima: hidden units permuted, signs flipped
     )
     return Fit(
         weights=weights,
