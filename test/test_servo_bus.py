@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import random
 import time
 from collections.abc import Callable, Iterator
 
@@ -173,6 +174,24 @@ def test_many_turns_are_set_once_and_then_used(rig: Rig) -> None:
     assert _until(lambda: bus.read([1])[1].position_ticks == -900)
 
 
+def test_turns_are_kept_without_power_and_torque_is_not(rig: Rig) -> None:
+    emulator, bus = rig
+    bus.set_turns({1: True})
+    bus.torque(IDS, on=True)
+    emulator.power_cycle(1)
+    assert emulator.torques_on() == {1: False, 2: True, 3: True, 4: True} == bus.driven(IDS)
+    assert bus.set_turns({1: True}) == []
+
+
+def test_an_adapter_that_hears_itself_changes_nothing(rig: Rig) -> None:
+    emulator, bus = rig
+    emulator.faults.echo = True
+    bus.torque(IDS, on=True)
+    bus.write_goal({2: 1111})
+    assert _until(lambda: bus.read(IDS)[2].position_ticks == 1111)
+    assert bus.counters.retries == bus.counters.checksum_errors == 0
+
+
 def test_torque_off_reaches_the_others_although_one_is_silent(rig: Rig) -> None:
     emulator, bus = rig
     bus.torque(IDS, on=True)
@@ -274,6 +293,26 @@ def test_decoding_survives_any_split_of_the_bytes() -> None:
             replies = dialect.decode(buffer, final=False)
             buffer += stream[cut:]
             assert replies + dialect.decode(buffer, final=True) == whole
+
+
+@pytest.mark.parametrize("protocol", sorted(PROTOCOLS))
+def test_a_whole_frame_is_found_in_any_garbage(protocol: str) -> None:
+    """No false answer, no exception, and the true one is not lost behind garbage."""
+    rng = random.Random(5)
+    dialect = PROTOCOLS[protocol]()
+    alphabet = (0xFF, 0xFF, 0xFF, 0xFD, 0x00, 0x55, 1, 7, 200)
+    emulator = ServoEmulator(protocol, START)
+    frame = emulator._wire.take(bytearray(dialect.sync_read([3], dialect.state)))[0]
+    ((_, answer),) = emulator._wire.answer(frame, emulator._devices)
+    (true,) = dialect.decode(bytearray(answer), final=True)
+    false = 0
+    for _ in range(2000):
+        junk = bytes(rng.choice(alphabet) for _ in range(rng.randrange(30)))
+        replies = dialect.decode(bytearray(junk + answer), final=True)
+        intact = [reply for reply in replies if reply.intact and reply.data]
+        assert true in intact
+        false += len(intact) - 1
+    assert false == 0
 
 
 def test_errors_cross_a_process_boundary() -> None:

@@ -11,8 +11,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import serial
 
 from longarm_comp.core.errors import InputError
+from longarm_comp.devices.servo_bus import MODELS, PROTOCOLS, open_bus
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.sim.servo_emulator import Motor, MotorSpec, ServoEmulator, read_arm
 
@@ -198,6 +200,25 @@ def test_link_follows_an_unplug_and_a_replug(tmp_path: Path) -> None:
         assert scs.sms_sts(fresh).ping(7)[0] == 777
         fresh.closePort()
     assert not link.exists()
+
+
+@pytest.mark.parametrize("protocol", ["feetech", "dynamixel"])
+def test_broken_instructions_do_not_stop_it(protocol: str) -> None:
+    """Instructions with a good checksum but too few parameters, unknown ones, and a flood."""
+    with ServoEmulator(protocol, START) as emulator:
+        port = serial.Serial(emulator.port, 1_000_000, timeout=0.2, write_timeout=0.2)
+        dialect = PROTOCOLS[protocol]()
+        for instruction in range(256):
+            for params in (b"", b"\x38", b"\x38\x00", b"\xff\xff\xff\xff", bytes(40)):
+                port.write(dialect.encode(1, instruction, params))
+                port.write(dialect.encode(0xFE, instruction, params))
+        time.sleep(0.05)
+        assert emulator.frames_heard > 1000
+        port.close()
+        models = {7: MODELS["sts3215" if protocol == "feetech" else "xl430-w250"]}
+        bus = open_bus(protocol, emulator.port, 1_000_000, models, 0.05)
+        assert _until(lambda: bus.read([7])[7].voltage_v > 0)
+        bus.close()
 
 
 CONFIG = """

@@ -397,6 +397,14 @@ def test_the_emergency_stop_commands_nothing_until_reset(rig: Rig) -> None:
     assert step.goals is not None and abs(step.goals[5] - 2100) < 5
 
 
+def test_a_servo_that_let_go_is_a_fault(rig: Rig) -> None:
+    _moving(rig)
+    rig.now += DT
+    assert rig.follower.step(rig.now, rig.states, {5: True, 9: True}).goals is not None
+    step = rig.follower.step(rig.now + DT, rig.states, {5: True, 9: False})
+    assert _troubles([step]) == [(Trouble.LET_GO, "slide")]
+
+
 def test_a_clock_that_is_not_finite_is_refused(rig: Rig) -> None:
     with pytest.raises(InputError, match="finite seconds"):
         rig.follower.step(math.nan, {})

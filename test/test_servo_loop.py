@@ -48,7 +48,7 @@ class Loop:
         findings = [event.finding for event in step.events if event.finding is not None]
         self.troubles += [(f.trouble, f.joint) for f in findings]
         if step.goals is not None and self.bus is not None:
-            self.bus.write_goal(step.goals)
+            self.bus.write_goal(step.goals, self.config.speed_limits_ticks_s)
         return step
 
     def _states(self) -> dict[int, ServoState]:
@@ -107,7 +107,7 @@ def test_the_arm_goes_where_it_is_told_and_arrives_from_both_sides(loop: Loop) -
     for shoulder, boom, side in ((0.9, 0.08, 1), (0.5, 0.05, -1)):
         loop.send(shoulder=shoulder, boom=boom)
         assert loop.until(_holding(loop))
-        loop.until(lambda want=shoulder: abs(loop.joints()["shoulder"] - want) < 6e-4)  # noqa: B023
+        loop.until(lambda want=shoulder: abs(loop.joints()["shoulder"] - want) < 6e-4)
         assert loop.joints()["shoulder"] == pytest.approx(shoulder, abs=6e-4)  # one tick
         assert loop.joints()["boom"] == pytest.approx(boom, abs=3e-5)
         assert loop.emulator.approaches() == {1: side, 2: -side}

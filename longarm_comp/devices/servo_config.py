@@ -18,6 +18,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.devices.servo_bus import MODELS, PROTOCOLS, SerialServoBus, ServoModel, open_bus
 from longarm_comp.devices.servo_joint import Declared, JointConfig, Positive
 
+
 class BusConfig(Declared):
     """The serial line."""
 
@@ -95,6 +96,11 @@ class ServoConfig(Declared):
     def ids(self) -> dict[str, int]:
         """Servo id of each joint, in order."""
         return {name: joint.servo_id for name, joint in self.joints.items()}
+
+    @property
+    def speed_limits_ticks_s(self) -> dict[int, float]:
+        """A second bound, kept by the servos: 1.5 times ``max_velocity``, so that none lags."""
+        return {j.servo_id: 1.5 * j.max_speed_ticks_s for j in self.joints.values()}
 
     def open_bus(self) -> SerialServoBus:
         """Open the port. Raises BusUnplugged."""

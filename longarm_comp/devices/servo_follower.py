@@ -1,7 +1,19 @@
 """From a joint trajectory to bounded servo goals, one step at a time; never on doubtful data.
 
 Pure: it knows neither ROS nor a port. The caller reads the bus, calls ``step`` with what it got,
-and sends the goals it gets back. A fault holds every servo where it is and sends nothing more.
+and sends the goals it gets back. A fault holds every servo where it is and sends nothing more::
+
+    bus = config.open_bus()
+    bus.set_turns({j.servo_id: j.multi_turn for j in config.joints.values()})
+    bus.torque(ids, on=True)
+    while active:  # at a steady rate
+        try:
+            states = bus.read(ids)
+        except IncompleteReply as error:
+            states = error.answered
+        step = follower.step(time.monotonic(), states)
+        if step.goals is not None:
+            bus.write_goal(step.goals, config.speed_limits_ticks_s)
 """
 
 from __future__ import annotations
@@ -17,7 +29,7 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.joint_path import Array, JointPath, JointTrajectory, plan_path
 from longarm_comp.devices.servo_bus import ServoState
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.servo_watch import Finding, ServoWatch
+from longarm_comp.devices.servo_watch import Finding, ServoWatch, Trouble
 from longarm_comp.devices.trajectory_check import checked
 
 _SETTLED_TICKS_S = 30.0
@@ -160,8 +172,16 @@ class TrajectoryFollower:
         self._state = FollowerState.IDLE
         self._say(EventKind.RESET, "ready")
 
-    def step(self, now: float, states: Mapping[int, ServoState]) -> Step:
+    def step(
+        self,
+        now: float,
+        states: Mapping[int, ServoState],
+        driven: Mapping[int, bool] | None = None,
+    ) -> Step:
         """Take in one read-back (by servo id, silent servos left out) and say what to send.
+
+        ``driven``, now and then, is what ``ServoBus.driven`` says: a servo that lost its power for
+        a moment answers as before but holds nothing.
 
         Raises:
             InputError: ``now`` is not finite.
@@ -172,6 +192,7 @@ class TrajectoryFollower:
         dt = 0.0 if self._now is None else min(max(now - self._now, 0.0), limit)
         self._now = now if self._now is None else max(now, self._now)
         self._fresh, findings = self._watch.update(self._now, states, self._goals)
+        findings += self._let_go(driven or {})
         goals = None
         if self._state in (FollowerState.TRACKING, FollowerState.HOLDING):
             goals = self._fault(findings) if findings else self._move(dt)
@@ -245,6 +266,10 @@ class TrajectoryFollower:
                 hold[joint.servo_id] = min(max(state.position_ticks, low), high)
         self._drop_motion()
         return hold
+
+    def _let_go(self, driven: Mapping[int, bool]) -> list[Finding]:
+        loose = [name for name, i in self._config.ids.items() if driven.get(i) is False]
+        return [Finding(Trouble.LET_GO, name, "its torque is off") for name in loose]
 
     def _drop_motion(self) -> None:
         self._path = self._set = self._goals = None

@@ -29,6 +29,8 @@ class JointConfig(Declared):
         gear_ratio: servo turns for one turn of the joint (or of the screw or pinion).
         screw_lead_m, pinion_radius_m: travel of a prismatic joint; one of the two.
         direction: +1 when ticks grow with the joint value.
+        multi_turn: the servo turns more than once over the range. It forgets its turns without
+            power, so such a joint must stand within its zero's turn when power comes on.
         max_load: share of the servo's full effort that counts as stalled, 0 to 1.
     """
 

@@ -18,6 +18,7 @@ class Trouble(Enum):
     OVERHEATED = "overheated"
     STALLED = "stalled"
     NOT_FOLLOWING = "not following"
+    LET_GO = "not driven"
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,9 @@ class ServoBus(Protocol):
     def torque(self, ids: Sequence[int], on: bool) -> None:
         """Switch the drives; switching on holds the servos where they are."""
 
+    def driven(self, ids: Sequence[int]) -> dict[int, bool]:
+        """Whether each servo's drive is on."""
+
     def close(self) -> None:
         """Release the port; torque stays as it is."""
 
@@ -105,6 +108,14 @@ class SerialServoBus:
         if on:
             self.write_goal({i: s.position_ticks for i, s in self.read(ids).items()})
         self._write_checked(self._dialect.torque, {i: bytes((on,)) for i in ids}, harmless=not on)
+
+    def driven(self, ids: Sequence[int]) -> dict[int, bool]:
+        """Whether each servo's drive is on: after an alarm or a loss of power it is not.
+
+        Raises: ServoTimeout, ServoChecksum.
+        """
+        replies = self._fetch(ids, self._dialect.torque)
+        return {servo_id: reply.data == b"\1" for servo_id, reply in replies.items()}
 
     def set_turns(self, many: Mapping[int, bool]) -> list[int]:
         """Let servos turn more than once, or not; kept by the servo when unpowered.

@@ -5,4 +5,14 @@ from longarm_comp.sim.servo_emulator.faults import WireFaults
 from longarm_comp.sim.servo_emulator.joints import EmulatedArm, EmulatedJoint, read_arm
 from longarm_comp.sim.servo_emulator.motor import Motor, MotorSpec
 
-__all__ = ["WIRES", "EmulatedArm", "EmulatedJoint", "LoadOf", "Motor", "MotorSpec", "ServoEmulator", "WireFaults", "read_arm"]
+__all__ = [
+    "WIRES",
+    "EmulatedArm",
+    "EmulatedJoint",
+    "LoadOf",
+    "Motor",
+    "MotorSpec",
+    "ServoEmulator",
+    "WireFaults",
+    "read_arm",
+]

@@ -30,6 +30,7 @@ class DynamixelWire(Wire):
     """XL430-W250; the rest of the X series shares its table."""
 
     name = "dynamixel"
+    kept_below = TORQUE
 
     def device(self, servo_id: int, motor: Motor) -> Device:
         device = Device(servo_id, bytearray(MEMORY), motor)
@@ -39,6 +40,7 @@ class DynamixelWire(Wire):
         device.put(MODE, 1, 3)
         device.put(MAX_POSITION, 4, 4095)
         device.put(GOAL, 4, round(motor.position) & 0xFFFFFFFF)
+        device.kept = bytes(device.memory)
         return device
 
     def take(self, buffer: bytearray) -> list[bytes]:
@@ -128,6 +130,7 @@ class DynamixelWire(Wire):
                 return OVER_LIMIT
             motor.goal = float(goal)
         device.memory[address:end] = data
+        device.kept = bytes(device.memory)
         if address <= TORQUE < end:
             if not motor.torque_on:
                 motor.goal = motor.position

@@ -74,6 +74,7 @@ class ServoEmulator:
         """Open the pseudo-terminal (``port`` is its path) and begin to answer."""
         master, slave = os.openpty()
         tty.setraw(slave)
+        os.set_blocking(master, False)
         self._fds = master, slave
         self.port = os.ttyname(slave)
         if self._link is not None:
@@ -151,6 +152,12 @@ class ServoEmulator:
             for device in self._devices.values():
                 device.motor.voltage_v = voltage_v
 
+    def power_cycle(self, servo_id: int) -> None:
+        """Take a servo's power away and give it back."""
+        with self._lock:
+            self._advance()
+            self._wire.power_cycle(self._devices[servo_id])
+
     def push(self, servo_id: int, ticks: float) -> None:
         """Turn a servo by hand to ``ticks``; driven servos go back to their goal."""
         with self._lock:
@@ -175,24 +182,39 @@ class ServoEmulator:
         while not self._stop.is_set():
             ready, _, _ = select.select([master], [], [], _STEP_S)
             if ready:
-                buffer += os.read(master, 4096)
+                heard = os.read(master, 4096)
+                buffer += heard
+                if self.faults.echo:
+                    _send(master, heard)
             with self._lock:
                 self._advance()
                 sent = [
                     self.faults.apply(servo_id, reply)
                     for frame in self._frames(buffer)
-                    for servo_id, reply in self._wire.answer(frame, self._devices)
+                    for servo_id, reply in self._answers(frame)
                 ]
             for late_s, reply in sent:
                 pause = late_s + self._byte_s * len(reply)
                 if pause:
                     self._stop.wait(pause)
-                os.write(master, reply)
+                _send(master, reply)
+
+    def _answers(self, frame: bytes) -> list[tuple[int, bytes]]:
+        try:
+            return self._wire.answer(frame, self._devices)
+        except IndexError:
+            return []  # fewer parameters than the instruction needs: a servo ignores it
 
     def _frames(self, buffer: bytearray) -> list[bytes]:
         frames = self._wire.take(buffer)
         self.frames_heard += len(frames)
         return frames
+
+
+def _send(master: int, data: bytes) -> None:
+    """Put bytes on the line; when nobody takes them off, they are lost as on a real one."""
+    with contextlib.suppress(BlockingIOError):
+        os.write(master, data)
 
 
 def _point(link: Path, target: str) -> None:

@@ -15,6 +15,8 @@ class WireFaults:
         self.cuts: Counter[int] = Counter()
         self.delays_s: dict[int, float] = {}
         self.noise = b""
+        self.echo = False
+        """Send every instruction back first, as adapters that hear themselves do."""
 
     def silence(self, servo_id: int) -> None:
         """The servo hears and moves but answers nothing any more."""

@@ -26,6 +26,7 @@ class FeetechWire(Wire):
     """STS3215."""
 
     name = "feetech"
+    kept_below = TORQUE
 
     def device(self, servo_id: int, motor: Motor) -> Device:
         device = Device(servo_id, bytearray(MEMORY), motor)
@@ -36,6 +37,7 @@ class FeetechWire(Wire):
         device.put(MAX_TEMPERATURE, 1, round(motor.spec.shutdown_c))
         device.put(LOCK, 1, 1)
         device.put(GOAL, 2, _sign_magnitude(round(motor.position), 15))
+        device.kept = bytes(device.memory)
         return device
 
     def take(self, buffer: bytearray) -> list[bytes]:
@@ -88,13 +90,15 @@ class FeetechWire(Wire):
 
     def _read(self, device: Device, address: int, length: int) -> bytes:
         _refresh(device)
-        return bytes(device.memory[address : address + length]).ljust(length, b"\0")
+        return bytes(device.memory[address : address + length])
 
     def _write(self, device: Device, address: int, data: bytes) -> None:
         end = address + len(data)
         if end > POSITION or not data:
             return
         device.memory[address:end] = data
+        if not device.get(LOCK, 1):
+            device.kept = bytes(device.memory)  # while locked, changes last until power is lost
         motor = device.motor
         if address <= GOAL_SPEED < end:
             motor.speed_limit = float(device.get(GOAL_SPEED, 2) & 0x7FFF)

@@ -19,6 +19,7 @@ class Device:
         self.memory = memory
         self.motor = motor
         self.pending: tuple[int, bytes] | None = None
+        self.kept = bytes(memory)
 
     def put(self, address: int, length: int, value: int) -> None:
         """Store an unsigned little-endian value."""
@@ -30,13 +31,27 @@ class Device:
 
 
 class Wire(ABC):
-    """One emulated protocol; stateless."""
+    """One emulated protocol; stateless.
+
+    Attributes:
+        kept_below: registers below this address outlive a loss of power.
+    """
 
     name: ClassVar[str]
+    kept_below: ClassVar[int]
 
     @abstractmethod
     def device(self, servo_id: int, motor: Motor) -> Device:
         """A servo with this protocol's factory memory."""
+
+    def power_cycle(self, device: Device) -> None:
+        """What loss and return of power leave: kept registers, torque off, no alarm."""
+        motor = device.motor
+        fresh = self.device(device.servo_id, motor).memory
+        device.memory[:] = device.kept[: self.kept_below] + fresh[self.kept_below :]
+        device.pending = None
+        motor.torque_on, motor.speed_limit, motor.goal = False, 0.0, motor.position
+        motor.clear_alarms()
 
     @abstractmethod
     def take(self, buffer: bytearray) -> list[bytes]:
