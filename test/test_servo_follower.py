@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -278,11 +279,11 @@ def test_nothing_is_taken_before_every_servo_was_heard() -> None:
 
 def test_an_arm_outside_its_limits_or_too_hot_is_not_moved(rig: Rig) -> None:
     rig.states[5] = _state(TURN.to_ticks(1.0) + 200)
-    rig.step()
+    rig.run(0.1)
     with pytest.raises(InputError, match="by hand"):
         rig.send((1.0, {"turn": 0.0}))
     rig.states[5] = _state(2048, temperature_c=80.0)
-    rig.step()
+    rig.run(0.1)
     with pytest.raises(JobError, match="overheated"):
         rig.send((1.0, {"turn": 0.0}))
 
@@ -382,19 +383,65 @@ def test_a_read_back_that_jumps_is_not_believed(rig: Rig) -> None:
     assert _troubles(rig.run(0.6)) == [(Trouble.SILENT, "turn")]
 
 
+def test_while_idle_one_false_read_back_is_not_believed_but_a_hand_is(rig: Rig) -> None:
+    true = rig.states[5]
+    rig.states[5] = replace(true, position_ticks=true.position_ticks + 500)
+    rig.step()
+    with pytest.raises(JobError, match="fresh read-back"):
+        rig.send((1.0, {"turn": 0.0}))
+    rig.step()  # the same again: somebody moved the arm
+    rig.send((1.0, {"turn": 0.0}))
+    step = rig.step()
+    assert step.goals is not None
+    assert abs(step.goals[5] - true.position_ticks - 500) <= TURN.max_speed_ticks_s * DT + 1
+
+
 def test_the_emergency_stop_commands_nothing_until_reset(rig: Rig) -> None:
     _moving(rig)
-    rig.follower.estop(rig.now)
+    rig.follower.estop()
     steps = rig.run(1.0)
     assert all(s.goals is None and s.state is FollowerState.ESTOP for s in steps)
     with pytest.raises(JobError, match="reset"):
         rig.send((1.0, {"turn": 0.0}))
     rig.states[5] = _state(2100)  # fell while the torque was off
-    rig.step()
+    rig.run(0.1)
     rig.follower.reset(rig.now)
     rig.send((1.0, {"turn": 0.0}))
     step = rig.step()
     assert step.goals is not None and abs(step.goals[5] - 2100) < 5
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_whatever_happens_goals_stay_within_limits_and_steps(seed: int) -> None:
+    """Random targets, lost and false read-backs, resets: every goal sent obeys every bound."""
+    rng = np.random.default_rng(seed)
+    rig, sent, last_sent = Rig(), 0, dict[int, tuple[float, int]]()
+    for _ in range(1500):
+        with contextlib.suppress(InputError, JobError):
+            if rng.random() < 0.1:
+                rig.send((float(rng.uniform(0, 2)), {"turn": float(rng.uniform(-1.1, 1.1))}))
+            if rig.follower.state is FollowerState.FAULT:
+                rig.follower.reset(rig.now)
+        true = dict(rig.states)
+        if rng.random() < 0.03:
+            false = int(rng.integers(-9000, 9000))
+            rig.states[5] = replace(true[5], position_ticks=true[5].position_ticks + false)
+        hide = (9,) if rng.random() < 0.05 else ()
+        step = rig.step(dt=float(rng.choice([0.01, 0.02, 0.3], p=[0.49, 0.5, 0.01])), hide=hide)
+        believed = step.goals if step.state is not FollowerState.FAULT else None
+        for servo_id, goal in (believed or {}).items():
+            joint = TURN if servo_id == 5 else SLIDE
+            low, high = joint.tick_limits
+            assert low <= goal <= high
+            then, before = last_sent.get(servo_id, (rig.now, true[servo_id].position_ticks))
+            gap = max(rig.now - then, 0.01)
+            assert abs(goal - before) <= joint.max_speed_ticks_s * gap + 1.5
+            last_sent[servo_id] = (rig.now, goal)
+            sent += 1
+        if step.state is FollowerState.FAULT:
+            last_sent.clear()
+        rig.states = {i: rig.states[i] if i in (step.goals or {}) else true[i] for i in true}
+    assert sent > 500
 
 
 def test_a_servo_that_let_go_is_a_fault(rig: Rig) -> None:

@@ -20,68 +20,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 
 from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.devices.follower_step import Event, EventKind, FollowerState, Step
 from longarm_comp.devices.joint_path import Array, JointPath, JointTrajectory, plan_path
 from longarm_comp.devices.servo_bus import ServoState
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_watch import Finding, ServoWatch, Trouble
 from longarm_comp.devices.trajectory_check import checked
 
+__all__ = ["Event", "EventKind", "FollowerState", "Step", "TrajectoryFollower"]
+
 _SETTLED_TICKS_S = 30.0
-
-
-class FollowerState(Enum):
-    """What the follower is doing."""
-
-    IDLE = "idle"
-    TRACKING = "tracking"
-    HOLDING = "holding"
-    FAULT = "fault"
-    ESTOP = "estop"
-
-
-class EventKind(Enum):
-    """What happened in a step, or since the last one."""
-
-    STARTED = "started"
-    REPLACED = "replaced"
-    SLOWED = "slowed"
-    ARRIVED = "arrived"
-    DOUBTFUL = "doubtful"
-    FAULT = "fault"
-    ESTOP = "estop"
-    RESET = "reset"
-
-
-@dataclass(frozen=True)
-class Event:
-    """One thing worth telling the user; ``finding`` only with FAULT."""
-
-    kind: EventKind
-    message: str
-    finding: Finding | None = None
-
-
-@dataclass(frozen=True)
-class Step:
-    """The outcome of one step.
-
-    Attributes:
-        state: after the step.
-        goals: ticks by servo id to send now; None: send nothing.
-        set_points: commanded joint values, rad or m; empty when nothing is commanded.
-        events: in the order in which they happened.
-    """
-
-    state: FollowerState
-    goals: dict[int, int] | None
-    set_points: dict[str, float]
-    events: tuple[Event, ...]
 
 
 class TrajectoryFollower:
@@ -154,7 +106,7 @@ class TrajectoryFollower:
         """Stop smoothly and hold. Raises as ``accept``."""
         self.accept(JointTrajectory((), ()), now)
 
-    def estop(self, now: float) -> None:
+    def estop(self) -> None:
         """Command nothing more until ``reset``; the caller switches the torque off."""
         self._state = FollowerState.ESTOP
         self._drop_motion()

@@ -35,6 +35,7 @@ class _Seen:
     """What is known of one servo."""
 
     state: ServoState | None = None
+    said: int | None = None
     at: float = 0.0
     off_since: float | None = None
     lost_since: float | None = None
@@ -76,7 +77,7 @@ class ServoWatch:
         for name, joint in self._config.joints.items():
             seen = self._seen[name]
             state = states.get(joint.servo_id)
-            if state is None or (goals is not None and self._jumped(seen, joint, state, now)):
+            if state is None or self._doubtful(seen, joint, state, now, goals is not None):
                 fresh = False
             else:
                 seen.state, seen.at = state, now
@@ -109,12 +110,21 @@ class ServoWatch:
         for seen in self._seen.values():
             seen.off_since = seen.lost_since = None
 
-    def _jumped(self, seen: _Seen, joint: JointConfig, state: ServoState, now: float) -> bool:
-        """Whether the joint would have had to move faster than it can to be there."""
+    def _doubtful(
+        self, seen: _Seen, joint: JointConfig, state: ServoState, now: float, commanded: bool
+    ) -> bool:
+        """Whether the joint would have had to move faster than it can to be there.
+
+        Uncommanded it may be moved by hand: then two read-backs that agree are believed.
+        """
+        jump = self._config.follower.jump_ticks
+        said, seen.said = seen.said, state.position_ticks
         if seen.state is None:
             return False
-        reach = 4.0 * joint.max_speed_ticks_s * (now - seen.at) + self._config.follower.jump_ticks
-        return abs(state.position_ticks - seen.state.position_ticks) > reach
+        reach = 4.0 * joint.max_speed_ticks_s * (now - seen.at) + jump
+        if abs(state.position_ticks - seen.state.position_ticks) <= reach:
+            return False
+        return commanded or said is None or abs(state.position_ticks - said) > jump
 
     def _silence(self, name: str, seen: _Seen, now: float) -> list[Finding]:
         since = seen.at if seen.state is not None else self._started
