@@ -69,42 +69,42 @@ def solve_damped(
         u[k] = s * free[k]
 
 
-def rotation_error(R: Buffer, target: Buffer, e: Buffer, at: int) -> Any:
+def rotation_error(R: Buffer, r: int, target: Buffer, t: int, e: Buffer, at: int) -> Any:
     """Rotation vector (rad, base frame) from R to the target, written to ``e[at:at+3]``.
 
     Args:
-        R, target: axes n, o, a one after the other, 9 numbers each.
+        R, target: axes n, o, a one after the other, 9 numbers each, from index r and t on.
 
     Returns:
         The angle (rad), 0 to pi.  At pi the direction is lost (the vector is 0), the angle is not.
     """
     x = 0.5 * (
-        R[1] * target[2]
-        - R[2] * target[1]
-        + R[4] * target[5]
-        - R[5] * target[4]
-        + R[7] * target[8]
-        - R[8] * target[7]
+        R[r + 1] * target[t + 2]
+        - R[r + 2] * target[t + 1]
+        + R[r + 4] * target[t + 5]
+        - R[r + 5] * target[t + 4]
+        + R[r + 7] * target[t + 8]
+        - R[r + 8] * target[t + 7]
     )
     y = 0.5 * (
-        R[2] * target[0]
-        - R[0] * target[2]
-        + R[5] * target[3]
-        - R[3] * target[5]
-        + R[8] * target[6]
-        - R[6] * target[8]
+        R[r + 2] * target[t]
+        - R[r] * target[t + 2]
+        + R[r + 5] * target[t + 3]
+        - R[r + 3] * target[t + 5]
+        + R[r + 8] * target[t + 6]
+        - R[r + 6] * target[t + 8]
     )
     z = 0.5 * (
-        R[0] * target[1]
-        - R[1] * target[0]
-        + R[3] * target[4]
-        - R[4] * target[3]
-        + R[6] * target[7]
-        - R[7] * target[6]
+        R[r] * target[t + 1]
+        - R[r + 1] * target[t]
+        + R[r + 3] * target[t + 4]
+        - R[r + 4] * target[t + 3]
+        + R[r + 6] * target[t + 7]
+        - R[r + 7] * target[t + 6]
     )
-    trace = R[0] * target[0] + R[1] * target[1] + R[2] * target[2]
-    trace = trace + R[3] * target[3] + R[4] * target[4] + R[5] * target[5]
-    trace = trace + R[6] * target[6] + R[7] * target[7] + R[8] * target[8]
+    trace = R[r] * target[t] + R[r + 1] * target[t + 1] + R[r + 2] * target[t + 2]
+    trace = trace + R[r + 3] * target[t + 3] + R[r + 4] * target[t + 4] + R[r + 5] * target[t + 5]
+    trace = trace + R[r + 6] * target[t + 6] + R[r + 7] * target[t + 7] + R[r + 8] * target[t + 8]
     s = sqrt(x * x + y * y + z * z)
     angle = atan2(s, 0.5 * (trace - 1.0))
     ratio = angle / (s + 1e-300)

@@ -103,13 +103,18 @@ class Model:
     def posture(self, q: Sequence[Scalar], context: Context | None = None) -> Posture:
         """The loaded, deflected arm at q (n scalars, each a float or (N,))."""
         context = context or Context.empty()
-        posture = self._posture(q, context, {})
-        passes = self.passes if any(e.loaded for e in self.effects) else min(1, len(self.effects))
-        for _ in range(passes):
-            posture = self._posture(q, context, self.twists(posture))
+        posture = self.loaded(q, context, {})
+        for _ in range(self.load_passes):
+            posture = self.loaded(q, context, self.twists(posture))
         return posture
 
-    def _posture(self, q: Sequence[Scalar], context: Context, twists: Twists) -> Posture:
+    @property
+    def load_passes(self) -> int:
+        """Passes that `posture` makes: one is enough where nothing depends on the loads."""
+        return self.passes if any(e.loaded for e in self.effects) else min(1, len(self.effects))
+
+    def loaded(self, q: Sequence[Scalar], context: Context, twists: Twists) -> Posture:
+        """The arm at q with given twists (by station), and the loads it carries there."""
         frames, lengths = self.chain.place(q, twists)
         gravity: Vec = self.arm.gravity_mps2
         for effect in self.effects:

@@ -153,7 +153,7 @@ def _residual(
     position = np.sqrt((e[:3] * e[:3]).sum(0))
     angle = np.zeros(ids.size)
     if task.axes is not None:
-        angle = rotation_error(axes, task.axes[:, ids], e, 3)
+        angle = rotation_error(axes, 0, task.axes[:, ids], 0, e, 3)
         e[3:] *= task.length
         J = np.concatenate([J[:3], J[3:] * task.length])
     return e, position, angle, J[: task.m]

@@ -233,8 +233,7 @@ def exp_large(twist: Twist) -> Frame:
     b = 2.0 * half * half
     small = t < 1e-4
     series = 1 / 6 - t * (1 / 120 - t * (1 / 5040))
-    c = np.where(small, series, (1.0 - a) / t)
-    return _exp(d, w, a, b, float(c) if np.ndim(c) == 0 else c, t)
+    return _exp(d, w, a, b, where(small, series, (1.0 - a) / t), t)
 
 
 def _exp(d: Vec, w: Vec, a: Scalar, b: Scalar, c: Scalar, t: Scalar) -> Frame:

@@ -1,0 +1,343 @@
+"""Newton-Raphson in the joint box, one target: the loop that is also compiled.
+
+Written in what plain Python and numba share: numbers, loops, flat buffers.  The four
+functions under "the machine" are all that differs: as they stand they call a kernel of
+Python functions on lists; `newton_numba` swaps in calls of machine code on arrays.
+
+Each step costs one load pass, for the twists are carried from one iterate to the next.  What
+that leaves undone is measured when the search has settled: the model's full passes give the
+true residual, the difference is carried as a shift, and the search goes on until the true
+residual is within the tolerance.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from longarm_comp.core.box_step import Buffer, rotation_error, solve_damped
+
+# The same figures drive the batch in `newton_batch`.
+DIFFERENCE = 1e-6  # step of the differences, in ranges
+POOR = 0.1  # of the squared residual left after a step: then the Jacobian is made exact
+FLOOR = 1e-13  # least damping, in (m per joint range)^2
+STALL_AFTER = 6  # iterations without a fifth of progress that end a start
+FIRST_DAMPING = 0.05
+
+# ------------------------------------------------------------------ the machine
+
+
+def buffer(size: int) -> Buffer:
+    """Working memory."""
+    return [0.0] * size
+
+
+def first(k: Any, q: Buffer, c: Buffer, x: Buffer, out: Buffer, y: Buffer) -> None:
+    """y = twists of the rigid arm's loads."""
+    k[0](q, c, x, out, y)
+
+
+def step(k: Any, q: Buffer, c: Buffer, x: Buffer, out: Buffer, y: Buffer) -> None:
+    """out = tip and Jacobian with twists x; y = twists of the loads there."""
+    k[1](q, c, x, out, y)
+
+
+def last(k: Any, q: Buffer, c: Buffer, x: Buffer, out: Buffer, y: Buffer) -> None:
+    """out = tip and Jacobian with twists x."""
+    k[2](q, c, x, out, y)
+
+
+# ------------------------------------------------------------------ the loop
+
+
+def full(k: Any, q: Buffer, c: Buffer, x: Buffer, out: Buffer) -> None:
+    """out = tip and Jacobian after all of the model's load passes; x = twists, work."""
+    for i in range(k[3]):
+        if i == 0:
+            first(k, q, c, x, out, x)
+        else:
+            step(k, q, c, x, out, x)
+    last(k, q, c, x, out, x)
+
+
+def residual(out: Buffer, target: Buffer, length: float, m: int, e: Buffer, size: Buffer) -> None:
+    """e = target less tip, rotations times `length`; size = position (m) and angle (rad)."""
+    for i in range(3):
+        e[i] = target[i] - out[i]
+    size[0] = (e[0] * e[0] + e[1] * e[1] + e[2] * e[2]) ** 0.5
+    size[1] = 0.0
+    if m == 6:
+        size[1] = rotation_error(out, 3, target, 3, e, 3)
+        for i in range(3, 6):
+            e[i] = e[i] * length
+
+
+def weighted(out: Buffer, span: Buffer, length: float, m: int, n: int, J: Buffer) -> None:
+    """J (m, n) = change of -e per range of each joint."""
+    for i in range(m):
+        w = length if i >= 3 else 1.0
+        for j in range(n):
+            J[i * n + j] = out[12 + i * n + j] * span[j] * w
+
+
+def differences(
+    k: Any,
+    n: int,
+    m: int,
+    q: Buffer,
+    c: Buffer,
+    x: Buffer,
+    target: Buffer,
+    upper: Buffer,
+    span: Buffer,
+    length: float,
+    out: Buffer,
+    y: Buffer,
+    e0: Buffer,
+    e: Buffer,
+    size: Buffer,
+    J: Buffer,
+) -> None:
+    """J (m, n) by forward differences inside the box, so that how the sag moves is in it."""
+    step(k, q, c, x, out, y)
+    last(k, q, c, y, out, y)
+    residual(out, target, length, m, e0, size)
+    for j in range(n):
+        held = q[j]
+        h = DIFFERENCE
+        if held + h * span[j] > upper[j]:
+            h = -h
+        q[j] = held + h * span[j]
+        step(k, q, c, x, out, y)
+        last(k, q, c, y, out, y)
+        residual(out, target, length, m, e, size)
+        for i in range(m):
+            J[i * n + j] = (e0[i] - e[i]) / h
+        q[j] = held
+
+
+def box_step(
+    J: Buffer,
+    e: Buffer,
+    q: Buffer,
+    lower: Buffer,
+    upper: Buffer,
+    span: Buffer,
+    damping: float,
+    m: int,
+    n: int,
+    u: Buffer,
+    free: Buffer,
+    left: Buffer,
+    A: Buffer,
+    y: Buffer,
+    trial: Buffer,
+) -> None:
+    """trial = q after a damped least-squares step that stays in the box.
+
+    A joint that would leave is put on its limit and the rest solved again, the furthest
+    out first: at most n times.  Every joint is free again at the next iteration.
+    """
+    for i in range(m):
+        left[i] = e[i]
+    for j in range(n):
+        free[j] = 1.0 if upper[j] > lower[j] else 0.0
+        trial[j] = q[j]
+    for _ in range(n):
+        solve_damped(J, left, free, damping, m, n, A, y, u)
+        worst, out_by = -1, 0.0
+        for j in range(n):
+            if free[j] == 1.0:
+                trial[j] = q[j] + u[j] * span[j]
+                by = max(lower[j] - trial[j], trial[j] - upper[j]) / span[j]
+                if by > out_by:
+                    worst, out_by = j, by
+        if worst < 0:
+            break
+        trial[worst] = lower[worst] if trial[worst] < lower[worst] else upper[worst]
+        free[worst] = 0.0
+        moved = (trial[worst] - q[worst]) / span[worst]
+        for i in range(m):
+            left[i] = left[i] - J[i * n + worst] * moved
+    for j in range(n):  # every joint may have met its limit in the last round
+        trial[j] = min(max(trial[j], lower[j]), upper[j])
+
+
+def search(
+    k: Any,
+    n: int,
+    m: int,
+    nx: int,
+    q: Buffer,
+    c: Buffer,
+    target: Buffer,
+    lower: Buffer,
+    upper: Buffer,
+    span: Buffer,
+    length: float,
+    tol: float,
+    max_iterations: int,
+    found: Buffer,
+) -> int:
+    """Levenberg-Marquardt with an active set from q; q becomes the answer.
+
+    Returns:
+        Iterations used; `found` holds the position (m) and angle (rad) residuals at q by the
+        model's full passes.
+    """
+    out, trial_out = buffer(12 + 6 * n), buffer(12 + 6 * n)
+    x, y, spare = buffer(nx), buffer(nx), buffer(nx)
+    e, e2, shift, left, solved = buffer(6), buffer(6), buffer(6), buffer(6), buffer(6)
+    J, sag, exact, A = buffer(6 * n), buffer(6 * n), buffer(6 * n), buffer(36)
+    u, free, trial, size = buffer(n), buffer(n), buffer(n), buffer(2)
+
+    if k[3] > 0:
+        first(k, q, c, x, out, x)
+    step(k, q, c, x, out, y)  # y: the twists to go on with
+    residual(out, target, length, m, e, size)
+    energy = 0.0
+    for i in range(m):
+        energy += e[i] * e[i]
+    weighted(out, span, length, m, n, J)
+    mu, marked, since, poor, used = FIRST_DAMPING, energy, 0, False, 0
+    while True:
+        position = (e[0] * e[0] + e[1] * e[1] + e[2] * e[2]) ** 0.5
+        angle = (e[3] * e[3] + e[4] * e[4] + e[5] * e[5]) ** 0.5 / length
+        settled = position <= 0.3 * tol and angle <= 0.3 * tol and size[1] < 1.0
+        ended = used >= max_iterations or since >= STALL_AFTER
+        if settled or ended:
+            for i in range(m):
+                shift[i] = e[i] - shift[i]
+            full(k, q, c, spare, trial_out)
+            residual(trial_out, target, length, m, e, size)
+            found[0], found[1] = size[0], size[1]
+            if ended or (size[0] <= tol and size[1] <= tol):
+                break
+            energy = 0.0
+            for i in range(m):
+                shift[i] = e[i] - shift[i]
+                energy += e[i] * e[i]
+            marked = energy
+        if poor:
+            differences(
+                k,
+                n,
+                m,
+                q,
+                c,
+                y,
+                target,
+                upper,
+                span,
+                length,
+                trial_out,
+                spare,
+                e2,
+                left,
+                size,
+                exact,
+            )
+            for i in range(m * n):
+                sag[i] = exact[i] - J[i]
+        for i in range(m * n):
+            exact[i] = J[i] + sag[i]
+        box_step(
+            exact,
+            e,
+            q,
+            lower,
+            upper,
+            span,
+            mu * energy + FLOOR,
+            m,
+            n,
+            u,
+            free,
+            left,
+            A,
+            solved,
+            trial,
+        )
+        step(k, trial, c, y, trial_out, spare)
+        residual(trial_out, target, length, m, e2, size)
+        energy2 = 0.0
+        for i in range(m):
+            e2[i] = e2[i] + shift[i]
+            energy2 += e2[i] * e2[i]
+        used += 1
+        poor = energy2 > POOR * energy and used > 1
+        if energy2 < energy:
+            for j in range(n):
+                q[j] = trial[j]
+            mu = max(0.1 * mu, 1e-6)
+        else:  # stay, with the twists renewed
+            step(k, q, c, y, trial_out, spare)
+            residual(trial_out, target, length, m, e2, size)
+            energy2 = 0.0
+            for i in range(m):
+                e2[i] = e2[i] + shift[i]
+                energy2 += e2[i] * e2[i]
+            mu = min(8.0 * mu + 1e-3, 1e6)
+        for i in range(m):
+            e[i] = e2[i]
+        for i in range(nx):
+            y[i] = spare[i]
+        energy = energy2
+        weighted(trial_out, span, length, m, n, J)
+        if energy < 0.8 * marked:
+            marked, since = energy, 0
+        else:
+            since += 1
+    return used
+
+
+def search_all(
+    k: Any,
+    m: int,
+    nx: int,
+    targets: Buffer,
+    contexts: Buffer,
+    starts: Buffer,
+    lower: Buffer,
+    upper: Buffer,
+    span: Buffer,
+    points: Buffer,
+    length: float,
+    tol: float,
+    max_iterations: int,
+    q: Buffer,
+    report: Buffer,
+) -> None:
+    """Every target from its start, then from restarts until one holds.
+
+    Args:
+        targets: N rows of 12 (position, axes n o a); contexts: N rows.
+        starts, lower, upper: N rows of n.
+        points: restarts in the unit box, rows of n, each followed by its radius.
+        q: N rows of n, the answers.
+        report: N rows of position residual, angle residual, iterations, starts.
+    """
+    n = len(span)
+    trial, found = buffer(n), buffer(2)
+    for t in range(len(targets)):
+        row, to, start, low, high = report[t], q[t], starts[t], lower[t], upper[t]
+        row[0], row[1] = 1e300, 1e300
+        for s in range(1 + len(points)):
+            for j in range(n):
+                trial[j] = start[j]
+                if s > 0:
+                    radius, size = points[s - 1][n], high[j] - low[j]
+                    at = (1.0 - radius) * start[j] + radius * low[j]
+                    trial[j] = at + radius * points[s - 1][j] * size
+                    trial[j] = min(max(trial[j], low[j]), high[j])
+            row[2] += search(
+                k, n, m, nx, trial, contexts[t], targets[t], low, high, span, length, tol,
+                max_iterations, found,
+            )  # fmt: skip
+            row[3] += 1
+            better = found[0] + length * found[1] < row[0] + length * row[1]
+            if better:
+                row[0], row[1] = found[0], found[1]
+                for j in range(n):
+                    to[j] = trial[j]
+            if found[0] <= tol and found[1] <= tol:
+                break
