@@ -23,6 +23,8 @@ class Context:
     Attributes:
         approach: per joint -1, 0 (unknown) or +1: the side it arrived from, n scalars;
             empty when unknown.
+        travel: per joint the signed way since it last turned round (rad, m), n scalars;
+            0 or empty when unknown.
         columns: any further quantity by name: `temperature_c`, `payload_kg`, `t_s`,
             `incl_<frame>_x`, ... (SI but for the degrees Celsius).
         labels: text columns such as `group` and `marker`, one string or (N,) array of them.
@@ -31,6 +33,7 @@ class Context:
     approach: tuple[Scalar, ...] = ()
     columns: Mapping[str, Scalar] = field(default_factory=dict)
     labels: Mapping[str, object] = field(default_factory=dict)
+    travel: tuple[Scalar, ...] = ()
 
     def has(self, name: str) -> bool:
         """Whether an input was recorded."""
@@ -60,6 +63,10 @@ class Context:
     def direction(self, joint: int) -> Scalar:
         """Side (-1, 0, +1) that commanded joint number `joint` (0-based) arrived from."""
         return self.approach[joint] if self.approach else 0.0
+
+    def way(self, joint: int) -> Scalar:
+        """Signed way (rad, m) of commanded joint number `joint` since it last turned round."""
+        return self.travel[joint] if self.travel else 0.0
 
     def is_label(self, name: str, value: str) -> Scalar:
         """1.0 where a text column holds `value`, else 0.0; 1.0 when there is no such column."""

@@ -39,6 +39,8 @@ class Session:
             `payload_kg`, `incl_<frame>_x`, any other quantity that was recorded.
         labels: text by name, (N,) each: `group`, `marker`, `role`, any other.
         source: file or bag that it came from, for messages.
+        travel: (N, n) signed way of each joint since it last turned round, rad and m, over the
+            rows before (the approach's own last bit not counted); 0 unknown.
     """
 
     index: np.ndarray
@@ -50,6 +52,7 @@ class Session:
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)
     labels: Mapping[str, np.ndarray] = field(default_factory=dict)
     source: str = "session"
+    travel: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         """Check the shapes and freeze the arrays."""
@@ -63,6 +66,8 @@ class Session:
         self._set("q", q, (n_rows, n))
         self._set("xyz", xyz, (n_rows, 3))
         self._set("approach", np.asarray(self.approach, dtype=np.int8), (n_rows, n))
+        travel = np.zeros((n_rows, n)) if self.travel is None else self.travel
+        self._set("travel", np.asarray(travel, dtype=float), (n_rows, n))
         self._set("repeat_id", np.asarray(self.repeat_id, dtype=np.int64), (n_rows,))
         if self.sigma is not None:
             self._set("sigma", np.asarray(self.sigma, dtype=float), (n_rows, 3))
@@ -116,7 +121,18 @@ class Session:
         _check_shape(source, "index", index, (n_rows,))
         repeat_id = np.full(n_rows, -1) if repeat_id is None else repeat_id
         directions = derive_approach(q, index, approach)
-        return cls(index, q, xyz, directions, repeat_id, sigma, columns or {}, labels or {}, source)
+        return cls(
+            index,
+            q,
+            xyz,
+            directions,
+            repeat_id,
+            sigma,
+            columns or {},
+            labels or {},
+            source,
+            derive_travel(q, index),
+        )
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -190,6 +206,9 @@ class Session:
             approach=tuple(self.approach[at, j].astype(float) for j in range(self.n))
             if known
             else (),
+            travel=tuple(self.travel[at, j] for j in range(self.n))
+            if known and self.travel is not None
+            else (),
             columns={name: values[at] for name, values in self.columns.items()},
             labels={name: values[at] for name, values in self.labels.items()},
         )
@@ -202,6 +221,7 @@ class Session:
             q=self.q[rows],
             xyz=self.xyz[rows],
             approach=self.approach[rows],
+            travel=None if self.travel is None else self.travel[rows],
             repeat_id=self.repeat_id[rows],
             sigma=None if self.sigma is None else self.sigma[rows],
             columns={name: values[rows] for name, values in self.columns.items()},
@@ -245,6 +265,22 @@ def derive_approach(
         step = q[i] - q[i - 1]
         moved = np.where(np.abs(step) < SAME_POSE, made[i - 1], np.sign(step))
         made[i] = np.where(given[i] != 0, given[i], moved)
+    return made
+
+
+def derive_travel(q: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Signed way of every joint since it last turned round, (N, n), from the rows before.
+
+    After a gap of the index, and in the first row, nothing is known: 0.
+    """
+    made = np.zeros(q.shape)
+    for i in range(1, len(q)):
+        if not 0 <= index[i] - index[i - 1] <= 1:
+            continue
+        step = q[i] - q[i - 1]
+        step[np.abs(step) < SAME_POSE] = 0.0
+        onward = made[i - 1] * step >= 0
+        made[i] = np.where(onward, made[i - 1] + step, step)
     return made
 
 

@@ -13,7 +13,7 @@ from longarm_comp.core.effects.joint_term import JointTerm, typical_loads
 from longarm_comp.core.posture import Posture
 from longarm_comp.core.spatial import Twist
 
-_RESTING = 1e-9  # N m: a vertical axis carries no torque but for rounding
+_RESTING = 1e-6  # N m: a vertical axis carries no torque but for rounding
 GATES = (0.0, 0.03, 0.075, 0.15, 0.3)
 
 
@@ -22,7 +22,8 @@ class Backlash(JointTerm):
     """``+-width/2`` to the side of the gravity torque where that exceeds a threshold.
 
     Below the threshold friction holds the joint where its motion left it: it lags behind,
-    on the side it came from.
+    on the side it came from.  Between the two the side changes over gradually, within a
+    sixth of the threshold, as a gear under a nearly balanced load does.
 
     Attributes:
         threshold: torque (N m) under which the approach direction decides.
@@ -45,7 +46,7 @@ class Backlash(JointTerm):
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Half the width to the side that holds."""
         load = self.load(posture)
-        side = spatial.where(
-            abs(load) > self.threshold + _RESTING, spatial.sign(load), -1.0 * self.direction(posture)
-        )
+        settled = (abs(load) - self.threshold - _RESTING) / (self.threshold / 6 + 0.1 * _RESTING)
+        gate = 0.5 + 0.5 * spatial.tanh(settled)
+        side = gate * spatial.sign(load) - (1.0 - gate) * self.direction(posture)
         return self.motion(posture, (0.5 * self.width) * side)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
+from longarm_comp.core import spatial
 from longarm_comp.core.effects.effect import parameter
 from longarm_comp.core.effects.joint_term import JointTerm
 from longarm_comp.core.posture import Posture
@@ -14,13 +15,26 @@ from longarm_comp.core.spatial import Twist
 
 @dataclass(frozen=True)
 class FrictionHysteresis(JointTerm):
-    """Lost motion ``-width/2`` times the direction of approach, whatever the load."""
+    """Lost motion against the direction of approach and, by memory, of the move before it.
+
+    A joint with friction and wind-up is a play operator (Prandtl): it lags by half a width
+    against its motion once it has wound through `reach`.  A short final approach turns only
+    part of it; the rest remembers the move before: ``side = way / reach - 1`` within +-1.
+
+    Attributes:
+        reach: way (rad) in which the joint winds from one side to the middle.
+    """
 
     name: ClassVar[str] = "friction_hysteresis"
     needs: ClassVar[tuple[str, ...]] = ("approach",)
 
-    width: float = parameter("rad", "full width of the hysteresis", prior=0.01, lower=0.0)
+    reach: float = 0.1
+    width: float = parameter("rad", "full width that the approach decides", prior=0.01, lower=0.0)
+    memory: float = parameter("rad", "full width that the move before decides", prior=3e-3, lower=0.0)
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """Half the width against the direction of motion."""
-        return self.motion(posture, (-0.5 * self.width) * self.direction(posture))
+        """Half the widths against the directions of motion."""
+        way = self.way(posture)
+        wound = spatial.minimum(abs(way) / self.reach - 1.0, 1.0) * spatial.sign(way)
+        lag = 0.5 * self.width * self.direction(posture) + 0.5 * self.memory * wound
+        return self.motion(posture, -1.0 * lag)

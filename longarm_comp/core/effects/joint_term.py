@@ -60,6 +60,11 @@ class JointTerm(Effect):
         commanded = posture.arm.commanded
         return posture.context.direction(commanded.index(self.joint))
 
+    def way(self, posture: Posture) -> Scalar:
+        """Signed way (rad, m) since the joint last turned round, before its final approach."""
+        commanded = posture.arm.commanded
+        return posture.context.way(commanded.index(self.joint))
+
 
 def with_prior(parameters: tuple[Parameter, ...], **changes: object) -> tuple[Parameter, ...]:
     """The same parameters with other attributes (prior, unit) for an arm."""
