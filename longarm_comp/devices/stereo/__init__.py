@@ -1,7 +1,9 @@
 """Stereo measurement of a marker, without ROS: pixels in, a point with covariance out."""
 
+from longarm_comp.devices.stereo.calibrate import StereoCalibration, calibrate_stereo
 from longarm_comp.devices.stereo.camera import Camera, CameraInfoLike, StereoRig
 from longarm_comp.devices.stereo.eye import Limits, Sighting, StereoEye
+from longarm_comp.devices.stereo.hand_eye import HandEye, hand_eye
 from longarm_comp.devices.stereo.pairing import Drop, Pair, Side, StereoPairer
 from longarm_comp.devices.stereo.refusal import Reason, StereoRefusal
 from longarm_comp.devices.stereo.rigid import RigidFit, fit_rigid
@@ -26,6 +28,7 @@ __all__ = [
     "Chessboard",
     "Corners",
     "Drop",
+    "HandEye",
     "Limits",
     "Pair",
     "PixelNoise",
@@ -33,6 +36,7 @@ __all__ = [
     "RigidFit",
     "Side",
     "Sighting",
+    "StereoCalibration",
     "StereoEye",
     "StereoPairer",
     "StereoRefusal",
@@ -40,7 +44,9 @@ __all__ = [
     "TagBoard",
     "Target",
     "Triangulation",
+    "calibrate_stereo",
     "epipolar_px",
     "fit_rigid",
+    "hand_eye",
     "triangulate",
 ]

@@ -1,0 +1,104 @@
+"""Calibration of a stereo rig from pictures of a flat board (Zhang's method, through OpenCV)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.devices.stereo.camera import StereoRig
+from longarm_comp.devices.stereo.target import Corners, Target
+from longarm_comp.devices.stereo.triangulate import triangulate
+
+_ROUNDS = 3
+_FEWEST_PAIRS = 4
+_FEWEST_CORNERS = 8
+_ACCURATE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 300, 1e-10)
+
+
+@dataclass(frozen=True)
+class StereoCalibration:
+    """A calibrated rig and how well it fits.
+
+    Args:
+        rig: frame = the raw left optical frame; lengths in the unit of the board's points.
+        rms_px: of the boards' reprojection, both cameras.
+        epipolar_rms_px: of each pair's triangulation residuals, in the order given (NaN where a
+            pair was not usable): large where the board moved between the two exposures.
+        used: indices of the pairs that the rig stands on.
+        rejected: indices left out: too few corners, or out of line with the others.
+    """
+
+    rig: StereoRig
+    rms_px: float
+    epipolar_rms_px: tuple[float, ...]
+    used: tuple[int, ...]
+    rejected: tuple[int, ...]
+
+
+def calibrate_stereo(
+    board: Target,
+    pairs: Sequence[tuple[Corners, Corners]],
+    size: tuple[int, int],
+    worst: float = 2.0,
+) -> StereoCalibration:
+    """Intrinsics with plumb-bob distortion of both cameras and the transform between them.
+
+    Pairs whose triangulation residuals exceed `worst` times the median are left out and the rest
+    fitted again: hand-held boards move between exposures that are not simultaneous.
+
+    Args:
+        board: what was photographed.
+        pairs: its corners in the left and the right image, at least four usable pairs.
+        size: (width, height) px of the images.
+
+    Raises:
+        InputError: too few usable pairs.
+        JobError: if OpenCV finds no calibration, or one that misses by more than 2 px.
+    """
+    common = [np.intersect1d(left.ids, right.ids, return_indices=True) for left, right in pairs]
+    usable = [i for i, (ids, _, _) in enumerate(common) if len(ids) >= _FEWEST_CORNERS]
+    if len(usable) < _FEWEST_PAIRS:
+        allowed = f"{_FEWEST_PAIRS} or more with {_FEWEST_CORNERS} corners seen by both cameras"
+        raise InputError("stereo calibration", "pairs", len(usable), allowed)
+    objects = {i: _flat(board.points(common[i][0])) for i in usable}
+    lefts = {i: _flat(pairs[i][0].pixels[common[i][1]]) for i in usable}
+    rights = {i: _flat(pairs[i][1].pixels[common[i][2]]) for i in usable}
+    try:
+        cameras = [
+            cv2.calibrateCamera([objects[i] for i in usable], [seen[i] for i in usable], size, None, None)
+            for seen in (lefts, rights)
+        ]
+        used = usable
+        for _ in range(_ROUNDS):
+            rms, k_l, d_l, k_r, d_r, turn, move, *_ = cv2.stereoCalibrate(
+                [objects[i] for i in used],
+                [lefts[i] for i in used],
+                [rights[i] for i in used],
+                *(camera[j] for camera in cameras for j in (1, 2)),
+                size,
+                flags=cv2.CALIB_USE_INTRINSIC_GUESS,
+                criteria=_ACCURATE,
+            )
+            right_T_left = np.vstack([np.hstack([turn, move.reshape(3, 1)]), [0, 0, 0, 1]])
+            rig = StereoRig.from_extrinsics((k_l, d_l), (k_r, d_r), right_T_left, size)
+            off = np.full(len(pairs), np.nan)
+            for i in usable:
+                off[i] = triangulate(rig, lefts[i].reshape(-1, 2), rights[i].reshape(-1, 2)).rms_px
+            keep = [i for i in usable if off[i] <= worst * np.median(off[used])]
+            if keep == used or len(keep) < _FEWEST_PAIRS:
+                break
+            used = keep
+    except cv2.error as error:
+        raise JobError("stereo calibration failed", opencv=str(error)) from error
+    if not rms < 2.0:
+        raise JobError("stereo calibration does not fit the pictures", rms_px=float(rms))
+    rejected = tuple(i for i in range(len(pairs)) if i not in used)
+    return StereoCalibration(rig, float(rms), tuple(map(float, off)), tuple(used), rejected)
+
+
+def _flat(points: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(points, dtype=np.float32).reshape(len(points), 1, -1)

@@ -1,0 +1,126 @@
+"""Where the camera stands in the base frame, from tips predicted and tips seen.
+
+Both the camera's pose Z and the marker's place p on the tip may be unknown: for every posture i
+``base_T_tip_i p = Z m_i`` with m_i the marker seen by the camera. It is the translational half of
+the robot-world calibration AX = ZB (Zhuang, Roth & Sudhakar, IEEE T-RA 10(4), 1994), which is all
+that a point measurement supports; Gauss-Newton on 9 unknowns, or 6 where p is known.
+
+An arm that sags by centimetres moves its predicted tips: the camera then takes part of the error
+as its own pose. `covariance` covers noise, not that; calibrate arm and camera together for it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.devices.stereo.camera import Array
+from longarm_comp.devices.stereo.rigid import cross_matrices, fit_rigid
+
+_PASSES = 20
+_ROUNDS = 3
+_OUTLIER = 5.0  # times the median normalised distance
+
+
+@dataclass(frozen=True)
+class HandEye:
+    """Pose (4, 4) of the camera in the base frame and the marker's place (3,) m on the tip frame.
+
+    `covariance` is (6, 6) of the pose (``[d; delta]``, base axes) or (9, 9) with the place after
+    it where that was unknown; `residuals` (N, 3) m are seen - predicted; `outliers` are the indices
+    that were left out.
+    """
+
+    base_T_camera: Array
+    marker_in_tip: Array
+    covariance: Array
+    residuals: Array
+    outliers: tuple[int, ...]
+
+    @property
+    def rms_m(self) -> float:
+        """Root mean square length of the residuals that count, m."""
+        kept = np.delete(self.residuals, self.outliers, axis=0)
+        return float(np.sqrt(np.mean(np.sum(np.square(kept), axis=1))))
+
+
+def hand_eye(
+    base_T_tip: Array,
+    seen: Array,
+    covariances: Array,
+    marker_in_tip: Array | None = None,
+    arm_sigma_m: float = 0.0,
+) -> HandEye:
+    """Fit the camera's pose, and the marker's place where it is not given.
+
+    Args:
+        base_T_tip: (N, 4, 4) predicted tip poses.
+        seen: (N, 3) m marker positions in the camera frame.
+        covariances: (N, 3, 3) m^2 of `seen`, camera frame.
+        marker_in_tip: (3,) m if known, else it is estimated too: the tip must then turn about
+            two axes at least.
+        arm_sigma_m: how far a predicted tip is off, each axis, 1 sigma.
+
+    Raises:
+        InputError: shapes that do not match; too few, not finite or collinear points.
+        JobError: the postures do not tell the unknowns apart.
+    """
+    base_T_tip, seen = np.asarray(base_T_tip, dtype=float), np.asarray(seen, dtype=float)
+    count = len(seen)
+    if base_T_tip.shape != (count, 4, 4) or np.shape(covariances) != (count, 3, 3):
+        shapes = (base_T_tip.shape, seen.shape, np.shape(covariances))
+        raise InputError("hand-eye", "shapes", shapes, "(N, 4, 4), (N, 3) and (N, 3, 3)")
+    free = 6 if marker_in_tip is not None else 9
+    if 3 * count <= free:
+        raise InputError("hand-eye", "postures", count, f"more than {free // 3}")
+    place = np.zeros(3) if marker_in_tip is None else np.asarray(marker_in_tip, dtype=float)
+    turns = base_T_tip[:, :3, :3]
+    start = fit_rigid(seen, turns @ place + base_T_tip[:, :3, 3]).transform
+    rotation, translation = start[:3, :3], start[:3, 3]
+    kept = np.arange(count)
+    for _ in range(_ROUNDS):
+        for _ in range(_PASSES):
+            arm = seen @ rotation.T
+            residuals = arm + translation - turns @ place - base_T_tip[:, :3, 3]
+            spread = rotation @ covariances @ rotation.T + arm_sigma_m**2 * np.eye(3)
+            weights = np.linalg.inv(spread)
+            by_unknown = np.concatenate(
+                [np.broadcast_to(np.eye(3), turns.shape), -cross_matrices(arm), -turns], axis=2
+            )[kept, :, :free]
+            weighted = by_unknown.transpose(0, 2, 1) @ weights[kept]
+            normal = np.sum(weighted @ by_unknown, axis=0)
+            _check_condition(normal)
+            step = -np.linalg.solve(normal, np.einsum("nij,nj->i", weighted, residuals[kept]))
+            translation = translation + step[:3]
+            rotation = cv2.Rodrigues(step[3:6])[0] @ rotation
+            if free == 9:
+                place = place + step[6:]
+            if np.max(np.abs(step)) < 1e-11:
+                break
+        else:
+            if np.max(np.abs(step)) > 1e-6:
+                raise JobError("hand-eye did not settle", last_step=float(np.max(np.abs(step))))
+        distance = np.sqrt(np.einsum("ni,nij,nj->n", residuals, weights, residuals))
+        inliers = np.flatnonzero(distance <= _OUTLIER * max(float(np.median(distance)), 1e-12))
+        if np.array_equal(inliers, kept):
+            break
+        kept = inliers
+    factor = max(float(np.sum(distance[kept] ** 2)) / max(3 * len(kept) - free, 1), 1.0)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, translation
+    outliers = tuple(int(i) for i in np.setdiff1d(np.arange(count), kept))
+    return HandEye(pose, place, factor * np.linalg.inv(normal), residuals, outliers)
+
+
+def _check_condition(normal: Array) -> None:
+    """Refuse a normal matrix that leaves some combination of the unknowns open."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    eigenvalues = np.linalg.eigvalsh(normal * scale * scale[:, None])
+    if eigenvalues[0] < 1e-7:
+        raise JobError(
+            "hand-eye: the postures do not tell the unknowns apart; turn the tip more",
+            smallest_eigenvalue=float(eigenvalues[0]),
+        )
