@@ -22,7 +22,7 @@ from longarm_comp.sim.hidden.catalogue import (
     shift,
     typical_context,
 )
-from longarm_comp.sim.variety import paper_mix, random_arm
+from longarm_comp.sim.variety import Mix, paper_mix, random_arm
 
 G = 9.81
 LIBRARY = (
@@ -74,7 +74,7 @@ def test_the_library_and_more_are_there() -> None:
 def test_dose(twin: Arm, name: str) -> None:
     """No dose no shift; the wanted size is met; half the dose is about half the shift."""
     rng = np.random.default_rng(5)
-    poses = rng.uniform(twin.lower, twin.upper, (40, twin.n))
+    poses = rng.uniform(twin.lower, twin.upper, (25, twin.n))
     context = typical_context(len(poses), twin, rng)
     effect = draw(name, twin, rng, 3.0, poses)
     assert effect.name == name
@@ -84,8 +84,9 @@ def test_dose(twin: Arm, name: str) -> None:
         return 1e3 * float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
 
     assert rms_mm(0.0) < 1e-9
-    assert rms_mm(1.0) == pytest.approx(3.0, rel=0.2)  # another draw of the context
-    assert rms_mm(0.5) == pytest.approx(0.5 * rms_mm(1.0), rel=0.25)
+    slack = 0.3 if name == "servo_quantisation" else 0.2  # another draw of the context
+    assert rms_mm(1.0) == pytest.approx(3.0, rel=slack)
+    assert rms_mm(0.5) == pytest.approx(0.5 * rms_mm(1.0), rel=slack)
 
 
 def test_unknown_name_lists_the_known_ones(twin: Arm, rng: np.random.Generator) -> None:
@@ -93,6 +94,13 @@ def test_unknown_name_lists_the_known_ones(twin: Arm, rng: np.random.Generator) 
         hidden("joint_complaince", twin, 1.0, rng)
     with pytest.raises(InputError, match="moves this arm"):
         draw("prismatic_pitch", lever(), rng, 1.0)
+
+
+def test_sides_are_not_mixed_up(twin: Arm, rng: np.random.Generator) -> None:
+    one, two = (hidden(n, twin, 1.0, rng) for n in ("camera_scale", "joint_zero"))
+    assert Mix.of(one, two) == Mix((two,), (one,))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="CameraScale"):
+        TrueArm(twin, [one])  # type: ignore[list-item]
 
 
 def test_same_seed_same_effect(twin: Arm) -> None:

@@ -26,7 +26,8 @@ class TrueArm:
         shear: let tubes shear and stretch too (0.04 mm on an arm that sags by 13 mm).
 
     Raises:
-        InputError: the arm has masses at recorded positions (`position_columns`).
+        InputError: the arm has masses at recorded positions (`position_columns`), or a hidden
+            effect is not of the arm's side.
     """
 
     def __init__(
@@ -39,6 +40,11 @@ class TrueArm:
     ) -> None:
         if any(m.position_columns for m in arm.point_masses):
             raise InputError("simulated arm", "position_columns", "set", "masses at fixed places")
+        for effect in hidden:
+            if not isinstance(effect, HiddenEffect):
+                raise InputError(
+                    "simulated arm", "hidden", type(effect).__name__, "effects of the arm's side"
+                )
         self.arm = arm
         self.hidden = tuple(hidden)
         self._steps, self._shear = steps, shear

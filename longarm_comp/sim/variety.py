@@ -15,6 +15,7 @@ from longarm_comp.sim.hidden.catalogue import typical_context
 from longarm_comp.sim.measure import Camera
 
 Array = np.ndarray
+_STEPS = 2  # sizes need no nanometres
 
 
 def random_arm(rng: np.random.Generator, base: Arm) -> Arm:
@@ -55,6 +56,14 @@ class Mix:
     arm_side: tuple[HiddenEffect, ...]
     camera_side: tuple[CameraEffect, ...]
 
+    @classmethod
+    def of(cls, *effects: HiddenEffect | CameraEffect) -> Mix:
+        """Effects sorted by side, each side in the given order."""
+        return cls(
+            tuple(e for e in effects if isinstance(e, HiddenEffect)),
+            tuple(e for e in effects if isinstance(e, CameraEffect)),
+        )
+
 
 def paper_mix(
     rng: np.random.Generator, arm: Arm, *, deflection_only_mm: float = 15.4, mean_z_mm: float = 1.0
@@ -91,7 +100,7 @@ def paper_mix(
     )
     lens = (camera.CameraRadial(rng.uniform(0.03, 0.06)),)
     head = Camera.of(arm, lens)
-    declared = TrueArm(arm).tip(poses, context)
+    declared = TrueArm(arm, steps=_STEPS).tip(poses, context)
     highest = int(np.argmax(turning * np.abs(moves[..., 2].mean(axis=1))))
     lifter, rise = np.eye(arm.n)[highest], moves[highest, :, 2].mean()
     dose, zero = 1.0, 0.0
@@ -101,7 +110,10 @@ def paper_mix(
             *(effect.scaled(dose) for effect in graded),
             *fixed,
         )
-        z = 1e3 * (head.seen(TrueArm(arm, effects).tip(poses, context)) - declared)[:, 2]
+        z = (
+            1e3
+            * (head.seen(TrueArm(arm, effects, steps=_STEPS).tip(poses, context)) - declared)[:, 2]
+        )
         off = np.array([np.mean(np.abs(z)) - deflection_only_mm, np.mean(z) - mean_z_mm])
         if np.all(np.abs(off) < 0.05):
             break
@@ -109,11 +121,11 @@ def paper_mix(
         centred = np.mean(np.abs(z - np.mean(z) + mean_z_mm))
         dose *= deflection_only_mm / centred
         zero = 1e-3 * (mean_z_mm - dose * per_dose) / rise
-    return Mix(effects, lens)
+    return Mix.of(*effects, *lens)
 
 
 def _moves(arm: Arm, poses: Array) -> Array:
     """Travel of the tip per unit of each joint, (n, N, 3)."""
-    true, step = TrueArm(arm), 1e-3
+    true, step = TrueArm(arm, steps=_STEPS), 1e-3
     steps = step * np.eye(arm.n)
     return np.stack([(true.tip(poses + s) - true.tip(poses - s)) / (2 * step) for s in steps])

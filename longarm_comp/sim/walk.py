@@ -172,6 +172,12 @@ class Walk:
                 body = beams[k].body_length_m or 0.0
                 overlap = np.minimum(np.maximum(body - lengths[k], 0.0), ends[k])
                 self._give(walker, Place("slide", row, beam=beams[k], overlap=overlap))
+        for beam, end in zip(beams, ends[1:], strict=True):
+            behind = np.maximum((beam.body_length_m or 0.0) - end, 0.0)
+            if np.any(behind > 0.0):  # a body that reaches back past the row's beginning
+                at = -sign * behind / 2
+                mass = beam.mass_kg * behind / (beam.body_length_m or 1.0)
+                walker.hang(mass, np.stack([at if i == axis else 0 * at for i in range(3)]))
 
     def _beam(
         self, walker: Walker, axis: int, sign: float, beams: list[Beam], ends: Array, k: int

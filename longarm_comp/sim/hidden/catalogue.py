@@ -17,6 +17,7 @@ from longarm_comp.sim.measure import Camera
 
 Array = np.ndarray
 Hidden = HiddenEffect | CameraEffect
+_STEPS = 2  # sizes need no nanometres
 Maker = Callable[[Arm, np.random.Generator], Hidden]
 
 
@@ -143,7 +144,7 @@ HIDDEN: dict[str, Maker] = {
     "camera_scale": lambda arm, rng: camera.CameraScale(float(rng.choice([-3e-3, 3e-3]))),
     "camera_radial": lambda arm, rng: camera.CameraRadial(rng.uniform(0.02, 0.06)),
     "camera_drift": lambda arm, rng: camera.CameraDrift(
-        rng.standard_normal(6) * ([1e-3] * 3 + [1e-3] * 3)
+        rng.standard_normal(6) * ([1e-3] * 3 + [1e-4] * 3)
     ),
 }
 OUTSIDE_EVERY_LIBRARY = ("cogging_bump", "cable_drag", "loose_screw")
@@ -165,6 +166,8 @@ def draw(
 ) -> Hidden:
     """An effect by name, scaled so that it shifts the seen tip by about `size_mm` rms.
 
+    Servo steps come only in the sizes that are sold, so theirs is the nearest of those.
+
     Args:
         name: canonical name.
         arm: the declared arm.
@@ -178,7 +181,7 @@ def draw(
     effect = HIDDEN[name](arm, rng) if name in HIDDEN else hidden(name, arm, 1.0, rng)
     poses = rng.uniform(arm.lower, arm.upper, (60, arm.n)) if poses is None else poses
     context = typical_context(len(poses), arm, rng)
-    sound = TrueArm(arm).tip(poses, context)
+    sound = TrueArm(arm, steps=_STEPS).tip(poses, context)
     dose = 1.0
     for _ in range(8):
         moved = _tip(effect.scaled(dose), arm, poses, context, sound) - sound
@@ -193,7 +196,7 @@ def draw(
 
 def shift(effect: Hidden, arm: Arm, poses: Array, context: Context) -> Array:
     """By how much one effect moves the seen tip, (N, 3) m in the base frame."""
-    sound = TrueArm(arm).tip(poses, context)
+    sound = TrueArm(arm, steps=_STEPS).tip(poses, context)
     return _tip(effect, arm, poses, context, sound) - sound
 
 
@@ -201,7 +204,7 @@ def _tip(effect: Hidden, arm: Arm, poses: Array, context: Context, sound: Array)
     """Seen tip (N, 3) with one effect; `sound` is where the sound arm's is."""
     if isinstance(effect, CameraEffect):
         return Camera.of(arm, [effect]).seen(sound, State.of(arm, poses, context).t_s)
-    return TrueArm(arm, [effect]).tip(poses, context)
+    return TrueArm(arm, [effect], steps=_STEPS).tip(poses, context)
 
 
 def typical_context(postures: int, arm: Arm, rng: np.random.Generator) -> Context:

@@ -49,6 +49,9 @@ class GearEccentricity(HiddenEffect):
         )
 
 
+STEPS_PER_TURN = (180, 256, 300, 360, 512, 720, 1000, 1024, 2048, 4096, 16384)
+
+
 @dataclass(frozen=True)
 class ServoQuantisation(HiddenEffect):
     """Servos stand on whole steps: q rounded to `step` (n,), rad or m; 0 leaves a joint alone."""
@@ -56,6 +59,15 @@ class ServoQuantisation(HiddenEffect):
     name: ClassVar[str] = "servo_quantisation"
     doses: ClassVar[tuple[str, ...]] = ("step",)
     step: Array
+
+    def scaled(self, dose: float) -> ServoQuantisation:
+        """Steps about `dose` times as large, of servos that exist (`STEPS_PER_TURN`)."""
+        if dose == 0.0:
+            return ServoQuantisation(0 * self.step)
+        sold = 2 * np.pi / np.array(STEPS_PER_TURN)
+        wanted = np.where(self.step > 0, dose * self.step, sold[0])
+        nearest = sold[np.argmin(np.abs(np.log(wanted[:, None] / sold)), axis=1)]
+        return ServoQuantisation(np.where(self.step > 0, nearest, 0.0))
 
     def joints(self, q: Array, state: State) -> Array:
         step = np.where(self.step > 0, self.step, 1.0)
