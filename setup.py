@@ -25,6 +25,7 @@ RUNTIME = [
     "scikit-learn>=1.4",
     "scipy>=1.12",
     "torch>=2.2",
+    "typing-extensions>=4.6",
 ]
 
 EXTRAS = {

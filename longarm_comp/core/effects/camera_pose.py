@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
+
+from typing_extensions import Self
 
 from longarm_comp.core import spatial
 from longarm_comp.core.arm import Arm

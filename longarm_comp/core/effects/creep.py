@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
+from typing_extensions import Self
 
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.effects.effect import Effect, parameter

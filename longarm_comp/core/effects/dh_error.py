@@ -6,7 +6,9 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
+
+from typing_extensions import Self
 
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.effects.effect import Effect, Parameter, parameter

@@ -6,9 +6,9 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Self
 
 import numpy as np
+from typing_extensions import Self
 
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.effects.effect import Effect, Parameter

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
+
+from typing_extensions import Self
 
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.effects.effect import Effect, parameter
