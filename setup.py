@@ -29,7 +29,7 @@ RUNTIME = [
 ]
 
 EXTRAS = {
-    "fast": ["numba>=0.59"],
+    "fast": ["llvmlite>=0.42", "numba>=0.59"],
     "dev": [
         "PyNiteFEA",
         "colcon-common-extensions",
