@@ -116,14 +116,25 @@ class Model:
     def loaded(self, q: Sequence[Scalar], context: Context, twists: Twists) -> Posture:
         """The arm at q with given twists (by station), and the loads it carries there."""
         frames, lengths = self.chain.place(q, twists)
-        gravity: Vec = self.arm.gravity_mps2
-        for effect in self.effects:
-            gravity = effect.gravity(gravity)
+        gravity = self._gravity(context)
         posture = Posture(self.chain, tuple(q), context, frames, lengths, gravity)
         extra: tuple[Lumped, ...] = ()
         for effect in self.effects:
             extra += effect.masses(posture)
         return dataclasses.replace(posture, extra=extra, _cache={}) if extra else posture
+
+    def _gravity(self, context: Context) -> Vec:
+        """Gravity in the frame that the arm is seen in (m/s^2)."""
+        gravity: Vec = self.arm.gravity_mps2
+        for effect in self.effects:
+            gravity = effect.gravity(gravity)
+        bare = Posture(self.chain, (), context, [], [], gravity)
+        home = self.arm.base.frame()
+        for effect in self.effects:
+            if effect.seen_only:
+                turn = spatial.exp_large(effect.twists(bare)[0])
+                gravity = home.rotate(turn.rotate(home.unrotate(gravity)))
+        return gravity
 
     def twists(self, posture: Posture) -> Twists:
         """Sum of all effects' twists, by station."""
@@ -219,9 +230,7 @@ class Model:
         else:
             model = self.plus(moved)
             model.__dict__["chain"] = self.chain
-        gravity: Vec = self.arm.gravity_mps2
-        for effect in model.effects:
-            gravity = effect.gravity(gravity)
+        gravity = model._gravity(posture.context)
         bare = dataclasses.replace(posture, gravity=gravity, extra=(), _cache={})
         extra: tuple[Lumped, ...] = ()
         for effect in model.effects:

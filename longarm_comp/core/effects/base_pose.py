@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
+
+from typing_extensions import Self
 
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.effects.effect import Effect, parameter
@@ -16,12 +18,13 @@ from longarm_comp.core.spatial import Twist
 class BasePose(Effect):
     """Placement error of the base frame; one per `group` where the base was moved.
 
-    Gravity stays where it is declared (along the base's own z by default): a base that
-    leans also leans against gravity, which is `gravity_direction`.
+    It says where the tracker's frame lies, so gravity turns with it and keeps its declared
+    direction in the arm's base; a base that leans against gravity is `gravity_direction`.
     """
 
     name: ClassVar[str] = "base_pose"
     geometry: ClassVar[bool] = True
+    seen_only: ClassVar[bool] = True
 
     group: str = ""
     x: float = parameter("m", "base position error", prior=0.05)

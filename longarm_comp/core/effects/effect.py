@@ -12,7 +12,9 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
+
+from typing_extensions import Self
 
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.context import Context
@@ -54,12 +56,14 @@ class _Term:
         name: canonical name, used in files and reports.
         needs: recorded inputs without which it cannot be tested.
         geometry: always fitted and never "named" by a diagnosis.
+        seen_only: moves the frame that the arm is seen in, and gravity with it.
         loaded: depends on the loads, so that it must be reconverged as the arm sags.
     """
 
     name: ClassVar[str]
     needs: ClassVar[tuple[str, ...]] = ()
     geometry: ClassVar[bool] = False
+    seen_only: ClassVar[bool] = False
     loaded: ClassVar[bool] = False
 
     @classmethod
