@@ -4,10 +4,9 @@ Written in what plain Python and numba share: numbers, loops, flat buffers.  The
 functions under "the machine" are all that differs: as they stand they call a kernel of
 Python functions on lists; `newton_numba` swaps in calls of machine code on arrays.
 
-Each step costs one load pass, for the twists are carried from one iterate to the next.  What
-that leaves undone is measured when the search has settled: the model's full passes give the
-true residual, the difference is carried as a shift, and the search goes on until the true
-residual is within the tolerance.
+Far from the target a step costs one load pass, for the twists are carried from one iterate to
+the next; near it every residual is the model's own, with all its passes.  The Jacobian there
+is corrected by Broyden's rule, or by differences where a step gained little.
 """
 
 from __future__ import annotations
@@ -22,6 +21,7 @@ POOR = 0.1  # of the squared residual left after a step: then the Jacobian is ma
 FLOOR = 1e-13  # least damping, in (m per joint range)^2
 STALL_AFTER = 6  # iterations without a fifth of progress that end a start
 FIRST_DAMPING = 0.05
+NEAR = 1e-6  # squared residual (m^2) below which all load passes are made
 
 # ------------------------------------------------------------------ the machine
 
@@ -79,40 +79,58 @@ def weighted(out: Buffer, span: Buffer, length: float, m: int, n: int, J: Buffer
             J[i * n + j] = out[12 + i * n + j] * span[j] * w
 
 
+def squared(e: Buffer, m: int) -> float:
+    """e . e."""
+    s = 0.0
+    for i in range(m):
+        s += e[i] * e[i]
+    return s
+
+
 def differences(
     k: Any,
     n: int,
     m: int,
     q: Buffer,
     c: Buffer,
-    x: Buffer,
     target: Buffer,
     upper: Buffer,
     span: Buffer,
     length: float,
-    out: Buffer,
-    y: Buffer,
-    e0: Buffer,
     e: Buffer,
+    x: Buffer,
+    out: Buffer,
+    e2: Buffer,
     size: Buffer,
     J: Buffer,
 ) -> None:
-    """J (m, n) by forward differences inside the box, so that how the sag moves is in it."""
-    step(k, q, c, x, out, y)
-    last(k, q, c, y, out, y)
-    residual(out, target, length, m, e0, size)
+    """J (m, n) by forward differences inside the box: how the sag moves is in it."""
     for j in range(n):
         held = q[j]
         h = DIFFERENCE
         if held + h * span[j] > upper[j]:
             h = -h
         q[j] = held + h * span[j]
-        step(k, q, c, x, out, y)
-        last(k, q, c, y, out, y)
-        residual(out, target, length, m, e, size)
+        full(k, q, c, x, out)
+        residual(out, target, length, m, e2, size)
         for i in range(m):
-            J[i * n + j] = (e0[i] - e[i]) / h
+            J[i * n + j] = (e[i] - e2[i]) / h
         q[j] = held
+
+
+def broyden(J: Buffer, e: Buffer, e2: Buffer, u: Buffer, m: int, n: int, sag: Buffer) -> None:
+    """Correct sag so that J + sag explains what the step u did: e -> e2."""
+    uu = 0.0
+    for j in range(n):
+        uu += u[j] * u[j]
+    if uu == 0.0:
+        return
+    for i in range(m):
+        miss = e[i] - e2[i]
+        for j in range(n):
+            miss -= (J[i * n + j] + sag[i * n + j]) * u[j]
+        for j in range(n):
+            sag[i * n + j] += miss * u[j] / uu
 
 
 def box_step(
@@ -184,105 +202,63 @@ def search(
         Iterations used; `found` holds the position (m) and angle (rad) residuals at q by the
         model's full passes.
     """
-    out, trial_out = buffer(12 + 6 * n), buffer(12 + 6 * n)
-    x, y, spare = buffer(nx), buffer(nx), buffer(nx)
-    e, e2, shift, left, solved = buffer(6), buffer(6), buffer(6), buffer(6), buffer(6)
+    out, x, y = buffer(12 + 6 * n), buffer(nx), buffer(nx)
+    e, e2, left, solved = buffer(6), buffer(6), buffer(6), buffer(6)
     J, sag, exact, A = buffer(6 * n), buffer(6 * n), buffer(6 * n), buffer(36)
     u, free, trial, size = buffer(n), buffer(n), buffer(n), buffer(2)
 
     if k[3] > 0:
         first(k, q, c, x, out, x)
-    step(k, q, c, x, out, y)  # y: the twists to go on with
+    step(k, q, c, x, out, x)
     residual(out, target, length, m, e, size)
-    energy = 0.0
-    for i in range(m):
-        energy += e[i] * e[i]
     weighted(out, span, length, m, n, J)
+    energy, near = squared(e, m), False
     mu, marked, since, poor, used = FIRST_DAMPING, energy, 0, False, 0
     while True:
-        position = (e[0] * e[0] + e[1] * e[1] + e[2] * e[2]) ** 0.5
-        angle = (e[3] * e[3] + e[4] * e[4] + e[5] * e[5]) ** 0.5 / length
-        settled = position <= 0.3 * tol and angle <= 0.3 * tol and size[1] < 1.0
-        ended = used >= max_iterations or since >= STALL_AFTER
-        if settled or ended:
-            for i in range(m):
-                shift[i] = e[i] - shift[i]
-            full(k, q, c, spare, trial_out)
-            residual(trial_out, target, length, m, e, size)
+        if not near and (energy < NEAR or poor or used >= max_iterations):
+            near, poor = True, False
+            full(k, q, c, y, out)
+            residual(out, target, length, m, e, size)
+            weighted(out, span, length, m, n, J)
+            energy = marked = squared(e, m)
             found[0], found[1] = size[0], size[1]
-            if ended or (size[0] <= tol and size[1] <= tol):
-                break
-            energy = 0.0
-            for i in range(m):
-                shift[i] = e[i] - shift[i]
-                energy += e[i] * e[i]
-            marked = energy
-        if poor:
-            differences(
-                k,
-                n,
-                m,
-                q,
-                c,
-                y,
-                target,
-                upper,
-                span,
-                length,
-                trial_out,
-                spare,
-                e2,
-                left,
-                size,
-                exact,
-            )
+        if near and (found[0] <= tol and found[1] <= tol):
+            break
+        if used >= max_iterations or since >= STALL_AFTER:
+            break
+        if near and poor:
+            differences(k, n, m, q, c, target, upper, span, length, e, y, out, e2, size, exact)
             for i in range(m * n):
                 sag[i] = exact[i] - J[i]
         for i in range(m * n):
             exact[i] = J[i] + sag[i]
-        box_step(
-            exact,
-            e,
-            q,
-            lower,
-            upper,
-            span,
-            mu * energy + FLOOR,
-            m,
-            n,
-            u,
-            free,
-            left,
-            A,
-            solved,
-            trial,
-        )
-        step(k, trial, c, y, trial_out, spare)
-        residual(trial_out, target, length, m, e2, size)
-        energy2 = 0.0
-        for i in range(m):
-            e2[i] = e2[i] + shift[i]
-            energy2 += e2[i] * e2[i]
+        damping = mu * energy + FLOOR
+        box_step(exact, e, q, lower, upper, span, damping, m, n, u, free, left, A, solved, trial)
+        if near:
+            full(k, trial, c, y, out)
+        else:
+            step(k, trial, c, x, out, x)
+        residual(out, target, length, m, e2, size)
+        energy2 = squared(e2, m)
         used += 1
-        poor = energy2 > POOR * energy and used > 1
+        if near and not poor:
+            for j in range(n):
+                u[j] = (trial[j] - q[j]) / span[j]
+            broyden(J, e, e2, u, m, n, sag)
+        poor = energy2 > POOR * energy and used > 2
         if energy2 < energy:
             for j in range(n):
                 q[j] = trial[j]
-            mu = max(0.1 * mu, 1e-6)
-        else:  # stay, with the twists renewed
-            step(k, q, c, y, trial_out, spare)
-            residual(trial_out, target, length, m, e2, size)
-            energy2 = 0.0
             for i in range(m):
-                e2[i] = e2[i] + shift[i]
-                energy2 += e2[i] * e2[i]
+                e[i] = e2[i]
+            weighted(out, span, length, m, n, J)
+            energy = energy2
+            mu = max(0.1 * mu, 1e-6)
+            if near:
+                found[0], found[1] = size[0], size[1]
+        else:
+            poor = True
             mu = min(8.0 * mu + 1e-3, 1e6)
-        for i in range(m):
-            e[i] = e2[i]
-        for i in range(nx):
-            y[i] = spare[i]
-        energy = energy2
-        weighted(trial_out, span, length, m, n, J)
         if energy < 0.8 * marked:
             marked, since = energy, 0
         else:
