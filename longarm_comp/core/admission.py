@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.core.alignment import Alignment, align, best_axes, best_rotation
+from longarm_comp.core.alignment import Alignment, align, best_axes, best_rotation, roll_pitch_yaw
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.dataset import Session
 from longarm_comp.core.errors import InputError
@@ -267,8 +267,7 @@ def _base(arm: Arm, turned: Alignment) -> str:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = turned.rotation, turned.offset
     frame = Frame.from_matrix(matrix) @ arm.base.frame()
-    (r11, r21, r31), (_, _, r32), (_, _, r33) = frame.n, frame.o, frame.a
-    rpy = np.degrees([np.arctan2(r32, r33), np.arcsin(np.clip(-r31, -1, 1)), np.arctan2(r21, r11)])
+    rpy = np.degrees(roll_pitch_yaw(frame.matrix()[:3, :3]))
     xyz = ", ".join(f"{v:.3f}" for v in frame.p)
     return f"base: {{xyz_m: [{xyz}], rpy_deg: [{', '.join(f'{v:.1f}' for v in rpy)}]}}"
 

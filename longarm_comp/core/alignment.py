@@ -72,5 +72,15 @@ def best_axes(predicted: np.ndarray, measured: np.ndarray) -> tuple[Alignment, s
     return min(made, key=lambda pair: pair[0].misfit)
 
 
+def roll_pitch_yaw(rotation: np.ndarray) -> tuple[float, float, float]:
+    """Fixed-axis angles (rad) of ``Rz(yaw) Ry(pitch) Rx(roll)``, exact at pitch +-90 deg too."""
+    yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
+    c, s = np.cos(yaw), np.sin(yaw)
+    level = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ rotation
+    pitch = np.arctan2(-level[2, 0], level[0, 0])
+    roll = np.arctan2(-level[1, 2], level[1, 1])
+    return float(roll), float(pitch), float(yaw)
+
+
 def _misfit(residual: np.ndarray) -> float:
     return float(np.median(np.linalg.norm(residual, axis=1)))

@@ -45,13 +45,12 @@ class Targets:
         """Number of targets."""
         return len(self.xyz)
 
-    def context(self, row: int, n: int) -> Context:
-        """Circumstances of one target for an arm of n joints: scalars are floats."""
-        side = float(self.approach[row])
+    def context(self, n: int) -> Context:
+        """Circumstances of the targets for an arm of n joints: scalars are (N,) arrays."""
         return Context(
-            approach=(side,) * n if side else (),
-            columns={name: float(values[row]) for name, values in self.columns.items()},
-            labels={name: str(values[row]) for name, values in self.labels.items()},
+            approach=(self.approach,) * n if self.approach.any() else (),
+            columns=self.columns,
+            labels=self.labels,
         )
 
     @classmethod

@@ -1,0 +1,17 @@
+"""The command line: one file per command, listed in `registry.py`.
+
+A new command is a file with a click command named `command`, and one line in the list; its
+module is imported when it is run, so that ``longarm --help`` stays quick.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run ``longarm`` and leave with its exit code: 0 done, 2 bad input, 3 not possible."""
+    from longarm_comp.cli.run import run
+
+    sys.exit(run(arguments))

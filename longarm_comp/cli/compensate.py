@@ -1,0 +1,137 @@
+"""``longarm compensate``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from longarm_comp.cli import options
+from longarm_comp.cli.output import note, print_json, print_rows
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from longarm_comp.core.arm import Arm
+    from longarm_comp.sessions.targets import Command
+
+
+@click.command(context_settings={"ignore_unknown_options": True})
+@options.arm
+@click.argument("numbers", nargs=-1, metavar="[X Y Z [QX QY QZ QW]]")
+@options.path_option("--targets", "Targets (CSV) instead of one on the command line.")
+@options.model
+@options.predictor
+@click.option(
+    *("--method",), type=click.Choice(["none", "deflection", "network", "both"]),
+    help="What to compensate; by default all that the given files allow.",
+)  # fmt: skip
+@click.option("--seed-q", help="Joints to start from, q1,..,qn (rad, m); default mid-range.")
+@click.option("--lock", multiple=True, metavar="ROW|NAME", help="Joint that stays at its seed.")
+@click.option("--position-only", is_flag=True, help="Leave the orientation free.")
+@click.option("--single-pass", is_flag=True, help="Correct once, as the paper does.")
+@options.output("commands.csv", "Joint commands to write.")
+@options.as_json
+def command(
+    arm: Path,
+    numbers: tuple[str, ...],
+    targets: Path | None,
+    model: Path | None,
+    predictor: Path | None,
+    method: str | None,
+    seed_q: str | None,
+    lock: tuple[str, ...],
+    position_only: bool,
+    single_pass: bool,
+    output: Path,
+    as_json: bool,
+) -> None:
+    """Joint commands of ARM that bring its real tip to targets (m, base frame).
+
+    commands.csv has a line per target, with the reason where one fails; then the exit code is 3.
+
+    \b
+    Examples:
+      longarm compensate arm.yaml 0.9 -0.1 0.2 --model model.yaml --predictor predictor.npz
+      longarm compensate arm.yaml --targets targets.csv --model model.yaml --lock 7
+    """
+    from longarm_comp.cli.inputs import physics, trained
+    from longarm_comp.core.arm import Arm
+    from longarm_comp.core.compensate import Method
+    from longarm_comp.core.errors import InputError, JobError
+    from longarm_comp.sessions.compensated import compensated
+    from longarm_comp.sessions.targets import Targets, read_targets, write_commands
+
+    declared = Arm.load(arm)
+    if bool(numbers) == (targets is not None):
+        raise InputError("compensate", "target", list(numbers), "X Y Z, or --targets FILE")
+    wanted = read_targets(targets) if targets else Targets.one([_number(v) for v in numbers])
+    learned, deflection = trained(predictor, declared, model) if predictor else (None, True)
+    if method is None:
+        method = ("both" if deflection else "network") if learned else "deflection"
+    chosen = Method(method)
+    if chosen.learned and learned is None:
+        raise InputError("compensate", "--predictor", "missing", f"a file for --method {method}")
+    if chosen.learned and chosen.physics != deflection:
+        fits = "both" if deflection else "network"
+        raise InputError("compensate", "--method", method, f"{fits}: as the predictor was trained")
+    commands = compensated(
+        physics(declared, model),
+        learned,
+        wanted,
+        method=chosen,
+        seed=None if seed_q is None else _joints(seed_q, declared),
+        locked=[int(v) if v.isdigit() else v for v in lock],
+        position_only=position_only,
+        single_pass=single_pass,
+    )
+    write_commands(output, declared.n, commands)
+    rows = [_row(c, declared.n) for c in commands]
+    if as_json:
+        print_json({"output": str(output), "method": method, "commands": rows})
+    elif len(rows) == 1 and commands[0].q is not None:
+        print_rows(f"Command (in {output})", rows)
+    failed = [c for c in commands if c.q is None]
+    if failed:
+        raise JobError(
+            f"target {failed[0].index}: {failed[0].status}: {failed[0].reason}",
+            failed=f"{len(failed)} of {len(commands)}",
+        )
+    note(f"{len(commands)} commands in {output}")
+
+
+def _number(text: str) -> float:
+    from longarm_comp.core.errors import InputError
+
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError("compensate", "target", text, "numbers in m, or a known option") from None
+
+
+def _joints(text: str, arm: Arm) -> np.ndarray:
+    import numpy as np
+
+    from longarm_comp.core.errors import InputError
+
+    try:
+        q = np.array([float(v) for v in text.split(",")])
+    except ValueError:
+        q = np.empty(0)
+    if q.shape != (arm.n,) or not np.isfinite(q).all():
+        allowed = f"{arm.n} finite numbers with commas between (rad, m)"
+        raise InputError("compensate", "--seed-q", text, allowed)
+    return q
+
+
+def _row(c: Command, n: int) -> dict[str, object]:
+    q = [None] * n if c.q is None else list(c.q)
+    return {
+        "index": c.index,
+        "status": c.status,
+        **({"reason": c.reason} if c.reason else {}),
+        **{f"q{j}": value for j, value in enumerate(q, 1)},
+        "sigma_mm": None if c.sigma_m is None else 1e3 * c.sigma_m,
+        "passes": c.passes,
+    }

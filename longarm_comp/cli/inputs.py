@@ -1,0 +1,69 @@
+"""What commands read: an admitted session, the physics, the predictor that goes with it."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from longarm_comp.cli.output import note
+from longarm_comp.core.admission import FEW_POSES, admit
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.compensate import rigid
+from longarm_comp.core.dataset import Session
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.calibrate import declared_model
+from longarm_comp.core.model import Model
+from longarm_comp.core.modelfile import load_model
+from longarm_comp.sessions.read import read_session
+
+if TYPE_CHECKING:
+    from longarm_comp.core.learn import Predictor
+
+
+def admitted(
+    path: Path, arm: Arm, model: Model | None = None, min_poses: int = FEW_POSES
+) -> Session:
+    """A session that passed admission; its findings are noted.
+
+    Raises:
+        InputError: it cannot be read, or cannot be what it claims to be.
+    """
+    admission = admit(read_session(path, arm), arm, model, min_poses)
+    for finding in admission.findings:
+        note(f"{path}: {finding}")
+    return admission.session
+
+
+def physics(arm: Arm, path: Path | None, deflection: bool = True) -> Model:
+    """The calibrated model of a file, or the arm as declared; without its sag where asked."""
+    if path is None:
+        return declared_model(arm, deflection=deflection)
+    model = load_model(path, arm)
+    return model if deflection else rigid(model)
+
+
+def physics_mark(path: Path | None, deflection: bool = True) -> dict[str, object]:
+    """What a predictor was trained on top of; a different physics has a different residual."""
+    digest = "" if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
+    return {"model_hash": digest, "deflection": deflection}
+
+
+def trained(path: Path, arm: Arm, model_path: Path | None) -> tuple[Predictor, bool]:
+    """A predictor that belongs to the arm and the model, and whether its physics has deflection.
+
+    Raises:
+        InputError: corrupt, or trained for another arm or on top of another model.
+    """
+    from longarm_comp.core.learn import load
+
+    predictor = load(path, arm_hash=arm.hash, joint_names=arm.joint_names)
+    settings = predictor.provenance.settings
+    deflection = bool(settings.get("deflection", True))
+    wanted = physics_mark(model_path, deflection)["model_hash"]
+    found = settings.get("model_hash", wanted)
+    if found != wanted:
+        said = f"{str(found)[:12]}" if found else "the declared arm"
+        allowed = f"the --model that it was trained with, not {model_path or 'none'}"
+        raise InputError(str(path), "model_hash", said, allowed)
+    return predictor, deflection

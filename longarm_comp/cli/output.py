@@ -1,0 +1,97 @@
+"""What commands print: results on stdout (a table, or JSON), progress and notes on stderr."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from longarm_comp.core.identify.calibrate import Errors
+
+ERROR_COLUMNS = ("mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_abs_z_mm", "variance_mm2")
+
+
+def note(text: str) -> None:
+    """One line beside the results."""
+    click.echo(f"longarm: {text}", err=True)
+
+
+def print_json(data: object) -> None:
+    """Results as JSON; what is not a number is null."""
+    click.echo(json.dumps(_plain(data), indent=2, allow_nan=False))
+
+
+def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Results as a table; the first column is text, numbers stand to the right."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left")
+    for k, name in enumerate(header):
+        table.add_column(name, justify="left" if k == 0 else "right")
+    for row in rows:
+        table.add_row(*(_cell(value) for value in row))
+    width = None if sys.stdout.isatty() else 120
+    Console(width=width).print(table)
+
+
+def error_row(name: str, errors: Errors) -> dict[str, Any]:
+    """One row of an error table, in millimetres, under the names of report.json."""
+    mm = (errors.mean, errors.rms, errors.p95, errors.max, errors.mean_abs_z)
+    values = [*(1e3 * v for v in mm), 1e6 * errors.variance]
+    return {"model": name, "n": errors.n, **dict(zip(ERROR_COLUMNS, values, strict=True))}
+
+
+def print_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Rows of one kind as a table."""
+    header = list(rows[0])
+    print_table(title, header, [[row[name] for name in header] for row in rows])
+
+
+@contextmanager
+def progress(label: str) -> Iterator[Callable[[str, float], None]]:
+    """A bar on stderr where that is a terminal: call it with what is done and the share, 0 to 1."""
+    if not sys.stderr.isatty():
+        yield lambda text, share: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(label, total=1.0)
+
+        def update(text: str, share: float) -> None:
+            bar.update(task, description=f"{label}: {text}" if text else label, completed=share)
+
+        yield update
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, (float, np.floating)):
+        return "" if math.isnan(value) else f"{value:.3f}"
+    return "" if value is None else str(value)
+
+
+def _plain(data: Any) -> Any:
+    """Only what JSON knows."""
+    if isinstance(data, Mapping):
+        return {str(key): _plain(value) for key, value in data.items()}
+    if isinstance(data, np.ndarray):
+        return _plain(data.tolist())
+    if isinstance(data, (list, tuple)):
+        return [_plain(value) for value in data]
+    if isinstance(data, np.generic):
+        data = data.item()
+    if isinstance(data, float) and not math.isfinite(data):
+        return None
+    return data

@@ -1,0 +1,57 @@
+"""``longarm plan``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from longarm_comp.cli import options
+from longarm_comp.cli.output import note, print_json
+
+
+@click.command()
+@options.arm
+@click.option(
+    *("--kind",), type=click.Choice(["grid", "sobol", "next"]), required=True,
+    help="grid: the paper's levels; sobol: fills the joint box; next: from a diagnosis.",
+)  # fmt: skip
+@click.option("-n", "count", type=int, required=True, help="How many poses.")
+@options.path_option("--report", "Folder of a diagnosis (for --kind next).")
+@options.output("poses.csv", "Plan to write.")
+@options.seed
+@options.as_json
+def command(
+    arm: Path,
+    kind: str,
+    count: int,
+    report: Path | None,
+    output: Path,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Write N poses to measure ARM at, each with the side to approach it from.
+
+    \b
+    Examples:
+      longarm plan arm.yaml --kind grid -n 300 -o poses.csv
+      longarm plan arm.yaml --kind next -n 20 --report diagnosis -o poses.csv
+    """
+    from longarm_comp.core.arm import Arm
+    from longarm_comp.core.errors import InputError
+    from longarm_comp.core.plan import grid, sobol
+    from longarm_comp.sessions.next_poses import read_next_poses
+    from longarm_comp.sessions.poses import write_poses
+
+    declared = Arm.load(arm)
+    if (kind == "next") != (report is not None):
+        raise InputError("plan", "--report", report, "a diagnosis folder with --kind next, only")
+    if report is not None:
+        plan = read_next_poses(report, declared, count)
+    else:
+        plan = {"grid": grid, "sobol": sobol}[kind](declared, count, seed)
+    write_poses(plan, output)
+    if as_json:
+        print_json({"output": str(output), "poses": plan.q, "approach": plan.approach})
+    else:
+        note(f"{len(plan)} poses in {output}")

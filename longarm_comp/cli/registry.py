@@ -1,0 +1,37 @@
+"""Every command: its name, the module in this folder that holds it, one line of help.
+
+The module has a click command named `command`.  A name of two words is a command of a group.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Entry(NamedTuple):
+    """One command."""
+
+    name: str
+    module: str
+    summary: str
+
+
+COMMANDS = (
+    Entry("calibrate", "calibrate", "Fit geometry and declared effects to a session."),
+    Entry("train", "train", "Train SSA-BP on what the model leaves."),
+    Entry("compensate", "compensate", "Joint commands that bring the real tip to targets."),
+    Entry("evaluate", "evaluate", "Error table on measured poses, as in the paper's Table I."),
+    Entry("plan", "plan", "Poses to measure: grid, sobol, or what a diagnosis asks for."),
+    Entry("import-urdf", "import_urdf", "Write an arm.yaml from a URDF."),
+    Entry("bag info", "bag_info", "What is in a bag, and what a session is made from."),
+    Entry("bag to-csv", "bag_to_csv", "A bag as samples.csv."),
+    Entry("bag from-csv", "bag_from_csv", "A samples.csv as a bag."),
+    Entry("schema", "schema", "JSON schema of arm.yaml, for editors."),
+    Entry("undo", "undo", "Put the version of a model.yaml before the last change back."),
+)
+
+GROUPS = {
+    "bag": "Sessions as rosbag2.",
+    "study": "Studies: Table I, real arms, closing the loop.",
+}
+"""One line of help for each first word of a two-word name."""

@@ -1,0 +1,85 @@
+"""The root command: commands loaded when they are run, errors as one line, exit codes."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Sequence
+
+import click
+
+from longarm_comp import __version__
+from longarm_comp.cli.registry import COMMANDS, GROUPS, Entry
+from longarm_comp.core.errors import LongarmError
+
+
+class LazyGroup(click.Group):
+    """A group that imports a command's module when the command is run."""
+
+    def __init__(self, entries: Sequence[Entry], name: str | None = None, help: str = "") -> None:  # noqa: A002
+        super().__init__(name=name, help=help, context_settings=_SETTINGS)
+        self._entries = {entry.name: entry for entry in entries if " " not in entry.name}
+        for first, summary in GROUPS.items():
+            within = [e._replace(name=e.name[len(first) + 1 :]) for e in entries if _in(first, e)]
+            if within:
+                self.add_command(LazyGroup(within, first, summary))
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """In the order of the list."""
+        return [*self._entries, *self.commands]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import and hand out one command."""
+        entry = self._entries.get(cmd_name)
+        if entry is None:
+            return super().get_command(ctx, cmd_name)
+        module = importlib.import_module(f"longarm_comp.cli.{entry.module}")
+        command: click.Command = module.command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The list of commands, without importing any."""
+        rows = [(name, entry.summary) for name, entry in self._entries.items()]
+        rows += [(name, group.help or "") for name, group in self.commands.items()]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
+
+
+_SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+
+
+def _in(first: str, entry: Entry) -> bool:
+    return entry.name.startswith(f"{first} ")
+
+
+def root() -> click.Group:
+    """The command ``longarm``."""
+    group = LazyGroup(
+        COMMANDS,
+        "longarm",
+        "Calibration, diagnosis and error compensation of long, compliant robot arms.\n\n"
+        "Exit codes: 0 done, 2 bad input, 3 the job could not be done.",
+    )
+    return click.version_option(__version__, prog_name="longarm")(group)
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run a command line and return the exit code.
+
+    Errors of the package become one line; anything else is a bug and keeps its traceback.
+    """
+    try:
+        code = root().main(
+            args=None if arguments is None else list(arguments),
+            prog_name="longarm",
+            standalone_mode=False,
+        )
+    except LongarmError as error:
+        click.echo(f"longarm: {error}", err=True)
+        return error.exit_code
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("longarm: interrupted", err=True)
+        return 130
+    return code if isinstance(code, int) else 0

@@ -1,0 +1,89 @@
+"""``longarm train``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from longarm_comp.cli import options
+from longarm_comp.cli.output import note, print_json, progress
+
+
+@click.command()
+@options.arm
+@options.session
+@options.model
+@options.output("predictor.npz", "Predictor to write.")
+@click.option("--init", type=click.Choice(["ssa", "xavier"]), default="ssa", show_default=True)
+@click.option(
+    *("--inputs",), type=click.Choice(["context", "joints"]), default="context", show_default=True,
+    help="context: joints, approach, temperature, payload; joints: as in the paper.",
+)  # fmt: skip
+@click.option("--no-deflection", is_flag=True, help='The paper\'s "network only": rigid physics.')
+@options.seed
+@options.as_json
+def command(
+    arm: Path,
+    session: Path,
+    model: Path | None,
+    output: Path,
+    init: str,
+    inputs: str,
+    no_deflection: bool,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Train SSA-BP on what the physics of ARM leaves of SESSION (CSV or bag).
+
+    \b
+    Examples:
+      longarm train arm.yaml samples.csv --model model.yaml -o predictor.npz
+      longarm train arm.yaml samples.csv --no-deflection --inputs joints -o network_only.npz
+    """
+    import numpy as np
+
+    from longarm_comp.cli.inputs import admitted, physics, physics_mark
+    from longarm_comp.core.arm import Arm
+    from longarm_comp.core.identify.calibrate import Errors, errors
+    from longarm_comp.core.learn import Provenance, train
+    from longarm_comp.sessions.residual_inputs import predictor_context
+
+    declared = Arm.load(arm)
+    base = physics(declared, model, not no_deflection)
+    whole = admitted(session, declared, None if model is None else base)
+    seen = whole.take(whole.seen)
+    residual = errors(base, seen)
+    origin = Provenance(
+        declared.hash,
+        whole.hash,
+        declared.joint_names,
+        physics_mark(model, not no_deflection),
+    )
+    with progress("train") as show:
+        made = train(
+            *(seen.q, residual, predictor_context(seen)),
+            inputs=inputs,
+            init=init,
+            seed=seed,
+            progress=lambda k, of: show(f"{k} of {of} networks", k / of),
+            provenance=origin,
+        )
+    made.save(output)
+    left = residual - made.predict(seen.q, predictor_context(seen)).error
+    before, after = Errors.of(residual), Errors.of(left)
+    facts = {
+        "output": str(output),
+        "samples": len(seen),
+        "training_mean_mm": {"before": 1e3 * before.mean, "after": 1e3 * after.mean},
+        "noise_mm": 1e3 * np.asarray(made.noise),
+        "hidden": made.hidden,
+        "inputs": list(made.encoding.names),
+    }
+    if as_json:
+        print_json(facts)
+        return
+    note(
+        f"{len(seen)} samples: mean error {1e3 * before.mean:.2f} -> {1e3 * after.mean:.2f} mm on "
+        f"the training rows (judge it with evaluate); predictor in {output}"
+    )
