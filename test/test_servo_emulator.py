@@ -24,7 +24,7 @@ scs = pytest.importorskip("scservo_sdk")
 START = {1: 2048.0, 2: 1000.0, 7: 3000.0}
 
 
-def _until(done: Callable[[], bool], limit_s: float = 5.0) -> bool:
+def _until(done: Callable[[], bool], limit_s: float = 20.0) -> bool:
     """Wait for ``done``; the limit is only there to end a broken test."""
     end = time.monotonic() + limit_s
     while not done() and time.monotonic() < end:
@@ -32,8 +32,15 @@ def _until(done: Callable[[], bool], limit_s: float = 5.0) -> bool:
     return done()
 
 
+def _patience(monkeypatch: pytest.MonkeyPatch, milliseconds: int) -> None:
+    """How long the libraries wait: long for an answer on a busy machine, short for a silence."""
+    monkeypatch.setattr("scservo_sdk.port_handler.LATENCY_TIMER", milliseconds)
+    monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", milliseconds)
+
+
 @pytest.fixture
-def feetech():
+def feetech(monkeypatch: pytest.MonkeyPatch):
+    _patience(monkeypatch, 2000)
     with ServoEmulator("feetech", START) as emulator:
         port = scs.PortHandler(emulator.port)
         assert port.openPort()
@@ -42,7 +49,8 @@ def feetech():
 
 
 @pytest.fixture
-def dynamixel():
+def dynamixel(monkeypatch: pytest.MonkeyPatch):
+    _patience(monkeypatch, 2000)
     with ServoEmulator("dynamixel", START) as emulator:
         port = dxl.PortHandler(emulator.port)
         assert port.openPort()
@@ -50,13 +58,14 @@ def dynamixel():
         port.closePort()
 
 
-def test_feetech_library_pings_reads_and_moves(feetech) -> None:
+def test_feetech_library_pings_reads_and_moves(feetech, monkeypatch) -> None:
     emulator, servo = feetech
     assert servo.ping(1) == (777, scs.COMM_SUCCESS, 0)
     assert servo.ReadPos(2) == (1000, scs.COMM_SUCCESS, 0)
     assert servo.WritePosEx(2, 1200, 2000, 0) == (scs.COMM_SUCCESS, 0)
     assert _until(lambda: abs(emulator.positions()[2] - 1200) < 0.5)
     assert servo.ReadPos(2)[0] == 1200
+    _patience(monkeypatch, 30)
     assert servo.ping(9)[1] == scs.COMM_RX_TIMEOUT
 
 
@@ -76,18 +85,20 @@ def test_feetech_library_sync_writes_and_sync_reads(feetech) -> None:
     assert group.getData(1, 63, 1) == 25
 
 
-def test_feetech_library_sees_the_faults(feetech) -> None:
+def test_feetech_library_sees_the_faults(feetech, monkeypatch) -> None:
     emulator, servo = feetech
     emulator.faults.corrupt(1)
     assert servo.ReadPos(1)[1] == scs.COMM_RX_CORRUPT
+    _patience(monkeypatch, 30)
     emulator.faults.silence(1)
     assert servo.ReadPos(1)[1] == scs.COMM_RX_TIMEOUT
+    _patience(monkeypatch, 2000)
     emulator.faults.speak(1)
     emulator.heat(1, 95.0)
     assert _until(lambda: servo.ReadPos(1)[2] == 4)
 
 
-def test_dynamixel_library_pings_reads_and_moves(dynamixel) -> None:
+def test_dynamixel_library_pings_reads_and_moves(dynamixel, monkeypatch) -> None:
     emulator, port, packet = dynamixel
     assert packet.ping(port, 1) == (1060, dxl.COMM_SUCCESS, 0)
     assert packet.write1ByteTxRx(port, 2, 64, 1) == (dxl.COMM_SUCCESS, 0)
@@ -96,6 +107,7 @@ def test_dynamixel_library_pings_reads_and_moves(dynamixel) -> None:
     assert packet.read4ByteTxRx(port, 2, 132) == (1200, dxl.COMM_SUCCESS, 0)
     assert packet.write4ByteTxRx(port, 2, 116, 9999) == (dxl.COMM_SUCCESS, 6)
     assert packet.write1ByteTxRx(port, 2, 11, 4) == (dxl.COMM_SUCCESS, 7)
+    _patience(monkeypatch, 30)
     assert packet.ping(port, 9)[1] == dxl.COMM_RX_TIMEOUT
 
 
