@@ -7,7 +7,7 @@ from setuptools import find_packages, setup
 NAME = "longarm_comp"
 
 # Programs that `ros2 run longarm_comp ...` finds: the modules of nodes/ that have a main.
-NODES: list[str] = []
+NODES = ["error_predictor", "kinematics"]
 
 RUNTIME = [
     "click>=8.1",
