@@ -1,0 +1,65 @@
+"""Unit quaternions (x, y, z, w), as messages and files carry orientations.
+
+Source: Diebel, Representing Attitude (2006), eqs. 125 and 290; Shepperd (1978) for the branch that
+keeps the inverse well conditioned.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+LENGTH_TOLERANCE = 1e-3
+"""A quaternion printed with few digits is this far from length 1."""
+
+
+def is_unit(quaternion: np.ndarray) -> bool:
+    """Whether x, y, z, w are finite and of length 1 within `LENGTH_TOLERANCE`."""
+    length = float(np.linalg.norm(quaternion))
+    return math.isfinite(length) and abs(length - 1.0) <= LENGTH_TOLERANCE
+
+
+def rotation(quaternion: np.ndarray) -> np.ndarray:
+    """Rotation matrix (3, 3) of x, y, z, w; the length is taken out first."""
+    q = np.asarray(quaternion, dtype=float)
+    x, y, z, w = q / np.linalg.norm(q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def from_rotation(matrix: np.ndarray) -> np.ndarray:
+    """x, y, z, w with w >= 0 of a rotation matrix (3, 3)."""
+    m = np.asarray(matrix, dtype=float)
+    trace = m[0, 0] + m[1, 1] + m[2, 2]
+    squares = np.array([m[0, 0], m[1, 1], m[2, 2], trace])
+    k = int(np.argmax(squares))
+    if k == 3:
+        q = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], 1 + trace])
+    else:
+        i, j = (k + 1) % 3, (k + 2) % 3
+        q = np.empty(4)
+        q[k] = 1 + 2 * m[k, k] - trace
+        q[i], q[j] = m[i, k] + m[k, i], m[j, k] + m[k, j]
+        q[3] = m[j, i] - m[i, j]
+    q /= np.linalg.norm(q)
+    return -q if q[3] < 0 else q
+
+
+def pose(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+    """Homogeneous matrix (4, 4) of a position (m) and x, y, z, w."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation(quaternion), position
+    return matrix
+
+
+def tilt(quaternion: np.ndarray) -> tuple[float, float]:
+    """Roll and pitch (rad) about the fixed x and y axes: what an inclinometer reads."""
+    x, y, z, w = (float(v) for v in quaternion)
+    roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    return roll, math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))

@@ -1,0 +1,175 @@
+"""`error_predictor`: the learned error at given joints, or a refusal outside the training data."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+from geometry_msgs.msg import Vector3Stamped
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.core.learn.predictor import Predictor
+from longarm_comp.core.learn.predictor_file import load
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.health import ERROR, OK, WARN, Health, Report
+from longarm_comp.nodes.messages import joints_of, vector_message
+from longarm_comp.nodes.model_files import file_hash
+from longarm_comp.nodes.params import Param, declare
+from longarm_comp.nodes.runner import run
+from longarm_comp.nodes.watch import FileWatch
+from longarm_comp.nodes.worker import Worker
+from longarm_interfaces.srv import PredictError
+
+PARAMS = (
+    Param("arm", "", "arm.yaml: the declared arm that the predictor must belong to"),
+    Param("predictor", "", "predictor file (npz); empty: none, every question is refused"),
+    Param("base_frame", "base", "frame of the predicted errors"),
+    Param("watch_period_s", 1.0, "how often the file is looked at for a new version", 0.1, 3600.0),
+)
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A predictor and its file's SHA-256."""
+
+    predictor: Predictor
+    hash: str
+
+
+class ErrorPredictor(Node):
+    """A question takes well below a millisecond and is answered at once; files load on a thread."""
+
+    def __init__(self, executor: SingleThreadedExecutor) -> None:
+        super().__init__("error_predictor", automatically_declare_parameters_from_overrides=True)
+        p = declare(self, PARAMS)
+        if not p["arm"]:
+            raise InputError("parameters of error_predictor", "arm", "", "path of arm.yaml")
+        self._arm = Arm.load(p["arm"])
+        self._path, self._base_frame = p["predictor"], p["base_frame"]
+        self._loaded: Loaded | None = None
+        self._fault = ""
+        self._answered = self._refused = self._outside = 0
+        self._last = ""
+        self._worker = Worker(executor, 4, self.survived)
+        self._reload()
+        self._errors = graph.PREDICTED_ERROR.publisher(self)
+        graph.PREDICT_ERROR.server(self, self._on_predict)
+        graph.RELOAD.server(self, self._on_reload, ReentrantCallbackGroup())
+        self._watch = FileWatch((self._path,))
+        self.create_timer(p["watch_period_s"], self._look)
+        self._health = Health(self, {"predictor": self._report})
+
+    def close(self) -> None:
+        """Stop the worker."""
+        self._worker.close()
+
+    def survived(self, error: Exception) -> None:
+        """Count what a callback let through."""
+        self._health.fault(error)
+
+    def _on_predict(
+        self, request: PredictError.Request, response: PredictError.Response
+    ) -> PredictError.Response:
+        response.sigma = math.nan
+        response.error = vector_message([math.nan] * 3)
+        loaded = self._loaded
+        try:
+            if loaded is None:
+                response.message = self._fault or "no predictor file is configured"
+                self._refused += 1
+                return response
+            self._predict(loaded, request, response)
+        except LongarmError as error:
+            self._refused += 1
+            response.message = self._last = str(error)
+            response.sigma = math.inf  # a predictor is there: the question was wrong
+        except Exception as error:
+            self.survived(error)
+            response.message = f"{type(error).__name__}: {error}"
+        return response
+
+    def _predict(
+        self, loaded: Loaded, request: PredictError.Request, response: PredictError.Response
+    ) -> None:
+        q = joints_of(request.joints, self._arm, "predict_error")
+        known = set(loaded.predictor.encoding.context)
+        given = {"temperature_c": request.temperature_c, "payload_kg": request.payload_kg}
+        context: dict[str, np.ndarray] = {
+            name: np.array([value]) for name, value in given.items() if name in known
+        }
+        if request.approach and "approach" in known:
+            context["approach"] = np.full((1, len(q)), float(request.approach))
+        found = loaded.predictor.predict(q[None], context)
+        response.in_domain = bool(found.in_domain[0])
+        response.success = response.in_domain
+        response.error = vector_message(found.error[0])
+        response.sigma = float(np.max(found.sigma[0]))
+        response.message = loaded.hash if response.success else found.reason[0]
+        if not response.success:
+            self._outside += 1
+            self._last = found.reason[0]
+            return
+        self._answered += 1
+        message = Vector3Stamped(vector=response.error)
+        message.header.stamp = self.get_clock().now().to_msg()
+        message.header.frame_id = self._base_frame
+        self._errors.publish(message)
+
+    def _reload(self) -> tuple[bool, str]:
+        """Read the file; the predictor in use stays where that fails."""
+        if not self._path:
+            return False, "no predictor file is configured"
+        try:
+            predictor = load(self._path, arm_hash=self._arm.hash, joint_names=self._arm.joint_names)
+            self._loaded = Loaded(predictor, file_hash(self._path))
+        except LongarmError as error:
+            self._fault = str(error)
+            return False, self._fault
+        self._fault = ""
+        return True, f"{self._path} {self._loaded.hash[:12]}"
+
+    def _look(self) -> None:
+        if self._watch.changed():
+            self._worker.submit(self._reload)
+
+    async def _on_reload(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        future = self._worker.ask(self._reload)
+        if future is None:
+            response.message = "a reload is under way"
+            return response
+        response.success, response.message = await future
+        return response
+
+    def _report(self) -> Report:
+        facts = {
+            "file": self._path,
+            "sha256": self._loaded.hash if self._loaded else "",
+            "answered": self._answered,
+            "outside the training data": self._outside,
+            "refused": self._refused,
+            "last refusal": self._last,
+        }
+        if self._loaded is None:
+            level = ERROR if self._fault else WARN
+            return Report(level, self._fault or "no predictor file is configured", facts)
+        if self._fault:
+            return Report(WARN, f"the last good predictor is kept: {self._fault}", facts)
+        return Report(OK, "predicting", facts)
+
+
+def main() -> None:
+    """Run the node."""
+    sys.exit(run(ErrorPredictor))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,77 @@
+"""What a node says about itself on /diagnostics, once a second."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+
+from longarm_comp.nodes.interfaces import DIAGNOSTICS
+
+OK, WARN, ERROR, STALE = (
+    DiagnosticStatus.OK,
+    DiagnosticStatus.WARN,
+    DiagnosticStatus.ERROR,
+    DiagnosticStatus.STALE,
+)
+
+
+@dataclass(frozen=True)
+class Report:
+    """The state of one part: level, a sentence, and facts."""
+
+    level: bytes
+    message: str
+    facts: Mapping[str, object] = field(default_factory=dict)
+
+
+class Health:
+    """Collects a report from every part of a node and publishes them.
+
+    Args:
+        node: speaks for itself; a part is named ``<node>: <part>``.
+        parts: each part's report, made when asked.
+    """
+
+    def __init__(
+        self, node: Node, parts: Mapping[str, Callable[[], Report]], period_s: float = 1.0
+    ) -> None:
+        self._node = node
+        self._parts = dict(parts)
+        self._publisher = DIAGNOSTICS.publisher(node)
+        self._timer = node.create_timer(period_s, self.publish)
+        self.faults = 0
+        self.last_fault = ""
+        self._parts["process"] = self._process
+
+    def fault(self, error: Exception) -> None:
+        """Count an exception that was survived."""
+        self.faults += 1
+        self.last_fault = f"{type(error).__name__}: {error}"
+        self._node.get_logger().error(f"survived {self.last_fault}")
+
+    def publish(self) -> None:
+        """Send every part's report now."""
+        name = self._node.get_fully_qualified_name()
+        array = DiagnosticArray()
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        for part, ask in self._parts.items():
+            report = ask()
+            values = [KeyValue(key=k, value=str(v)) for k, v in report.facts.items()]
+            array.status.append(
+                DiagnosticStatus(
+                    level=report.level,
+                    name=f"{name}: {part}",
+                    message=report.message,
+                    hardware_id=self._node.get_namespace(),
+                    values=values,
+                )
+            )
+        self._publisher.publish(array)
+
+    def _process(self) -> Report:
+        if self.faults:
+            return Report(ERROR, f"survived {self.faults} faults, last {self.last_fault}")
+        return Report(OK, "running")

@@ -1,0 +1,138 @@
+"""Every topic and service of the graph, once: name, type, quality of service, meaning.
+
+All names are relative, so that a namespace makes a second arm; only /diagnostics is shared.
+Programs that talk to the graph use this table too, so that their QoS fits: for instance
+``TARGET_POSE.publisher(node)`` or ``TIP_MEASURED.subscription(node, callback)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Vector3Stamped
+from rclpy.callback_groups import CallbackGroup
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import CameraInfo, Image, Imu, JointState, Temperature
+from std_msgs.msg import Float64
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
+from visualization_msgs.msg import MarkerArray
+
+from longarm_interfaces.msg import Compensation
+from longarm_interfaces.srv import Compensate, PredictError
+
+RELIABLE = ReliabilityPolicy.RELIABLE
+BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One topic.
+
+    Attributes:
+        name: relative to the namespace of the arm.
+        type: message class.
+        depth: messages kept on either side.
+        listens: reliability of subscriptions; best effort also hears sensors that publish so.
+            Publishers are always reliable, which serves both.
+        meaning: in one line, for the documentation.
+    """
+
+    name: str
+    type: type
+    depth: int
+    listens: ReliabilityPolicy
+    meaning: str
+
+    def publisher(self, node: Node) -> Any:
+        """A publisher on a node."""
+        return node.create_publisher(self.type, self.name, QoSProfile(depth=self.depth))
+
+    def subscription(
+        self,
+        node: Node,
+        callback: Callable[[Any], None],
+        group: CallbackGroup | None = None,
+        listens: ReliabilityPolicy | None = None,
+    ) -> Any:
+        """A subscription on a node; ``listens`` instead of the topic's own reliability."""
+        qos = QoSProfile(depth=self.depth, reliability=listens or self.listens)
+        return node.create_subscription(self.type, self.name, callback, qos, callback_group=group)
+
+
+@dataclass(frozen=True)
+class Service:
+    """One service; ``~/`` names belong to the node that offers them."""
+
+    name: str
+    type: type
+    meaning: str
+
+    def server(
+        self, node: Node, callback: Callable[..., Any], group: CallbackGroup | None = None
+    ) -> Any:
+        """Offer it on a node."""
+        return node.create_service(self.type, self.name, callback, callback_group=group)
+
+    def client(self, node: Node, group: CallbackGroup | None = None, of: str = "") -> Any:
+        """Use it from a node; ``of`` names the node that offers a private service."""
+        name = self.name.replace("~", of) if of else self.name
+        return node.create_client(self.type, name, callback_group=group)
+
+
+TARGET_POSE = Topic(
+    "target_pose", PoseStamped, 100, RELIABLE, "pose that the tip shall reach, base frame"
+)
+JOINT_TRAJECTORY = Topic(
+    "joint_trajectory", JointTrajectory, 50, RELIABLE, "compensated joints, rad and m"
+)
+COMPENSATION = Topic(
+    "compensation", Compensation, 100, RELIABLE, "the whole story of one target, also of refusals"
+)
+JOINT_STATES = Topic(
+    "joint_states", JointState, 10, BEST_EFFORT, "joints as the servos report them, rad and m"
+)
+PREDICTED_ERROR = Topic(
+    "predicted_error", Vector3Stamped, 20, RELIABLE, "each learned error handed out, base frame, m"
+)
+TIP_MEASURED = Topic(
+    "tip_measured",
+    PoseWithCovarianceStamped,
+    20,
+    RELIABLE,
+    "tip as the cameras see it, base frame; position NaN: marker lost",
+)
+LEFT_IMAGE = Topic("left/image_raw", Image, 5, BEST_EFFORT, "left image, 8-bit grey or colour")
+RIGHT_IMAGE = Topic("right/image_raw", Image, 5, BEST_EFFORT, "right image, 8-bit grey or colour")
+LEFT_INFO = Topic("left/camera_info", CameraInfo, 5, BEST_EFFORT, "calibration of the left camera")
+RIGHT_INFO = Topic(
+    "right/camera_info", CameraInfo, 5, BEST_EFFORT, "calibration of the right camera"
+)
+TEMPERATURE = Topic("temperature", Temperature, 5, BEST_EFFORT, "of the arm, degrees Celsius")
+PAYLOAD = Topic("payload", Float64, 5, BEST_EFFORT, "mass carried at the tool, kg")
+INCLINATION = Topic(
+    "inclination", Imu, 5, BEST_EFFORT, "tilt of a frame; frame_id is the row's number, 0 the base"
+)
+MARKERS = Topic(
+    "markers", MarkerArray, 5, RELIABLE, "for RViz: arm as declared and as it hangs, target, tip"
+)
+DIAGNOSTICS = Topic(
+    "/diagnostics", DiagnosticArray, 50, RELIABLE, "health of every node, once a second"
+)
+
+COMPENSATE = Service("compensate", Compensate, "joints for one target, executed or not")
+PREDICT_ERROR = Service("predict_error", PredictError, "learned error at given joints")
+RELOAD = Service("~/reload", Trigger, "read the node's files again")
+ESTOP = Service("~/estop", SetBool, "true: torque off now, commands refused; false: ready again")
+RESET = Service("~/reset", Trigger, "leave a fault once its cause is gone")
+
+TOPICS: tuple[Topic, ...] = (
+    *(TARGET_POSE, JOINT_TRAJECTORY, COMPENSATION, JOINT_STATES, PREDICTED_ERROR, TIP_MEASURED),
+    *(LEFT_IMAGE, RIGHT_IMAGE, LEFT_INFO, RIGHT_INFO, TEMPERATURE, PAYLOAD, INCLINATION),
+    *(MARKERS, DIAGNOSTICS),
+)
+SERVICES: tuple[Service, ...] = (COMPENSATE, PREDICT_ERROR, RELOAD, ESTOP, RESET)

@@ -1,0 +1,309 @@
+"""`kinematics`: a target in, compensated joints out, and the whole story of how."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import Imu, JointState, Temperature
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from longarm_comp.core.compensate import Method, Status
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.online import (
+    Circumstances,
+    Limits,
+    StaleContext,
+    arrival,
+    compensate_now,
+)
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.health import ERROR, OK, WARN, Health, Report
+from longarm_comp.nodes.messages import (
+    Provenance,
+    Refusal,
+    Told,
+    commanded_of,
+    compensation_message,
+    joints_of,
+    response_of,
+    target_of,
+    tilt_of,
+    trajectory_message,
+)
+from longarm_comp.nodes.model_files import ModelFiles
+from longarm_comp.nodes.params import Param, declare
+from longarm_comp.nodes.predictor_client import NoAnswer, PredictorClient
+from longarm_comp.nodes.runner import run
+from longarm_comp.nodes.watch import FileWatch
+from longarm_comp.nodes.worker import Worker
+from longarm_interfaces.srv import Compensate
+
+PARAMS = (
+    Param("arm", "", "arm.yaml: the declared arm"),
+    Param("model", "", "model.yaml: the calibrated model; empty: the arm as declared"),
+    Param("base_frame", "base", "frame that targets and measurements are given in"),
+    Param(
+        "method", "both", "what is compensated", choices=tuple(m.value for m in Method), live=True
+    ),
+    Param("single_pass", False, "correct once, as in the paper", live=True),
+    Param("tolerance_m", 1e-5, "change of the expected error that ends the passes", 1e-9, 0.01),
+    Param("max_passes", 10, "pseudo-target passes permitted", 1, 100),
+    Param("max_correction_m", 0.05, "largest expected error that is corrected", 1e-6, 1.0),
+    Param("position_only", False, "targets on target_pose leave the orientation free", live=True),
+    Param("move_time_s", 0.5, "asked of the driver, which slows down to its limits", 0.0, 600.0),
+    Param("predictor_timeout_s", 0.5, "no answer within it counts as no predictor", 0.01, 60.0),
+    Param("context_max_age_s", 60.0, "older temperature, payload, tilt are stale", 0.1, 1e6),
+    Param("joints_max_age_s", 5.0, "older joint_states are no seed", 0.1, 1e6),
+    Param("queue", 200, "targets that may wait", 1, 10000),
+    Param(
+        "watch_period_s", 1.0, "how often the files are looked at for a new version", 0.1, 3600.0
+    ),
+)
+
+
+class Kinematics(Node):
+    """Targets are worked off one after another on a thread; the executor stays free."""
+
+    def __init__(self, executor: SingleThreadedExecutor) -> None:
+        super().__init__("kinematics", automatically_declare_parameters_from_overrides=True)
+        p = declare(self, PARAMS)
+        self._files = ModelFiles(p["arm"], p["model"])
+        self._arm = self._files.arm
+        self._base_frame = p["base_frame"]
+        self._max_age_s, self._joints_age_s = p["context_max_age_s"], p["joints_max_age_s"]
+        self._move_time_s = p["move_time_s"]
+        self._fixed = Limits(
+            tol_m=p["tolerance_m"], max_passes=p["max_passes"],
+            max_correction_m=p["max_correction_m"],
+        )  # fmt: skip
+        self._circumstances = Circumstances(started_s=time.monotonic())
+        self._joints: tuple[np.ndarray, float] | None = None
+        self._commanded: np.ndarray | None = None
+        self._side = np.zeros(self._arm.n)
+        self._counts: dict[str, int] = {}
+        self._last = ""
+        self._worker = Worker(executor, p["queue"], self.survived)
+        self._predictor = PredictorClient(self, self._arm, p["predictor_timeout_s"])
+        self._trajectory = graph.JOINT_TRAJECTORY.publisher(self)
+        self._compensation = graph.COMPENSATION.publisher(self)
+        graph.TARGET_POSE.subscription(self, self._on_target)
+        graph.JOINT_STATES.subscription(self, self._on_joints)
+        graph.JOINT_TRAJECTORY.subscription(self, self._on_trajectory)
+        graph.TEMPERATURE.subscription(self, self._on_temperature)
+        graph.PAYLOAD.subscription(self, self._on_payload)
+        graph.INCLINATION.subscription(self, self._on_inclination)
+        together = ReentrantCallbackGroup()
+        graph.COMPENSATE.server(self, self._on_compensate, together)
+        graph.RELOAD.server(self, self._on_reload, together)
+        self._watch = FileWatch((p["model"],))
+        self.create_timer(p["watch_period_s"], self._look)
+        self._health = Health(self, {"targets": self._targets_report, "model": self._files.report})
+
+    def close(self) -> None:
+        """Stop the worker."""
+        self._worker.close()
+
+    def survived(self, error: Exception) -> None:
+        """Count what a callback let through."""
+        self._health.fault(error)
+
+    # ------------------------------------------------------------------ what is told
+
+    def _on_joints(self, message: JointState) -> None:
+        try:
+            self._joints = joints_of(message, self._arm, "joint_states"), time.monotonic()
+        except InputError as error:
+            self._count("bad joint_states", str(error))
+
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        """Whoever commands the arm: its joints arrive from that side."""
+        try:
+            goal = commanded_of(message, self._arm)
+        except InputError:
+            return
+        before = self._commanded if self._commanded is not None else goal
+        self._side = arrival(before, goal, self._side)
+        self._commanded = goal
+
+    def _on_temperature(self, message: Temperature) -> None:
+        self._tell("temperature", {"temperature_c": message.temperature})
+
+    def _on_payload(self, message: Float64) -> None:
+        self._tell("payload", {"payload_kg": message.data})
+
+    def _on_inclination(self, message: Imu) -> None:
+        try:
+            row, columns = tilt_of(message)
+        except InputError as error:
+            self._count("bad inclination", str(error))
+            return
+        self._tell(f"inclination {row}", columns)
+
+    def _tell(self, source: str, columns: dict[str, float]) -> None:
+        if all(math.isfinite(value) for value in columns.values()):
+            self._circumstances = self._circumstances.told(source, columns, time.monotonic())
+        else:
+            self._count(f"bad {source}", f"{source}: {columns} is not finite")
+
+    # ------------------------------------------------------------------ what is asked
+
+    def _on_target(self, message: PoseStamped) -> None:
+        free = self.get_parameter("position_only").value
+        request = Compensate.Request(target=message, position_only=free, execute=True)
+        if not self._worker.submit(lambda: self._serve(request)):
+            self._tell_story(self._busy(request), execute=False)
+
+    async def _on_compensate(
+        self, request: Compensate.Request, response: Compensate.Response
+    ) -> Compensate.Response:
+        future = self._worker.ask(lambda: self._serve(request))
+        told = self._busy(request) if future is None else await future
+        return response_of(told, self._arm, self._base_frame)
+
+    def _busy(self, request: Compensate.Request) -> Told:
+        return self._refused(
+            request, Status.NOT_READY, f"{self._worker.waiting} targets wait already"
+        )
+
+    def _serve(self, request: Compensate.Request) -> Told:
+        """On the worker's thread: compute, send, tell."""
+        try:
+            told = self._compensate(request)
+        except Refusal as refusal:
+            told = self._refused(request, refusal.status, refusal.reason)
+        except StaleContext as error:
+            told = self._refused(request, Status.STALE_CONTEXT, str(error))
+        except InputError as error:
+            told = self._refused(request, Status.BAD_TARGET, str(error))
+        except Exception as error:
+            self.survived(error)
+            text = f"{type(error).__name__}: {error}"
+            told = self._refused(request, Status.INTERNAL_ERROR, text)
+        return self._tell_story(told, request.execute)
+
+    def _compensate(self, request: Compensate.Request) -> Told:
+        target = target_of(request.target, self._base_frame, request.position_only)
+        limits = self._limits()
+        start = self._start(request)
+        loaded = self._files.loaded
+        options: dict[str, Any] = {
+            "start": start,
+            "side": self._side,
+            "circumstances": self._circumstances,
+            "now_s": time.monotonic(),
+            "max_age_s": self._max_age_s,
+            "position_only": request.position_only,
+            "limits": limits,
+        }
+        client = self._predictor if limits.method.learned else None
+        why = ""
+        try:
+            outcome, context = compensate_now(loaded.model, client, target, **options)
+        except NoAnswer as absent:
+            client, why = None, f": {absent.reason}"
+            outcome, context = compensate_now(loaded.model, None, target, **options)
+        return Told(
+            request.target,
+            request.position_only,
+            outcome.status,
+            outcome.reason + (why if outcome.status is Status.NO_PREDICTOR else ""),
+            limits.method.value,
+            Provenance(
+                self._arm.hash, loaded.file_hash, "" if client is None else client.file_hash
+            ),
+            outcome,
+            context,
+        )
+
+    def _limits(self) -> Limits:
+        return Limits(
+            Method(self.get_parameter("method").value),
+            self.get_parameter("single_pass").value,
+            self._fixed.tol_m,
+            self._fixed.max_passes,
+            self._fixed.max_correction_m,
+        )
+
+    def _start(self, request: Compensate.Request) -> np.ndarray:
+        """Joints to start from: the request's, else the last joint_states."""
+        if request.seed.name:
+            return joints_of(request.seed, self._arm, "seed")
+        if self._joints is None:
+            raise Refusal(Status.NOT_READY, "no joint_states yet, and no seed was given")
+        q, at = self._joints
+        age = time.monotonic() - at
+        if age > self._joints_age_s:
+            raise Refusal(Status.NOT_READY, f"the last joint_states is {age:.1f} s old")
+        return q
+
+    def _refused(self, request: Compensate.Request, status: Status, reason: str) -> Told:
+        return Told(
+            request.target,
+            request.position_only,
+            status,
+            reason,
+            str(self.get_parameter("method").value),
+            Provenance(self._arm.hash, self._files.loaded.file_hash),
+        )
+
+    def _tell_story(self, told: Told, execute: bool) -> Told:
+        send = execute and told.status.success and told.outcome is not None
+        if send and told.outcome is not None:
+            self._trajectory.publish(
+                trajectory_message(self._arm, told.outcome.command, self._move_time_s)
+            )
+        message = compensation_message(told, self._arm, self._base_frame, executed=send)
+        self._compensation.publish(message)
+        self._count(told.status.name, "" if told.status is Status.SUCCESS else told.message)
+        return told
+
+    # ------------------------------------------------------------------ upkeep
+
+    def _look(self) -> None:
+        if self._watch.changed():
+            self._worker.submit(self._files.reload)
+
+    async def _on_reload(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        future = self._worker.ask(self._files.reload)
+        if future is None:
+            response.message = "too many targets wait"
+            return response
+        response.success, response.message = await future
+        return response
+
+    def _count(self, what: str, why: str) -> None:
+        self._counts[what] = self._counts.get(what, 0) + 1
+        if why:
+            self._last = why
+            self.get_logger().warning(why, throttle_duration_sec=1.0)
+
+    def _targets_report(self) -> Report:
+        facts = {**self._counts, "waiting": self._worker.waiting, "last refusal": self._last}
+        if self._joints is None:
+            return Report(WARN, "no joint_states yet", facts)
+        if self._counts.get(Status.INTERNAL_ERROR.name):
+            return Report(ERROR, self._last, facts)
+        if not self._predictor.present:
+            return Report(WARN, "no error_predictor: compensating with physics only", facts)
+        return Report(OK, "compensating", facts)
+
+
+def main() -> None:
+    """Run the node."""
+    sys.exit(run(Kinematics))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,221 @@
+"""Message <-> record, once. Records hold numpy arrays in the order of the arm's joints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from builtin_interfaces.msg import Duration, Time
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Vector3
+from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import Header
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from longarm_comp.core import quaternion
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.compensate import Compensation as Outcome
+from longarm_comp.core.compensate import Status
+from longarm_comp.core.context import Context
+from longarm_comp.core.errors import InputError, LongarmError
+from longarm_interfaces.msg import Compensation
+from longarm_interfaces.srv import Compensate
+
+
+class Refusal(LongarmError):  # noqa: N818
+    """A target that is not even tried: a status and a reason."""
+
+    def __init__(self, status: Status, reason: str) -> None:
+        super().__init__(reason)
+        self.status = status
+        self.reason = reason
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What computed an answer: SHA-256 of each file, empty without one."""
+
+    arm: str
+    model: str = ""
+    predictor: str = ""
+
+
+def target_of(message: PoseStamped, base_frame: str, position_only: bool) -> np.ndarray:
+    """The target as (4, 4), or (3,) where the orientation is free (m, base frame).
+
+    Raises:
+        Refusal: unknown frame, numbers that are not finite, no unit quaternion.
+    """
+    if message.header.frame_id != base_frame:
+        frame = message.header.frame_id
+        raise Refusal(Status.BAD_FRAME, f"frame {frame!r} is unknown; allowed: {base_frame!r}")
+    p, o = message.pose.position, message.pose.orientation
+    xyz = np.array([p.x, p.y, p.z])
+    if not np.isfinite(xyz).all():
+        text = f"position {xyz.tolist()} is not finite"
+        raise Refusal(Status.BAD_TARGET, text)
+    if position_only:
+        return xyz
+    turn = np.array([o.x, o.y, o.z, o.w])
+    if not quaternion.is_unit(turn):
+        text = f"orientation {turn.tolist()} is not a unit quaternion"
+        raise Refusal(Status.BAD_TARGET, text)
+    return quaternion.pose(xyz, turn)
+
+
+def pose_message(target: np.ndarray) -> Pose:
+    """A (4, 4) pose, or a (3,) position with the identity as orientation."""
+    if target.ndim == 1:
+        x, y, z = target.tolist()
+        return Pose(position=Point(x=x, y=y, z=z))
+    x, y, z = target[:3, 3].tolist()
+    qx, qy, qz, qw = quaternion.from_rotation(target[:3, :3]).tolist()
+    return Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+
+
+def vector_message(values: Sequence[float] | np.ndarray) -> Vector3:
+    """Three numbers."""
+    x, y, z = (float(v) for v in values)
+    return Vector3(x=x, y=y, z=z)
+
+
+def joints_message(arm: Arm, q: np.ndarray, stamp: Time | None = None) -> JointState:
+    """Joints (n,) by name."""
+    made = JointState(name=list(arm.joint_names), position=[float(v) for v in q])
+    if stamp is not None:
+        made.header.stamp = stamp
+    return made
+
+
+def joints_of(message: JointState, arm: Arm, where: str) -> np.ndarray:
+    """Joints (n,) in the order of the arm; further names are passed over.
+
+    Raises:
+        InputError: a joint is missing or doubled, or a value is not finite.
+    """
+    if len(message.name) != len(message.position):
+        found = f"{len(message.name)} names, {len(message.position)} positions"
+        raise InputError(where, "position", found, "one position a name")
+    at = dict(zip(message.name, message.position, strict=True))
+    return _in_order(at, list(message.name), arm, where)
+
+
+def commanded_of(message: JointTrajectory, arm: Arm) -> np.ndarray:
+    """Where a trajectory ends, (n,).
+
+    Raises:
+        InputError: as `joints_of`, or without a point.
+    """
+    where = "joint_trajectory"
+    if not message.points or len(message.points[-1].positions) != len(message.joint_names):
+        raise InputError(where, "points", len(message.points), "at least one, a position a name")
+    at = dict(zip(message.joint_names, message.points[-1].positions, strict=True))
+    return _in_order(at, list(message.joint_names), arm, where)
+
+
+def _in_order(at: Mapping[str, float], names: list[str], arm: Arm, where: str) -> np.ndarray:
+    for name in arm.joint_names:
+        if names.count(name) != 1:
+            allowed = f"each of {', '.join(arm.joint_names)} once"
+            raise InputError(where, "name", ", ".join(names), allowed)
+        if not math.isfinite(at[name]):
+            raise InputError(where, name, at[name], "a finite number, rad or m")
+    return np.array([at[name] for name in arm.joint_names])
+
+
+def trajectory_message(arm: Arm, q: np.ndarray, move_time_s: float) -> JointTrajectory:
+    """One point, to be reached so long after now (stamp 0)."""
+    seconds = int(move_time_s)
+    point = JointTrajectoryPoint(
+        positions=[float(v) for v in q],
+        time_from_start=Duration(sec=seconds, nanosec=round((move_time_s - seconds) * 1e9)),
+    )
+    return JointTrajectory(joint_names=list(arm.joint_names), points=[point])
+
+
+def tilt_of(message: Imu) -> tuple[str, dict[str, float]]:
+    """Row that the sensor sits on and the columns of its tilt (rad), as sessions name them.
+
+    Raises:
+        InputError: the orientation is not a unit quaternion.
+    """
+    o = message.orientation
+    turn = np.array([o.x, o.y, o.z, o.w])
+    if not quaternion.is_unit(turn):
+        raise InputError("inclination", "orientation", turn.tolist(), "a unit quaternion")
+    row = message.header.frame_id or "0"
+    x, y = quaternion.tilt(turn)
+    return row, {f"incl_{row}_x": x, f"incl_{row}_y": y}
+
+
+@dataclass(frozen=True)
+class Told:
+    """Everything that `compensation` tells of one target.
+
+    Attributes:
+        asked, position_only: the request.
+        outcome: None where it was refused before any computation.
+    """
+
+    asked: PoseStamped
+    position_only: bool
+    status: Status
+    message: str
+    method: str
+    provenance: Provenance
+    outcome: Outcome | None = None
+    context: Context | None = None
+
+
+def compensation_message(told: Told, arm: Arm, base_frame: str, *, executed: bool) -> Compensation:
+    """The whole story of one target; `executed`: the joints were sent to the arm."""
+    context = told.context or Context.empty()
+    sides = {float(side) for side in context.approach}
+    made = Compensation(
+        header=Header(stamp=told.asked.header.stamp, frame_id=base_frame),
+        target=told.asked,
+        position_only=told.position_only,
+        status=int(told.status),
+        message=told.message,
+        method=told.method,
+        temperature_c=float(context.column("temperature_c", math.nan)),
+        payload_kg=float(context.payload_kg(arm.payload.mass_kg if arm.payload else 0.0)),
+        approach=int(sides.pop()) if len(sides) == 1 else 0,
+        arm_hash=told.provenance.arm,
+        model_hash=told.provenance.model,
+        predictor_hash=told.provenance.predictor,
+    )
+    _fill(made, told, arm, base_frame)
+    if executed and told.outcome is not None:
+        made.executed = joints_message(arm, told.outcome.command, told.asked.header.stamp)
+    return made
+
+
+def response_of(told: Told, arm: Arm, base_frame: str) -> Compensate.Response:
+    """The answer to a `compensate` request."""
+    made = Compensate.Response(
+        success=told.status.success, status=int(told.status), message=told.message
+    )
+    _fill(made, told, arm, base_frame)
+    if told.status.success and told.outcome is not None:
+        made.command = joints_message(arm, told.outcome.command, told.asked.header.stamp)
+    return made
+
+
+def _fill(made: Compensation | Compensate.Response, told: Told, arm: Arm, base_frame: str) -> None:
+    """What both tell; a number that is not known is NaN."""
+    made.sigma = math.nan
+    outcome = told.outcome
+    if outcome is None:
+        made.predicted_error = vector_message([math.nan] * 3)
+        return
+    stamp = told.asked.header.stamp
+    made.ideal = joints_message(arm, outcome.ideal, stamp)
+    made.predicted_error = vector_message(outcome.predicted_error)
+    made.pseudo_target = PoseStamped(
+        header=Header(stamp=stamp, frame_id=base_frame), pose=pose_message(outcome.pseudo_target)
+    )
+    made.sigma = float(np.max(outcome.sigma))
+    made.in_domain = bool(outcome.in_domain)
+    made.passes = int(outcome.passes)

@@ -1,0 +1,68 @@
+"""The declared arm and the model in use; a new version of model.yaml replaces the old one whole."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.core.identify.calibrate import declared_model
+from longarm_comp.core.model import Model
+from longarm_comp.core.modelfile import load_model
+from longarm_comp.nodes.health import OK, WARN, Report
+
+
+@dataclass(frozen=True)
+class LoadedModel:
+    """A model and the SHA-256 of its file; empty for the arm as declared."""
+
+    model: Model
+    file_hash: str = ""
+
+
+class ModelFiles:
+    """arm.yaml, read once, and model.yaml, read again on demand.
+
+    Raises:
+        InputError: arm.yaml is no declared arm. A model.yaml that is absent or wrong is no
+            error: the arm as declared (or the last good model) is used, and `report` says so.
+    """
+
+    def __init__(self, arm_path: str, model_path: str) -> None:
+        if not arm_path:
+            raise InputError("parameters of kinematics", "arm", arm_path, "path of arm.yaml")
+        self.arm = Arm.load(arm_path)
+        self._path = model_path
+        self.loaded = LoadedModel(declared_model(self.arm))
+        self._fault = ""
+        self.loads = 0
+        self.reload()
+
+    def reload(self) -> tuple[bool, str]:
+        """Read model.yaml again; the old model stays where that fails. (done, what happened)."""
+        if not self._path:
+            return True, "the arm as declared: no model.yaml is configured"
+        try:
+            self.loaded = LoadedModel(load_model(self._path, self.arm), file_hash(self._path))
+        except LongarmError as error:
+            self._fault = str(error)
+            return False, self._fault
+        self._fault = ""
+        self.loads += 1
+        return True, f"{self._path} {self.loaded.file_hash[:12]}"
+
+    def report(self) -> Report:
+        """For diagnostics."""
+        facts = {"file": self._path, "sha256": self.loaded.file_hash, "loads": self.loads}
+        if self._fault:
+            return Report(WARN, f"the last good model is kept: {self._fault}", facts)
+        if not self.loaded.file_hash:
+            return Report(WARN, "no calibrated model: the arm as declared", facts)
+        return Report(OK, "calibrated model loaded", facts)
+
+
+def file_hash(path: str | Path) -> str:
+    """SHA-256 of a file's bytes."""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()

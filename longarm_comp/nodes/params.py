@@ -1,0 +1,151 @@
+"""Parameters of a node: declared once with description and range, checked, unknown ones refused."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import (
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    ParameterImmutableException,
+)
+from rclpy.node import Node
+
+from longarm_comp.core.errors import InputError
+
+ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides")
+
+
+@dataclass(frozen=True)
+class Param:
+    """One parameter.
+
+    Attributes:
+        name, default: as in the node's YAML file; the default's type is the parameter's.
+        description: meaning and unit, in one line.
+        lower, upper: allowed range of a number, or of each of several.
+        choices: allowed texts.
+        live: may be set while the node runs; everything else is read-only.
+    """
+
+    name: str
+    default: bool | int | float | str | list[float]
+    description: str
+    lower: float | None = None
+    upper: float | None = None
+    choices: tuple[str, ...] = ()
+    live: bool = False
+
+    def descriptor(self) -> ParameterDescriptor:
+        """As ROS describes it."""
+        made = ParameterDescriptor(
+            name=self.name, description=self.description, read_only=not self.live
+        )
+        if self.choices:
+            made.additional_constraints = "one of " + ", ".join(self.choices)
+        if self.lower is None and self.upper is None:
+            return made
+        low, high = self._range
+        if isinstance(self.default, float):
+            made.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+        elif isinstance(self.default, int):
+            made.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+        else:
+            made.additional_constraints = self.allowed
+        return made
+
+    @property
+    def allowed(self) -> str:
+        """What may stand there, in words."""
+        kind = "numbers" if isinstance(self.default, list) else type(self.default).__name__
+        if self.choices:
+            return "one of " + ", ".join(self.choices)
+        if self.lower is None and self.upper is None:
+            return kind
+        return f"{kind}, {self._range[0]:g} to {self._range[1]:g}"
+
+    @property
+    def _range(self) -> tuple[float, float]:
+        low = -1e9 if self.lower is None else self.lower
+        return low, 1e9 if self.upper is None else self.upper
+
+    def check(self, value: Any) -> Any:
+        """The value in the parameter's own type. Raises ValueError."""
+        if isinstance(self.default, float) and type(value) is int:
+            value = float(value)
+        if isinstance(self.default, list):
+            value = [float(v) for v in value]
+            if self.default and len(value) != len(self.default):
+                raise ValueError
+        elif type(value) is not type(self.default):
+            raise ValueError
+        numbers = value if isinstance(value, list) else [value]
+        low, high = self._range
+        if not isinstance(self.default, (str, bool)) and not all(low <= v <= high for v in numbers):
+            raise ValueError
+        if self.choices and value not in self.choices:
+            raise ValueError
+        return value
+
+
+def declare(node: Node, table: Sequence[Param]) -> dict[str, Any]:
+    """Declare a node's parameters; the node was made with parameters declared from overrides.
+
+    Returns:
+        Values by name.
+
+    Raises:
+        InputError: an unknown name, a value of another type or out of range.
+    """
+    known = {param.name: param for param in table}
+    given = overrides(node)
+    refuse_unknown(node, given, tuple(known))
+    values = {}
+    for name, param in known.items():
+        value = given.get(name, param.default)
+        try:
+            value = param.check(value)
+            if name in given:
+                node.undeclare_parameter(name)
+            node.declare_parameter(name, value, param.descriptor(), ignore_override=True)
+        except (
+            *(TypeError, ValueError, InvalidParameterTypeException),
+            *(InvalidParameterValueException, ParameterImmutableException),
+        ):
+            raise InputError(where(node), name, value, param.allowed) from None
+        values[name] = value
+    return values
+
+
+def overrides(node: Node) -> dict[str, Any]:
+    """Parameters that the command line and its files gave, without ROS's own."""
+    names = node.list_parameters([], 0).names
+    own = [name for name in names if name.split(".")[0] not in ROS_OWN]
+    return {name: node.get_parameter(name).value for name in own}
+
+
+def refuse_unknown(node: Node, given: Mapping[str, Any], known: Sequence[str]) -> None:
+    """Raise `InputError` for a parameter that the node does not have."""
+    for name in given:
+        if name not in known:
+            raise InputError(where(node), name, given[name], "known: " + ", ".join(known))
+
+
+def where(node: Node) -> str:
+    """The source that errors name."""
+    return f"parameters of {node.get_fully_qualified_name()}"
+
+
+def nested(flat: Mapping[str, Any]) -> dict[str, Any]:
+    """``{"a.b": 1}`` as ``{"a": {"b": 1}}``."""
+    made: dict[str, Any] = {}
+    for name, value in flat.items():
+        *path, last = name.split(".")
+        place = made
+        for part in path:
+            place = place.setdefault(part, {})
+        place[last] = value
+    return made

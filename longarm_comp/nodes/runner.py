@@ -1,0 +1,70 @@
+"""Runs one node as a process: it ends tidily on SIGINT and SIGTERM and survives its callbacks."""
+
+from __future__ import annotations
+
+import gc
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from typing import Protocol
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+from longarm_comp.core.errors import LongarmError
+
+_SWITCH_S = 2e-4
+"""Threads of a node wait this long for each other, not the 5 ms of Python's default."""
+
+
+class Runnable(Protocol):
+    """What the runner asks of a node."""
+
+    def close(self) -> None:
+        """Stop what the node started; must not raise."""
+
+    def survived(self, error: Exception) -> None:
+        """Tell of an exception that a callback let through."""
+
+
+def run(make: Callable[[SingleThreadedExecutor], Runnable]) -> int:
+    """Spin a node until a signal; the exit code is 0, 2 for bad parameters or files.
+
+    A second signal does not break off the clean-up: signals only set an event.
+    """
+    sys.setswitchinterval(_SWITCH_S)
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    executor = SingleThreadedExecutor()
+    node: Runnable | None = None
+    try:
+        node = make(executor)
+        executor.add_node(node)
+        gc.freeze()  # what is loaded now stays: collections need not walk through it again
+        spin(executor, node, stop)
+    except LongarmError as error:
+        print(error, file=sys.stderr)
+        return error.exit_code
+    finally:
+        if node is not None:
+            node.close()
+        executor.shutdown(timeout_sec=1.0)
+        if node is not None:
+            node.destroy_node()  # type: ignore[attr-defined]
+        rclpy.try_shutdown()
+    return 0
+
+
+def spin(executor: SingleThreadedExecutor, node: Runnable, stop: threading.Event) -> None:
+    """Serve callbacks until the event is set; what they raise is told, not fatal."""
+    while not stop.is_set():
+        try:
+            executor.spin_once(timeout_sec=0.2)
+        except ExternalShutdownException:
+            return
+        except Exception as error:  # a message must not end a node
+            node.survived(error)

@@ -1,0 +1,34 @@
+"""Files that a node has loaded, watched for a new version."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+
+Signature = tuple[tuple[int, int, int] | None, ...]
+
+
+class FileWatch:
+    """Tells when one of some files has been replaced, changed, made or removed."""
+
+    def __init__(self, paths: Sequence[str]) -> None:
+        self._paths = tuple(paths)
+        self._seen = self._look()
+
+    def changed(self) -> bool:
+        """Whether anything changed since the last call (or since the start)."""
+        now = self._look()
+        changed = now != self._seen
+        self._seen = now
+        return changed
+
+    def _look(self) -> Signature:
+        return tuple(_signature(path) for path in self._paths)
+
+
+def _signature(path: str) -> tuple[int, int, int] | None:
+    try:
+        stat = os.stat(path)
+    except OSError:
+        return None
+    return stat.st_ino, stat.st_size, stat.st_mtime_ns

@@ -1,0 +1,115 @@
+"""Node processes and a client for the node tests: start, ask, wait, and always clean up."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+class Bench:
+    """Processes of nodes, and one node of the test's own that talks to them."""
+
+    def __init__(self) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.node = Node("tester", context=self.context)
+        self.executor.add_node(self.node)
+        self.processes: list[subprocess.Popen[str]] = []
+
+    def start(
+        self, node: str, params: Mapping[str, Any] | None = None, namespace: str = ""
+    ) -> subprocess.Popen[str]:
+        """Start a node of ``longarm_comp.nodes``."""
+        args = [sys.executable, "-m", f"longarm_comp.nodes.{node}", "--ros-args"]
+        if namespace:
+            args += ["-r", f"__ns:=/{namespace}"]
+        for name, value in (params or {}).items():
+            text = str(value).lower() if isinstance(value, bool) else value
+            args += ["-p", f"{name}:={text}"]
+        return self.launch(args)
+
+    def launch(self, args: list[str]) -> subprocess.Popen[str]:
+        """Start any program from the source tree."""
+        env = {**os.environ, "PYTHONPATH": str(ROOT)}
+        process = subprocess.Popen(
+            args, cwd=ROOT, env=env, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+        )
+        self.processes.append(process)
+        return process
+
+    def collect(self, topic: Any, namespace: str = "") -> list[Any]:
+        """Messages of a topic of the table, as they come."""
+        got: list[Any] = []
+        name = f"/{namespace}/{topic.name}" if namespace else topic.name
+        self.node.create_subscription(topic.type, name, got.append, topic.depth)
+        return got
+
+    def spin(self, until: Callable[[], Any], within: float = 15.0) -> Any:
+        """Spin until something is truthy; what it is. Fails after so many seconds."""
+        end = time.monotonic() + within
+        while not (found := until()):
+            if time.monotonic() > end:
+                raise AssertionError(f"not within {within:g} s\n{self.ended()}")
+            self.executor.spin_once(timeout_sec=0.02)
+        return found
+
+    def connected(self, publisher: Any) -> None:
+        """Wait until somebody listens."""
+        self.spin(lambda: publisher.get_subscription_count() > 0)
+
+    def call(self, client: Any, request: Any, within: float = 15.0) -> Any:
+        """The answer of a service."""
+        self.spin(client.service_is_ready, within)
+        future = client.call_async(request)
+        self.spin(future.done, within)
+        return future.result()
+
+    def ended(self) -> str:
+        """What processes said that ended by themselves."""
+        said = [
+            f"{p.args} ended with {p.returncode}:\n{p.stdout.read()}"
+            for p in self.processes
+            if p.poll() is not None and p.stdout is not None
+        ]
+        return "\n".join(said)
+
+    def close(self) -> None:
+        """End every process, gently first."""
+        for process in self.processes:
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+        for process in self.processes:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(timeout=5)
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+            if process.stdout is not None:
+                process.stdout.close()
+        self.executor.shutdown(timeout_sec=1.0)
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+@contextlib.contextmanager
+def bench() -> Iterator[Bench]:
+    """A bench that is cleaned up whatever happens."""
+    made = Bench()
+    try:
+        yield made
+    finally:
+        made.close()

@@ -1,0 +1,153 @@
+"""`kinematics` and `error_predictor` as processes on a real graph."""
+
+from __future__ import annotations
+
+import math
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from geometry_msgs.msg import PoseStamped
+from nodes_bench import Bench, bench
+from std_srvs.srv import Trigger
+
+from longarm_comp.core import quaternion
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.identify.calibrate import declared_model
+from longarm_comp.core.modelfile import save_model, store
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.messages import joints_message
+from longarm_interfaces.srv import Compensate
+
+
+@pytest.fixture
+def stage(ros_domain: int) -> Iterator[Bench]:
+    with bench() as made:
+        yield made
+
+
+@pytest.fixture
+def arm(demo_arm_path: Path) -> Arm:
+    return Arm.load(demo_arm_path)
+
+
+def pose(matrix: np.ndarray, frame: str = "base") -> PoseStamped:
+    made = PoseStamped()
+    made.header.frame_id = frame
+    p, o = made.pose.position, made.pose.orientation
+    p.x, p.y, p.z = matrix[:3, 3].tolist()
+    o.x, o.y, o.z, o.w = quaternion.from_rotation(matrix[:3, :3]).tolist()
+    return made
+
+
+def test_target_pose_becomes_a_trajectory(stage: Bench, arm: Arm, demo_arm_path: Path) -> None:
+    stage.start("kinematics", {"arm": demo_arm_path})
+    trajectories = stage.collect(graph.JOINT_TRAJECTORY)
+    stories = stage.collect(graph.COMPENSATION)
+    targets = graph.TARGET_POSE.publisher(stage.node)
+    joints = graph.JOINT_STATES.publisher(stage.node)
+    stage.connected(targets)
+    stage.connected(joints)
+    model = declared_model(arm)
+    target = model.pose(arm.mid + 0.02)
+    for _ in range(3):
+        joints.publish(joints_message(arm, arm.mid))
+    targets.publish(pose(target))
+    stage.spin(lambda: stories and trajectories)
+    assert stories[0].status == Compensate.Response.NO_PREDICTOR
+    assert "physics only" in stories[0].message
+    assert list(trajectories[0].joint_names) == list(arm.joint_names)
+    sent = np.array(trajectories[0].points[0].positions)
+    np.testing.assert_allclose(model.pose(sent), target, atol=2e-6)
+    assert list(stories[0].executed.position) == sent.tolist()
+
+
+def request(matrix: np.ndarray, arm: Arm, **more: object) -> Compensate.Request:
+    seed = joints_message(arm, arm.mid)
+    return Compensate.Request(**{"target": pose(matrix), "seed": seed, **more})
+
+
+def test_every_refusal_has_a_status_and_a_reason(
+    stage: Bench, arm: Arm, demo_arm_path: Path
+) -> None:
+    node = stage.start("kinematics", {"arm": demo_arm_path})
+    trajectories = stage.collect(graph.JOINT_TRAJECTORY)
+    stories = stage.collect(graph.COMPENSATION)
+    client = graph.COMPENSATE.client(stage.node)
+    reach = declared_model(arm).pose(arm.mid)
+    status = Compensate.Response
+
+    def ask(matrix: np.ndarray, **more: object) -> Compensate.Response:
+        return stage.call(client, request(matrix, arm, execute=True, **more))
+
+    unseeded = Compensate.Request(target=pose(reach), execute=True)
+    assert stage.call(client, unseeded).status == status.NOT_READY
+    lost = reach.copy()
+    lost[0, 3] = math.nan
+    assert ask(lost).status == status.BAD_TARGET
+    lost[0, 3] = math.inf
+    assert ask(lost, position_only=True).status == status.BAD_TARGET
+    stranger = Compensate.Request(target=pose(reach, "kitchen"), seed=joints_message(arm, arm.mid))
+    answer = stage.call(client, stranger)
+    assert answer.status == status.BAD_FRAME
+    assert "kitchen" in answer.message
+    bent = request(reach, arm, execute=True)
+    bent.target.pose.orientation.w += 0.1
+    assert stage.call(client, bent).status == status.BAD_TARGET
+    foreign = request(reach, arm, execute=True)
+    foreign.seed.name[0] = "elbow"
+    answer = stage.call(client, foreign)
+    assert answer.status == status.BAD_TARGET
+    assert "elbow" in answer.message
+    far = reach.copy()
+    far[0, 3] += 3.0
+    answer = stage.call(client, request(far, arm, execute=True, position_only=True), within=40.0)
+    assert answer.status == status.UNREACHABLE
+    assert not answer.command.position
+    assert not trajectories
+    stage.spin(lambda: len(stories) == 7)
+    assert all(story.message and not story.executed.position for story in stories)
+
+    quiet = ask(reach)
+    assert quiet.status == status.NO_PREDICTOR
+    assert quiet.success
+    stage.spin(lambda: trajectories)
+    node.send_signal(signal.SIGINT)
+    assert node.wait(timeout=10) == 0
+
+
+def test_a_new_model_is_taken_up_without_a_restart(
+    stage: Bench, arm: Arm, demo_arm_path: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "model.yaml"
+    stage.start("kinematics", {"arm": demo_arm_path, "model": path, "watch_period_s": 0.1})
+    stories = stage.collect(graph.COMPENSATION)
+    client = graph.COMPENSATE.client(stage.node)
+    model = declared_model(arm)
+    target = model.pose(arm.mid)
+    before = stage.call(client, request(target, arm))
+    shifted = model.plus(*(z.with_values({"offset": 0.01}) for z in JointZero.for_arm(arm)[:1]))
+    save_model(path, store(shifted))
+
+    def taken_up() -> bool:
+        stage.call(client, request(target, arm))
+        return bool(stories[-1].model_hash)
+
+    stage.spin(taken_up)
+    after = stage.call(client, request(target, arm))
+    np.testing.assert_allclose(shifted.pose(np.array(after.ideal.position)), target, atol=2e-6)
+    assert abs(after.ideal.position[0] - before.ideal.position[0]) > 0.005
+
+    path.write_text("effects: 3")
+    reload = graph.RELOAD.client(stage.node, of="kinematics")
+    answer = stage.call(reload, Trigger.Request())
+    assert not answer.success
+    assert str(path) in answer.message
+    kept = stage.call(client, request(target, arm))
+    np.testing.assert_allclose(kept.ideal.position, after.ideal.position, atol=1e-9)
