@@ -9,6 +9,7 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
 import zipfile
+from functools import cache
 from importlib.metadata import entry_points, packages_distributions, requires
 from pathlib import Path
 
@@ -57,8 +58,15 @@ def outside_imports(folder: Path) -> dict[str, set[str]]:
     return found
 
 
+@cache
+def providers() -> dict[str, set[str]]:
+    """Top-level module -> the installed distributions that bring it."""
+    installed = packages_distributions()
+    return {module: set(map(canonicalize_name, names)) for module, names in installed.items()}
+
+
 def distributions(top_level: str) -> set[str]:
-    return {canonicalize_name(name) for name in packages_distributions().get(top_level, [])}
+    return providers().get(top_level, set())
 
 
 @pytest.mark.parametrize("folder", [PACKAGE, "test"])
