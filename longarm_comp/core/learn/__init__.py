@@ -1,7 +1,5 @@
-"""The learned residual: sparrow search (SSA), BP network, predictor with its own doubts."""
+"""The learned residual: sparrow search (SSA), BP network, a predictor with its own doubts.
 
-from longarm_comp.core.learn.ensemble import train
-from longarm_comp.core.learn.predictor import Prediction, Predictor, Provenance
-from longarm_comp.core.learn.predictor_file import load
-
-__all__ = ["Prediction", "Predictor", "Provenance", "load", "train"]
+``ensemble.train`` makes a ``predictor.Predictor``; ``predictor_file`` saves and loads it.
+Nothing is imported here, so that a node that only predicts needs numpy alone.
+"""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.learn.inputs import Context, Encoding, check_rows, fit_encoding, raw_columns
+from longarm_comp.core.learn.inputs import Context, Encoding, check_rows, fit_encoding
 from longarm_comp.core.learn.network import (
     Shape,
     forward,
@@ -83,7 +83,8 @@ def train(
         raise InputError("train", "hidden", hidden, "an integer in 1..500")
     encoding = fit_encoding(q, known, inputs)
     search = SparrowSearch(population, iterations)
-    x = encoding.encode(q, known)
+    raw = encoding.raw(q, known)
+    x = encoding.standardise(raw)
     offset = np.median(y[weights > 0], axis=0)
     scale = float(np.sqrt(np.mean(np.median(np.abs(y - offset)[weights > 0], axis=0) ** 2)))
     scale = max(1.4826 * scale, 1e-9)
@@ -110,7 +111,6 @@ def train(
         "iterations": iterations, "hidden": units, "ensemble": ensemble, "samples": len(q),
     }  # fmt: skip
     origin = provenance or Provenance()
-    raw = raw_columns(q, known, encoding.context)
     lower, upper = _ranges(raw)
     draft = Predictor(
         encoding=encoding,

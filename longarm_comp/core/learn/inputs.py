@@ -46,12 +46,16 @@ class Encoding:
         raw = raw_names(self.joints, self.context)
         return tuple(raw[i] for i in self.kept)
 
-    def encode(self, q: Array, context: Context) -> Array:
-        """Inputs (N, d) of joints (N, n); NaN in a context column, or its absence, means unknown
-        and is replaced by the training mean."""
-        raw = raw_columns(q, context, self.context)[:, self.kept]
-        x: Array = (raw - self.mean) / self.scale
-        return np.where(np.isnan(x), 0.0, x) if self.context else x
+    def raw(self, q: Array, context: Context) -> Array:
+        """(N, columns) raw inputs in SI units; NaN where the context is not known."""
+        return raw_columns(q, context, self.context)
+
+    def standardise(self, raw: Array) -> Array:
+        """Inputs (N, d) of raw columns; what is not known is taken at its training mean."""
+        x: Array = (raw[:, self.kept] - self.mean) / self.scale
+        if self.context:
+            x[np.isnan(x)] = 0.0
+        return x
 
 
 def raw_names(joints: int, context: tuple[str, ...]) -> list[str]:
@@ -67,21 +71,27 @@ def raw_names(joints: int, context: tuple[str, ...]) -> list[str]:
 def raw_columns(q: Array, context: Context, used: tuple[str, ...]) -> Array:
     """(N, columns) raw inputs in SI units; NaN where the context is not known."""
     n, joints = q.shape
-    columns = [q]
+    raw = np.empty((n, joints + sum(_width(name, joints) for name in used)))
+    raw[:, :joints] = q
+    at = joints
     for name in used:
-        value = context.get(name)
-        width = joints + 1 if name == "approach" else 1
+        width, value = _width(name, joints), context.get(name)
+        columns = raw[:, at : at + width]
+        at += width
         if value is None:
-            columns.append(np.full((n, width), np.nan))
+            columns[:] = np.nan
         elif name == "approach":
-            direction = np.asarray(value, float)
-            if direction.ndim < 2:
-                direction = np.broadcast_to(direction.reshape(-1, 1), (n, joints))
-            mean = direction.mean(axis=1, keepdims=True)
-            columns += [mean, direction - mean]
+            direction = columns[:, 1:]
+            direction[:] = value if np.ndim(value) == 2 else np.reshape(value, (-1, 1))
+            columns[:, 0] = direction.sum(axis=1) / joints
+            direction -= columns[:, :1]
         else:
-            columns.append(np.broadcast_to(np.asarray(value, float).reshape(-1, 1), (n, 1)))
-    return np.concatenate(columns, axis=1)
+            columns[:, 0] = value
+    return raw
+
+
+def _width(name: str, joints: int) -> int:
+    return joints + 1 if name == "approach" else 1
 
 
 def fit_encoding(q: Array, context: Context, kind: str) -> Encoding:

@@ -141,10 +141,10 @@ def _expand(shape: Shape, w: Array, gram: Array) -> Array:
 def squared_error(shape: Shape, x: Array, y: Array) -> Callable[[Weights], NDArray[np.float32]]:
     """The sparrow's fitness: weights (P, D) -> mean squared error per output (P,), float32.
 
-    All sparrows go through one matrix product, in blocks that fit the cache. As ``tanh a = 1 - 2 s``
-    with ``s = 1 / (1 + exp 2a)``, one exponential serves and the rest folds into the output layer:
-    ``y = -2 s W + (sum W + b)``. Measured against mealpy's one-by-one evaluation in
-    ``bench/ssa.py``.
+    All sparrows go through one matrix product, in blocks that fit the cache. With
+    ``tanh a = 1 - 2 s`` and ``s = 1 / (1 + exp 2a)`` one exponential serves and the rest folds into
+    the output layer, ``y = -2 s W + (sum W + b)``. Measured against mealpy's one-by-one evaluation
+    in ``bench/ssa.py``.
     """
     n, k, h = len(x), shape.outputs, shape.hidden
     x1t = np.ascontiguousarray(2.0 * with_ones(x).T, dtype=np.float32)  # (d+1, N)

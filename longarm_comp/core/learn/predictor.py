@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.learn.inputs import Context, Encoding, check_rows, raw_columns, raw_names
+from longarm_comp.core.learn.inputs import Context, Encoding, check_rows, raw_names
 from longarm_comp.core.learn.network import Shape, output_jacobian, with_ones
 
 Array = NDArray[np.float64]
@@ -83,7 +83,8 @@ class Predictor:
     def predict(self, q: Array, context: Context | None = None) -> Prediction:
         """Expected residual at joints (N, n), rad and m.
 
-        Context that is absent or NaN is taken at its training mean.
+        Context that is absent or NaN is taken at its training mean, and ``sigma`` grows by what it
+        would have told.
 
         Raises
         ------
@@ -92,17 +93,26 @@ class Predictor:
         q, known = check_rows("predict", q, context or {})
         if q.shape[1] != self.encoding.joints:
             raise InputError("predict", "q", f"{q.shape[1]} joints", f"{self.encoding.joints}")
-        error, epistemic = self._mean_and_variance(self.encoding.encode(q, known))
+        raw = self.encoding.raw(q, known)
+        x = self.encoding.standardise(raw)
+        error, epistemic = self._mean_and_variance(x)
+        if np.isnan(raw).any():
+            epistemic = epistemic + self._unknown_context(raw, x)
         sigma = self.widen * np.sqrt(epistemic + self.noise**2)
-        inside, reason = self._domain(q, known, epistemic.max(axis=1))
+        inside, reason = self._domain(raw, epistemic.max(axis=1))
         return Prediction(error, sigma, inside, reason)
+
+    def _outputs(self, x: Array) -> Array:
+        """Standardised outputs (M, N, 3) of the members for standardised inputs (N, d)."""
+        v, w, b = self._members  # type: ignore[attr-defined]
+        outputs: Array = np.tanh(with_ones(x) @ v) @ w + b
+        return outputs
 
     def _mean_and_variance(self, x: Array) -> tuple[Array, Array]:
         """Mean (N, 3) and epistemic variance (N, 3) in m, m^2 for standardised inputs (N, d)."""
-        v, w, b = self._members  # type: ignore[attr-defined]
         x1 = with_ones(x)
-        outputs = np.tanh(x1 @ v) @ w + b  # (M, N, 3)
-        mean = outputs.mean(axis=0)
+        outputs = self._outputs(x)
+        mean = outputs.sum(axis=0) / len(outputs)
         variance = ((outputs - mean) ** 2).sum(axis=0) / max(1, len(outputs) - 1)
         for start in range(0, len(x1), 1024):
             rows = slice(start, start + 1024)
@@ -113,15 +123,26 @@ class Predictor:
             variance[rows] += laplace.reshape(-1, len(self.offset))
         return mean * self.scale + self.offset, variance * self.scale**2
 
-    def _domain(
-        self, q: Array, known: Mapping[str, Array], variance: Array
-    ) -> tuple[NDArray[np.bool_], list[str]]:
+    def _unknown_context(self, raw: Array, x: Array) -> Array:
+        """Variance (N, 3) in m^2 of what is not known: one training sd to either side, column by
+        column."""
+        unknown = np.isnan(raw[:, self.encoding.kept])
+        variance = np.zeros((len(x), len(self.offset)))
+        for column in np.flatnonzero(unknown.any(axis=0)):
+            step = np.zeros_like(x)
+            step[:, column] = unknown[:, column]
+            apart = self._outputs(x + step).mean(axis=0) - self._outputs(x - step).mean(axis=0)
+            variance += (0.5 * self.scale * apart) ** 2
+        return variance
+
+    def _domain(self, raw: Array, variance: Array) -> tuple[NDArray[np.bool_], list[str]]:
         low, high = self._box  # type: ignore[attr-defined]
-        raw = raw_columns(q, known, self.encoding.context)
         outside = (raw < low) | (raw > high)  # NaN, not known, is neither
         unsure = variance > self.variance_limit
         bad = unsure | outside.any(axis=1)
-        reason = [""] * len(q)
+        reason = [""] * len(raw)
+        if not bad.any():
+            return ~bad, reason
         names = raw_names(self.encoding.joints, self.encoding.context)
         for row in np.flatnonzero(bad):
             parts = [

@@ -11,7 +11,7 @@ discoverer           ``i <= PD n``             ``X exp(-i / (alpha T))`` while `
 follower             ``PD n < i <= n / 2``     ``Xp + sum_j(+-|X_j - Xp_j|) / D``
 starving follower    ``i > n / 2``             ``Q exp((Xworst - X) / i^2)``
 vigilante            random ``SD n``           ``Xbest + beta |X - Xbest|``, ``beta`` per dimension;
-                                               the best itself ``X + K |X - Xworst| / (f - f_worst)``
+                                               the best: ``X + K |X - Xworst| / (f - f_worst)``
 ===================  ========================  ====================================================
 
 ``A+ = A'(AA')^-1`` of a row ``A`` of ``+-1`` is ``A' / D`` exactly, so nothing is inverted. The
