@@ -1,0 +1,178 @@
+"""Arms from URDF against pinocchio: tip poses, and the torques that masses and COMs make."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model import Model, unstack
+from longarm_comp.urdf import import_urdf
+
+ROBOTS = (
+    ("panda_description/urdf/panda.urdf", "panda_link0", "panda_hand_tcp", 7),
+    ("z1_description/urdf/z1.urdf", "link00", "gripperStator", 6),
+    ("so_arm_description/urdf/so101.urdf", "base_link", "gripper_frame_link", 5),
+    ("tiago_description/robots/tiago.urdf", "torso_fixed_link", "arm_tool_link", 8),
+    ("tiago_pro_description/robots/tiago_pro.urdf", "base_link", "arm_left_tool_link", 8),
+    ("kinova_description/robots/kinova.urdf", "base", "j2s6s200_end_effector", 6),
+)
+
+CHAIN = """<robot name="lift">
+  <link name="base"/>
+  <link name="a"><inertial><origin xyz="0.1 0 0.02"/><mass value="1.5"/>
+    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="b"><inertial><origin xyz="0 0.2 0" rpy="1 2 3"/><mass value="0.5"/>
+    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="c"/>
+  <link name="side"><inertial><mass value="0.3"/>
+    <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="ja" type="prismatic"><parent link="base"/><child link="a"/>
+    <origin xyz="0 0 0.3" rpy="0 1.5707963267948966 0"/><axis xyz="0 -1 0"/>
+    <limit lower="-0.1" upper="0.4" effort="1" velocity="1"/></joint>
+  <joint name="jb" type="prismatic"><parent link="a"/><child link="b"/>
+    <origin xyz="0 0.1 0" rpy="0.3 0 0.2"/><axis xyz="0 -1 0"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/>
+    <mimic joint="ja" multiplier="1.5" offset="0.02"/></joint>
+  <joint name="jc" type="revolute"><parent link="b"/><child link="c"/>
+    <axis xyz="1 1 1"/><limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
+  <joint name="js" type="fixed"><parent link="b"/><child link="side"/>
+    <origin xyz="0 0 0.4"/></joint>
+</robot>
+"""
+
+
+def example(name: str) -> Path:
+    """A public robot's URDF out of the package `example-robot-data`."""
+    for entry in map(Path, sys.path):
+        path = entry / "cmeel.prefix" / "share" / "example-robot-data" / "robots" / name
+        if path.is_file():
+            return path
+    pytest.skip("example-robot-data is not installed")
+
+
+def compare(path: Path, base: str, tip: str, arm: Arm, rng: np.random.Generator) -> None:
+    """Tip pose and gravity torques at random joints, another library's against this one's."""
+    pin = pytest.importorskip("pinocchio")
+    robot = pin.buildModelFromUrdf(str(path))
+    robot.gravity.linear = np.array(arm.gravity_mps2)
+    data = robot.createData()
+    model = Model(arm)
+    rows, offset = arm.mixing
+    for _ in range(10):
+        q = arm.lower + rng.random(arm.n) * (arm.upper - arm.lower)
+        v = np.zeros(robot.nv)
+        for joint, value in zip(arm.joints, rows @ q + offset, strict=True):
+            if joint.type != "fixed":
+                v[robot.joints[robot.getJointId(joint.name)].idx_v] = value
+        configuration = pin.integrate(robot, pin.neutral(robot), v)
+        pin.framesForwardKinematics(robot, data, configuration)
+        base_pose, tip_pose = (data.oMf[robot.getFrameId(link, pin.BODY)] for link in (base, tip))
+        expected = (base_pose.inverse() * tip_pose).homogeneous
+        assert np.abs(model.pose(q) - expected).max() < 1e-9
+        torque = pin.computeGeneralizedGravity(robot, data, configuration)
+        posture = model.posture(unstack(q))
+        for row, name in zip(arm.commanded, arm.joint_names, strict=True):
+            station = posture.bearing(row)
+            turning = arm.joints[row - 1].type == "revolute"
+            carried = posture.moment(station) if turning else posture.force(station)
+            mine = float(carried[2])
+            assert mine == pytest.approx(
+                -torque[robot.joints[robot.getJointId(name)].idx_v], abs=1e-8
+            )
+
+
+@pytest.mark.parametrize(("name", "base", "tip", "n"), ROBOTS)
+def test_public_robots(name: str, base: str, tip: str, n: int, rng: np.random.Generator) -> None:
+    path = example(name)
+    data = import_urdf(path, base, tip)
+    arm = Arm.parse(yaml.safe_load(yaml.safe_dump(data)), str(path))
+    assert arm.n == n
+    assert sum(m.mass_kg for m in arm.point_masses) > 0
+    compare(path, base, tip, arm, rng)
+
+
+def test_mimic_side_branch_and_odd_axes(tmp_path: Path, rng: np.random.Generator) -> None:
+    path = tmp_path / "lift.urdf"
+    path.write_text(CHAIN)
+    arm = Arm.parse(import_urdf(path, "base", "c"), "lift")
+    assert arm.joint_names == ("ja", "jc")
+    assert np.allclose(arm.lower, [-0.1, -2])
+    assert {m.name: m.mass_kg for m in arm.point_masses} == {"a": 1.5, "b": 0.5, "side": 0.3}
+    compare(path, "base", "c", arm, rng)
+
+
+def test_continuous_joints_get_half_a_turn_and_coinciding_limits_are_fixed(tmp_path: Path) -> None:
+    text = CHAIN.replace('"revolute"', '"continuous"')
+    text = text.replace('lower="-0.1" upper="0.4"', 'lower="0.1" upper="0.1"')
+    text = text.replace('<mimic joint="ja" multiplier="1.5" offset="0.02"/>', "")
+    path = tmp_path / "lift.urdf"
+    path.write_text(text)
+    arm = Arm.parse(import_urdf(path, "base", "c"), "lift")
+    assert arm.joint_names == ("jb", "jc")
+    assert arm.upper[1] == pytest.approx(np.pi)
+    at_zero = Model(arm).tip(np.zeros(2))
+    # Joint ja stands at 0.1 m along -y, which its origin leaves as it is; jb's origin is 0.1 m on.
+    assert np.allclose(at_zero, [0, 0, 0.3], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("<robot", "<machine", "machine"),
+        ('name="lift">', 'name="lift">\n<broken', "a URDF (XML)"),
+        ('type="revolute"', 'type="floating"', "joint jc: 'floating'"),
+        ('<limit lower="-2" upper="2" effort="1" velocity="1"/>', "", "joint jc limit: 'missing'"),
+        ('lower="-2" upper="2"', 'lower="2" upper="-2"', "joint jc limit"),
+        ('xyz="1 1 1"', 'xyz="0 0 0"', "joint jc axis"),
+        ('xyz="1 1 1"', 'xyz="1 1"', "joint jc axis"),
+        ('value="1.5"', 'value="heavy"', "link a mass: 'heavy'"),
+        ('value="1.5"', 'value="-1"', "link a mass"),
+        ('value="1.5"', 'value="nan"', "link a mass: 'nan'"),
+        ('<child link="c"/>', '<child link="d"/>', "joint jc: 'd'"),
+        ('<link name="c"/>', '<link name="b"/>', "link: 'a name is missing or twice'"),
+        ('mimic joint="ja"', 'mimic joint="jz"', "joint jb mimic: 'jz'; allowed: a joint of"),
+    ],
+)
+def test_bad_urdf(old: str, new: str, words: str, tmp_path: Path) -> None:
+    assert old in CHAIN
+    path = tmp_path / "bad.urdf"
+    text = CHAIN.replace(old, new)
+    path.write_text(text.replace("</robot>", "</machine>") if new == "<machine" else text)
+    with pytest.raises(InputError) as caught:
+        import_urdf(path, "base", "c")
+    assert words in str(caught.value)
+    assert str(caught.value).startswith(str(path))
+
+
+@pytest.mark.parametrize(
+    ("base", "tip", "words"),
+    [
+        ("basis", "c", "--base: 'basis'; allowed: a link: base, a, b, c, side"),
+        ("base", "tcp", "--tip: 'tcp'"),
+        ("c", "base", "a link below c"),
+        ("b", "side", "a link that moves against b"),
+    ],
+)
+def test_bad_ends(base: str, tip: str, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "lift.urdf"
+    path.write_text(CHAIN)
+    with pytest.raises(InputError) as caught:
+        import_urdf(path, base, tip)
+    assert words in str(caught.value)
+
+
+def test_no_file_and_xacro(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="No such file"):
+        import_urdf(tmp_path / "none.urdf", "a", "b")
+    path = tmp_path / "robot.xacro"
+    path.write_text(
+        '<robot name="r" xmlns:xacro="http://ros.org/wiki/xacro"><xacro:macro name="m"/></robot>'
+    )
+    with pytest.raises(InputError, match="expand it"):
+        import_urdf(path, "a", "b")
