@@ -118,7 +118,19 @@ def test_noise_and_a_late_reply_do_not_become_an_answer(rig: Rig) -> None:
         late.read([1])
     emulator.faults.delay(1, 0.0)
     time.sleep(0.3)
-    assert late.read([2])[2].position_ticks == 1000
+    emulator.push(1, 555.0)
+    assert late.read([1])[1].position_ticks == 555
+    assert late.counters.stale_bytes > 0
+
+
+def test_an_answer_of_another_servo_is_not_taken(rig: Rig) -> None:
+    emulator, bus = rig
+    dialect = PROTOCOLS[emulator.protocol]()
+    (frame,) = emulator._wire.take(bytearray(dialect.sync_read([4], dialect.state)))
+    ((_, stray),) = emulator._wire.answer(frame, emulator._devices)
+    emulator.faults.before_next(stray)
+    assert {i: s.position_ticks for i, s in bus.read([1]).items()} == {1: 2048}
+    assert bus.counters.stray_frames == 1
 
 
 def _open_one_try(emulator: ServoEmulator, bus: SerialServoBus) -> SerialServoBus:

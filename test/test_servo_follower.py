@@ -158,6 +158,12 @@ def test_a_trajectory_that_is_too_fast_is_slowed_down_evenly(rig: Rig) -> None:
     assert rig.follower.state is FollowerState.HOLDING
 
 
+def test_one_hasty_segment_does_not_slow_down_the_others(rig: Rig) -> None:
+    rig.send((0.01, {"turn": 0.9}), (3.0, {"turn": 0.7}))
+    rig.run(7.0)
+    assert rig.follower.state is FollowerState.HOLDING
+
+
 def test_replacing_a_running_trajectory_is_smooth(rig: Rig) -> None:
     """Position and velocity go on without a jump, and the new end is reached."""
     rig.send((2.0, {"turn": 0.9}))
