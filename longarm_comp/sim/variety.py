@@ -91,8 +91,8 @@ def paper_mix(
         drives.JointGain(gain),
         drives.PrismaticPitch(0.03 * signs * sliding),
         drives.GearEccentricity(np.stack([0 * second, second]), phase),
-        drives.FrictionHysteresis(play * rng.uniform(5e-3, 1.2e-2, arm.n)),
-        drives.Backlash(play * rng.uniform(6e-3, 1.2e-2, arm.n), gate=0.35),
+        drives.FrictionHysteresis(play * rng.uniform(3e-3, 7e-3, arm.n)),
+        drives.Backlash(play * rng.uniform(5e-3, 1e-2, arm.n), gate=0.35),
     )
     fixed: tuple[HiddenEffect, ...] = (
         drives.ServoQuantisation(turning * (2 * np.pi / 1000)),
