@@ -7,7 +7,7 @@ from setuptools import find_packages, setup
 NAME = "longarm_comp"
 
 # Programs that `ros2 run longarm_comp ...` finds: the modules of nodes/ that have a main.
-NODES = ["error_predictor", "kinematics"]
+NODES = ["error_predictor", "kinematics", "servo_driver"]
 
 RUNTIME = [
     "click>=8.1",
@@ -49,6 +49,9 @@ EXTRAS = {
     ],
 }
 
+# Files beside the modules that read them: arms, page templates.
+DATA_KINDS = ["css", "html", "j2", "js", "json", "yaml"]
+
 setup(
     name=NAME,
     version="0.1.0",
@@ -56,7 +59,7 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "report/templates/*"]},
+    package_data={NAME: ["py.typed", *(f"**/*.{kind}" for kind in DATA_KINDS)]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
