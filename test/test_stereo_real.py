@@ -1,4 +1,4 @@
-"""Real photographs (25 stereo pairs of a chessboard): calibrated on the odd ones, proved on the even.
+"""Real photographs (25 stereo pairs of a chessboard): calibrated on the odd, proved on the even.
 
 Lengths are in squares. A quick script with OpenCV's own corners and linear triangulation leaves
 1.4 % rms on the held-out square lengths (the data's README); this is the figure to beat.

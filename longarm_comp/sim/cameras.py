@@ -22,7 +22,7 @@ from longarm_comp.core.errors import InputError
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
-_FINE = 8  # fine pixels along the side of an image pixel
+_FINE = 6  # fine pixels along the side of an image pixel
 _BACK_GREY = 90.0  # the plate's unprinted side, and what covers it
 
 
@@ -43,7 +43,7 @@ def tag_plate(
     first_id: int = 0,
     print_scale: float = 1.0,
 ) -> Plate:
-    """A grid of tags, ids along the rows from the top left, with a white margin of a fifth of a tag.
+    """A grid of tags, ids along the rows from the top left, a white margin of 0.2 tags.
 
     `print_scale` is how much larger than declared the printer made everything.
     """
@@ -115,7 +115,7 @@ class CameraPair:
         return np.array([[self.focal_px, 0.0, cx], [0.0, self.focal_px, cy], [0.0, 0.0, 1.0]])
 
     @property
-    def base_T_left(self) -> Array:
+    def left_in_base(self) -> Array:
         """Pose (4, 4) of the left camera, level with the horizon."""
         z = np.asarray(self.optical_axis, dtype=float)
         z = z / np.linalg.norm(z)
@@ -127,7 +127,7 @@ class CameraPair:
         return pose
 
     @property
-    def right_T_left(self) -> Array:
+    def right_from_left(self) -> Array:
         """Left-camera points to right-camera points, (4, 4)."""
         turn = cv2.Rodrigues(np.asarray(self.right_turn_rad, dtype=float))[0].T
         out = np.eye(4)
@@ -135,9 +135,9 @@ class CameraPair:
         return out
 
     @property
-    def base_T_camera(self) -> Array:
-        """Pose (4, 4) of the left optical frame that `camera_infos` speak of (the rectified one)."""
-        out = self.base_T_left
+    def camera_in_base(self) -> Array:
+        """Pose (4, 4) of the left optical frame that `camera_infos` speak of (rectified)."""
+        out = self.left_in_base
         out[:3, :3] = out[:3, :3] @ self._rectification()[0].T
         return out
 
@@ -151,7 +151,7 @@ class CameraPair:
         return CameraInfo(*self.size, "plumb_bob", self.d, k, r_, p_)
 
     def _rectification(self) -> tuple[Array, Array, Array, Array]:
-        d, move = np.asarray(self.d), self.right_T_left
+        d, move = np.asarray(self.d), self.right_from_left
         if not any(self.right_turn_rad):
             p = np.hstack([self.k, np.zeros((3, 1))])
             p_right = p.copy()
@@ -192,9 +192,9 @@ def render(
 ) -> tuple[Grey, Grey]:
     """The two raw images (H, W) uint8 of a plate at a pose (4, 4) in the base frame."""
     conditions = conditions or Conditions()
-    left_T_marker = np.linalg.inv(head.base_T_left) @ np.asarray(base_T_marker, dtype=float)
+    left_T_marker = np.linalg.inv(head.left_in_base) @ np.asarray(base_T_marker, dtype=float)
     left = _image(left_T_marker, plate, head, conditions, 0, rng)
-    right = _image(head.right_T_left @ left_T_marker, plate, head, conditions, 1, rng)
+    right = _image(head.right_from_left @ left_T_marker, plate, head, conditions, 1, rng)
     return left, right
 
 
@@ -206,9 +206,7 @@ def _image(
     eye: int,
     rng: np.random.Generator,
 ) -> Grey:
-    light = _background(conditions.background + eye, head.size).copy()
-    if conditions.blur_px > 0.0:
-        light = cv2.GaussianBlur(light, (0, 0), conditions.blur_px)
+    light = _background(conditions.background + eye, head.size, conditions.blur_px).copy()
     window = _window(camera_T_marker, plate, head, conditions)
     if window is not None:
         x0, y0, x1, y1 = window
@@ -252,22 +250,21 @@ def _fine_plate(
     x0, y0, x1, y1 = window
     u = x0 - 0.5 + (np.arange((x1 - x0) * _FINE) + 0.5) / _FINE
     v = y0 - 0.5 + (np.arange((y1 - y0) * _FINE) + 0.5) / _FINE
-    grid = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 1, 2)
+    ray_x = (u - head.k[0, 2])[None] / head.focal_px
+    ray_y = (v - head.k[1, 2])[:, None] / head.focal_px
     if any(head.d):
-        stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-10)
-        rays = cv2.undistortPoints(grid, head.k, np.asarray(head.d), criteria=stop)
-    else:
-        rays = (grid - head.k[:2, 2]) / head.focal_px
+        ray_x, ray_y = _undistorted(window, head)
     to_plane = np.linalg.inv(camera_T_marker[:3, [0, 1, 3]])  # ray -> (X, Y, 1) of the plane
-    x, y, w = to_plane @ np.vstack([rays[:, 0].T, np.ones(len(grid))])
-    shape = (v.size, u.size)
-    across = (x / w / plate.size_m[0] + 0.5).reshape(shape)
-    down = (0.5 - y / w / plate.size_m[1]).reshape(shape)
+    to_plane[0] /= plate.size_m[0]
+    to_plane[1] /= plate.size_m[1]
+    to_plane, ray_x, ray_y = (a.astype(np.float32) for a in (to_plane, ray_x, ray_y))
+    x, y, w = (row[0] * ray_x + (row[1] * ray_y + row[2]) for row in to_plane)
+    across, down = x / w + np.float32(0.5), np.float32(0.5) - y / w
     height, width = plate.texture.shape
     colour = cv2.remap(
         plate.texture,
-        (across * width - 0.5).astype(np.float32),
-        (down * height - 0.5).astype(np.float32),
+        across * np.float32(width) - np.float32(0.5),
+        down * np.float32(height) - np.float32(0.5),
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_REPLICATE,
     ).astype(np.float32)
@@ -275,6 +272,19 @@ def _fine_plate(
     colour[(across < covered) | from_behind] = _BACK_GREY
     share = ((np.abs(across - 0.5) <= 0.5) & (np.abs(down - 0.5) <= 0.5)).astype(np.float32)
     return colour * share, share
+
+
+def _undistorted(window: tuple[int, int, int, int], head: CameraPair) -> tuple[Array, Array]:
+    """Rays x/z, y/z of the window's fine pixels: exact at pixel centres, linear between them."""
+    x0, y0, x1, y1 = window
+    u, v = np.arange(x0 - 1.0, x1 + 1.0), np.arange(y0 - 1.0, y1 + 1.0)
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-10)
+    grid = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 1, 2)
+    rays = cv2.undistortPoints(grid, head.k, np.asarray(head.d), criteria=stop)
+    coarse = rays.reshape(v.size, u.size, 2)
+    fine = cv2.resize(coarse, None, fx=_FINE, fy=_FINE, interpolation=cv2.INTER_LINEAR)
+    inner = fine[_FINE:-_FINE, _FINE:-_FINE]
+    return inner[..., 0], inner[..., 1]
 
 
 def _seen_through(fine: NDArray[np.float32], conditions: Conditions) -> NDArray[np.float32]:
@@ -297,8 +307,8 @@ def _path_kernel(motion_px: tuple[float, float]) -> NDArray[np.float32]:
 
 
 @lru_cache(maxsize=8)
-def _background(seed: int, size: tuple[int, int]) -> NDArray[np.float32]:
-    """A cluttered wall: soft patches, boxes with sharp edges, fine grain."""
+def _background(seed: int, size: tuple[int, int], blur_px: float) -> NDArray[np.float32]:
+    """A cluttered wall: soft patches, boxes with sharp edges, fine grain; then the lens."""
     rng = np.random.default_rng(seed)
     soft = rng.uniform(60.0, 150.0, (size[1] // 80 + 2, size[0] // 80 + 2)).astype(np.float32)
     wall = cv2.resize(soft, size, interpolation=cv2.INTER_CUBIC)
@@ -307,7 +317,8 @@ def _background(seed: int, size: tuple[int, int]) -> NDArray[np.float32]:
         w, h = rng.integers(4, 90, 2)
         wall[y : y + h, x : x + w] = rng.uniform(30.0, 220.0)
     wall += rng.normal(0.0, 4.0, wall.shape).astype(np.float32)
-    return np.clip(wall, 0.0, 255.0)
+    wall = np.clip(wall, 0.0, 255.0)
+    return cv2.GaussianBlur(wall, (0, 0), blur_px) if blur_px > 0.0 else wall
 
 
 def _dictionary(name: str) -> cv2.aruco.Dictionary:

@@ -69,7 +69,9 @@ def calibrate_stereo(
     rights = {i: _flat(pairs[i][1].pixels[common[i][2]]) for i in usable}
     try:
         cameras = [
-            cv2.calibrateCamera([objects[i] for i in usable], [seen[i] for i in usable], size, None, None)
+            cv2.calibrateCamera(
+                [objects[i] for i in usable], [seen[i] for i in usable], size, None, None
+            )
             for seen in (lefts, rights)
         ]
         used = usable
@@ -78,13 +80,16 @@ def calibrate_stereo(
                 [objects[i] for i in used],
                 [lefts[i] for i in used],
                 [rights[i] for i in used],
-                *(camera[j] for camera in cameras for j in (1, 2)),
+                cameras[0][1],
+                cameras[0][2],
+                cameras[1][1],
+                cameras[1][2],
                 size,
                 flags=cv2.CALIB_USE_INTRINSIC_GUESS,
                 criteria=_ACCURATE,
             )
-            right_T_left = np.vstack([np.hstack([turn, move.reshape(3, 1)]), [0, 0, 0, 1]])
-            rig = StereoRig.from_extrinsics((k_l, d_l), (k_r, d_r), right_T_left, size)
+            right_from_left = np.vstack([np.hstack([turn, move.reshape(3, 1)]), [0, 0, 0, 1]])
+            rig = StereoRig.from_extrinsics((k_l, d_l), (k_r, d_r), right_from_left, size)
             off = np.full(len(pairs), np.nan)
             for i in usable:
                 off[i] = triangulate(rig, lefts[i].reshape(-1, 2), rights[i].reshape(-1, 2)).rms_px

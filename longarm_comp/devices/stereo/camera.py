@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import cv2
@@ -25,13 +26,20 @@ _MODELS = {"": 8, "plumb_bob": 5, "rational_polynomial": 8}  # distortion model 
 class CameraInfoLike(Protocol):
     """What is read of a sensor_msgs/CameraInfo (any object with these attributes will do)."""
 
-    width: int
-    height: int
-    distortion_model: str
-    d: Sequence[float]
-    k: Any
-    r: Any
-    p: Any
+    @property
+    def width(self) -> int: ...
+    @property
+    def height(self) -> int: ...
+    @property
+    def distortion_model(self) -> str: ...
+    @property
+    def d(self) -> Sequence[float]: ...
+    @property
+    def k(self) -> Any: ...
+    @property
+    def r(self) -> Any: ...
+    @property
+    def p(self) -> Any: ...
 
 
 @dataclass(frozen=True)
@@ -86,7 +94,10 @@ class Camera:
         """Pixels (N, 2) of rig points (N, 3) and their Jacobian (N, 2, 3), px/m."""
         x, y, z = (points @ self.rotation.T + self.translation).T
         u, v = x / z, y / z
-        (ud, vd), ((uu, uv), (vu, vv)) = _distorted(u, v, self.d)
+        if self._pinhole:
+            ud, vd, uu, uv, vu, vv = u, v, 1.0, 0.0, 0.0, 1.0
+        else:
+            (ud, vd), ((uu, uv), (vu, vv)) = _distorted(u, v, self.d)
         fx, skew, fy = self.k[0, 0], self.k[0, 1], self.k[1, 1]
         pixels = np.stack([fx * ud + skew * vd + self.k[0, 2], fy * vd + self.k[1, 2]], axis=-1)
         by_ray = np.empty((*z.shape, 2, 2))  # d pixel / d (u, v)
@@ -97,8 +108,12 @@ class Camera:
         by_point[:, 0, 2], by_point[:, 1, 2] = -u / z, -v / z
         return pixels, by_ray @ (by_point @ self.rotation)
 
+    @cached_property
+    def _pinhole(self) -> bool:
+        return not np.any(self.d)
+
     def rays(self, pixels: Array) -> Array:
-        """Undistorted directions (N, 3) with z = 1, in this camera's own frame, of pixels (N, 2)."""
+        """Undistorted directions (N, 3), z = 1, in this camera's own frame, of pixels (N, 2)."""
         stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
         flat = np.ascontiguousarray(pixels, dtype=float).reshape(-1, 1, 2)
         rays = cv2.undistortPoints(flat, self.k, self.d, criteria=stop).reshape(-1, 2)
@@ -167,11 +182,11 @@ class StereoRig:
         cls,
         left: tuple[ArrayLike, ArrayLike],
         right: tuple[ArrayLike, ArrayLike],
-        right_T_left: ArrayLike,
+        right_from_left: ArrayLike,
         size: tuple[int, int],
     ) -> StereoRig:
-        """The rig of two (K, D) and the (4, 4) transform of left-frame points to the right frame."""
-        transform = np.asarray(right_T_left, dtype=float).reshape(4, 4)
+        """The rig of two (K, D) and the (4, 4) that takes left-frame points to the right frame."""
+        transform = np.asarray(right_from_left, dtype=float).reshape(4, 4)
         return cls(
             Camera(left[0], np.eye(3), np.zeros(3), size, left[1]),
             Camera(right[0], transform[:3, :3], transform[:3, 3], size, right[1]),

@@ -15,6 +15,7 @@ from longarm_comp.devices.stereo.camera import Array
 
 _ALONG = np.linspace(0.12, 0.88, 24)  # where on a side the edge is located
 _STEP_PX = 0.25
+_BEFORE = [3, 0, 1, 2]  # the side that ends in each corner
 _REACH = (0.7, 0.5, 0.45, 0.45)  # half window across a side, in cells; one pass each
 
 
@@ -52,14 +53,16 @@ def refine_quads(grey: NDArray[np.uint8], quads: Array, modules: int) -> Array:
 def _intersections(edge: Array, fallback: Array) -> Array:
     """Corners where the lines through the points `edge` (N, 4, M, 2) of neighbouring sides meet."""
     centre = edge.mean(axis=2)
-    spread = edge - centre[:, :, None]
-    moments = np.einsum("nsmi,nsmj->nsij", spread, spread)
-    normal = np.linalg.eigh(moments)[1][..., 0]  # (N, 4, 2), least spread
-    offset = np.einsum("nsi,nsi->ns", normal, centre)
-    pair = np.stack([np.roll(normal, 1, axis=1), normal], axis=-2)  # side before, side after
-    right = np.stack([np.roll(offset, 1, axis=1), offset], axis=-1)
-    parallel = np.abs(np.linalg.det(pair)) < 1e-3
-    pair = np.where(parallel[..., None, None], np.eye(2), pair)
-    corners = np.linalg.solve(pair, right[..., None])[..., 0]
+    x, y = np.moveaxis(edge - centre[:, :, None], -1, 0)
+    angle = 0.5 * np.arctan2(2 * np.sum(x * y, axis=2), np.sum(x * x - y * y, axis=2))
+    nx, ny = -np.sin(angle), np.cos(angle)  # across the direction of most spread
+    offset = nx * centre[..., 0] + ny * centre[..., 1]
+    before = [a[:, _BEFORE] for a in (nx, ny, offset)]
+    cross = before[0] * ny - before[1] * nx
+    parallel = np.abs(cross) < 1e-3
+    cross = np.where(parallel, 1.0, cross)
+    u = (before[2] * ny - before[1] * offset) / cross
+    v = (before[0] * offset - before[2] * nx) / cross
+    corners = np.stack([u, v], axis=-1)
     lost = parallel | (np.linalg.norm(corners - fallback, axis=-1) > 4.0)
     return np.where(lost[..., None], fallback, corners)

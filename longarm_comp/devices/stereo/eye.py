@@ -91,25 +91,27 @@ class StereoEye:
     Args:
         rig: the calibrated cameras.
         target: the printed marker.
-        base_T_camera: (4, 4) pose of the left optical frame in the base frame (hand-eye).
+        camera_in_base: (4, 4) pose of the left optical frame in the base frame (hand-eye).
         tip_in_marker: (3,) m, the tip in the marker frame.
         limits, noise: when to refuse; how well a corner is located.
 
     Raises:
-        InputError: if base_T_camera is not a rigid motion or tip_in_marker is not finite.
+        InputError: if camera_in_base is not a rigid motion or tip_in_marker is not finite.
     """
 
     rig: StereoRig
     target: Target
-    base_T_camera: ArrayLike = field(default_factory=lambda: np.eye(4))
+    camera_in_base: ArrayLike = field(default_factory=lambda: np.eye(4))
     tip_in_marker: ArrayLike = (0.0, 0.0, 0.0)
     limits: Limits = field(default_factory=Limits)
     noise: PixelNoise = field(default_factory=PixelNoise)
     sightings: int = 0
     refusals: Counter[Reason] = field(default_factory=Counter)
+    _square_px2: float = field(default=0.0, repr=False)
+    _freedom: int = field(default=0, repr=False)
 
     def __post_init__(self) -> None:
-        self._hand_eye = _rigid("stereo", "base_T_camera", self.base_T_camera)
+        self._hand_eye = _rigid("stereo", "camera_in_base", self.camera_in_base)
         self._tip = np.asarray(self.tip_in_marker, dtype=float).reshape(-1)
         if self._tip.shape != (3,) or not np.all(np.isfinite(self._tip)):
             raise InputError("stereo", "tip_in_marker", self.tip_in_marker, "three finite metres")
@@ -127,6 +129,14 @@ class StereoEye:
             raise
         self.sightings += 1
         return sighting
+
+    @property
+    def corner_sigma_px(self) -> float | None:
+        """How well corners were located over all sightings so far (pooled residuals), px.
+
+        A session's figure to set `PixelNoise.sigma_px` by; None before the first sighting.
+        """
+        return float(np.sqrt(self._square_px2 / self._freedom)) if self._freedom else None
 
     def _measure(
         self, left: NDArray[np.uint8], right: NDArray[np.uint8], stamp_ns: int
@@ -158,6 +168,8 @@ class StereoEye:
         wrong = abs(size - 1.0) > self.limits.size
         self._require(Reason.MARKER_SIZE, not wrong, seen_over_declared=round(size, 4))
         self._require(Reason.REPROJECTION, rms <= self.limits.rms_px, rms_px=round(rms, 3))
+        self._square_px2 += float(np.sum(np.square(pose.residuals)))
+        self._freedom += pose.residuals.size - 6
         return self._sighting(pose, len(ids), stamp_ns)
 
     def _corners(self, grey: NDArray[np.uint8], missing: Reason, side: str) -> Corners:

@@ -34,7 +34,7 @@ class HandEye:
     that were left out.
     """
 
-    base_T_camera: Array
+    camera_in_base: Array
     marker_in_tip: Array
     covariance: Array
     residuals: Array

@@ -44,7 +44,7 @@ class MarkerPose:
         return float(np.sqrt(np.mean(np.square(self.residuals))))
 
     def at(self, in_marker: Array) -> tuple[Array, Array]:
-        """A point (3,) m fixed to the marker: in the rig frame, and the pose covariance (6, 6) there."""
+        """A point (3,) m fixed to the marker, seen in the rig frame; the pose covariance there."""
         arm = self.transform[:3, :3] @ in_marker
         lever = np.eye(6)
         lever[:3, 3:] = -cross_matrices(arm[None])[0]
@@ -92,7 +92,7 @@ def marker_pose(
         translation = translation + step[:3]
         rotation = cv2.Rodrigues(step[3:6])[0] @ rotation
         log_scale += float(step[6])
-        if np.max(np.abs(step)) < 1e-10:
+        if np.max(np.abs(step)) < 1e-8:  # m, rad: the next step is a thousandth of it
             break
     points = np.exp(log_scale) * corners @ rotation.T + translation
     residuals, _ = stereo_residuals(rig, points, left_px, right_px)

@@ -30,7 +30,7 @@ class Reason(str, enum.Enum):
         return self.value
 
 
-class StereoRefusal(JobError):
+class StereoRefusal(JobError):  # noqa: N818 - a refusal is an answer, not a fault
     """A pair of images (or a camera) that cannot be measured with.
 
     Args:

@@ -40,8 +40,9 @@ def refine_saddles(grey: NDArray[np.uint8], pixels: Array, half: int) -> Array:
         return out
     start, middle = out[inside], middle[inside]
     offset = np.arange(-half, half + 1)
-    dx, dy = (a.ravel() for a in np.meshgrid(offset, offset))
-    values = grey[middle[:, 1, None] + dy, middle[:, 0, None] + dx].astype(float)
+    dx, dy = (a.ravel().astype(float) for a in np.meshgrid(offset, offset))
+    window = np.stack(np.meshgrid(offset, offset), axis=-1).reshape(-1, 2) + middle[:, None]
+    values = grey[window[..., 1], window[..., 0]].astype(float)
     weight = np.exp(-(dx**2 + dy**2) / (2 * (0.6 * half) ** 2))
     state = _start(grey, values, start - middle, middle)
     cost, jacobian, residual = _linearised(state, dx, dy, values, weight)

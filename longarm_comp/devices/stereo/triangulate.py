@@ -15,7 +15,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
 from longarm_comp.devices.stereo.refusal import Reason, StereoRefusal
 
-_PASSES = 3  # Gauss-Newton from the linear start settles in two, to parts in 1e9 of the depth
+_PASSES = 2  # Gauss-Newton from the linear start settles in two, to parts in 1e9 of the depth
 
 
 @dataclass(frozen=True)
