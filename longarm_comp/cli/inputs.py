@@ -18,7 +18,7 @@ from longarm_comp.core.modelfile import load_model
 from longarm_comp.sessions.read import read_session
 
 if TYPE_CHECKING:
-    from longarm_comp.core.learn import Predictor
+    from longarm_comp.core.learn.predictor import Predictor
 
 
 def admitted(
@@ -55,7 +55,7 @@ def trained(path: Path, arm: Arm, model_path: Path | None) -> tuple[Predictor, b
     Raises:
         InputError: corrupt, or trained for another arm or on top of another model.
     """
-    from longarm_comp.core.learn import load
+    from longarm_comp.core.learn.predictor_file import load
 
     predictor = load(path, arm_hash=arm.hash, joint_names=arm.joint_names)
     settings = predictor.provenance.settings

@@ -20,6 +20,13 @@ from longarm_comp.cli.output import note, print_json, progress
     *("--inputs",), type=click.Choice(["context", "joints"]), default="context", show_default=True,
     help="context: joints, approach, temperature, payload; joints: as in the paper.",
 )  # fmt: skip
+@click.option(
+    *("--ensemble",), type=click.IntRange(min=1), default=5, show_default=True,
+    help="Networks, each from its own start.",
+)  # fmt: skip
+@click.option(
+    "--hidden", type=click.IntRange(min=1), help="Hidden units; by evidence if not given."
+)
 @click.option("--no-deflection", is_flag=True, help='The paper\'s "network only": rigid physics.')
 @options.seed
 @options.as_json
@@ -30,6 +37,8 @@ def command(
     output: Path,
     init: str,
     inputs: str,
+    ensemble: int,
+    hidden: int | None,
     no_deflection: bool,
     seed: int,
     as_json: bool,
@@ -46,7 +55,8 @@ def command(
     from longarm_comp.cli.inputs import admitted, physics, physics_mark
     from longarm_comp.core.arm import Arm
     from longarm_comp.core.identify.calibrate import Errors, errors
-    from longarm_comp.core.learn import Provenance, train
+    from longarm_comp.core.learn.ensemble import train
+    from longarm_comp.core.learn.predictor import Provenance
     from longarm_comp.sessions.residual_inputs import predictor_context
 
     declared = Arm.load(arm)
@@ -66,6 +76,8 @@ def command(
             inputs=inputs,
             init=init,
             seed=seed,
+            ensemble=ensemble,
+            hidden=hidden,
             progress=lambda k, of: show(f"{k} of {of} networks", k / of),
             provenance=origin,
         )
