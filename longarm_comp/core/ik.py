@@ -11,22 +11,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from functools import partial
 
 import numpy as np
 
 from longarm_comp.core.context import Context
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.jacobian import geometric
+from longarm_comp.core.ik_engines import Engine, Problem, restart_points, run, warm_up, with_radii
 from longarm_comp.core.model import Model
-from longarm_comp.core.newton_batch import Batch, Evaluate, Task, search
 from longarm_comp.core.spatial import Frame
+
+__all__ = ["Engine", "Reason", "Solution", "Solutions", "solve", "solve_many", "warm_up"]
 
 TOLERANCE = 1e-9
 MAX_ITERATIONS = 60
 MAX_STARTS = 16
-_RADII = (0.25, 0.5)  # of the joint box about the seed, for the first restarts
-_CHUNK = 1024
 
 
 class Reason(Enum):
@@ -105,6 +103,7 @@ def solve(
     max_iterations: int = MAX_ITERATIONS,
     max_starts: int = MAX_STARTS,
     rng: np.random.Generator | None = None,
+    engine: Engine = Engine.AUTO,
 ) -> Solution:
     """Joints that bring the tip to one target: see `solve_many`.
 
@@ -128,6 +127,7 @@ def solve(
         max_iterations=max_iterations,
         max_starts=max_starts,
         rng=rng,
+        engine=engine,
     )
     return many[0]
 
@@ -144,6 +144,7 @@ def solve_many(
     max_iterations: int = MAX_ITERATIONS,
     max_starts: int = MAX_STARTS,
     rng: np.random.Generator | None = None,
+    engine: Engine = Engine.AUTO,
 ) -> Solutions:
     """Joints that bring the tip to each of N targets.
 
@@ -158,6 +159,7 @@ def solve_many(
         max_iterations: per start.
         max_starts: the seed and so many restarts less one; 1 never leaves the seed's branch.
         rng: draws the restarts; by default a fixed low-discrepancy sequence does.
+        engine: how to run the search; see `warm_up` for the compiled one.
 
     Raises:
         InputError: wrong shape, numbers that are not finite, no rotation, unknown joint.
@@ -167,27 +169,30 @@ def solve_many(
     start = checked_seed(model, seed, len(position))
     if not (np.isfinite(tol) and tol > 0):
         raise InputError("ik.solve_many", "tol", tol, "a number above 0")
-    lower = np.repeat(arm.lower[:, None], len(position), axis=1)
-    upper = np.repeat(arm.upper[:, None], len(position), axis=1)
+    lower = np.repeat(arm.lower[None], len(position), axis=0)
+    upper = np.repeat(arm.upper[None], len(position), axis=0)
     for k in locked_joints(model, locked):
-        lower[k] = upper[k] = start[:, k]
-    length = characteristic_length(model)
-    context = context or Context.empty()
-    parts = []
-    for first in range(0, len(position), _CHUNK):
-        rows = slice(first, first + _CHUNK)
-        task = Task(
-            np.ascontiguousarray(position[rows].T),
-            None if axes is None else np.ascontiguousarray(axes[rows].T),
-            lower[:, rows],
-            upper[:, rows],
-            arm.upper - arm.lower,
-            length,
-            tol,
-        )
-        evaluate = _evaluator(model, context.take(np.arange(len(position))[rows]))
-        parts.append(_restarted(evaluate, task, start[rows].T, max_iterations, max_starts, rng))
-    return _collect(model, parts, tol, max_iterations)
+        lower[:, k] = upper[:, k] = start[:, k]
+    more = max(max_starts - 1, 0)
+    points = restart_points(arm.n, more) if rng is None else with_radii(rng.random((more, arm.n)))
+    targets = np.zeros((len(position), 12))
+    targets[:, :3] = position
+    if axes is not None:
+        targets[:, 3:] = axes
+    problem = Problem(
+        targets,
+        3 if axes is None else 6,
+        start,
+        lower,
+        upper,
+        arm.upper - arm.lower,
+        points,
+        characteristic_length(model),
+        float(tol),
+        int(max_iterations),
+    )
+    q, report = run(model, context or Context.empty(), problem, engine)
+    return _collect(model, q, report, problem)
 
 
 def characteristic_length(model: Model) -> float:
@@ -244,7 +249,7 @@ def checked_seed(
         raise InputError(where, "seed", f"shape {given.shape}", allowed)
     if not np.isfinite(given).all():
         raise InputError(where, "seed", given, "finite joint values")
-    return np.clip(np.broadcast_to(given, (count, arm.n)), arm.lower, arm.upper)
+    return np.array(np.clip(np.broadcast_to(given, (count, arm.n)), arm.lower, arm.upper))
 
 
 def locked_joints(model: Model, locked: Sequence[int | str]) -> list[int]:
@@ -262,111 +267,23 @@ def locked_joints(model: Model, locked: Sequence[int | str]) -> list[int]:
     return made
 
 
-def _evaluator(model: Model, context: Context) -> Evaluate:
-    """The model, as the search asks for it."""
-
-    def evaluate(q: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        posture = model.posture(tuple(q), context.take(ids))
-        tip = model.tip_frame(posture)
-        shape = (6, len(q), ids.size)
-        J = np.empty(shape)
-        for k, (linear, angular) in enumerate(geometric(posture, tip.p)):
-            for i, value in enumerate((*linear, *angular)):
-                J[i, k] = value
-        p, axes = np.empty((3, ids.size)), np.empty((9, ids.size))
-        for i in range(3):
-            p[i] = tip.p[i]
-            axes[i], axes[3 + i], axes[6 + i] = tip.n[i], tip.o[i], tip.a[i]
-        return p, axes, J
-
-    return evaluate
-
-
-def _restarted(
-    evaluate: Evaluate,
-    task: Task,
-    start: np.ndarray,
-    max_iterations: int,
-    max_starts: int,
-    rng: np.random.Generator | None,
-) -> tuple[Batch, Task, np.ndarray]:
-    """Search from the seed, then again from elsewhere for those that failed."""
-    best = search(evaluate, task, start, max_iterations)
-    starts = np.ones(start.shape[1], int)
-    draws = restart_points(len(start), max_starts - 1, rng)
-    for k, point in enumerate(draws):
-        failed = np.flatnonzero((best.position > task.tol) | (best.angle > task.tol))
-        if not failed.size:
-            break
-        sub = Task(
-            task.position[:, failed],
-            None if task.axes is None else task.axes[:, failed],
-            task.lower[:, failed],
-            task.upper[:, failed],
-            task.span,
-            task.length,
-            task.tol,
-        )
-        box = sub.upper - sub.lower
-        radius = _RADII[k] if k < len(_RADII) else 1.0
-        centre = (1 - radius) * start[:, failed] + radius * (sub.lower + 0.5 * box)
-        q0 = centre + radius * (point[:, None] - 0.5) * box
-        q0 = np.clip(q0, sub.lower, sub.upper)
-        found = search(partial(_among, evaluate, failed), sub, q0, max_iterations)
-        score = np.hypot(found.position, task.length * found.angle)
-        held = np.hypot(best.position[failed], task.length * best.angle[failed])
-        won = score < held
-        to = failed[won]
-        best.q[:, to], best.position[to] = found.q[:, won], found.position[won]
-        best.angle[to] = found.angle[won]
-        best.iterations[failed] += found.iterations
-        starts[failed] += 1
-    return best, task, starts
-
-
-def _among(
-    evaluate: Evaluate, some: np.ndarray, q: np.ndarray, ids: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return evaluate(q, some[ids])
-
-
-def restart_points(n: int, count: int, rng: np.random.Generator | None) -> np.ndarray:
-    """(count, n) points in the unit box: drawn, or the additive recurrence of the plastic number's
-    generalisation (M. Roberts' R_d sequence), which is the same every time."""
-    if rng is not None:
-        return rng.random((max(count, 0), n))
-    g = 2.0
-    for _ in range(40):
-        g = (1 + g) ** (1 / (n + 1))
-    steps = (1 / g) ** np.arange(1, n + 1)
-    return (0.5 + np.arange(1, max(count, 0) + 1)[:, None] * steps) % 1.0
-
-
-def _collect(
-    model: Model, parts: list[tuple[Batch, Task, np.ndarray]], tol: float, max_iterations: int
-) -> Solutions:
-    n = model.arm.n
-    if not parts:
-        none = np.zeros(0)
-        flags = np.zeros((0, n), bool)
-        whole = np.zeros(0, int)
-        names = model.arm.joint_names
-        return Solutions(np.zeros((0, n)), none > 0, (), none, none, whole, flags, whole, names)
-    q = np.concatenate([b.q.T for b, _, _ in parts])
-    position = np.concatenate([b.position for b, _, _ in parts])
-    angle = np.concatenate([b.angle for b, _, _ in parts])
-    iterations = np.concatenate([b.iterations for b, _, _ in parts])
-    starts = np.concatenate([s for _, _, s in parts])
+def _collect(model: Model, q: np.ndarray, report: np.ndarray, problem: Problem) -> Solutions:
+    position, angle = report[:, 0], report[:, 1]
+    iterations, starts = report[:, 2].astype(int), report[:, 3].astype(int)
     at_limit = (q <= model.arm.lower) | (q >= model.arm.upper)
-    ok = (position <= tol) & (angle <= tol)
-    reasons = []
-    for i in range(len(q)):
-        if ok[i]:
-            reasons.append(Reason.CONVERGED)
-        elif iterations[i] >= starts[i] * max_iterations:
-            reasons.append(Reason.ITERATIONS)
-        else:
-            reasons.append(Reason.AT_LIMITS if at_limit[i].any() else Reason.OUT_OF_REACH)
+    ok = (position <= problem.tol) & (angle <= problem.tol)
+    exhausted = iterations >= starts * problem.max_iterations
+    blocked = at_limit.any(axis=1)
+    reasons = tuple(
+        Reason.CONVERGED
+        if ok[i]
+        else Reason.ITERATIONS
+        if exhausted[i]
+        else Reason.AT_LIMITS
+        if blocked[i]
+        else Reason.OUT_OF_REACH
+        for i in range(len(q))
+    )
     return Solutions(
-        q, ok, tuple(reasons), position, angle, iterations, at_limit, starts, model.arm.joint_names
+        q, ok, reasons, position, angle, iterations, at_limit, starts, model.arm.joint_names
     )

@@ -79,11 +79,11 @@ def weighted(out: Buffer, span: Buffer, length: float, m: int, n: int, J: Buffer
             J[i * n + j] = out[12 + i * n + j] * span[j] * w
 
 
-def squared(e: Buffer, m: int) -> float:
+def squared(e: Buffer, m: int) -> Any:
     """e . e."""
-    s = 0.0
-    for i in range(m):
-        s += e[i] * e[i]
+    s = e[0] * e[0]
+    for i in range(1, m):
+        s = s + e[i] * e[i]
     return s
 
 
@@ -120,17 +120,15 @@ def differences(
 
 def broyden(J: Buffer, e: Buffer, e2: Buffer, u: Buffer, m: int, n: int, sag: Buffer) -> None:
     """Correct sag so that J + sag explains what the step u did: e -> e2."""
-    uu = 0.0
+    uu = 1e-300  # a step of nothing corrects nothing
     for j in range(n):
-        uu += u[j] * u[j]
-    if uu == 0.0:
-        return
+        uu = uu + u[j] * u[j]
     for i in range(m):
         miss = e[i] - e2[i]
         for j in range(n):
-            miss -= (J[i * n + j] + sag[i * n + j]) * u[j]
+            miss = miss - (J[i * n + j] + sag[i * n + j]) * u[j]
         for j in range(n):
-            sag[i * n + j] += miss * u[j] / uu
+            sag[i * n + j] = sag[i * n + j] + miss * u[j] / uu
 
 
 def box_step(
@@ -232,7 +230,7 @@ def search(
                 sag[i] = exact[i] - J[i]
         for i in range(m * n):
             exact[i] = J[i] + sag[i]
-        damping = mu * energy + FLOOR
+        damping = mu * energy**0.5 + FLOOR
         box_step(exact, e, q, lower, upper, span, damping, m, n, u, free, left, A, solved, trial)
         if near:
             full(k, trial, c, y, out)
@@ -302,8 +300,8 @@ def search_all(
                 trial[j] = start[j]
                 if s > 0:
                     radius, size = points[s - 1][n], high[j] - low[j]
-                    at = (1.0 - radius) * start[j] + radius * low[j]
-                    trial[j] = at + radius * points[s - 1][j] * size
+                    goal = low[j] + points[s - 1][j] * size
+                    trial[j] = start[j] + radius * (goal - start[j])
                     trial[j] = min(max(trial[j], low[j]), high[j])
             row[2] += search(
                 k, n, m, nx, trial, contexts[t], targets[t], low, high, span, length, tol,

@@ -1,31 +1,72 @@
-"""Newton-Raphson in the joint box, N targets at once: rows of (k, N) arrays, masks for branches."""
+"""Newton-Raphson in the joint box, N targets at once: rows of (k, N) arrays, masks for branches.
+
+The same search as `newton`, whose functions it shares where they hold no branch on data.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 
-from longarm_comp.core.box_step import rotation_error, solve_damped
+from longarm_comp.core.box_step import solve_damped
+from longarm_comp.core.newton import (
+    DIFFERENCE,
+    FIRST_DAMPING,
+    FLOOR,
+    NEAR,
+    POOR,
+    STALL_AFTER,
+    broyden,
+    residual,
+    squared,
+    weighted,
+)
 
-# q (n, K), which targets (K,) -> tip position (3, K), axes n o a (9, K), Jacobian (6, n, K)
-Evaluate = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
-FLOOR = 1e-13  # least damping, in units of (m per joint range)^2
-DIFFERENCE = 1e-6  # step of the differences, in ranges
-POOR = 0.1  # of the squared residual left after a step: then the Jacobian is made exact
-STALL_AFTER = 6  # iterations without a tenth of progress that end a start
+class Machine(Protocol):
+    """The model, as the search asks for it: `out` holds tip and Jacobian, (12 + 6 n, K)."""
+
+    def start(self, q: np.ndarray, ids: np.ndarray) -> np.ndarray:
+        """Twists (nx, K) under the rigid arm's loads."""
+
+    def step(self, q: np.ndarray, ids: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """out and the next twists, at given twists."""
+
+    def full(self, q: np.ndarray, ids: np.ndarray) -> np.ndarray:
+        """out after all load passes."""
 
 
-@dataclass
-class Batch:
-    """Where N searches stand: joints (n, N) and residuals (N,)."""
+class TracedArrays:
+    """A kernel on arrays."""
 
-    q: np.ndarray
-    position: np.ndarray
-    angle: np.ndarray
-    iterations: np.ndarray
+    def __init__(self, kernel: Any, context: np.ndarray) -> None:
+        self.kernel, self.context = kernel, context
+
+    def _outs(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.empty((12 + 6 * len(q), q.shape[1])), np.empty((self.kernel.nx, q.shape[1]))
+
+    def start(self, q: np.ndarray, ids: np.ndarray) -> np.ndarray:
+        """See `Machine`."""
+        out, y = self._outs(q)
+        self.kernel.arrays[0](q, self.context[:, ids], y, out, y)
+        return y
+
+    def step(self, q: np.ndarray, ids: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `Machine`."""
+        out, y = self._outs(q)
+        self.kernel.arrays[1](q, self.context[:, ids], x, out, y)
+        return out, y
+
+    def full(self, q: np.ndarray, ids: np.ndarray) -> np.ndarray:
+        """See `Machine`."""
+        out, x = self._outs(q)
+        for i in range(self.kernel.passes):
+            x = self.start(q, ids) if i == 0 else self.step(q, ids, x)[1]
+        self.kernel.arrays[2](q, self.context[:, ids], x, out, x)
+        return out
 
 
 @dataclass(frozen=True)
@@ -33,127 +74,185 @@ class Task:
     """What is asked of the tip, and in which box.
 
     Attributes:
-        position: (3, N), m.
-        axes: n, o, a one after the other (9, N), or None for position-only tasks.
+        targets: position (m) and axes n, o, a one after the other, (12, N).
+        m: 3 for position tasks, 6 for poses.
         lower, upper: joint box (n, N); a locked joint has both at its value.
         span: range of each joint (n,), the weight of its moves.
         length: metres that a radian of tool angle counts for.
         tol: on position (m) and on angle (rad).
     """
 
-    position: np.ndarray
-    axes: np.ndarray | None
+    targets: np.ndarray
+    m: int
     lower: np.ndarray
     upper: np.ndarray
     span: np.ndarray
     length: float
     tol: float
 
+
+def search(
+    machine: Machine, task: Task, ids: np.ndarray, q: np.ndarray, max_iterations: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Search for the targets `ids` (K,), each from its own start q (n, K).
+
+    Returns:
+        Joints (n, K), position and angle residuals (2, K), iterations (K,).
+    """
+    state = _State(machine, task, ids, q)
+    answer, left = q.copy(), np.full((2, ids.size), np.inf)
+    iterations = np.zeros(ids.size, int)
+    for used in range(max_iterations + 1):
+        state.draw_near(used == max_iterations)
+        over = state.over | (used == max_iterations)
+        if over.any():
+            at = state.place[over]
+            answer[:, at], left[:, at] = state.q[:, over], state.size[:, over]
+            iterations[at] = used
+            if over.all():
+                break
+            state.keep(~over)
+        state.iterate(used)
+    return answer, left, iterations
+
+
+class _State:
+    """The searches that go on, each a column."""
+
+    def __init__(self, machine: Machine, task: Task, ids: np.ndarray, q: np.ndarray) -> None:
+        self.machine, self.task, self.ids, self.q = machine, task, ids, q
+        self.n, count = q.shape
+        self.place = np.arange(count)
+        self.near, self.poor = np.zeros(count, bool), np.zeros(count, bool)
+        self.mu, self.since = np.full(count, FIRST_DAMPING), np.zeros(count, int)
+        self.sag = np.zeros((task.m * self.n, count))
+        out, self.x = machine.step(q, ids, machine.start(q, ids))
+        self.e, self.size, self.J = self.read(out, ids)
+        self.energy = squared(self.e, task.m)
+        self.marked = self.energy.copy()
+
+    def read(self, out: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Residual (6, K), its position and angle (2, K), weighted Jacobian (m n, K)."""
+        task, count = self.task, ids.size
+        e, size = np.zeros((6, count)), np.zeros((2, count))
+        J = np.empty((task.m * self.n, count))
+        residual(out, task.targets[:, ids], task.length, task.m, e, size)
+        weighted(out, task.span, task.length, task.m, self.n, J)
+        return e, size, J
+
     @property
-    def m(self) -> int:
-        """Number of equations."""
-        return 3 if self.axes is None else 6
+    def over(self) -> np.ndarray:
+        """Which have arrived, or gain nothing more."""
+        arrived = self.near & (self.size <= self.task.tol).all(axis=0)
+        return arrived | (self.near & (self.since >= STALL_AFTER))
 
+    def keep(self, which: np.ndarray) -> None:
+        """Drop the other columns."""
+        for name in ("ids", "place", "near", "poor", "mu", "since", "energy", "marked"):
+            setattr(self, name, getattr(self, name)[which])
+        for name in ("q", "x", "e", "size", "J", "sag"):
+            setattr(self, name, getattr(self, name)[:, which])
 
-def search(evaluate: Evaluate, task: Task, q0: np.ndarray, max_iterations: int) -> Batch:
-    """Levenberg-Marquardt with an active set, every target from its own start q0 (n, N)."""
-    count = q0.shape[1]
-    ids = np.arange(count)
-    state = Batch(q0.copy(), np.full(count, np.inf), np.full(count, np.inf), np.zeros(count, int))
-    q, (e, position, angle, J) = q0, _residual(evaluate, task, q0, ids)
-    energy = (e * e).sum(0)
-    mu = np.full(count, 0.05)
-    marked, since = energy.copy(), np.zeros(count, int)
-    state.position[:], state.angle[:] = position, angle
-    sag, poor = np.zeros_like(J), np.zeros(count, bool)  # exact less geometric Jacobian; wanted
-    for _ in range(max_iterations):
-        go = ((position > task.tol) | (angle > task.tol)) & (since < STALL_AFTER)
-        if not go.all():
-            ids, q, e, J = ids[go], q[:, go], e[:, go], J[..., go]
-            sag, poor = sag[..., go], poor[go]
-            energy, mu, marked, since = energy[go], mu[go], marked[go], since[go]
-            position, angle = position[go], angle[go]
-        if not ids.size:
-            break
-        if poor.any():
-            at = np.flatnonzero(poor)
-            sag[..., at] = differences(evaluate, task, q[:, at], e[:, at], ids[at]) - J[..., at]
-        u = box_step(task, J + sag, e, q, ids, mu * energy + FLOOR)
-        trial = np.clip(q + u * task.span[:, None], task.lower[:, ids], task.upper[:, ids])
-        e2, position2, angle2, J2 = _residual(evaluate, task, trial, ids)
-        energy2 = (e2 * e2).sum(0)
-        better = energy2 < energy
-        poor = energy2 > POOR * energy
-        q, e, J = np.where(better, trial, q), np.where(better, e2, e), np.where(better, J2, J)
-        position, angle = np.where(better, position2, position), np.where(better, angle2, angle)
-        energy = np.where(better, energy2, energy)
-        mu = np.where(better, np.maximum(0.1 * mu, 1e-6), np.minimum(8 * mu + 1e-3, 1e6))
-        moved = energy < 0.8 * marked
-        marked, since = np.where(moved, energy, marked), np.where(moved, 0, since + 1)
-        state.q[:, ids], state.position[ids], state.angle[ids] = q, position, angle
-        state.iterations[ids] += 1
-    return state
+    def draw_near(self, at_once: bool) -> None:
+        """Close to the target, or where carried twists do not do: all load passes from here on."""
+        go = (self.energy < NEAR) | self.poor | (self.since >= STALL_AFTER) | at_once
+        at = np.flatnonzero(go & ~self.near)
+        if not at.size:
+            return
+        ids = self.ids[at]
+        out = self.machine.full(self.q[:, at], ids)
+        self.e[:, at], self.size[:, at], self.J[:, at] = self.read(out, ids)
+        self.energy[at] = self.marked[at] = squared(self.e[:, at], self.task.m)
+        self.near[at], self.poor[at] = True, False
+
+    def iterate(self, used: int) -> None:
+        """One step of every search."""
+        task, m, n = self.task, self.task.m, self.n
+        at = np.flatnonzero(self.near & self.poor)
+        if at.size:
+            self.sag[:, at] = self.differences(at) - self.J[:, at]
+        damping = self.mu * np.sqrt(self.energy) + FLOOR
+        low, high = task.lower[:, self.ids], task.upper[:, self.ids]
+        trial = box_step(self.J + self.sag, self.e, self.q, low, high, task.span, damping, m)
+        e2, size2, J2 = np.zeros_like(self.e), np.zeros_like(self.size), np.empty_like(self.J)
+        near, far = np.flatnonzero(self.near), np.flatnonzero(~self.near)
+        if near.size:
+            out = self.machine.full(trial[:, near], self.ids[near])
+            e2[:, near], size2[:, near], J2[:, near] = self.read(out, self.ids[near])
+        if far.size:
+            out, self.x[:, far] = self.machine.step(trial[:, far], self.ids[far], self.x[:, far])
+            e2[:, far], size2[:, far], J2[:, far] = self.read(out, self.ids[far])
+        energy2 = squared(e2, m)
+        learn = np.flatnonzero(self.near & ~self.poor)
+        if learn.size:
+            u = (trial[:, learn] - self.q[:, learn]) / task.span[:, None]
+            sag = self.sag[:, learn]
+            broyden(self.J[:, learn], self.e[:, learn], e2[:, learn], u, m, n, sag)
+            self.sag[:, learn] = sag
+        better = energy2 < self.energy
+        self.poor = ((energy2 > POOR * self.energy) & (used >= 2)) | ~better
+        for name, value in (("q", trial), ("e", e2), ("J", J2), ("size", size2)):
+            setattr(self, name, np.where(better, value, getattr(self, name)))
+        self.energy = np.where(better, energy2, self.energy)
+        self.mu = np.where(
+            better, np.maximum(0.1 * self.mu, 1e-6), np.minimum(8.0 * self.mu + 1e-3, 1e6)
+        )
+        moved = self.energy < 0.8 * self.marked
+        self.marked = np.where(moved, self.energy, self.marked)
+        self.since = np.where(moved, 0, self.since + 1)
+
+    def differences(self, at: np.ndarray) -> np.ndarray:
+        """Jacobian (m n, K) by forward differences inside the box."""
+        task, m, n, ids = self.task, self.task.m, self.n, self.ids[at]
+        J = np.empty((m * n, at.size))
+        for j, span in enumerate(task.span):
+            moved = self.q[:, at].copy()
+            outside = moved[j] + DIFFERENCE * span > task.upper[j, ids]
+            h = np.where(outside, -DIFFERENCE, DIFFERENCE)
+            moved[j] += h * span
+            e = self.read(self.machine.full(moved, ids), ids)[0]
+            J[j::n] = (self.e[:m, at] - e[:m]) / h
+        return J
 
 
 def box_step(
-    task: Task, J: np.ndarray, e: np.ndarray, q: np.ndarray, ids: np.ndarray, damping: np.ndarray
+    J: np.ndarray,
+    e: np.ndarray,
+    q: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    span: Sequence[float] | np.ndarray,
+    damping: np.ndarray,
+    m: int,
 ) -> np.ndarray:
-    """Damped least-squares step (n, K) in units of range, q + step inside the box.
+    """Joints (n, K) after a damped least-squares step that stays in the box.
 
     A joint that would leave is put on its limit and the rest solved again, the furthest
     out first: at most n times.  Every joint is free again at the next iteration.
     """
-    m, (n, count) = task.m, q.shape
-    span = task.span[:, None]
-    low, high = (task.lower[:, ids] - q) / span, (task.upper[:, ids] - q) / span
-    Jw = (J * task.span[:, None]).reshape(m * n, count).copy()
-    free = (high > low).astype(float)
-    held = np.zeros((n, count))
-    step = np.empty((n, count))
+    n, count = q.shape
+    spans = np.asarray(span)[:, None]
+    free = (upper > lower).astype(float)
+    left, trial = e[:m].copy(), q.copy()
     todo = np.arange(count)
     for _ in range(n):
-        f, h, Jt = free[:, todo], held[:, todo], Jw[:, todo]
-        left = e[:, todo] - np.einsum("mnk,nk->mk", Jt.reshape(m, n, -1), h)
-        A, y, u = np.empty((m * m, todo.size)), np.empty((m, todo.size)), np.empty((n, todo.size))
-        solve_damped(Jt, left, f, damping[todo], m, n, A, y, u)
-        step[:, todo] = u + h
-        out = np.maximum(low[:, todo] - u, u - high[:, todo]) * f
-        worst = out.argmax(0)
-        k = np.arange(todo.size)
-        violated = out[worst, k] > 0
-        if not violated.any():
+        A, y = np.empty((m * m, todo.size)), np.empty((m, todo.size))
+        u = np.empty((n, todo.size))
+        f = free[:, todo]
+        solve_damped(J[:, todo], left[:, todo], f, damping[todo], m, n, A, y, u)
+        moved = q[:, todo] + u * spans
+        trial[:, todo] = np.where(f == 1.0, moved, trial[:, todo])
+        low, high = lower[:, todo], upper[:, todo]
+        by = np.maximum(low - moved, moved - high) / spans * f
+        worst = by.argmax(axis=0)
+        out = np.flatnonzero(by[worst, np.arange(todo.size)] > 0)
+        if not out.size:
             break
-        todo, worst = todo[violated], worst[violated]
-        uw = u[worst, k[violated]]
-        held[worst, todo] = np.where(uw < low[worst, todo], low[worst, todo], high[worst, todo])
-        free[worst, todo] = 0.0
-    return step
-
-
-def differences(
-    evaluate: Evaluate, task: Task, q: np.ndarray, e: np.ndarray, ids: np.ndarray
-) -> np.ndarray:
-    """Jacobian (m, n, K) by forward differences inside the box: how the sag moves is in it."""
-    J = np.empty((task.m, *q.shape))
-    for k, span in enumerate(task.span):
-        h = np.where(q[k] + DIFFERENCE * span > task.upper[k, ids], -1.0, 1.0) * DIFFERENCE * span
-        moved = q.copy()
-        moved[k] += h
-        J[:, k] = (e - _residual(evaluate, task, moved, ids)[0]) / h
-    return J
-
-
-def _residual(
-    evaluate: Evaluate, task: Task, q: np.ndarray, ids: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Weighted residual (m, K), position (m) and angle (rad) residuals (K,), Jacobian (6, n, K)."""
-    p, axes, J = evaluate(q, ids)
-    e = np.empty((task.m, ids.size))
-    e[:3] = task.position[:, ids] - p
-    position = np.sqrt((e[:3] * e[:3]).sum(0))
-    angle = np.zeros(ids.size)
-    if task.axes is not None:
-        angle = rotation_error(axes, 0, task.axes[:, ids], 0, e, 3)
-        e[3:] *= task.length
-        J = np.concatenate([J[:3], J[3:] * task.length])
-    return e, position, angle, J[: task.m]
+        j, to = worst[out], todo[out]
+        put = np.where(moved[j, out] < low[j, out], low[j, out], high[j, out])
+        trial[j, to], free[j, to] = put, 0.0
+        step = (put - q[j, to]) / spans[j, 0]
+        for i in range(m):
+            left[i, to] -= J[i * n + j, to] * step
+        todo = to
+    return np.clip(trial, lower, upper)
