@@ -17,6 +17,7 @@ from longarm_comp.core.box_step import Buffer, rotation_error, solve_damped
 
 # The same figures drive the batch in `newton_batch`.
 DIFFERENCE = 1e-6  # step of the differences, in ranges
+RENEW = 3  # iterations for which differences serve
 POOR = 0.1  # of the squared residual left after a step: then the Jacobian is made exact
 FLOOR = 1e-13  # least damping, in (m per joint range)^2
 STALL_AFTER = 6  # iterations without a fifth of progress that end a start
@@ -211,7 +212,7 @@ def search(
     residual(out, target, length, m, e, size)
     weighted(out, span, length, m, n, J)
     energy, near = squared(e, m), False
-    mu, marked, since, poor, used = FIRST_DAMPING, energy, 0, False, 0
+    mu, marked, since, poor, used, exact_at = FIRST_DAMPING, energy, 0, False, 0, -RENEW
     while True:
         if not near and (energy < NEAR or poor or used >= max_iterations):
             near, poor = True, False
@@ -224,7 +225,8 @@ def search(
             break
         if used >= max_iterations or since >= STALL_AFTER:
             break
-        if near and poor:
+        if near and poor and used >= exact_at + RENEW:
+            exact_at = used
             differences(k, n, m, q, c, target, upper, span, length, e, y, out, e2, size, exact)
             for i in range(m * n):
                 sag[i] = exact[i] - J[i]
@@ -239,7 +241,7 @@ def search(
         residual(out, target, length, m, e2, size)
         energy2 = squared(e2, m)
         used += 1
-        if near and not poor:
+        if near and exact_at < used - 1:
             for j in range(n):
                 u[j] = (trial[j] - q[j]) / span[j]
             broyden(J, e, e2, u, m, n, sag)

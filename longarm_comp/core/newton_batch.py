@@ -18,6 +18,7 @@ from longarm_comp.core.newton import (
     FLOOR,
     NEAR,
     POOR,
+    RENEW,
     STALL_AFTER,
     broyden,
     residual,
@@ -125,6 +126,7 @@ class _State:
         self.place = np.arange(count)
         self.near, self.poor = np.zeros(count, bool), np.zeros(count, bool)
         self.mu, self.since = np.full(count, FIRST_DAMPING), np.zeros(count, int)
+        self.exact_at = np.full(count, -RENEW)
         self.sag = np.zeros((task.m * self.n, count))
         out, self.x = machine.step(q, ids, machine.start(q, ids))
         self.e, self.size, self.J = self.read(out, ids)
@@ -148,7 +150,7 @@ class _State:
 
     def keep(self, which: np.ndarray) -> None:
         """Drop the other columns."""
-        for name in ("ids", "place", "near", "poor", "mu", "since", "energy", "marked"):
+        for name in ("ids", "place", "near", "poor", "mu", "since", "energy", "marked", "exact_at"):
             setattr(self, name, getattr(self, name)[which])
         for name in ("q", "x", "e", "size", "J", "sag"):
             setattr(self, name, getattr(self, name)[:, which])
@@ -168,8 +170,9 @@ class _State:
     def iterate(self, used: int) -> None:
         """One step of every search."""
         task, m, n = self.task, self.task.m, self.n
-        at = np.flatnonzero(self.near & self.poor)
+        at = np.flatnonzero(self.near & self.poor & (used >= self.exact_at + RENEW))
         if at.size:
+            self.exact_at[at] = used
             self.sag[:, at] = self.differences(at) - self.J[:, at]
         damping = self.mu * np.sqrt(self.energy) + FLOOR
         low, high = task.lower[:, self.ids], task.upper[:, self.ids]
@@ -183,7 +186,7 @@ class _State:
             out, self.x[:, far] = self.machine.step(trial[:, far], self.ids[far], self.x[:, far])
             e2[:, far], size2[:, far], J2[:, far] = self.read(out, self.ids[far])
         energy2 = squared(e2, m)
-        learn = np.flatnonzero(self.near & ~self.poor)
+        learn = np.flatnonzero(self.near & (self.exact_at < used))
         if learn.size:
             u = (trial[:, learn] - self.q[:, learn]) / task.span[:, None]
             sag = self.sag[:, learn]
