@@ -377,6 +377,16 @@ def test_model_of_another_arm(work: Path, shell: Shell) -> None:
     assert "arm.hash" in line
 
 
+def test_model_that_is_not_there(work: Path, shell: Shell) -> None:
+    with_predictor = ("--model", "none.yaml", "--predictor", work / "predictor.npz")
+    for command in (
+        ("train", work / "arm.yaml", work / "samples.csv", "--model", "none.yaml"),
+        ("evaluate", work / "arm.yaml", "--test", work / "test.csv", *with_predictor),
+        ("compensate", work / "arm.yaml", 0.5, 0, 0.2, *with_predictor),
+    ):
+        assert shell.refused(*command).startswith("longarm: none.yaml: file: ")
+
+
 def test_unreachable_target(work: Path, shell: Shell) -> None:
     Path("t.csv").write_text("x,y,z\n9,0,0\n0.5,0,0.2\n")
     line = shell.refused("compensate", work / "arm.yaml", "--targets", "t.csv", code=3)

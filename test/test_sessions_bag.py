@@ -196,6 +196,32 @@ def test_directions_come_from_commands_that_only_pass(tmp_path: Path) -> None:
     assert session.approach.tolist() == [[-1, 1, 0, 0], [1, 1, 1, -1]]
 
 
+def test_a_command_sent_again_is_one_row(tmp_path: Path) -> None:
+    with robot(tmp_path / "bag") as put:
+        for k in range(6):
+            command(put, k * 0.5, [0.1 * (k // 3), 0.5, 0.05, 0.0])
+            sighting(put, k * 0.5 + 0.2, [0.4 + 0.1 * (k // 3), 0.1, 0.3 + 1e-4 * k])
+    session = read_bag(tmp_path / "bag", ARM)
+    assert session.q[:, 0].tolist() == [0.0, 0.1]
+    assert np.allclose(session.xyz[:, 2], [0.3001, 0.3004], atol=1e-12)
+
+
+def test_points_of_a_streamed_path_are_no_rows(tmp_path: Path) -> None:
+    with robot(tmp_path / "bag") as put:
+        for k in range(20):  # a controller that streams its path, 20 points a second
+            q = [0.02 * k, 0.5, 0.05, 0.0]
+            command(put, k * 0.05, q)
+            state(put, k * 0.05 + 0.02, [0.02 * (k - 1), *q[1:]])
+            state(put, k * 0.05 + 0.04, q)
+            sighting(put, k * 0.05 + 0.045, [0.4 + 0.01 * k, 0.1, 0.3])
+        for k in range(10):
+            state(put, 1.0 + k * 0.05, [0.38, 0.5, 0.05, 0.0])
+            sighting(put, 1.02 + k * 0.05, [0.59, 0.1, 0.3])
+    session = read_bag(tmp_path / "bag", ARM)
+    assert session.q.tolist() == [[0.38, 0.5, 0.05, 0.0]]
+    assert session.approach.tolist() == [[1, 0, 0, 0]]
+
+
 def test_context_holds_until_the_next_message(tmp_path: Path) -> None:
     with robot(tmp_path / "bag") as put:
         for k, temperature in enumerate((20.0, None, 22.5)):

@@ -66,6 +66,7 @@ def command(
     declared = Arm.load(arm)
     if bool(numbers) == (targets is not None):
         raise InputError("compensate", "target", list(numbers), "X Y Z, or --targets FILE")
+    base = physics(declared, model)
     wanted = read_targets(targets) if targets else Targets.one([_number(v) for v in numbers])
     learned, deflection = trained(predictor, declared, model) if predictor else (None, True)
     if method is None:
@@ -77,7 +78,7 @@ def command(
         fits = "both" if deflection else "network"
         raise InputError("compensate", "--method", method, f"{fits}: as the predictor was trained")
     commands = compensated(
-        physics(declared, model),
+        base,
         learned,
         wanted,
         method=chosen,

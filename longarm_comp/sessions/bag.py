@@ -1,10 +1,11 @@
 """A rosbag2 folder (mcap or sqlite3) as a session.
 
 A row is a command and what was seen once the arm had settled at it: the mean of the settled
-sightings up to the next command.  A command without any sighting only passes through: like
-the via points of a trajectory it tells from which side the joints arrived.  A sighting at NaN
-is a lost marker.  Temperature and payload hold until the next message; `session_row`
-messages, where recorded, add index, repeats, labels and further columns.
+sightings up to the next command.  A command without any sighting only passes through, and so
+does one at which the measured joints did not rest: like the via points of a trajectory it
+tells from which side the joints arrived.  A sighting at NaN is a lost marker.  Temperature and
+payload hold until the next message; `session_row` messages, where recorded, add index,
+repeats, labels and further columns.
 
 Topics are found by their last name, so any namespace will do; other topics and unknown types
 are passed over.
@@ -23,7 +24,7 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 
 from longarm_comp.core.arm import Arm
-from longarm_comp.core.dataset import Session, derive_approach
+from longarm_comp.core.dataset import SAME_POSE, Session, derive_approach
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.message_types import message_types
 from longarm_comp.sessions.settled import settled
@@ -112,14 +113,15 @@ def _messages(
 
 
 def _session(tape: Tape) -> Session:
-    ends = [t for t, _ in tape.commands[1:]] + [math.inf]
+    commands = tape.commands if tape.rows else _without_copies(tape.commands)
+    ends = [t for t, _ in commands[1:]] + [math.inf]
     path: list[np.ndarray] = []  # every point passed, rows and vias
     count: list[int] = []  # its place; a step of two is a gap
     at_row: list[int] = []
     made: list[Any] = []
     facts: list[dict[str, Any]] = []
     place, passed = 0, False
-    for (begin, points), end in zip(tape.commands, ends, strict=True):
+    for (begin, points), end in zip(commands, ends, strict=True):
         seen = settled(tape.sightings, tape.states, begin, end)
         fact = next((row for t, row in tape.rows if begin < t < end), {})
         index = int(fact.get("index", facts[-1]["index"] + 1 if facts else 0)) if seen else 0
@@ -157,6 +159,15 @@ def _session(tape: Tape) -> Session:
         labels=_told(facts, "labels", str),
         source=tape.where,
     )
+
+
+def _without_copies(commands: list[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarray]]:
+    """A command that is sent again while the arm is there or on its way is one command."""
+    made = commands[:1]
+    for t, points in commands[1:]:
+        if len(points) > 1 or np.abs(points[0] - made[-1][1][-1]).max() >= SAME_POSE:
+            made.append((t, points))
+    return made
 
 
 def _told(facts: list[dict[str, Any]], group: str, kind: type) -> dict[str, np.ndarray]:

@@ -11,6 +11,8 @@ JOINT_REST = 2e-3
 """Joints (rad, m) this close to where they end are at rest."""
 TIP_REST_M = 3e-3
 """A sighting this close to where the sightings end shows the arm at rest."""
+REST_S = 0.1
+"""A shorter rest of the measured joints is none: the arm only passes."""
 _LAST = 5
 
 
@@ -39,7 +41,7 @@ def settled(
 
     Returns:
         Mean time and position, and the variance of the mean; at NaN when the marker was only
-        ever lost; None when nothing was sighted.
+        ever lost; None when nothing was sighted, or the joints did not come to rest.
     """
     mine = [s for s in sightings if begin < s.t < end]
     if not mine:
@@ -52,6 +54,8 @@ def settled(
     for state in joints:
         if np.abs(state.q - joints[-1].q).max() > JOINT_REST:
             rest = state.t
+    if joints and max(joints[-1].t, mine[-1].t) - rest < REST_S:
+        return None
     seen = [s for s in seen if s.t >= rest] or seen[-1:]
     last = np.median([s.xyz for s in seen[-_LAST:]], axis=0)
     kept: list[Sighting] = []
