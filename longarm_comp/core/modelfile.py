@@ -183,7 +183,9 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
     """A model from its stored form."""
     if stored.arm.hash != arm.hash:
         raise InputError(
-            where, "arm.hash", f"{stored.arm.name} {stored.arm.hash[:12]}",
+            where,
+            "arm.hash",
+            f"{stored.arm.name} {stored.arm.hash[:12]}",
             f"the arm given: {arm.name} {arm.hash[:12]} (calibrate again after editing arm.yaml)",
         )
     terms: list[Effect | Bias] = []
@@ -192,7 +194,9 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
         known = {f.name for f in dataclasses.fields(kind)}
         for name in (*entry.form, *entry.parameters):
             if name not in known:
-                raise InputError(where, f"{entry.effect}.{name}", "unknown", ", ".join(sorted(known)))
+                raise InputError(
+                    where, f"{entry.effect}.{name}", "unknown", ", ".join(sorted(known))
+                )
         values = {name: stored_value.value for name, stored_value in entry.parameters.items()}
         for p in kind.declared():
             value = values.get(p.name, 0.0)
@@ -216,7 +220,7 @@ def _placed(term: Effect | Bias, arm: Arm, where: str) -> Effect | Bias:
     """Check that the place named in the file exists on this arm."""
     rows = range(len(arm.joints) + 1)
     places: dict[str, Any] = {
-        "joint": arm.commanded,
+        "joint": [j.id for j in arm.joints if j.type != "fixed"],
         "row": rows[1:],
         "frame": rows,
         "beam": [b.name for b in arm.links],

@@ -42,7 +42,7 @@ class Backlash(JointTerm):
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
         """Each revolute joint, with thresholds at shares of the arm's typical torque."""
         torque = typical_loads(arm)[1]
-        rows = [row for row in arm.commanded if cls.fits(arm, row)]
+        rows = cls.rows(arm)
         return [(cls(joint=row, threshold=gate * torque),) for row in rows for gate in GATES]
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:

@@ -30,7 +30,9 @@ class FrictionHysteresis(JointTerm):
 
     reach: float = 0.1
     width: float = parameter("rad", "full width that the approach decides", prior=0.01, lower=0.0)
-    memory: float = parameter("rad", "full width that the move before decides", prior=3e-3, lower=0.0)
+    memory: float = parameter(
+        "rad", "full width that the move before decides", prior=3e-3, lower=0.0
+    )
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Half the widths against the directions of motion."""

@@ -33,7 +33,7 @@ class GearEccentricity(JointTerm):
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
         """Each revolute joint, orders 1 and 2."""
-        rows = [row for row in arm.commanded if cls.fits(arm, row)]
+        rows = cls.rows(arm)
         return [(cls(joint=row, order=order),) for row in rows for order in (1, 2)]
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:

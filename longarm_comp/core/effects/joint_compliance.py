@@ -26,9 +26,9 @@ class JointCompliance(JointTerm):
     compliance: float = parameter("rad/(N m)", "torsion per gravity torque", prior=4e-3, lower=0.0)
 
     @classmethod
-    def fits(cls, arm: Arm, row: int) -> bool:
-        """Every commanded joint can give way."""
-        return True
+    def rows(cls, arm: Arm) -> list[int]:
+        """Every joint that moves, passive ones too."""
+        return [j.id for j in arm.joints if j.type != "fixed"]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior: 20 mrad (2 % of the reach) under the arm's typical load."""

@@ -37,23 +37,48 @@ class JointTerm(Effect):
         return arm.joints[row - 1].type == "revolute"
 
     @classmethod
+    def rows(cls, arm: Arm) -> list[int]:
+        """Rows that the effect may sit at: the commanded ones that it fits."""
+        return [row for row in arm.commanded if cls.fits(arm, row)]
+
+    @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
         """Each joint alone."""
-        return [(cls(joint=row),) for row in arm.commanded if cls.fits(arm, row)]
+        return [(cls(joint=row),) for row in cls.rows(arm)]
 
     def motion(self, posture: Posture, amount: Scalar) -> Mapping[int, Twist]:
-        """The joint moved by `amount` (rad or m) along its own z axis, at its bearing."""
-        station = posture.bearing(self.joint)
-        if posture.arm.joints[self.joint - 1].type == "prismatic":
-            return {station: (0.0, 0.0, amount, 0.0, 0.0, 0.0)}
-        return {station: (0.0, 0.0, 0.0, 0.0, 0.0, amount)}
+        """The joint moved by `amount` (rad or m) along its own z axis, at its bearing.
+
+        Passive joints coupled to it (mimic) follow, as their linkage makes them.
+        """
+        made: dict[int, Twist] = {}
+        for row, weight in self._coupled(posture.arm):
+            moved = amount if weight == 1.0 else weight * amount
+            if posture.arm.joints[row - 1].type == "prismatic":
+                made[posture.bearing(row)] = (0.0, 0.0, moved, 0.0, 0.0, 0.0)
+            else:
+                made[posture.bearing(row)] = (0.0, 0.0, 0.0, 0.0, 0.0, moved)
+        return made
 
     def load(self, posture: Posture) -> Scalar:
-        """Gravity torque (N m) about, or force (N) along, the joint's z axis."""
-        station = posture.bearing(self.joint)
-        if posture.arm.joints[self.joint - 1].type == "prismatic":
-            return posture.force(station)[2]
-        return posture.moment(station)[2]
+        """Gravity torque (N m) about, or force (N) along, the joint's z axis.
+
+        By virtual work it includes what passive joints coupled to it hand on.
+        """
+        total: Scalar = 0.0
+        for row, weight in self._coupled(posture.arm):
+            station = posture.bearing(row)
+            sliding = posture.arm.joints[row - 1].type == "prismatic"
+            share = posture.force(station)[2] if sliding else posture.moment(station)[2]
+            total = total + (share if weight == 1.0 else weight * share)
+        return total
+
+    def _coupled(self, arm: Arm) -> list[tuple[int, float]]:
+        """(row, how far it moves per unit of this joint), this joint's own row first."""
+        if self.joint not in arm.commanded:
+            return [(self.joint, 1.0)]
+        weights = arm.mixing[0][:, arm.commanded.index(self.joint)]
+        return [(row, float(w)) for row, w in enumerate(weights, 1) if w != 0.0]
 
     def direction(self, posture: Posture) -> Scalar:
         """Side that the joint arrived from, -1, 0 (unknown) or +1."""

@@ -35,7 +35,7 @@ class ServoQuantisation(JointTerm):
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
         """All revolute joints with one kind of servo, by its steps."""
-        rows = [row for row in arm.commanded if cls.fits(arm, row)]
+        rows = cls.rows(arm)
         return [
             tuple(cls(joint=row, steps_per_turn=steps) for row in rows)
             for steps in STEPS_PER_TURN

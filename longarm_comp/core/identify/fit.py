@@ -7,6 +7,8 @@ that no model of this kind explains get weight 0, anew at every step.
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,6 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm import Arm
+from longarm_comp.core.context import Context
 from longarm_comp.core.dataset import Session
 from longarm_comp.core.effects.base_pose import BasePose
 from longarm_comp.core.effects.dh_error import DhError
@@ -23,6 +26,7 @@ from longarm_comp.core.effects.tip_offset import TipOffset
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify import linear
 from longarm_comp.core.model import Model, Slot, unstack
+from longarm_comp.core.spatial import Scalar
 
 OUTLIER = 4.2
 """Rows beyond this many robust standard deviations (per axis norm) get weight 0."""
@@ -95,19 +99,14 @@ def priors(slots: tuple[Slot, ...]) -> np.ndarray:
 
 
 def geometry(arm: Arm, session: Session) -> tuple[Effect, ...]:
-    """What is always fitted: every joint zero and DH row, base placements, markers."""
+    """What is always fitted: base placements, markers, every joint zero and DH row."""
+    return (*frames(arm, session), *JointZero.for_arm(arm), *DhError.for_arm(arm))
+
+
+def frames(arm: Arm, session: Session) -> tuple[Effect, ...]:
+    """Base placement(s) and markers only: what any measurement needs."""
     groups = np.unique(session.labels["group"]) if "group" in session.labels else []
     bases = tuple(BasePose(group=str(g)) for g in groups) if len(groups) > 1 else (BasePose(),)
-    return (*frames(arm, session, bases), *JointZero.for_arm(arm), *DhError.for_arm(arm))
-
-
-def frames(
-    arm: Arm, session: Session, bases: tuple[BasePose, ...] | None = None
-) -> tuple[Effect, ...]:
-    """Base placement(s) and markers only: what any measurement needs."""
-    if bases is None:
-        groups = np.unique(session.labels["group"]) if "group" in session.labels else []
-        bases = tuple(BasePose(group=str(g)) for g in groups) if len(groups) > 1 else (BasePose(),)
     return (*bases, *TipOffset.for_arm(arm))
 
 
@@ -141,8 +140,7 @@ def align(model: Model, session: Session, beyond: float = 0.1) -> Model:
         d, w = _log(turn, shift)
         names = ("x", "y", "z", "rx", "ry", "rz")
         effects[k] = effect.with_values(dict(zip(names, (*d, *w), strict=True)))
-    made = Model(model.arm, tuple(effects), model.biases, model.passes, model.elements_per_beam)
-    return made
+    return dataclasses.replace(model, effects=tuple(effects))
 
 
 def _log(turn: Rotation, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -166,7 +164,7 @@ def fit(
     weights: np.ndarray | None = None,
     max_iterations: int = 25,
 ) -> Fit:
-    """Fit all free parameters of a model.
+    """Fit all free parameters of a model to one session.
 
     Args:
         model: starting point; its terms decide what is fitted.
@@ -180,53 +178,165 @@ def fit(
         InputError: fewer than four seen rows, or an input that a term needs is missing.
         JobError: the fit did not stay finite.
     """
-    seen = session.take(session.seen)
-    if len(seen) < 4:
-        raise InputError(session.source, "xyz", f"{len(seen)} seen rows", "at least 4")
-    context = seen.context()
-    for term in model.terms:
-        term.require(context)
-    q = unstack(seen.q)
-    slots = model.slots
-    scale = priors(slots)
-    lower = np.array([s.parameter.lower for s in slots]) / scale if slots else np.empty(0)
-    upper = np.array([s.parameter.upper for s in slots]) / scale if slots else np.empty(0)
-    fixed = weights is not None
-    w = np.ones(len(seen)) if weights is None else np.asarray(weights, float)
-    values = model.values
-    effective = 0.0
-    noise = np.full(3, np.nan) if sigma is None else np.asarray(sigma, float)
-    converged = False
-    step = 0
+    part = _Part.of(model, session, sigma, weights, robust)
+    return _fit_parts([part], max_iterations)[0]
+
+
+def fit_together(
+    parts: Sequence[tuple[Model, Session]],
+    own: Callable[[Slot], bool],
+    *,
+    max_iterations: int = 25,
+) -> list[Fit]:
+    """Fit several arms that share a part of their chain (two arms on one torso).
+
+    Args:
+        parts: a starting model and a session each.
+        own: which parameters belong to each part alone; all others with the same label are
+            one parameter.
+        max_iterations: bound on the Gauss-Newton steps.
+
+    Raises:
+        InputError, JobError: as `fit`.
+    """
+    made = [_Part.of(model, session, None, None, True) for model, session in parts]
+    return _fit_parts(made, max_iterations, own)
+
+
+@dataclass
+class _Part:
+    """One session on its way through the Gauss-Newton steps."""
+
+    model: Model
+    seen: Session
+    context: Context
+    q: tuple[Scalar, ...]
+    sigma: np.ndarray | None
+    fixed: np.ndarray | None
+    robust: bool
+    weights: np.ndarray
+    noise: np.ndarray
+    residual: np.ndarray
+    columns: np.ndarray
+    effective: float = 0.0
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        session: Session,
+        sigma: np.ndarray | None,
+        weights: np.ndarray | None,
+        robust: bool,
+    ) -> _Part:
+        seen = session.take(session.seen)
+        if len(seen) < 4:
+            raise InputError(session.source, "xyz", f"{len(seen)} seen rows", "at least 4")
+        context = seen.context()
+        for term in model.terms:
+            term.require(context)
+        start = np.ones(len(seen)) if weights is None else np.asarray(weights, float)
+        noise = np.full(3, np.nan) if sigma is None else np.asarray(sigma, float)
+        empty = np.empty(0)
+        return cls(
+            model,
+            seen,
+            context,
+            unstack(seen.q),
+            sigma,
+            weights,
+            robust,
+            start,
+            noise,
+            empty,
+            empty,
+        )
+
+    def look(self) -> None:
+        """Residual and design of the model as it is now."""
+        point, self.columns = self.model.columns(self.model.posture(self.q, self.context))
+        self.residual = self.seen.xyz - point
+        if not (np.isfinite(self.residual).all() and np.isfinite(self.columns).all()):
+            raise JobError("the fit did not stay finite", session=self.seen.source)
+
+    def weigh(self, settled: bool) -> None:
+        """Outliers and noise for the residual as it is now."""
+        if self.robust and self.fixed is None:
+            self.weights = inliers(self.residual, self.noise if settled else None)
+        if self.sigma is None:
+            self.noise = spread(self.residual, self.weights, self.effective)
+
+    def whitened(self, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(3N, p) prior-scaled design and (3N,) linearised data, in units of the noise."""
+        rows = (np.sqrt(self.weights)[:, None] / self.noise)[..., None]
+        y = self.residual + self.columns @ self.model.values
+        a = (self.columns * scale * rows).reshape(-1, len(scale))
+        return a, (y[..., None] * rows).reshape(-1)
+
+
+def _fit_parts(
+    parts: list[_Part], max_iterations: int, own: Callable[[Slot], bool] | None = None
+) -> list[Fit]:
+    """Gauss-Newton on the posterior mode of all parts at once."""
+    place: dict[tuple[object, ...], int] = {}
+    maps, chosen = [], []
+    for number, part in enumerate(parts):
+        mine = []
+        for slot in part.model.slots:
+            key = (slot.label, number if own is not None and own(slot) else -1)
+            if key not in place:
+                place[key] = len(place)
+                chosen.append(slot)
+            mine.append(place[key])
+        maps.append(np.array(mine, dtype=int))
+    scale = priors(tuple(chosen))
+    lower = np.array([s.parameter.lower for s in chosen]) / scale
+    upper = np.array([s.parameter.upper for s in chosen]) / scale
+    converged, step = False, 0
+    posterior = linear.Posterior(np.zeros(0), np.zeros((0, 0)), 0.0)
     for step in range(1, max_iterations + 1):
-        posture = model.posture(q, context)
-        point, columns = model.columns(posture)
-        residual = seen.xyz - point
-        if not (np.isfinite(residual).all() and np.isfinite(columns).all()):
-            raise JobError("the fit did not stay finite", iteration=step)
-        if robust and not fixed:
-            w = inliers(residual, noise if step > 2 else None)
-        if sigma is None:
-            noise = spread(residual, w, effective)
-        y = residual + columns @ values
-        rows = (np.sqrt(w)[:, None] / noise)[..., None]
-        a = (columns * scale * rows).reshape(-1, len(slots))
-        posterior = linear.solve(a, (y[..., None] * rows).reshape(-1), lower, upper)
-        change = posterior.u * scale - values
-        effective = posterior.effective
-        se = np.sqrt(np.diag(posterior.covariance)) * scale if len(slots) else np.ones(0)
-        values = values + change
-        model = model.with_values(values)
-        if len(slots) == 0 or (step > 2 and np.all(np.abs(change) <= 0.01 * se)):
+        designs, data = [], []
+        for part, mine in zip(parts, maps, strict=True):
+            part.look()
+            part.weigh(settled=step > 2)
+            a, y = part.whitened(scale[mine])
+            wide = np.zeros((len(a), len(scale)))
+            np.add.at(wide.T, mine, a.T)
+            designs.append(wide)
+            data.append(y)
+        posterior = linear.solve(np.concatenate(designs), np.concatenate(data), lower, upper)
+        se = np.sqrt(np.diag(posterior.covariance))
+        small = True
+        for part, mine in zip(parts, maps, strict=True):
+            values = posterior.u[mine] * scale[mine]
+            change = np.abs(values - part.model.values) / scale[mine]
+            small &= bool((change <= 0.01 * se[mine]).all())
+            part.model = part.model.with_values(values)
+            part.effective = posterior.effective * len(part.seen) / sum(len(p.seen) for p in parts)
+        if step > 2 and small:
             converged = True
             break
-    posture = model.posture(q, context)
-    point, columns = model.columns(posture)
-    residual = seen.xyz - point
-    if sigma is None:
-        noise = spread(residual, w, effective)
-    covariance = posterior.covariance * np.outer(scale, scale)
-    return Fit(model, seen, residual, columns, covariance, w, noise, effective, step, converged)
+    made = []
+    for part, mine in zip(parts, maps, strict=True):
+        part.look()
+        if part.sigma is None:
+            part.noise = spread(part.residual, part.weights, part.effective)
+        size = np.outer(scale[mine], scale[mine])
+        made.append(
+            Fit(
+                part.model,
+                part.seen,
+                part.residual,
+                part.columns,
+                posterior.covariance[np.ix_(mine, mine)] * size,
+                part.weights,
+                part.noise,
+                part.effective,
+                step,
+                converged,
+            )
+        )
+    return made
 
 
 def inliers(residual: np.ndarray, sigma: np.ndarray | None = None) -> np.ndarray:

@@ -18,17 +18,18 @@ from longarm_comp.core.learn.network import (
     with_ones,
     xavier_start,
 )
+from longarm_comp.core.learn.population import fitness_on
 from longarm_comp.core.learn.predictor import Predictor, Provenance
-from longarm_comp.core.learn.sparrow import SparrowSearch
+from longarm_comp.core.learn.sparrow import Fitness, SparrowSearch
 from longarm_comp.core.learn.training import Fit, back_propagate
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
-Start = Callable[[Shape, Array, Array, np.random.Generator, SparrowSearch], Array]
+Start = Callable[[Shape, Fitness, np.random.Generator, SparrowSearch], Array]
 
 INITS: dict[str, Start] = {
     "ssa": sparrow_start,
-    "xavier": lambda shape, x, y, rng, search: xavier_start(shape, rng),
+    "xavier": lambda shape, fitness, rng, search: xavier_start(shape, rng),
 }
 HIDDEN_CHOICES = (8, 12, 17, 24)  # tried in turn while the evidence grows
 _FEWEST_ROWS = 20
@@ -51,6 +52,7 @@ def train(
     weights: Array | None = None,
     progress: Progress | None = None,
     provenance: Provenance | None = None,
+    device: str | None = None,
 ) -> Predictor:
     """Train the paper's SSA-BP on residuals.
 
@@ -68,6 +70,8 @@ def train(
     ensemble: members, each from its own start.
     weights: (N,) precision factors of the samples; 0 leaves one out.
     progress: called with (members done, members in all).
+    provenance: what the predictor belongs to; the settings are added.
+    device: torch device of the sparrow's population (``cuda``); None is numpy.
 
     Raises
     ------
@@ -93,7 +97,7 @@ def train(
 
     def fit(units: int, rng: np.random.Generator) -> Fit:
         shape = Shape(x.shape[1], units, 3)
-        start = INITS[init](shape, x, target, rng, search)
+        start = INITS[init](shape, fitness_on(device, shape, x, target), rng, search)
         return back_propagate(shape, start, x, target, weights)
 
     units = hidden or _likeliest_size(fit, seed, x.shape[1], int((weights > 0).sum()))

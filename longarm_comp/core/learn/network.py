@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from longarm_comp.core.learn.sparrow import SparrowSearch
+from longarm_comp.core.learn.sparrow import Fitness, SparrowSearch
 
 Array = NDArray[np.float64]
 Weights = NDArray[Any]  # float32 in the sparrow's fitness, float64 elsewhere
@@ -191,11 +191,11 @@ def xavier_start(shape: Shape, rng: np.random.Generator) -> Array:
 
 
 def sparrow_start(
-    shape: Shape, x: Array, y: Array, rng: np.random.Generator, search: SparrowSearch
+    shape: Shape, fitness: Fitness, rng: np.random.Generator, search: SparrowSearch
 ) -> Array:
     """Start weights (D,) found by sparrow search, with hidden units that differ."""
     bound = np.full(shape.size, SPARROW_BOUND)
-    found = search.minimise(squared_error(shape, x, y), -bound, bound, rng)
+    found = search.minimise(fitness, -bound, bound, rng)
     return separate(shape, found.position, rng)
 
 
