@@ -19,6 +19,7 @@ from longarm_comp.core.compensate import Compensation as Outcome
 from longarm_comp.core.compensate import Status
 from longarm_comp.core.context import Context
 from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.devices import joint_path as devices
 from longarm_interfaces.msg import Compensation
 from longarm_interfaces.srv import Compensate
 
@@ -132,6 +133,19 @@ def trajectory_message(arm: Arm, q: np.ndarray, move_time_s: float) -> JointTraj
         time_from_start=Duration(sec=seconds, nanosec=round((move_time_s - seconds) * 1e9)),
     )
     return JointTrajectory(joint_names=list(arm.joint_names), points=[point])
+
+
+def trajectory_of(message: JointTrajectory) -> devices.JointTrajectory:
+    """As the servo side takes it; its header's stamp is not used: it starts now."""
+    points = tuple(
+        devices.TrajectoryPoint(
+            point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec,
+            tuple(point.positions),
+            tuple(point.velocities),
+        )
+        for point in message.points
+    )
+    return devices.JointTrajectory(tuple(message.joint_names), points)
 
 
 def tilt_of(message: Imu) -> tuple[str, dict[str, float]]:

@@ -91,8 +91,11 @@ class Param:
         return value
 
 
-def declare(node: Node, table: Sequence[Param]) -> dict[str, Any]:
+def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) -> dict[str, Any]:
     """Declare a node's parameters; the node was made with parameters declared from overrides.
+
+    Args:
+        sections: first parts of names that another reader checks.
 
     Returns:
         Values by name.
@@ -101,16 +104,14 @@ def declare(node: Node, table: Sequence[Param]) -> dict[str, Any]:
         InputError: an unknown name, a value of another type or out of range.
     """
     known = {param.name: param for param in table}
-    given = overrides(node)
+    given = {k: v for k, v in overrides(node).items() if k.split(".")[0] not in sections}
     refuse_unknown(node, given, tuple(known))
     values = {}
     for name, param in known.items():
         value = given.get(name, param.default)
         try:
             value = param.check(value)
-            if name in given:
-                node.undeclare_parameter(name)
-            node.declare_parameter(name, value, param.descriptor(), ignore_override=True)
+            redeclare(node, name, value, param.descriptor())
         except (
             *(TypeError, ValueError, InvalidParameterTypeException),
             *(InvalidParameterValueException, ParameterImmutableException),
@@ -118,6 +119,13 @@ def declare(node: Node, table: Sequence[Param]) -> dict[str, Any]:
             raise InputError(where(node), name, value, param.allowed) from None
         values[name] = value
     return values
+
+
+def redeclare(node: Node, name: str, value: Any, descriptor: ParameterDescriptor) -> None:
+    """Declare a parameter, also one that was declared from an override, with a description."""
+    if node.has_parameter(name):
+        node.undeclare_parameter(name)
+    node.declare_parameter(name, value, descriptor, ignore_override=True)
 
 
 def overrides(node: Node) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import signal
 import sys
 import threading
@@ -14,6 +15,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from longarm_comp.core.errors import LongarmError
+from longarm_comp.nodes.supervisor import GUARD
 
 _SWITCH_S = 2e-4
 """Threads of a node wait this long for each other, not the 5 ms of Python's default."""
@@ -60,8 +62,12 @@ def run(make: Callable[[SingleThreadedExecutor], Runnable]) -> int:
 
 
 def spin(executor: SingleThreadedExecutor, node: Runnable, stop: threading.Event) -> None:
-    """Serve callbacks until the event is set; what they raise is told, not fatal."""
-    while not stop.is_set():
+    """Serve callbacks until the event is set; what they raise is told, not fatal.
+
+    A node that a supervisor started ends when the supervisor is gone.
+    """
+    guard = os.environ.get(GUARD)
+    while not stop.is_set() and guard in (None, str(os.getppid())):
         try:
             executor.spin_once(timeout_sec=0.2)
         except ExternalShutdownException:

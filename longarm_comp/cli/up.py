@@ -1,0 +1,75 @@
+"""``longarm up``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from longarm_comp.cli import options
+from longarm_comp.cli.output import note
+
+
+@click.command()
+@options.arm
+@options.path_option("--model", "Calibrated model; else the arm as declared.")
+@options.path_option("--predictor", "Learned residual; else physics only.")
+@click.option("--sim", is_flag=True, help="Simulated servos and cameras instead of hardware.")
+@click.option("--hidden", default="", help="Simulation: undeclared effects, 'backlash=2.0' (mm).")
+@click.option("--speed", default=1.0, help="Simulation: motion so many times faster.")
+@click.option("--seed", default=1, help="Simulation: seed of all chance.")
+@click.option("--port", default="", help="Serial port of the servos; else the file's.")
+@click.option("--namespace", default="", help="Of this arm, so that several share a network.")
+@click.option(
+    "--config",
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    help="Folder with one YAML file a node; else the package's own.",
+)
+@click.option("--respawn/--no-respawn", default=True, help="Start again a node that dies.")
+def command(
+    arm: Path,
+    model: Path | None,
+    predictor: Path | None,
+    sim: bool,
+    hidden: str,
+    speed: float,
+    seed: int,
+    port: str,
+    namespace: str,
+    config: Path | None,
+    respawn: bool,
+) -> None:
+    """Bring up ARM's nodes as processes, until SIGINT or SIGTERM.
+
+    The same graph as the launch files, for where `ros2 launch` is not installed.
+
+    \b
+    Examples:
+      longarm up arm.yaml --sim
+      longarm up arm.yaml --model model.yaml --predictor predictor.npz --port /dev/ttyUSB0
+    """
+    import signal
+    import threading
+
+    from longarm_comp.core.arm import Arm
+    from longarm_comp.nodes.bringup import BringUp, running
+
+    Arm.load(arm)
+    graph = BringUp(
+        arm=arm,
+        model=model,
+        predictor=predictor,
+        sim=sim,
+        namespace=namespace,
+        config=config,
+        port=port,
+        speed=speed,
+        set={"simulated_arm": {"hidden": hidden, "seed": seed}} if sim else {},
+    )
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    with running(graph, respawn=respawn) as supervisor:
+        supervisor.say = note
+        note(f"{', '.join(graph.nodes)} are starting; Ctrl-C ends all")
+        supervisor.run(stop)

@@ -1,0 +1,207 @@
+"""The servos of an arm as one machine: opened, driven cycle by cycle, always let go in the end.
+
+Not for use from two threads. Time is monotonic seconds, handed in.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from longarm_comp.core.errors import JobError
+from longarm_comp.devices.joint_path import JointTrajectory
+from longarm_comp.devices.servo_bus import (
+    BusUnplugged,
+    IncompleteReply,
+    SerialServoBus,
+    ServoBusError,
+    ServoState,
+)
+from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.devices.servo_follower import FollowerState, Step, TrajectoryFollower
+
+_DRIVEN_EVERY = 25  # cycles between two looks at whether the servos still drive
+_REOPEN_S = 0.5
+
+
+@dataclass(frozen=True)
+class JointReading:
+    """One joint as its servo reports it: rad or m, and per second."""
+
+    position: float
+    velocity: float
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """The outcome of one cycle.
+
+    Attributes:
+        step: of the follower.
+        joints: every joint by name; empty unless all were heard this time.
+        states: read-back by servo id, of those heard.
+        trouble: what the bus complained of; empty: nothing.
+    """
+
+    step: Step
+    joints: dict[str, JointReading]
+    states: Mapping[int, ServoState]
+    trouble: str
+
+
+class ServoArm:
+    """A bus, a follower, and what connects them; reopens the port when it comes back.
+
+    Raises:
+        BusUnplugged, IncompleteReply: the port or a servo is not there.
+        JobError: a servo is of another model than configured.
+    """
+
+    def __init__(self, config: ServoConfig) -> None:
+        self.config = config
+        self.follower = TrajectoryFollower(config)
+        self._ids = list(config.ids.values())
+        self._powered = False
+        self._owing_off = False  # torque off that an unplugged bus has not heard yet
+        self._cycles = 0
+        self._next_open = 0.0
+        self.bus: SerialServoBus | None = self._open()
+
+    def _open(self) -> SerialServoBus:
+        bus = self.config.open_bus()
+        try:
+            for name, joint in self.config.joints.items():
+                number = bus.ping(joint.servo_id)
+                if number != joint.servo.model_number:
+                    raise JobError(
+                        f"{name} is another servo than configured",
+                        servo_id=joint.servo_id, model=joint.model, answers=number,
+                    )  # fmt: skip
+            bus.set_turns({j.servo_id: j.multi_turn for j in self.config.joints.values()})
+        except BaseException:
+            bus.close()
+            raise
+        return bus
+
+    @property
+    def powered(self) -> bool:
+        """Whether the servos were told to hold."""
+        return self._powered
+
+    def power(self, on: bool) -> None:
+        """Switch the torque; off is remembered for when an unplugged bus comes back.
+
+        Raises:
+            BusUnplugged, IncompleteReply, ServoFault: it could not be switched (on), or was not
+                confirmed (off).
+        """
+        self._powered = self._powered and on
+        self._owing_off = not on
+        if self.bus is None:
+            raise BusUnplugged(self.config.bus.port, "the port is gone")
+        self.bus.torque(self._ids, on)
+        self._powered, self._owing_off = on, False
+
+    def accept(self, trajectory: JointTrajectory, now: float) -> None:
+        """Take over a trajectory.
+
+        Raises:
+            InputError, JobError: as the follower; JobError without power.
+        """
+        if not self._powered:
+            raise JobError("the torque is off")
+        self.follower.accept(trajectory, now)
+
+    def estop(self) -> None:
+        """Torque off now, no commands until `release`. Raises as `power`."""
+        self.follower.estop()
+        self.power(False)
+
+    def release(self, now: float, on: bool = True) -> None:
+        """Leave a fault or an emergency stop, with torque on.
+
+        Raises:
+            JobError: its cause stands still; the torque stays off then.
+        """
+        if not on:
+            self.follower.reset(now)
+            return
+        self.power(True)
+        try:
+            self.follower.reset(now)
+        except JobError:
+            self.power(False)
+            raise
+
+    def cycle(self, now: float) -> Cycle:
+        """Read, decide, command. Never raises for what a bus does."""
+        self._cycles += 1
+        trouble, states, driven = "", {}, {}
+        if self.bus is None and now >= self._next_open:
+            self._next_open = now + _REOPEN_S
+            self._reopen()
+        bus = self.bus
+        if bus is None:
+            trouble = f"{self.config.bus.port} is unplugged"
+        else:
+            try:
+                states = bus.read(self._ids)
+                if self._powered and self._cycles % _DRIVEN_EVERY == 0:
+                    driven = bus.driven(self._ids)
+            except IncompleteReply as error:
+                trouble, states = str(error), error.answered
+            except BusUnplugged as error:
+                trouble = self._lose(error)
+            except ServoBusError as error:
+                trouble = str(error)
+        step = self.follower.step(now, states, driven)
+        if step.goals and self.bus is not None and self._powered:
+            try:
+                self.bus.write_goal(step.goals, self.config.speed_limits_ticks_s)
+            except ServoBusError as error:
+                trouble = self._lose(error)
+        return Cycle(step, self._joints(states), states, trouble)
+
+    def close(self) -> None:
+        """Torque off as well as it can be, port released; must not raise."""
+        for _ in range(3):
+            with contextlib.suppress(ServoBusError):
+                self.power(False)
+                break
+        if self.bus is not None:
+            self.bus.close()
+            self.bus = None
+
+    def _joints(self, states: Mapping[int, ServoState]) -> dict[str, JointReading]:
+        made = {}
+        for name, joint in self.config.joints.items():
+            state = states.get(joint.servo_id)
+            if state is None:
+                return {}
+            made[name] = JointReading(
+                joint.to_si(state.position_ticks), joint.speed_to_si(state.velocity_ticks_s)
+            )
+        return made
+
+    def _lose(self, error: ServoBusError) -> str:
+        if isinstance(error, BusUnplugged) and self.bus is not None:
+            self.bus.close()
+            self.bus = None
+        return str(error)
+
+    def _reopen(self) -> None:
+        """Open a port that went away; servos kept their torque, unless it was to be off."""
+        try:
+            self.bus = self._open()
+            if self._owing_off:
+                self.power(False)
+        except JobError:
+            if self.bus is not None:
+                self.bus.close()
+            self.bus = None
+
+    @property
+    def holding(self) -> bool:
+        """Whether a trajectory has been followed to its end."""
+        return self.follower.state is FollowerState.HOLDING

@@ -1,0 +1,166 @@
+"""Which nodes make an arm's graph, with which files: `longarm up` and the launch files read this.
+
+A program may bring the graph up for itself::
+
+    with running(BringUp(arm=Path("arm.yaml"), sim=True)):
+        ...
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from longarm_comp.core.arm import read_yaml
+from longarm_comp.core.errors import InputError
+from longarm_comp.nodes.supervisor import Supervisor
+
+PACKAGE = "longarm_comp"
+REAL = ("error_predictor", "kinematics", "servo_driver", "stereo_bridge")
+SIMULATED = ("simulated_arm", *REAL)
+
+_PATIENT = {"bus.reply_timeout_s": 0.2, "follower.silence_s": 2.0}
+"""Emulated servos share the computer with everything else and may be late."""
+
+
+def folder(name: str) -> Path:
+    """``config`` or ``launch``, as installed or in the source tree.
+
+    Raises:
+        InputError: neither is there.
+    """
+    places = (
+        Path(__file__).resolve().parents[2] / name,
+        Path(sys.prefix) / "share" / PACKAGE / name,
+    )
+    for place in places:
+        if (place / "servo_driver.yaml").is_file() or (name == "launch" and place.is_dir()):
+            return place
+    raise InputError("installation", name, "missing", " or ".join(map(str, places)))
+
+
+@dataclass(frozen=True)
+class BringUp:
+    """One arm's graph.
+
+    Attributes:
+        arm, model, predictor: files; without a model the arm is as declared.
+        sim: with the simulated arm instead of hardware.
+        namespace: of the arm; empty: none.
+        config: folder with one YAML file a node; the package's own by default.
+        port: serial port of the servos; the file's by default.
+        speed: simulation: how many times faster than the files say all motion is.
+        set: further parameters, by node and name.
+        without: nodes to leave out.
+    """
+
+    arm: Path
+    model: Path | None = None
+    predictor: Path | None = None
+    sim: bool = False
+    namespace: str = ""
+    config: Path | None = None
+    port: str = ""
+    speed: float = 1.0
+    set: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    without: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in (*self.set, *self.without):
+            if name not in SIMULATED:
+                raise InputError("bring-up", "node", name, ", ".join(SIMULATED))
+        if not 0.01 <= self.speed <= 100.0:
+            raise InputError("bring-up", "speed", self.speed, "0.01 to 100")
+
+    @property
+    def nodes(self) -> tuple[str, ...]:
+        """In the order of starting."""
+        return tuple(n for n in (SIMULATED if self.sim else REAL) if n not in self.without)
+
+    def file(self, node: str) -> Path:
+        """A node's parameter file."""
+        return (self.config or folder("config")) / f"{node}.yaml"
+
+    def parameters(self, node: str, bus: str) -> dict[str, Any]:
+        """What is set on top of the file; ``bus``: link to the simulated servo bus."""
+        arm = {"arm": str(self.arm.absolute())}
+        servos = str(self.file("servo_driver").absolute())
+        port = bus if self.sim else self.port
+        per_node: dict[str, dict[str, Any]] = {
+            "kinematics": arm | _path("model", self.model),
+            "error_predictor": arm | _path("predictor", self.predictor),
+            "servo_driver": ({"bus.port": port} if port else {}) | (_PATIENT if self.sim else {}),
+            "stereo_bridge": {"reliable_images": True} if self.sim else {},
+            "simulated_arm": arm
+            | {"servos": str(self.file("servo_driver").absolute()), "port": bus},
+        }
+        made = per_node[node]
+        if self.sim and self.speed != 1.0:
+            made |= self._faster(node)
+        return made | dict(self.set.get(node, {}))
+
+    def _faster(self, node: str) -> dict[str, Any]:
+        """Servos and the driver's velocity limits, scaled alike."""
+        if node not in ("servo_driver", "simulated_arm"):
+            return {}
+        given = _ros_parameters(self.file(node))
+        if node == "servo_driver":
+            return {
+                f"joints.{name}.max_velocity": self.speed * float(joint["max_velocity"])
+                for name, joint in given.get("joints", {}).items()
+            }
+        return {
+            "speed_ticks_s": self.speed * float(given.get("speed_ticks_s", 3000.0)),
+            "lag_s": float(given.get("lag_s", 0.03)) / self.speed,
+        }
+
+    def command(self, node: str, bus: str) -> list[str]:
+        """The program and its arguments."""
+        made = [sys.executable, "-m", f"{PACKAGE}.nodes.{node}", "--ros-args"]
+        if self.namespace:
+            made += ["-r", f"__ns:=/{self.namespace.strip('/')}"]
+        made += ["--params-file", str(self.file(node))]
+        for name, value in self.parameters(node, bus).items():
+            made += ["-p", f"{name}:={_text(value)}"]
+        return made
+
+
+def _path(name: str, path: Path | None) -> dict[str, Any]:
+    return {} if path is None else {name: str(path.absolute())}
+
+
+def _text(value: Any) -> str:
+    """A parameter's value as YAML: texts keep being texts, floats floats."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        quoted = value.replace("'", "''")
+        return f"'{quoted}'"
+    return repr(value)
+
+
+def _ros_parameters(path: Path) -> dict[str, Any]:
+    data = read_yaml(path)
+    for node in (data or {}).values():
+        if isinstance(node, dict) and isinstance(node.get("ros__parameters"), dict):
+            return dict(node["ros__parameters"])
+    raise InputError(path, "ros__parameters", "missing", "a ROS 2 parameter file")
+
+
+@contextmanager
+def running(graph: BringUp, *, respawn: bool = True) -> Iterator[Supervisor]:
+    """The graph's processes, started; all ended at the end, whatever happens.
+
+    Raises:
+        InputError: a file is missing or wrong.
+    """
+    with tempfile.TemporaryDirectory(prefix="longarm_") as scratch:
+        bus = str(Path(scratch) / "servo_bus")
+        commands = {node: graph.command(node, bus) for node in graph.nodes}
+        with Supervisor(commands, respawn=respawn) as supervisor:
+            yield supervisor

@@ -1,0 +1,256 @@
+"""`servo_driver` (lifecycle): joint trajectories to a servo bus, read-back to joint states.
+
+Configured: the port is open and the servos are read. Active: their torque is on. Torque goes off
+on deactivate, cleanup, shutdown, emergency stop and at the end of the process.
+"""
+
+from __future__ import annotations
+
+import inspect
+import sys
+import time
+from typing import Any
+
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from longarm_comp.core.errors import LongarmError
+from longarm_comp.devices.servo_arm import Cycle, ServoArm
+from longarm_comp.devices.servo_config import BusConfig, FollowerConfig, ServoConfig
+from longarm_comp.devices.servo_follower import EventKind, FollowerState
+from longarm_comp.devices.servo_joint import JointConfig
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.health import ERROR, OK, WARN, Health, Report
+from longarm_comp.nodes.messages import trajectory_of
+from longarm_comp.nodes.params import Param, declare, nested, overrides, redeclare
+from longarm_comp.nodes.runner import run
+
+PARAMS = (
+    Param("rate_hz", 50.0, "cycles a second: read all servos, command all", 1.0, 500.0),
+    Param("autostart", True, "configure and activate by itself, and again after a failure"),
+    Param("retry_s", 1.0, "pause between two such attempts", 0.1, 60.0),
+)
+SECTIONS = {"bus": BusConfig, "joints": JointConfig, "follower": FollowerConfig}
+"""Parameters below these names are the servo configuration (`devices/servo_config.py`)."""
+
+DONE, FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+
+
+class ServoDriver(LifecycleNode):
+    """One arm's servos."""
+
+    def __init__(self, executor: SingleThreadedExecutor) -> None:
+        super().__init__("servo_driver", automatically_declare_parameters_from_overrides=True)
+        p = declare(self, PARAMS, sections=tuple(SECTIONS))
+        self._config = self._servo_config()
+        self._autostart, self._period_s = p["autostart"], 1.0 / p["rate_hz"]
+        self._arm: ServoArm | None = None
+        self._active = False
+        self._last: Cycle | None = None
+        self._counts = {"trajectories": 0, "refused": 0, "incomplete cycles": 0}
+        self._fault = self._refusal = self._trouble = ""
+        self._joint_states = graph.JOINT_STATES.publisher(self)
+        graph.JOINT_TRAJECTORY.subscription(self, self._on_trajectory)
+        graph.ESTOP.server(self, self._on_estop)
+        graph.RESET.server(self, self._on_reset)
+        self._timer = self.create_timer(self._period_s, self._cycle)
+        self._health = Health(self, {"servo bus": self._bus_report, "arm": self._arm_report})
+        if self._autostart:
+            self._start()
+            self.create_timer(p["retry_s"], self._start)
+
+    def close(self) -> None:
+        """Let the servos go."""
+        self._release()
+
+    def survived(self, error: Exception) -> None:
+        """Count what a callback let through."""
+        self._health.fault(error)
+
+    def _servo_config(self) -> ServoConfig:
+        given = {k: v for k, v in overrides(self).items() if k.split(".")[0] in SECTIONS}
+        for name in given:
+            text = inspect.getdoc(SECTIONS[name.split(".")[0]]) or ""
+            redeclare(
+                self, name, given[name], ParameterDescriptor(description=text, read_only=True)
+            )
+        return ServoConfig.parse(nested(given), "parameters of servo_driver")
+
+    # ------------------------------------------------------------------ lifecycle
+
+    def _start(self) -> None:
+        if not self._autostart:
+            return
+        if self._arm is None:
+            self.trigger_configure()
+        if self._arm is not None and not self._active:
+            self.trigger_activate()
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Open the port and find every servo."""
+        try:
+            self._arm = ServoArm(self._config)
+        except LongarmError as error:
+            return self._failed(error)
+        self._fault = ""
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Torque on, where the arm stands."""
+        try:
+            self._machine.power(True)
+        except LongarmError as error:
+            return self._failed(error)
+        self._fault, self._active, self._autostart = "", True, False
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Torque off."""
+        self._active = self._autostart = False
+        try:
+            self._machine.power(False)
+        except LongarmError as error:
+            self._failed(error)  # off is owed, and sent as soon as the bus is back
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Release the port."""
+        self._release()
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Torque off, port released."""
+        self._autostart = False
+        self._release()
+        return super().on_shutdown(state)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Torque off, back to unconfigured."""
+        self._release()
+        return super().on_error(state)
+
+    @property
+    def _machine(self) -> ServoArm:
+        assert self._arm is not None
+        return self._arm
+
+    def _failed(self, error: LongarmError) -> TransitionCallbackReturn:
+        if str(error) != self._fault:
+            self.get_logger().error(str(error))
+        self._fault = str(error)
+        return FAILED
+
+    def _release(self) -> None:
+        self._active = False
+        if self._arm is not None:
+            self._arm.close()
+        self._arm = self._last = None
+
+    # ------------------------------------------------------------------ the loop
+
+    def _cycle(self) -> None:
+        if self._arm is None:
+            return
+        cycle = self._last = self._arm.cycle(time.monotonic())
+        for event in cycle.step.events:
+            urgent = event.kind in (EventKind.FAULT, EventKind.ESTOP)
+            say = self.get_logger().error if urgent else self.get_logger().debug
+            say(f"{event.kind.value}: {event.message}")
+            if event.kind is EventKind.FAULT:
+                self._trouble = event.message
+        if not cycle.joints:
+            self._counts["incomplete cycles"] += 1
+            return
+        message = JointState(
+            name=list(cycle.joints),
+            position=[joint.position for joint in cycle.joints.values()],
+            velocity=[joint.velocity for joint in cycle.joints.values()],
+        )
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._joint_states.publish(message)
+
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        if not self._active:
+            self._refuse("the driver is not active")
+            return
+        try:
+            self._machine.accept(trajectory_of(message), time.monotonic())
+            self._counts["trajectories"] += 1
+        except LongarmError as error:
+            self._refuse(str(error))
+
+    def _refuse(self, why: str) -> None:
+        self._counts["refused"] += 1
+        self._refusal = why
+        self.get_logger().warning(f"trajectory refused: {why}", throttle_duration_sec=1.0)
+
+    def _on_estop(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        if request.data:
+            return self._do(response, self._estop, "torque off, commands refused")
+        return self._do(response, self._recover, "ready")
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._do(response, self._recover, "ready")
+
+    def _estop(self) -> None:
+        if self._arm is not None:
+            self._arm.estop()
+
+    def _recover(self) -> None:
+        if self._arm is None:
+            raise LongarmError("the driver is not configured")
+        self._arm.release(time.monotonic(), on=self._active)
+        self._trouble = ""
+
+    def _do(self, response: Any, action: Any, done: str) -> Any:
+        try:
+            action()
+            response.success, response.message = True, done
+        except LongarmError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    # ------------------------------------------------------------------ diagnostics
+
+    def _bus_report(self) -> Report:
+        facts: dict[str, object] = {"port": self._config.bus.port}
+        if self._arm is None:
+            return Report(ERROR if self._fault else WARN, self._fault or "not configured", facts)
+        if self._arm.bus is not None:
+            counters = self._arm.bus.counters
+            facts |= {name: getattr(counters, name) for name in counters.__slots__}
+        cycle = self._last
+        for name, servo_id in self._config.ids.items():
+            state = cycle.states.get(servo_id) if cycle else None
+            if state is not None:
+                facts[f"{name} temperature [C]"] = state.temperature_c
+                facts[f"{name} load [share]"] = round(state.load, 3)
+                facts[f"{name} voltage [V]"] = round(state.voltage_v, 1)
+        if cycle is not None and cycle.trouble:
+            return Report(ERROR, cycle.trouble, facts)
+        return Report(OK, "every servo answers", facts)
+
+    def _arm_report(self) -> Report:
+        facts: dict[str, object] = {**self._counts, "last refusal": self._refusal}
+        if self._arm is None or not self._active:
+            return Report(WARN, self._fault or "not active: torque is off", facts)
+        follower = self._arm.follower.state
+        facts["state"] = follower.value
+        if follower is FollowerState.FAULT:
+            return Report(ERROR, f"{self._trouble}; call ~/reset once cured", facts)
+        if follower is FollowerState.ESTOP:
+            return Report(ERROR, "emergency stop; call ~/estop with false to go on", facts)
+        return Report(OK, follower.value, facts)
+
+
+def main() -> None:
+    """Run the node."""
+    sys.exit(run(ServoDriver))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,174 @@
+"""`simulated_arm`: the workshop as a process, so that the four real nodes run unchanged.
+
+It offers a servo bus on a pseudo-terminal and publishes what two cameras and a thermometer see.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import Temperature
+from std_msgs.msg import Float64
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.errors import InputError
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.health import OK, Health, Report
+from longarm_comp.nodes.images import image_message, info_message, stamp_of
+from longarm_comp.nodes.params import Param, declare
+from longarm_comp.nodes.runner import run
+from longarm_comp.nodes.worker import Worker
+from longarm_comp.sim.cameras import CameraPair, tag_plate
+from longarm_comp.sim.servo_emulator import MotorSpec, read_arm
+from longarm_comp.sim.workshop import Room, Workshop, hidden_effects, mounting
+
+PARAMS = (
+    Param("arm", "", "arm.yaml: what everybody believes stands there"),
+    Param("servos", "", "the servo driver's YAML file: which servos there are"),
+    Param("port", "", "symbolic link to make to the servo bus"),
+    Param("seed", 1, "of all chance", 0, 2**31),
+    Param("hidden", "", "undeclared effects and their size at the tip, 'name=mm name=mm'"),
+    Param("frame_rate_hz", 5.0, "pairs of images a second", 0.0, 60.0),
+    Param("context_rate_hz", 1.0, "temperature and payload messages a second", 0.0, 60.0),
+    Param("speed_ticks_s", 3000.0, "no-load speed of the servos", 1.0, 1e6),
+    Param("lag_s", 0.03, "time constant of a servo near its goal", 1e-4, 10.0),
+    Param("dead_band_ticks", 0.0, "a servo rests within it", 0.0, 1000.0),
+    Param("temperature_c", 22.0, "at the start", -50.0, 100.0),
+    Param("warming_k", 0.0, "rise over hours", -50.0, 50.0),
+    Param("payload_kg", 0.25, "carried at the tool", 0.0, 1000.0),
+    Param("camera.position", [0.75, -1.7, 0.3], "left camera in the base frame, m"),
+    Param("camera.axis", [0.0, 1.0, 0.0], "where it looks"),
+    Param("camera.baseline_m", 0.3, "from the left to the right camera", 1e-3, 10.0),
+    Param("camera.focal_px", 640.0, "focal length", 10.0, 1e5),
+    Param("camera.width", 640, "image width", 16, 8192),
+    Param("camera.height", 480, "image height", 16, 8192),
+    Param("marker.tag_m", 0.06, "side of a tag's black square", 1e-3, 10.0),
+    Param("marker.gap_m", 0.012, "white between tags", 0.0, 10.0),
+    Param("marker.columns", 2, "tags across", 1, 20),
+    Param("marker.rows", 2, "tags down", 1, 20),
+    Param(
+        "marker.mounting",
+        [-0.13162393, -0.80949839, -0.19855571, 0.53662196],
+        "plate against the tip frame, x y z w; its centre is the tip",
+        -1.0,
+        1.0,
+    ),
+)
+
+
+def sizes(text: str) -> dict[str, float]:
+    """Effects and sizes, mm, of ``name=mm name=mm``.
+
+    Raises:
+        InputError: another form.
+    """
+    made = {}
+    for part in text.split():
+        name, _, size = part.partition("=")
+        try:
+            made[name] = float(size)
+        except ValueError:
+            where = "parameters of simulated_arm"
+            raise InputError(where, "hidden", part, "name=mm, for instance backlash=2.0") from None
+    return made
+
+
+class SimulatedArm(Node):
+    """Images are rendered on a thread; a frame that comes too early is left out."""
+
+    def __init__(self, executor: SingleThreadedExecutor) -> None:
+        super().__init__("simulated_arm", automatically_declare_parameters_from_overrides=True)
+        p = declare(self, PARAMS)
+        arm = Arm.load(p["arm"])
+        rng = np.random.default_rng(p["seed"])
+        room = Room(
+            arm,
+            read_arm(p["servos"]),
+            CameraPair(
+                position_m=tuple(p["camera.position"]),
+                optical_axis=tuple(p["camera.axis"]),
+                baseline_m=p["camera.baseline_m"],
+                focal_px=p["camera.focal_px"],
+                size=(p["camera.width"], p["camera.height"]),
+            ),
+            tag_plate(p["marker.tag_m"], p["marker.gap_m"], p["marker.columns"], p["marker.rows"]),
+            mounting(p["marker.mounting"]),
+            hidden_effects(arm, sizes(p["hidden"]), rng),
+            MotorSpec(
+                max_speed_ticks_s=p["speed_ticks_s"],
+                lag_s=p["lag_s"],
+                dead_band_ticks=p["dead_band_ticks"],
+            ),
+            temperature_c=(p["temperature_c"], p["warming_k"]),
+            payload_kg=p["payload_kg"],
+        )
+        self._workshop = Workshop(room, Path(p["port"]), rng)
+        self._started = time.monotonic()
+        self._frames = self._late = 0
+        self._worker = Worker(executor, 1, self.survived)
+        self._images = graph.LEFT_IMAGE.publisher(self), graph.RIGHT_IMAGE.publisher(self)
+        self._infos = graph.LEFT_INFO.publisher(self), graph.RIGHT_INFO.publisher(self)
+        self._temperature = graph.TEMPERATURE.publisher(self)
+        self._payload = graph.PAYLOAD.publisher(self)
+        if p["frame_rate_hz"]:
+            self.create_timer(1.0 / p["frame_rate_hz"], self._expose)
+        if p["context_rate_hz"]:
+            self.create_timer(1.0 / p["context_rate_hz"], self._tell)
+        self._health = Health(self, {"workshop": self._report})
+        self._workshop.start()
+
+    def close(self) -> None:
+        """Power off."""
+        self._worker.close()
+        self._workshop.stop()
+
+    def survived(self, error: Exception) -> None:
+        """Count what a callback let through."""
+        self._health.fault(error)
+
+    def _expose(self) -> None:
+        if not self._worker.submit(self._frame):
+            self._late += 1
+
+    def _frame(self) -> None:
+        """On the worker's thread: both images carry the moment of the exposure."""
+        ns = self.get_clock().now().nanoseconds
+        images = self._workshop.look(time.monotonic() - self._started)
+        infos = self._workshop.room.cameras.camera_infos()
+        for k, frame in enumerate(("left_optical", "right_optical")):
+            self._infos[k].publish(info_message(infos[k], ns, frame))
+            self._images[k].publish(image_message(images[k], ns, frame))
+        self._frames += 1
+
+    def _tell(self) -> None:
+        now = self.get_clock().now().nanoseconds
+        warm = self._workshop.temperature_c(time.monotonic() - self._started)
+        message = Temperature(temperature=warm)
+        message.header.stamp = stamp_of(now)
+        self._temperature.publish(message)
+        self._payload.publish(Float64(data=self._workshop.room.payload_kg))
+
+    def _report(self) -> Report:
+        emulator = self._workshop.emulator
+        facts = {
+            "frames": self._frames,
+            "frames left out": self._late,
+            "bus": emulator.port,
+            "instructions heard": emulator.frames_heard,
+            "servos that drive": sum(emulator.torques_on().values()),
+        }
+        return Report(OK, "simulating", facts)
+
+
+def main() -> None:
+    """Run the node."""
+    sys.exit(run(SimulatedArm))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,204 @@
+"""`stereo_bridge`: left and right images in, the tip in the base frame with covariance out."""
+
+from __future__ import annotations
+
+import math
+import sys
+from functools import partial
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import Point, PoseWithCovarianceStamped
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo, Image
+
+from longarm_comp.core import quaternion
+from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.devices.stereo import (
+    CharucoTarget,
+    Limits,
+    Pair,
+    Side,
+    Sighting,
+    StereoEye,
+    StereoPairer,
+    StereoRefusal,
+    StereoRig,
+    TagBoard,
+    Target,
+)
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.health import OK, STALE, WARN, Health, Report
+from longarm_comp.nodes.images import pixels_of, same_camera, stamp_ns, stamp_of
+from longarm_comp.nodes.messages import pose_message
+from longarm_comp.nodes.params import Param, declare
+from longarm_comp.nodes.runner import run
+from longarm_comp.nodes.worker import Worker
+
+PARAMS = (
+    Param("base_frame", "base", "frame that the tip is reported in"),
+    Param("rectified", False, "images are rectified (only P of camera_info holds)"),
+    Param("reliable_images", False, "subscribe reliably: large images, on one machine"),
+    Param("slop_ms", 5.0, "left and right stamps within it make a pair", 0.0, 1000.0),
+    Param("queue", 8, "images a side that wait for a partner", 1, 100),
+    Param("publish_lost", True, "a refused pair is published too, with its position NaN"),
+    Param("hand_eye.xyz", [0.75, -1.7, 0.3], "left optical frame in the base frame, m"),
+    Param(
+        "hand_eye.quaternion",
+        [-0.7071067811865476, 0.0, 0.0, 0.7071067811865476],
+        "its orientation x, y, z, w: x right, y down, z forward",
+        -1.0,
+        1.0,
+    ),
+    Param("tip_in_marker", [0.0, 0.0, 0.0], "the tip in the marker frame, m", -10.0, 10.0),
+    Param("marker.kind", "tags", "what is printed", choices=("tags", "charuco")),
+    Param("marker.dictionary", "DICT_4X4_50", "OpenCV's name of the tag family"),
+    Param("marker.tag_m", 0.06, "side of a tag's black square, m", 1e-4, 10.0),
+    Param("marker.gap_m", 0.012, "white between tags, m", 0.0, 10.0),
+    Param("marker.square_m", 0.08, "side of a square of a ChArUco board, m", 1e-4, 10.0),
+    Param("marker.columns", 2, "tags or squares across", 1, 100),
+    Param("marker.rows", 2, "tags or squares down", 1, 100),
+    Param("marker.first_id", 0, "id of the top left tag", 0, 100000),
+    Param("limits.epipolar_px", 1.5, "largest median distance from epipolar lines", 0.01, 100.0),
+    Param("limits.rms_px", 0.8, "largest rms reprojection error", 0.01, 100.0),
+    Param("limits.edge_px", 2.5, "largest blur", 0.1, 100.0),
+)
+
+
+def target_of(p: dict[str, Any]) -> Target:
+    """The printed marker that the parameters describe."""
+    columns, rows, family = p["marker.columns"], p["marker.rows"], p["marker.dictionary"]
+    if p["marker.kind"] == "charuco":
+        return CharucoTarget(p["marker.square_m"], p["marker.tag_m"], columns, rows, family)
+    return TagBoard(
+        p["marker.tag_m"], p["marker.gap_m"], columns, rows, family, p["marker.first_id"]
+    )
+
+
+class StereoBridge(Node):
+    """Pairs are measured on a thread of their own; a pair that comes too early is dropped."""
+
+    def __init__(self, executor: SingleThreadedExecutor) -> None:
+        super().__init__("stereo_bridge", automatically_declare_parameters_from_overrides=True)
+        p = declare(self, PARAMS)
+        self._base_frame, self._publish_lost = p["base_frame"], p["publish_lost"]
+        self._rectified = p["rectified"]
+        self._target = target_of(p)
+        turn = np.array(p["hand_eye.quaternion"])
+        if not quaternion.is_unit(turn):
+            where = "parameters of stereo_bridge"
+            raise InputError(where, "hand_eye.quaternion", turn.tolist(), "a unit quaternion")
+        self._hand_eye = quaternion.pose(np.array(p["hand_eye.xyz"]), turn)
+        self._tip_in_marker = p["tip_in_marker"]
+        self._limits = Limits(
+            epipolar_px=p["limits.epipolar_px"],
+            rms_px=p["limits.rms_px"],
+            edge_px=p["limits.edge_px"],
+        )
+        self._pairer: StereoPairer[Image] = StereoPairer(round(p["slop_ms"] * 1e6), p["queue"])
+        self._infos: dict[Side, CameraInfo] = {}
+        self._eye: StereoEye | None = None
+        self._sightings = 0
+        self._refusals: dict[str, int] = {}
+        self._last = "no pair of images yet"
+        self._lost = True
+        self._worker = Worker(executor, 2, self.survived)
+        self._tips = graph.TIP_MEASURED.publisher(self)
+        hears = graph.RELIABLE if p["reliable_images"] else graph.BEST_EFFORT
+        left, right = Side.LEFT, Side.RIGHT
+        graph.LEFT_INFO.subscription(self, lambda m: self._on_info(left, m))
+        graph.RIGHT_INFO.subscription(self, lambda m: self._on_info(right, m))
+        graph.LEFT_IMAGE.subscription(self, lambda m: self._on_image(left, m), listens=hears)
+        graph.RIGHT_IMAGE.subscription(self, lambda m: self._on_image(right, m), listens=hears)
+        self._health = Health(self, {"stereo": self._report})
+
+    def close(self) -> None:
+        """Stop the worker."""
+        self._worker.close()
+
+    def survived(self, error: Exception) -> None:
+        """Count what a callback let through."""
+        self._health.fault(error)
+
+    def _on_info(self, side: Side, message: CameraInfo) -> None:
+        known = self._infos.get(side)
+        if known is not None and same_camera(known, message):
+            return
+        self._infos[side] = message
+        self._eye = None
+        if len(self._infos) < 2:
+            return
+        try:
+            rig = StereoRig.from_camera_info(
+                self._infos[Side.LEFT], self._infos[Side.RIGHT], rectified=self._rectified
+            )
+        except LongarmError as error:
+            self._refuse(error, None)
+            return
+        self._eye = StereoEye(rig, self._target, self._hand_eye, self._tip_in_marker, self._limits)
+
+    def _on_image(self, side: Side, message: Image) -> None:
+        for pair in self._pairer.add(side, stamp_ns(message.header.stamp), message):
+            eye = self._eye
+            if eye is None:
+                self._count("camera_info is missing or no calibration", pair.stamp_ns)
+            elif not self._worker.submit(partial(self._measure, eye, pair)):
+                self._count("a pair came before the last was measured", None)
+
+    def _measure(self, eye: StereoEye, pair: Pair[Image]) -> None:
+        """On the worker's thread."""
+        try:
+            seen = eye.measure(pixels_of(pair.left), pixels_of(pair.right), pair.stamp_ns)
+        except LongarmError as error:
+            self._refuse(error, pair.stamp_ns)
+            return
+        self._sightings += 1
+        self._lost = False
+        self._last = f"{seen.corners} corners, rms {seen.rms_px:.3f} px"
+        self._tips.publish(self._message(seen))
+
+    def _message(self, seen: Sighting) -> PoseWithCovarianceStamped:
+        made = PoseWithCovarianceStamped()
+        made.header.stamp, made.header.frame_id = stamp_of(seen.stamp_ns), self._base_frame
+        made.pose.pose = pose_message(seen.pose)
+        x, y, z = seen.point.tolist()
+        made.pose.pose.position = Point(x=x, y=y, z=z)
+        made.pose.covariance = seen.pose_covariance.ravel().tolist()
+        return made
+
+    def _refuse(self, error: LongarmError, ns: int | None) -> None:
+        self._last = str(error)
+        self._count(error.reason.value if isinstance(error, StereoRefusal) else str(error), ns)
+
+    def _count(self, why: str, ns: int | None) -> None:
+        self._refusals[why] = self._refusals.get(why, 0) + 1
+        self._lost = True
+        if ns is None or not self._publish_lost:
+            return
+        made = PoseWithCovarianceStamped()
+        made.header.stamp, made.header.frame_id = stamp_of(ns), self._base_frame
+        made.pose.pose.position = Point(x=math.nan, y=math.nan, z=math.nan)
+        self._tips.publish(made)
+
+    def _report(self) -> Report:
+        facts: dict[str, object] = {
+            "sightings": self._sightings,
+            "pairs": self._pairer.pairs,
+            **{f"refused: {why}": n for why, n in sorted(self._refusals.items())},
+            **{f"dropped: {why}": n for why, n in self._pairer.drops.items()},
+        }
+        if not self._pairer.pairs:
+            return Report(STALE, self._last, facts)
+        if self._lost:
+            return Report(WARN, f"marker lost: {self._last}", facts)
+        return Report(OK, f"tip measured: {self._last}", facts)
+
+
+def main() -> None:
+    """Run the node."""
+    sys.exit(run(StereoBridge))
+
+
+if __name__ == "__main__":
+    main()
