@@ -203,11 +203,41 @@ def test_half_a_board_each_is_occluded() -> None:
     plate, target = tag_plate(0.04, 0.01, 2, 2), TagBoard(0.04, 0.01, 2, 2)
     half = pair(Conditions(covered=(0.5, 0.0)), plate, 1.0)
     assert eye_for(target=target).measure(*half, 0).corners == 8
-    eye = eye_for(target=target, limits=Limits(min_corners=12))
+    eye = eye_for(target=target, limits=Limits(seen_share=0.75))
     with pytest.raises(StereoRefusal) as refusal:
         eye.measure(*half, 0)
     assert refusal.value.reason is Reason.OCCLUDED
     assert refusal.value.facts == {"corners": 8, "of": 16}
+
+
+def test_whatever_the_picture_the_answer_is_right_or_a_refusal() -> None:
+    """Dark, saturated, noisy, blurred, moving, half hidden, askew: never a silent wrong point."""
+    rng = np.random.default_rng(15)
+    boards = [(PLATE, TAG), (tag_plate(0.04, 0.01, 2, 2), TagBoard(0.04, 0.01, 2, 2))]
+    measured, refused = 0, 0
+    for case in range(60):
+        plate, target = boards[case % 2]
+        conditions = Conditions(
+            exposure=float(rng.choice([0.1, 0.4, 0.75, 1.5, 3.0])),
+            read_noise=float(rng.choice([1.0, 4.0, 10.0])),
+            blur_px=float(rng.choice([0.3, 0.6, 1.2, 2.5])),
+            motion_px=tuple(rng.uniform(-6, 6, 2)) if case % 3 == 0 else (0.0, 0.0),
+            covered=tuple(rng.choice([0.0, 0.0, 0.0, 0.1, 0.5], 2)),
+        )
+        truth = marker_pose(HEAD, rng.uniform(0.7, 2.0), rng)
+        try:
+            seen = eye_for(target=target).measure(*render(truth, plate, HEAD, rng, conditions), 0)
+        except StereoRefusal:
+            refused += 1
+            continue
+        measured += 1
+        error = seen.point - truth[:3, 3]
+        assert np.linalg.norm(error) < 5e-3
+        assert error @ np.linalg.solve(seen.covariance, error) < 8.0**2
+    assert measured > 10 and refused > 10
+    noise = rng.integers(0, 256, (2, 480, 640), dtype=np.uint8)
+    with pytest.raises(StereoRefusal):
+        eye_for().measure(noise[0], noise[1], 0)
 
 
 def test_wrong_size_and_wrong_kind_of_image() -> None:
@@ -477,7 +507,8 @@ def test_late_images_and_a_clock_that_jumps_back() -> None:
         lambda: TagBoard(0.05, columns=8, rows=8, first_id=0),
         lambda: CharucoTarget(0.04, 0.05, 5, 5),
         lambda: Chessboard(0.02, 7, 5),
-        lambda: Limits(min_corners=1),
+        lambda: Limits(seen_share=1.5),
+        lambda: Limits(size=0.0),
         lambda: PixelNoise(0.0),
         lambda: StereoPairer(slop_ns=-1),
         lambda: eye_for(tip_in_marker=(0.0, np.nan, 0.0)),

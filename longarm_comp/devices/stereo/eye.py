@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
+from longarm_comp.devices.stereo.limits import Limits
 from longarm_comp.devices.stereo.marker_pose import MarkerPose, marker_pose
 from longarm_comp.devices.stereo.quality import edge_sigma_px, image_quality
 from longarm_comp.devices.stereo.refusal import Reason, StereoRefusal
@@ -20,39 +21,6 @@ from longarm_comp.devices.stereo.triangulate import (
     epipolar_px,
     triangulate,
 )
-
-
-@dataclass(frozen=True)
-class Limits:
-    """When a pair is refused.
-
-    Args:
-        min_corners: corners that both cameras must see.
-        epipolar_px: largest median distance from the epipolar lines.
-        rms_px: largest root mean square reprojection error of the whole board.
-        edge_px: largest blur (Gaussian sigma of the sharpest edges), px.
-        bright: grey level that 99 % of the pixels must not stay below, when no marker is found.
-        dark: grey level that 1 % of the pixels must stay below, when no marker is found.
-        size: largest relative difference of the seen from the declared marker size.
-        size_tolerance: how well the print's size is known (1 sigma, relative); it ties the depth
-            from the baseline to the depth from the size.
-    """
-
-    min_corners: int = 4
-    epipolar_px: float = 1.5
-    rms_px: float = 0.8
-    edge_px: float = 2.5
-    bright: float = 45.0
-    dark: float = 235.0
-    size: float = 0.05
-    size_tolerance: float = 0.005
-
-    def __post_init__(self) -> None:
-        if self.min_corners < 4:
-            raise InputError("stereo limits", "min_corners", self.min_corners, "4 or more")
-        for name in ("epipolar_px", "rms_px", "edge_px", "size", "size_tolerance"):
-            if not getattr(self, name) > 0.0:
-                raise InputError("stereo limits", name, getattr(self, name), "more than 0")
 
 
 @dataclass(frozen=True)
@@ -124,6 +92,9 @@ class StereoEye:
         """
         try:
             sighting = self._measure(left, right, stamp_ns)
+        except np.linalg.LinAlgError as error:  # rays so nearly parallel that nothing can be solved
+            self.refusals[Reason.REPROJECTION] += 1
+            raise StereoRefusal(Reason.REPROJECTION, cause=str(error)) from error
         except StereoRefusal as refusal:
             self.refusals[refusal.reason] += 1
             raise
@@ -148,25 +119,26 @@ class StereoEye:
         )
         ids, in_left, in_right = np.intersect1d(seen[0].ids, seen[1].ids, return_indices=True)
         corners = self.target.points(ids)
-        enough = len(ids) >= self.limits.min_corners and _span_m(corners) > 0.0
+        fewest = max(4, int(np.ceil(self.limits.seen_share * self.target.n_corners)))
+        enough = len(ids) >= fewest and _span_m(corners) > 0.0
         self._require(Reason.OCCLUDED, enough, corners=len(ids), of=self.target.n_corners)
         left_px, right_px = seen[0].pixels[in_left], seen[1].pixels[in_right]
         off = float(np.median(epipolar_px(self.rig, left_px, right_px)))
         self._require(Reason.EPIPOLAR, off <= self.limits.epipolar_px, epipolar_px=round(off, 3))
         points = triangulate(self.rig, left_px, right_px, self.noise)
+        size = _size_seen(points.points, corners)
+        wrong = abs(size - 1.0) > self.limits.size
+        self._require(Reason.MARKER_SIZE, not wrong, seen_over_declared=round(size, 4))
         pose = marker_pose(
             self.rig,
             corners,
             points,
             left_px,
             right_px,
-            self.limits.size_tolerance,
+            self.limits.tolerance(left_px),
             self.noise,
         )
         rms = pose.rms_px
-        size = _size_seen(points.points, corners)
-        wrong = abs(size - 1.0) > self.limits.size
-        self._require(Reason.MARKER_SIZE, not wrong, seen_over_declared=round(size, 4))
         self._require(Reason.REPROJECTION, rms <= self.limits.rms_px, rms_px=round(rms, 3))
         self._square_px2 += float(np.sum(np.square(pose.residuals)))
         self._freedom += pose.residuals.size - 6
@@ -230,7 +202,8 @@ def as_grey(image: NDArray[np.uint8], camera: Camera, side: str) -> NDArray[np.u
         size = f"{shape[1]}x{shape[0]}"
         allowed = f"{camera.size[0]}x{camera.size[1]}"
         raise StereoRefusal(Reason.WRONG_SIZE, image=side, size=size, calibrated=allowed)
-    return image if len(shape) == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    grey = image if len(shape) == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    return np.ascontiguousarray(grey)
 
 
 def _span_m(corners: Array) -> float:
