@@ -110,3 +110,24 @@ def rotation_error(R: Buffer, r: int, target: Buffer, t: int, e: Buffer, at: int
     ratio = angle / (s + 1e-300)
     e[at], e[at + 1], e[at + 2] = ratio * x, ratio * y, ratio * z
     return angle
+
+
+def skewness(R: Buffer, r: int) -> Any:
+    """How far the axes n, o, a (9 numbers from index r on) are from a right-handed rotation.
+
+    Returns:
+        Sum of the squares of ``R'R - 1`` (once each) and of ``n x o - a``.
+    """
+    s = 0.0
+    for i in range(3):
+        for j in range(i + 1):
+            d = R[r + 3 * i] * R[r + 3 * j]
+            d = d + R[r + 3 * i + 1] * R[r + 3 * j + 1] + R[r + 3 * i + 2] * R[r + 3 * j + 2]
+            if i == j:
+                d = d - 1.0
+            s = s + d * d
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        d = R[r + j] * R[r + 3 + k] - R[r + k] * R[r + 3 + j] - R[r + 6 + i]
+        s = s + d * d
+    return s

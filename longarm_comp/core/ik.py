@@ -14,9 +14,20 @@ from enum import Enum
 
 import numpy as np
 
+from longarm_comp.core import ik_single as single
+from longarm_comp.core.box_step import skewness
 from longarm_comp.core.context import Context
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.ik_engines import Engine, Problem, restart_points, run, warm_up, with_radii
+from longarm_comp.core.ik_engines import (
+    Engine,
+    Problem,
+    characteristic_length,
+    compiled_at_hand,
+    restart_points,
+    run,
+    warm_up,
+    with_radii,
+)
 from longarm_comp.core.model import Model
 from longarm_comp.core.spatial import Frame
 
@@ -116,6 +127,11 @@ def solve(
     target = np.asarray(target, dtype=float)
     if target.shape not in ((3,), (4, 4)):
         raise InputError("ik.solve", "target", f"shape {target.shape}", "shape (3,) or (4, 4)")
+    if rng is None and not locked and compiled_at_hand(engine):
+        options = (position_only, tol, max_iterations, max_starts)
+        found = single.solve_compiled(model, target, seed, context, options)
+        if found is not None:
+            return _solution(model, found, options)
     many = solve_many(
         model,
         target[None],
@@ -195,12 +211,6 @@ def solve_many(
     return _collect(model, q, report, problem)
 
 
-def characteristic_length(model: Model) -> float:
-    """Metres that a radian of tool angle counts for: a quarter of the stretched arm."""
-    size = sum(abs(j.a_m) + abs(j.d_m) for j in model.arm.joints)
-    return max(0.25 * size, 0.01)
-
-
 def target_faults(targets: np.ndarray, position_only: bool, where: str) -> list[str]:
     """What is wrong with each of N targets; an empty string where nothing is.
 
@@ -210,17 +220,23 @@ def target_faults(targets: np.ndarray, position_only: bool, where: str) -> list[
     if targets.ndim not in (2, 3) or targets.shape[1:] not in ((3,), (4, 4)):
         allowed = "shape (N, 3) or (N, 4, 4)"
         raise InputError(where, "targets", f"shape {targets.shape}", allowed)
-    finite = np.isfinite(targets).reshape(len(targets), -1).all(axis=1)
+    finite = np.isfinite(targets).all(axis=tuple(range(1, targets.ndim)))
     turned = np.ones(len(targets), bool)
     if targets.ndim == 3 and not position_only:
         T = np.where(finite[:, None, None], targets, 0.0)
-        R = T[:, :3, :3]
-        off = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2))
-        turned = (off < 1e-6) & (np.linalg.det(R) > 0) & (T[:, 3] == [0, 0, 0, 1]).all(axis=1)
+        turned = skewness(_axes(T).T, 0) < single.ROTATION_TOLERANCE**2
+        turned &= (T[:, 3] == [0, 0, 0, 1]).all(axis=1)
+    if finite.all() and turned.all():
+        return [""] * len(targets)
     return [
         ("" if t else "its orientation is no rotation") if f else "it holds a number not finite"
         for f, t in zip(finite, turned, strict=True)
     ]
+
+
+def _axes(T: np.ndarray) -> np.ndarray:
+    """n, o, a one after the other (N, 9) of poses (N, 4, 4)."""
+    return T[:, :3, :3].transpose(0, 2, 1).reshape(-1, 9)
 
 
 def checked_targets(
@@ -228,14 +244,14 @@ def checked_targets(
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Positions (N, 3) and axes n, o, a (N, 9) or None, checked at the door."""
     targets = np.asarray(targets, dtype=float)
-    for i, fault in enumerate(target_faults(targets, position_only, where)):
-        if fault:
-            allowed = f"finite numbers in m, a rotation and [0, 0, 0, 1]: {fault}"
-            raise InputError(where, f"target {i}", targets[i].tolist(), allowed)
+    faults = target_faults(targets, position_only, where)
+    if any(faults):
+        i = next(i for i, fault in enumerate(faults) if fault)
+        allowed = f"finite numbers in m, a rotation and [0, 0, 0, 1]: {faults[i]}"
+        raise InputError(where, f"target {i}", targets[i].tolist(), allowed)
     if targets.ndim == 2:
         return targets, None
-    axes = targets[:, :3, :3].transpose(0, 2, 1).reshape(-1, 9)
-    return targets[:, :3, 3], None if position_only else axes
+    return targets[:, :3, 3], None if position_only else _axes(targets)
 
 
 def checked_seed(
@@ -267,6 +283,25 @@ def locked_joints(model: Model, locked: Sequence[int | str]) -> list[int]:
     return made
 
 
+def _solution(
+    model: Model, found: tuple[np.ndarray, list[float]], options: tuple[bool, float, int, int]
+) -> Solution:
+    q, (position, angle, iterations, starts) = found
+    _, tol, max_iterations, _ = options
+    at = single.at_limits(model, q)
+    ok = position <= tol and angle <= tol
+    reason = _reason(ok, iterations >= starts * max_iterations, bool(at))
+    return Solution(q, ok, reason, position, angle, int(iterations), at, int(starts))
+
+
+def _reason(ok: bool, exhausted: bool, at_limit: bool) -> Reason:
+    if ok:
+        return Reason.CONVERGED
+    if exhausted:
+        return Reason.ITERATIONS
+    return Reason.AT_LIMITS if at_limit else Reason.OUT_OF_REACH
+
+
 def _collect(model: Model, q: np.ndarray, report: np.ndarray, problem: Problem) -> Solutions:
     position, angle = report[:, 0], report[:, 1]
     iterations, starts = report[:, 2].astype(int), report[:, 3].astype(int)
@@ -274,16 +309,7 @@ def _collect(model: Model, q: np.ndarray, report: np.ndarray, problem: Problem) 
     ok = (position <= problem.tol) & (angle <= problem.tol)
     exhausted = iterations >= starts * problem.max_iterations
     blocked = at_limit.any(axis=1)
-    reasons = tuple(
-        Reason.CONVERGED
-        if ok[i]
-        else Reason.ITERATIONS
-        if exhausted[i]
-        else Reason.AT_LIMITS
-        if blocked[i]
-        else Reason.OUT_OF_REACH
-        for i in range(len(q))
-    )
+    reasons = tuple(map(_reason, ok, exhausted, blocked))
     return Solutions(
         q, ok, reasons, position, angle, iterations, at_limit, starts, model.arm.joint_names
     )

@@ -89,6 +89,19 @@ def warm_up() -> bool:
     return _Compiled.loop is not None
 
 
+def characteristic_length(model: Model) -> float:
+    """Metres that a radian of tool angle counts for: a quarter of the stretched arm."""
+    size = sum(abs(j.a_m) + abs(j.d_m) for j in model.arm.joints)
+    return max(0.25 * size, 0.01)
+
+
+def compiled_at_hand(engine: Engine) -> bool:
+    """Whether one target would be solved by the compiled loop, as far as the engine goes."""
+    if engine is Engine.AUTO:
+        return _Compiled.loop is not None
+    return engine is Engine.COMPILED and warm_up()
+
+
 def run(
     model: Model, context: Context, problem: Problem, engine: Engine
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -65,7 +65,33 @@ def _compiled() -> Any:
                 copy.__module__ = __name__
                 outer = name == "search_all"
                 space[name] = numba.njit(cache=outer, nogil=True, error_model="numpy")(copy)
-    return space["search_all"]
+    return space["search_all"], space["skewness"]
 
 
-search_all = _compiled()
+search_all, _skewness = _compiled()
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def search_one(
+    k: Any, m: int, nx: int, data: Any, c: Any, lower: Any, upper: Any, span: Any, points: Any,
+    length: float, tol: float, max_iterations: int, limit: float, q: Any, report: Any,
+) -> int:  # fmt: skip
+    """`search_all` for one target: data holds the target (12) and the start (n).
+
+    Returns:
+        0; 1 where a number is not finite, 2 where the axes are no rotation.
+    """
+    n = len(span)
+    for i in range(12 + n):
+        if not np.isfinite(data[i]):
+            return 1
+    if m == 6 and not _skewness(data, 3) < limit:
+        return 2
+    for j in range(n):
+        data[12 + j] = min(max(data[12 + j], lower[0, j]), upper[0, j])
+    targets, starts = data[:12].reshape((1, 12)), data[12:].reshape((1, n))
+    search_all(
+        k, m, nx, targets, c, starts, lower, upper, span, points, length, tol, max_iterations,
+        q, report,
+    )  # fmt: skip
+    return 0
