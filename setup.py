@@ -7,16 +7,12 @@ from setuptools import find_packages, setup
 NAME = "longarm_comp"
 
 # Programs that `ros2 run longarm_comp ...` finds: the modules of nodes/ that have a main.
-NODES = ["error_predictor", "kinematics", "servo_driver"]
+NODES = ["error_predictor", "kinematics", "servo_driver", "simulated_arm", "stereo_bridge"]
 
 RUNTIME = [
     "click>=8.1",
-    "jinja2>=3.1",
-    "joblib>=1.3",
-    "matplotlib>=3.8",
     "numpy>=1.26",
     "opencv-python-headless>=4.10",
-    "plotly>=5.20",
     "pydantic>=2.6",
     "pyserial>=3.5",
     "pyyaml>=6.0",
@@ -33,7 +29,6 @@ EXTRAS = {
     "dev": [
         "PyNiteFEA",
         "colcon-common-extensions",
-        "dask[distributed]",
         "dynamixel-sdk",
         "example-robot-data",
         "hypothesis",
