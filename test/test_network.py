@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from longarm_comp.bench.smooth import smooth_set
+from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.network import (
     Shape,
     forward,
@@ -18,6 +19,7 @@ from longarm_comp.core.learn.network import (
     with_ones,
     xavier_start,
 )
+from longarm_comp.core.learn.population import fitness_on
 from longarm_comp.core.learn.sparrow import SparrowSearch
 from longarm_comp.core.learn.training import back_propagate
 
@@ -67,6 +69,22 @@ def test_population_fitness_survives_saturated_units(problem):
     x, y, weights = problem
     huge = np.stack((weights * 1e4, -weights * 1e4))
     assert np.all(np.isfinite(squared_error(SHAPE, x, y)(huge)))
+
+
+def test_torch_gives_the_fitness_that_numpy_gives(problem):
+    pytest.importorskip("torch")
+    x, y, _ = problem
+    population = np.random.default_rng(2).normal(size=(70, SHAPE.size))
+    by_torch = fitness_on("cpu", SHAPE, x, y)(population)
+    np.testing.assert_allclose(by_torch, squared_error(SHAPE, x, y)(population), rtol=1e-5)
+
+
+def test_a_device_that_is_not_there_is_refused(problem):
+    pytest.importorskip("torch")
+    x, y, _ = problem
+    for device in ("cuda:99", "abacus"):
+        with pytest.raises(InputError):
+            fitness_on(device, SHAPE, x, y)
 
 
 def test_groups_cover_every_weight_once_per_input():
@@ -128,8 +146,9 @@ def test_sixty_sparrow_starts_have_no_collapsed_units():
     x = (data.q - data.q.mean(0)) / data.q.std(0)
     y = (data.residual - data.residual.mean(0)) / data.residual.std()
     shape, search = Shape(7, 12, 3), SparrowSearch(20, 20)
+    fitness = squared_error(shape, x, y)
     for seed in range(60):
-        start = sparrow_start(shape, x, y, np.random.default_rng(seed), search)
+        start = sparrow_start(shape, fitness, np.random.default_rng(seed), search)
         assert not hidden_alike(shape, start).any()
 
 
