@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import pickle
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -31,7 +32,9 @@ from longarm_comp.devices.stereo import (
     hand_eye,
     triangulate,
 )
-from longarm_comp.sim.cameras import CameraPair, Conditions, charuco_plate, render, tag_plate
+from longarm_comp.sim import cameras, plates
+from longarm_comp.sim.cameras import CameraPair, Conditions, render
+from longarm_comp.sim.plates import charuco_plate, tag_plate
 
 HEAD = CameraPair()
 TAG = TagBoard(0.06)
@@ -167,6 +170,13 @@ def test_a_print_of_the_wrong_size_moves_the_scale_not_the_point() -> None:
     seen = eye_for(limits=Limits(size_tolerance=0.02)).measure(*large, 0)
     assert seen.scale == pytest.approx(1.01, abs=0.002)
     assert np.linalg.norm(seen.point - truth[:3, 3]) < 3e-4
+
+
+def test_the_cameras_share_nothing_with_the_measurement() -> None:
+    """Or an error of convention would cancel in every test above."""
+    for module in (cameras, plates):
+        assert module.__file__ is not None
+        assert "longarm_comp.devices" not in Path(module.__file__).read_text(encoding="utf-8")
 
 
 # ---- refusals -----------------------------------------------------------------------------------
