@@ -20,7 +20,7 @@ from longarm_comp.core.context import Context
 from longarm_comp.core.dataset import Session
 from longarm_comp.core.effects.base_pose import BasePose
 from longarm_comp.core.effects.dh_error import DhError
-from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.tip_offset import TipOffset
 from longarm_comp.core.errors import InputError, JobError
@@ -48,6 +48,7 @@ class Fit:
         effective: number of parameters that the data determine.
         iterations: Gauss-Newton steps taken.
         converged: whether the last step was below a hundredth of the standard errors.
+        rho: correlation of the noise from one row to the next.
     """
 
     model: Model
@@ -60,6 +61,7 @@ class Fit:
     effective: float
     iterations: int
     converged: bool
+    rho: float = 0.0
 
     @cached_property
     def slots(self) -> tuple[Slot, ...]:
@@ -77,18 +79,17 @@ class Fit:
         return np.flatnonzero(self.weights == 0)
 
     def whitened(self, columns: np.ndarray) -> np.ndarray:
-        """(N, 3, k) columns in m per unit -> (3N, k), weighted and in units of the noise."""
-        scale = (np.sqrt(self.weights)[:, None] / self.sigma)[..., None]
-        return (columns * scale).reshape(-1, columns.shape[-1])
+        """(N, 3, k) columns in m per unit -> (3M, k) of the M inliers, in units of the noise."""
+        return whiten(columns, self.weights, self.sigma, self.rho)
 
     @cached_property
     def design(self) -> np.ndarray:
-        """(3N, p) whitened, prior-scaled design."""
+        """(3M, p) whitened, prior-scaled design."""
         return self.whitened(self.columns * priors(self.slots))
 
     @cached_property
     def data(self) -> np.ndarray:
-        """(3N,) whitened linearised data: the residual with all parameters at their prior mean."""
+        """(3M,) whitened linearised data: the residual with all parameters at their prior mean."""
         taken = self.columns @ self.model.values
         return self.whitened((self.residual + taken)[..., None])[:, 0]
 
@@ -160,6 +161,7 @@ def fit(
     session: Session,
     *,
     sigma: np.ndarray | None = None,
+    rho: float = 0.0,
     robust: bool = True,
     weights: np.ndarray | None = None,
     max_iterations: int = 25,
@@ -169,7 +171,9 @@ def fit(
     Args:
         model: starting point; its terms decide what is fitted.
         session: rows; lost markers are left out.
-        sigma: (3,) noise per axis in m; estimated from the residual when not given.
+        sigma: (3,) noise per axis in m; estimated from the residual, one for all axes, when
+            not given.
+        rho: correlation of the noise from one row to the next (in the order of the rows).
         robust: give outliers weight 0, anew at every step.
         weights: (N of seen rows,) fixed weights instead.
         max_iterations: bound on the Gauss-Newton steps.
@@ -178,7 +182,7 @@ def fit(
         InputError: fewer than four seen rows, or an input that a term needs is missing.
         JobError: the fit did not stay finite.
     """
-    part = _Part.of(model, session, sigma, weights, robust)
+    part = _Part.of(model, session, sigma, weights, robust, rho)
     return _fit_parts([part], max_iterations)[0]
 
 
@@ -219,6 +223,7 @@ class _Part:
     residual: np.ndarray
     columns: np.ndarray
     effective: float = 0.0
+    rho: float = 0.0
 
     @classmethod
     def of(
@@ -228,6 +233,7 @@ class _Part:
         sigma: np.ndarray | None,
         weights: np.ndarray | None,
         robust: bool,
+        rho: float = 0.0,
     ) -> _Part:
         seen = session.take(session.seen)
         if len(seen) < 4:
@@ -264,14 +270,15 @@ class _Part:
         if self.robust and self.fixed is None:
             self.weights = inliers(self.residual, self.noise if settled else None)
         if self.sigma is None:
-            self.noise = spread(self.residual, self.weights, self.effective)
+            axes = spread(self.residual, self.weights, self.effective)
+            self.noise = np.full(3, np.sqrt((axes**2).mean()))
 
     def whitened(self, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(3N, p) prior-scaled design and (3N,) linearised data, in units of the noise."""
-        rows = (np.sqrt(self.weights)[:, None] / self.noise)[..., None]
         y = self.residual + self.columns @ self.model.values
-        a = (self.columns * scale * rows).reshape(-1, len(scale))
-        return a, (y[..., None] * rows).reshape(-1)
+        both = np.concatenate([self.columns * scale, y[..., None]], axis=-1)
+        white = whiten(both, self.weights, self.noise, self.rho)
+        return white[:, :-1], white[:, -1]
 
 
 def _fit_parts(
@@ -334,9 +341,24 @@ def _fit_parts(
                 part.effective,
                 step,
                 converged,
+                part.rho,
             )
         )
     return made
+
+
+def whiten(columns: np.ndarray, weights: np.ndarray, sigma: np.ndarray, rho: float) -> np.ndarray:
+    """(N, 3, k) columns in m -> (3M, k) of the M rows of weight > 0, with unit white noise.
+
+    Noise that is correlated by `rho` from row to row is whitened as AR(1), each row against
+    the inlier before it.
+    """
+    kept = weights > 0
+    rows = columns[kept] * (np.sqrt(weights[kept])[:, None] / sigma)[..., None]
+    if rho != 0.0 and len(rows) > 1:
+        free = (rows[1:] - rho * rows[:-1]) / np.sqrt(1.0 - rho * rho)
+        rows = np.concatenate([rows[:1], free])
+    return rows.reshape(-1, columns.shape[-1])
 
 
 def inliers(residual: np.ndarray, sigma: np.ndarray | None = None) -> np.ndarray:

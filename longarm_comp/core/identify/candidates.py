@@ -1,0 +1,147 @@
+"""What a diagnosis may try: every effect of the library, alone and as a family, in every form."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.context import Context
+from longarm_comp.core.effects.catalogue import LIBRARY
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model import Model, Slot, slots_of
+from longarm_comp.core.posture import Posture
+
+Term = Effect | Bias
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One hypothesis: some terms of one effect, in one form.
+
+    Attributes:
+        name: canonical name of the effect.
+        terms: the instances, fitted together.
+    """
+
+    name: str
+    terms: tuple[Term, ...]
+
+    @property
+    def where(self) -> tuple[str, ...]:
+        """Where it sits."""
+        return tuple(dict.fromkeys(t.where for t in self.terms))
+
+    @property
+    def form(self) -> tuple[tuple[str, object], ...]:
+        """The placement fields other than the place, shared by all terms."""
+        places = {"joint", "row", "beam", "frame", "group", "marker"}
+        return tuple((k, v) for k, v in self.terms[0].placement.items() if k not in places)
+
+    @property
+    def label(self) -> str:
+        """For people: ``backlash (joint 2, threshold=0.36)``."""
+        form = ", ".join(f"{k}={v:g}" if isinstance(v, float) else f"{k}={v}" for k, v in self.form)
+        return f"{self.name} ({', '.join(self.where)}{', ' + form if form else ''})"
+
+    def slots(self, arm: Arm) -> tuple[Slot, ...]:
+        """Its parameters."""
+        return slots_of(arm, self.terms)
+
+
+@dataclass(frozen=True)
+class Library:
+    """The candidates that the data can speak of, and those that they cannot.
+
+    Attributes:
+        testable: hypotheses whose inputs were recorded.
+        not_testable: (effect, why).
+    """
+
+    testable: tuple[Candidate, ...]
+    not_testable: tuple[tuple[str, str], ...]
+
+
+def library(
+    arm: Arm,
+    context: Context,
+    kinds: Sequence[type[Effect] | type[Bias]] = LIBRARY,
+    declared: Sequence[Term] = (),
+) -> Library:
+    """Every form of every effect, singly and as a whole family.
+
+    Args:
+        arm: decides the places.
+        context: decides which inputs there are.
+        kinds: the effects to try.
+        declared: terms that the model holds already; they are never added twice.
+    """
+    held = {(t.name, t.where) for t in declared}
+    testable: list[Candidate] = []
+    missing: list[tuple[str, str]] = []
+    for kind in kinds:
+        groups = kind.candidates(arm)
+        if not groups:
+            missing.append((kind.name, "the declared arm has no place for it"))
+            continue
+        why = ""
+        usable: list[Candidate] = []
+        for group in groups:
+            if any((t.name, t.where) in held for t in group):
+                why = why or "already in the model"
+                continue
+            try:
+                for term in group:
+                    term.require(context)
+            except InputError as error:
+                why = str(error)
+                continue
+            usable.append(Candidate(kind.name, tuple(group)))
+        if not usable:
+            missing.append((kind.name, why))
+        testable += usable + _families(usable)
+    return Library(tuple(testable), tuple(missing))
+
+
+def _families(singles: list[Candidate]) -> list[Candidate]:
+    """Per form, all places together (where an effect has several places)."""
+    by_form: dict[tuple[tuple[str, object], ...], list[Candidate]] = {}
+    for c in singles:
+        if len(c.terms) == 1:
+            by_form.setdefault(c.form, []).append(c)
+    whole = [c for c in singles if len(c.terms) > 1]
+    made = []
+    for group in by_form.values():
+        terms = tuple(t for c in group for t in c.terms)
+        if len(terms) > 1 and not any(
+            len(w.terms) == len(terms) and w.form == group[0].form for w in whole
+        ):
+            made.append(Candidate(group[0].name, terms))
+    return made
+
+
+class Columns:
+    """Prior-scaled columns of candidates at a posture, each parameter computed once."""
+
+    def __init__(self, model: Model, posture: Posture) -> None:
+        self.model, self.posture = model, posture
+        self._known: dict[tuple[object, ...], np.ndarray] = {}
+
+    def of(self, terms: Sequence[Term]) -> np.ndarray:
+        """(N, 3, k) columns of some terms, each times its prior standard deviation."""
+        made = []
+        for slot in slots_of(self.model.arm, terms):
+            key = (slot.owner.name, *slot.owner.placement.values(), slot.parameter.name)
+            if key not in self._known:
+                column = self.model.columns(self.posture, [slot])[1][..., 0]
+                self._known[key] = column * slot.parameter.prior
+            made.append(self._known[key])
+        return np.stack(made, axis=-1) if made else np.zeros((*self.shape, 0))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(N, 3)."""
+        return (len(np.atleast_1d(self.posture.q[0])), 3)

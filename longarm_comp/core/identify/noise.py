@@ -1,0 +1,109 @@
+"""How noisy the measurements are: from repeats where there are enough, else from a rich fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.dataset import Session
+from longarm_comp.core.identify import linear
+from longarm_comp.core.identify.fit import OUTLIER, Fit, whiten
+
+ENOUGH_REPEATS = 15
+"""Degrees of freedom that repeats must have to be trusted."""
+_MAD = 1.4826
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviation per axis and correlation from row to row.
+
+    Attributes:
+        sigma: (3,) m.
+        source: ``repeats`` or ``residual``.
+        rho: correlation of one row's noise with the next one's; 0 where insignificant.
+        degrees: degrees of freedom per axis.
+    """
+
+    sigma: np.ndarray
+    source: str
+    rho: float
+    degrees: float
+
+
+def from_repeats(session: Session) -> Noise | None:
+    """Pure error of repeated poses that were reached from the same side, if there are enough.
+
+    Repeats from different sides differ by hysteresis too, so each side is a group of its own.
+    Deviations beyond 4.2 robust standard deviations are left out.
+    """
+    seen = session.take(session.seen)
+    keys = np.column_stack([seen.pose_id, seen.approach])
+    _, group = np.unique(keys, axis=0, return_inverse=True)
+    group = group.reshape(-1)
+    deviation, freedom = [], []
+    for g in np.unique(group):
+        rows = seen.xyz[group == g]
+        if len(rows) > 1:
+            centre = np.median(rows, axis=0) if len(rows) > 2 else rows.mean(0)
+            deviation.append(rows - centre)
+            freedom.append((len(rows) - 1) / len(rows) * np.ones(len(rows)))
+    if not deviation:
+        return None
+    scatter, share = np.concatenate(deviation), np.concatenate(freedom)
+    robust = _MAD * np.median(np.abs(scatter), axis=0) / np.sqrt(share.mean())
+    kept = (np.abs(scatter) <= OUTLIER * np.maximum(robust, 1e-9)).all(axis=1)
+    degrees = float(share[kept].sum())
+    if degrees < ENOUGH_REPEATS:
+        return None
+    sigma = np.sqrt((scatter[kept] ** 2).sum(0) / degrees)
+    return Noise(np.maximum(sigma, 1e-7), "repeats", 0.0, degrees)
+
+
+def from_residual(fit: Fit, extra: np.ndarray, steps: int = 12) -> tuple[Noise, np.ndarray]:
+    """Noise as what is left when everything in the library is fitted at once.
+
+    Args:
+        fit: the model so far.
+        extra: (N, 3, k) prior-scaled columns of every candidate.
+
+    Returns:
+        The noise, and the (N,) weights it was found with.
+    """
+    columns = np.concatenate([fit.columns * _priors(fit), extra], axis=-1)
+    y = (fit.residual + fit.columns @ fit.model.values)[..., None]
+    weights = fit.weights
+    sigma = fit.sigma.copy()
+    rho = 0.0
+    residual = fit.residual
+    degrees = 1.0
+    for _ in range(steps):
+        white = whiten(np.concatenate([columns, y], -1), weights, sigma, 0.0)
+        posterior = linear.solve(white[:, :-1], white[:, -1])
+        residual = (y - columns @ posterior.u[:, None])[..., 0]
+        robust = _MAD * np.median(np.abs(residual[weights > 0]), axis=0)
+        degrees = max(weights.sum() - posterior.effective / 3, weights.sum() / 10)
+        inflate = np.sqrt(weights.sum() / degrees)
+        worst = (np.abs(residual) / np.maximum(robust * inflate, 1e-9)).max(axis=1)
+        weights = (worst <= OUTLIER).astype(float)
+        new = np.sqrt((residual[weights > 0] ** 2).sum(0) / degrees)
+        done = np.all(np.abs(new - sigma) < 0.01 * sigma)
+        sigma = np.maximum(new, 1e-7)
+        if done:
+            break
+    rho = lag_correlation(residual / sigma, weights)
+    return Noise(sigma, "residual", rho, degrees), weights
+
+
+def lag_correlation(white: np.ndarray, weights: np.ndarray) -> float:
+    """Correlation of successive inlier rows, 0 unless it is beyond 4 standard errors."""
+    kept = white[weights > 0]
+    if len(kept) < 20:
+        return 0.0
+    rho = float((kept[1:] * kept[:-1]).sum() / (kept**2).sum())
+    return rho if abs(rho) > 4 / np.sqrt(kept.size) and abs(rho) > 0.1 else 0.0
+
+
+def _priors(fit: Fit) -> np.ndarray:
+    return np.array([s.parameter.prior for s in fit.slots])
