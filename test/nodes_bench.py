@@ -12,7 +12,9 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import pytest
 import rclpy
+from conftest import claimed_domain
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
@@ -34,19 +36,23 @@ class Bench:
         self, node: str, params: Mapping[str, Any] | None = None, namespace: str = ""
     ) -> subprocess.Popen[str]:
         """Start a node of ``longarm_comp.nodes``."""
-        args = [sys.executable, "-m", f"longarm_comp.nodes.{node}", "--ros-args"]
+        args = ["-m", f"longarm_comp.nodes.{node}", "--ros-args"]
         if namespace:
             args += ["-r", f"__ns:=/{namespace}"]
         for name, value in (params or {}).items():
             text = str(value).lower() if isinstance(value, bool) else value
             args += ["-p", f"{name}:={text}"]
-        return self.launch(args)
+        return self.python(args)
 
-    def launch(self, args: list[str]) -> subprocess.Popen[str]:
-        """Start any program from the source tree."""
-        env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    def python(self, args: list[str]) -> subprocess.Popen[str]:
+        """Start a Python program from the source tree."""
         process = subprocess.Popen(
-            args, cwd=ROOT, env=env, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+            [sys.executable, *args],
+            cwd=ROOT,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
         )
         self.processes.append(process)
         return process
@@ -87,7 +93,7 @@ class Bench:
         ]
         return "\n".join(said)
 
-    def close(self) -> None:
+    def end_processes(self) -> None:
         """End every process, gently first."""
         for process in self.processes:
             if process.poll() is None:
@@ -100,9 +106,24 @@ class Bench:
                 process.wait()
             if process.stdout is not None:
                 process.stdout.close()
+        self.processes.clear()
+
+    def close(self) -> None:
+        """End everything."""
+        self.end_processes()
         self.executor.shutdown(timeout_sec=1.0)
         self.node.destroy_node()
         self.context.try_shutdown()
+
+
+@contextlib.contextmanager
+def own_graph(folder: Path) -> Iterator[None]:
+    """A ROS graph for a whole file of tests, in the environment that processes inherit."""
+    with claimed_domain() as domain, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", str(domain))
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        patch.setenv("ROS_LOG_DIR", str(folder / "ros_log"))
+        yield
 
 
 @contextlib.contextmanager

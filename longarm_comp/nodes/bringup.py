@@ -96,8 +96,7 @@ class BringUp:
             "error_predictor": arm | _path("predictor", self.predictor),
             "servo_driver": ({"bus.port": port} if port else {}) | (_PATIENT if self.sim else {}),
             "stereo_bridge": {"reliable_images": True} if self.sim else {},
-            "simulated_arm": arm
-            | {"servos": str(self.file("servo_driver").absolute()), "port": bus},
+            "simulated_arm": arm | {"servos": servos, "port": bus},
         }
         made = per_node[node]
         if self.sim and self.speed != 1.0:

@@ -18,7 +18,7 @@ from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.learn.predictor_file import load
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.health import ERROR, OK, WARN, Health, Report
+from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
 from longarm_comp.nodes.messages import joints_of, vector_message
 from longarm_comp.nodes.model_files import file_hash
 from longarm_comp.nodes.params import Param, declare
@@ -32,6 +32,7 @@ PARAMS = (
     Param("predictor", "", "predictor file (npz); empty: none, every question is refused"),
     Param("base_frame", "base", "frame of the predicted errors"),
     Param("watch_period_s", 1.0, "how often the file is looked at for a new version", 0.1, 3600.0),
+    PERIOD,
 )
 
 
@@ -64,7 +65,7 @@ class ErrorPredictor(Node):
         graph.RELOAD.server(self, self._on_reload, ReentrantCallbackGroup())
         self._watch = FileWatch((self._path,))
         self.create_timer(p["watch_period_s"], self._look)
-        self._health = Health(self, {"predictor": self._report})
+        self._health = Health(self, {"predictor": self._report}, p[PERIOD.name])
 
     def close(self) -> None:
         """Stop the worker."""

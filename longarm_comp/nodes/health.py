@@ -9,6 +9,10 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
 from longarm_comp.nodes.interfaces import DIAGNOSTICS
+from longarm_comp.nodes.params import Param
+
+PERIOD = Param("diagnostics_period_s", 1.0, "between two reports on /diagnostics", 0.05, 60.0)
+"""A parameter of every node."""
 
 OK, WARN, ERROR, STALE = (
     DiagnosticStatus.OK,
@@ -33,10 +37,11 @@ class Health:
     Args:
         node: speaks for itself; a part is named ``<node>: <part>``.
         parts: each part's report, made when asked.
+        period_s: between two publications.
     """
 
     def __init__(
-        self, node: Node, parts: Mapping[str, Callable[[], Report]], period_s: float = 1.0
+        self, node: Node, parts: Mapping[str, Callable[[], Report]], period_s: float
     ) -> None:
         self._node = node
         self._parts = dict(parts)

@@ -27,7 +27,7 @@ from longarm_comp.core.online import (
     compensate_now,
 )
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.health import ERROR, OK, WARN, Health, Report
+from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
 from longarm_comp.nodes.messages import (
     Provenance,
     Refusal,
@@ -68,6 +68,7 @@ PARAMS = (
     Param(
         "watch_period_s", 1.0, "how often the files are looked at for a new version", 0.1, 3600.0
     ),
+    PERIOD,
 )
 
 
@@ -107,7 +108,9 @@ class Kinematics(Node):
         graph.RELOAD.server(self, self._on_reload, together)
         self._watch = FileWatch((p["model"],))
         self.create_timer(p["watch_period_s"], self._look)
-        self._health = Health(self, {"targets": self._targets_report, "model": self._files.report})
+        self._health = Health(
+            self, {"targets": self._targets_report, "model": self._files.report}, p[PERIOD.name]
+        )
 
     def close(self) -> None:
         """Stop the worker."""

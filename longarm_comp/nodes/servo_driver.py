@@ -24,7 +24,7 @@ from longarm_comp.devices.servo_config import BusConfig, FollowerConfig, ServoCo
 from longarm_comp.devices.servo_follower import EventKind, FollowerState
 from longarm_comp.devices.servo_joint import JointConfig
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.health import ERROR, OK, WARN, Health, Report
+from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
 from longarm_comp.nodes.messages import trajectory_of
 from longarm_comp.nodes.params import Param, declare, nested, overrides, redeclare
 from longarm_comp.nodes.runner import run
@@ -33,6 +33,7 @@ PARAMS = (
     Param("rate_hz", 50.0, "cycles a second: read all servos, command all", 1.0, 500.0),
     Param("autostart", True, "configure and activate by itself, and again after a failure"),
     Param("retry_s", 1.0, "pause between two such attempts", 0.1, 60.0),
+    PERIOD,
 )
 SECTIONS = {"bus": BusConfig, "joints": JointConfig, "follower": FollowerConfig}
 """Parameters below these names are the servo configuration (`devices/servo_config.py`)."""
@@ -58,7 +59,9 @@ class ServoDriver(LifecycleNode):
         graph.ESTOP.server(self, self._on_estop)
         graph.RESET.server(self, self._on_reset)
         self._timer = self.create_timer(self._period_s, self._cycle)
-        self._health = Health(self, {"servo bus": self._bus_report, "arm": self._arm_report})
+        self._health = Health(
+            self, {"servo bus": self._bus_report, "arm": self._arm_report}, p[PERIOD.name]
+        )
         if self._autostart:
             self._start()
             self.create_timer(p["retry_s"], self._start)

@@ -18,7 +18,7 @@ from std_msgs.msg import Float64
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.health import OK, Health, Report
+from longarm_comp.nodes.health import OK, PERIOD, Health, Report
 from longarm_comp.nodes.images import image_message, info_message, stamp_of
 from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.runner import run
@@ -58,6 +58,7 @@ PARAMS = (
         -1.0,
         1.0,
     ),
+    PERIOD,
 )
 
 
@@ -119,7 +120,7 @@ class SimulatedArm(Node):
             self.create_timer(1.0 / p["frame_rate_hz"], self._expose)
         if p["context_rate_hz"]:
             self.create_timer(1.0 / p["context_rate_hz"], self._tell)
-        self._health = Health(self, {"workshop": self._report})
+        self._health = Health(self, {"workshop": self._report}, p[PERIOD.name])
         self._workshop.start()
 
     def close(self) -> None:

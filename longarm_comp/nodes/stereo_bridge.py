@@ -29,7 +29,7 @@ from longarm_comp.devices.stereo import (
     Target,
 )
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.health import OK, STALE, WARN, Health, Report
+from longarm_comp.nodes.health import OK, PERIOD, STALE, WARN, Health, Report
 from longarm_comp.nodes.images import pixels_of, same_camera, stamp_ns, stamp_of
 from longarm_comp.nodes.messages import pose_message
 from longarm_comp.nodes.params import Param, declare
@@ -63,6 +63,7 @@ PARAMS = (
     Param("limits.epipolar_px", 1.5, "largest median distance from epipolar lines", 0.01, 100.0),
     Param("limits.rms_px", 0.8, "largest rms reprojection error", 0.01, 100.0),
     Param("limits.edge_px", 2.5, "largest blur", 0.1, 100.0),
+    PERIOD,
 )
 
 
@@ -111,7 +112,7 @@ class StereoBridge(Node):
         graph.RIGHT_INFO.subscription(self, lambda m: self._on_info(right, m))
         graph.LEFT_IMAGE.subscription(self, lambda m: self._on_image(left, m), listens=hears)
         graph.RIGHT_IMAGE.subscription(self, lambda m: self._on_image(right, m), listens=hears)
-        self._health = Health(self, {"stereo": self._report})
+        self._health = Health(self, {"stereo": self._report}, p[PERIOD.name])
 
     def close(self) -> None:
         """Stop the worker."""

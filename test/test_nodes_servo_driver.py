@@ -1,0 +1,261 @@
+"""`servo_driver` as a process, on an emulated bus that the test holds in its hands."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from builtin_interfaces.msg import Duration
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from nodes_bench import Bench, bench, own_graph
+from rcl_interfaces.srv import DescribeParameters
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.sim.servo_emulator import MotorSpec, ServoEmulator, read_arm
+
+CONFIG = """
+/**/servo_driver:
+  ros__parameters:
+    retry_s: 0.2
+    diagnostics_period_s: 0.1
+    bus: {protocol: feetech, port: PORT, reply_timeout_s: 0.2, retries: 1}
+    joints:
+      shoulder: {servo_id: 1, model: sts3215, type: revolute, zero_ticks: 2048.0, gear_ratio: 3.0,
+        multi_turn: true, lower: -0.5, upper: 1.0, max_velocity: 2.0}
+      boom: {servo_id: 2, model: sts3215, type: prismatic, zero_ticks: 3900.0, direction: -1,
+        pinion_radius_m: 0.018, lower: 0.0, upper: 0.1, max_velocity: 0.1}
+    follower: {stall_time_s: 0.3, silence_s: 1.0}
+"""
+
+
+class Rig:
+    """An emulated bus, the driver's process, and what it says."""
+
+    def __init__(self, stage: Bench, folder: Path) -> None:
+        self.stage = stage
+        self.file = folder / "servo_driver.yaml"
+        self.link = folder / "bus"
+        self.file.write_text(CONFIG.replace("PORT", str(self.link)))
+        self.arm = read_arm(self.file)
+        self.emulator = ServoEmulator(
+            self.arm.protocol,
+            self.arm.start_ticks(),
+            MotorSpec(stiff_ticks=30.0),
+            link=self.link,
+        )
+        self.emulator.start()
+        self.states = stage.collect(graph.JOINT_STATES)
+        self.diagnostics = stage.collect(graph.DIAGNOSTICS)
+        self.trajectories = graph.JOINT_TRAJECTORY.publisher(stage.node)
+        self.process = self.start()
+
+    def start(self) -> subprocess.Popen[str]:
+        command = ["-m", "longarm_comp.nodes.servo_driver", "--ros-args"]
+        self.process = self.stage.python([*command, "--params-file", str(self.file)])
+        return self.process
+
+    def driving(self) -> bool:
+        return all(self.emulator.torques_on().values())
+
+    def free(self) -> bool:
+        return not any(self.emulator.torques_on().values())
+
+    def joints(self) -> dict[str, float]:
+        """Where the emulated joints really stand."""
+        return self.arm.values(self.emulator.positions())
+
+    def send(self, **goal: float) -> None:
+        point = JointTrajectoryPoint(
+            positions=list(goal.values()), time_from_start=Duration(nanosec=200_000_000)
+        )
+        self.stage.connected(self.trajectories)
+        self.trajectories.publish(JointTrajectory(joint_names=list(goal), points=[point]))
+
+    def arrives(self, **goal: float) -> None:
+        def there() -> bool:
+            at = self.joints()
+            return all(abs(at[name] - value) < 1e-3 for name, value in goal.items())
+
+        self.stage.spin(there)
+
+    def goes(self, **goal: float) -> None:
+        """Send until it is on its way: the driver's subscription may still be connecting."""
+        self.send(**goal)
+        self.arrives(**goal)
+
+    def told(self, part: str) -> str:
+        """The last sentence of a part of /diagnostics."""
+        for array in reversed(self.diagnostics):
+            for status in array.status:
+                if status.name.endswith(part):
+                    return str(status.message)
+        return ""
+
+    def refused(self) -> int:
+        """How many trajectories it says it refused."""
+        for array in reversed(self.diagnostics):
+            for status in array.status:
+                for value in status.values:
+                    if value.key == "refused":
+                        return int(value.value)
+        return -1
+
+    def call(self, service: graph.Service, request: Any) -> Any:
+        return self.stage.call(service.client(self.stage.node, of="servo_driver"), request)
+
+    def change(self, transition: int) -> bool:
+        client = self.stage.node.create_client(ChangeState, "servo_driver/change_state")
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return bool(self.stage.call(client, request).success)
+
+    def is_idle(self) -> None:
+        """Wait until it drives and has read every servo."""
+        self.stage.spin(lambda: self.driving() and self.told(": arm") in ("idle", "holding"))
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    folder = tmp_path_factory.mktemp("driver")
+    with own_graph(folder), bench() as stage:
+        made = Rig(stage, folder)
+        try:
+            yield made
+        finally:
+            stage.end_processes()
+            made.emulator.stop()
+
+
+@pytest.fixture
+def rig(shared: Rig) -> Rig:
+    """The driver, running and in order; started again where a test ended it."""
+    del shared.diagnostics[:]
+    if shared.process.poll() is not None:
+        shared.start()
+    shared.is_idle()
+    return shared
+
+
+def test_follows_reports_and_lets_go_through_its_life(rig: Rig) -> None:
+    rig.goes(shoulder=0.4, boom=0.05)
+    last = rig.stage.spin(
+        lambda: rig.states and abs(rig.states[-1].position[0] - 0.4) < 1e-3 and rig.states[-1]
+    )
+    assert list(last.name) == ["shoulder", "boom"]
+    assert last.position[1] == pytest.approx(0.05, abs=1e-3)
+
+    assert rig.change(Transition.TRANSITION_DEACTIVATE)
+    assert rig.free()
+    rig.send(shoulder=0.0)
+    rig.stage.spin(lambda: rig.told(": arm").startswith("not active"))
+    assert rig.joints()["shoulder"] == pytest.approx(0.4, abs=1e-3)
+    assert rig.change(Transition.TRANSITION_ACTIVATE)
+    assert rig.driving()
+    assert rig.joints()["shoulder"] == pytest.approx(0.4, abs=1e-3)
+    rig.is_idle()
+    rig.goes(shoulder=0.1)
+    assert rig.change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    assert rig.free()
+    rig.process.send_signal(signal.SIGINT)
+    assert rig.process.wait(timeout=10) == 0
+
+
+def test_bad_trajectories_move_nothing_and_are_counted(rig: Rig) -> None:
+    before, already = rig.joints(), rig.refused()
+    bad = (
+        {"elbow": 0.1},
+        {"shoulder": 2.0},
+        {"shoulder": float("nan")},
+        {"boom": -0.01},
+    )
+    for goal in bad:
+        rig.send(**goal)
+    rig.trajectories.publish(JointTrajectory(joint_names=["boom"], points=[JointTrajectoryPoint()]))
+
+    rig.stage.spin(lambda: rig.refused() == already + len(bad) + 1)
+    assert rig.joints() == pytest.approx(before, abs=1e-5)
+    rig.goes(boom=0.02)
+
+
+def test_emergency_stop_lets_go_until_it_is_released(rig: Rig) -> None:
+    rig.send(shoulder=1.0)
+    rig.stage.spin(lambda: rig.joints()["shoulder"] > 0.05)
+    assert rig.call(graph.ESTOP, SetBool.Request(data=True)).success
+    assert rig.free()
+    stopped = rig.joints()["shoulder"]
+    assert stopped < 0.95
+    rig.send(shoulder=0.0)
+    rig.stage.spin(lambda: rig.told(": arm").startswith("emergency stop"))
+    assert rig.joints()["shoulder"] == stopped
+    assert rig.call(graph.ESTOP, SetBool.Request(data=False)).success
+    assert rig.driving()
+    rig.is_idle()
+    rig.goes(shoulder=0.0)
+
+
+def test_a_stalled_servo_stops_the_arm_until_reset(rig: Rig) -> None:
+    rig.emulator.block(1)
+    rig.send(shoulder=0.8, boom=0.05)
+    rig.stage.spin(lambda: "shoulder" in rig.told(": arm"))
+    rig.emulator.block(1, False)
+    assert rig.call(graph.RESET, Trigger.Request()).success
+    rig.is_idle()
+    rig.goes(shoulder=0.2)
+
+
+def test_an_unplugged_cable_is_told_and_taken_up_again(rig: Rig) -> None:
+    rig.emulator.unplug()
+    rig.stage.spin(lambda: "unplugged" in rig.told("servo bus"))
+    rig.emulator.replug()
+    rig.stage.spin(lambda: rig.told("servo bus") == "every servo answers")
+    if "idle" not in rig.told(": arm"):
+        assert rig.call(graph.RESET, Trigger.Request()).success
+    rig.is_idle()
+    rig.goes(boom=0.03)
+
+
+@pytest.mark.parametrize("signals", [[signal.SIGINT] * 2, [signal.SIGTERM]])
+def test_a_signal_lets_the_servos_go(rig: Rig, signals: list[signal.Signals]) -> None:
+    for number in signals:
+        rig.process.send_signal(number)
+    assert rig.process.wait(timeout=10) == 0
+    assert rig.free()
+
+
+def test_a_killed_driver_leaves_the_arm_standing_and_its_successor_takes_over(rig: Rig) -> None:
+    rig.goes(shoulder=0.3)
+    rig.process.kill()
+    rig.process.wait(timeout=10)
+    assert rig.driving()  # the arm does not drop
+    del rig.diagnostics[:]
+    rig.start()
+    rig.is_idle()
+    assert rig.joints()["shoulder"] == pytest.approx(0.3, abs=1e-3)
+    rig.goes(shoulder=0.1)
+
+
+def test_parameters_are_described_and_wrong_ones_refused(rig: Rig, tmp_path: Path) -> None:
+    client = rig.stage.node.create_client(DescribeParameters, "servo_driver/describe_parameters")
+    names = ["rate_hz", "joints.boom.lower", "bus.retries"]
+    described = rig.stage.call(client, DescribeParameters.Request(names=names)).descriptors
+    assert all(d.description and d.read_only for d in described)
+    assert described[0].floating_point_range[0].to_value == 500.0
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text(rig.file.read_text().replace("gear_ratio", "gear_ration"))
+    second = rig.stage.python(
+        ["-m", "longarm_comp.nodes.servo_driver", "--ros-args", "--params-file", str(wrong)]
+    )
+    said, _ = second.communicate(timeout=20)
+    assert second.returncode == 2
+    assert "gear_ration" in said
+    assert "gear_ratio" in said
+    assert "Traceback" not in said
