@@ -309,7 +309,7 @@ def _collect(model: Model, q: np.ndarray, report: np.ndarray, problem: Problem) 
     ok = (position <= problem.tol) & (angle <= problem.tol)
     exhausted = iterations >= starts * problem.max_iterations
     blocked = at_limit.any(axis=1)
-    reasons = tuple(map(_reason, ok, exhausted, blocked))
+    reasons = tuple(map(_reason, ok.tolist(), exhausted.tolist(), blocked.tolist()))
     return Solutions(
         q, ok, reasons, position, angle, iterations, at_limit, starts, model.arm.joint_names
     )
