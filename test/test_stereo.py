@@ -64,7 +64,9 @@ def eye_for(
     return StereoEye(rig, target, head.camera_in_base, **options)
 
 
-def pair(conditions: Conditions | None = None, plate: Any = PLATE, depth: float = 1.2) -> Any:
+def pair(
+    conditions: Conditions | None = None, plate: Any = PLATE, depth: float = 1.2
+) -> tuple[Any, Any]:
     return render(marker_pose(HEAD, depth), plate, HEAD, np.random.default_rng(3), conditions)
 
 
@@ -135,7 +137,7 @@ def test_distorted_turned_raw_cameras_agree_with_the_truth() -> None:
     for _ in range(4):
         truth = marker_pose(head, 1.3, rng)
         seen = eye.measure(*render(truth, PLATE, head, rng), 0)
-        error = np.linalg.inv(eye.camera_in_base)[:3, :3] @ (seen.point - truth[:3, 3])
+        error = np.linalg.inv(head.camera_in_base)[:3, :3] @ (seen.point - truth[:3, 3])
         assert np.all(np.abs(error) < [1e-4, 1e-4, 5e-4])
         assert np.abs(seen.pose[:3, :3] - truth[:3, :3]).max() < 0.02
 
@@ -225,7 +227,7 @@ def test_whatever_the_picture_the_answer_is_right_or_a_refusal() -> None:
     rng = np.random.default_rng(15)
     boards = [(PLATE, TAG), (tag_plate(0.04, 0.01, 2, 2), TagBoard(0.04, 0.01, 2, 2))]
     measured, refused = 0, 0
-    for case in range(60):
+    for case in range(40):
         plate, target = boards[case % 2]
         conditions = Conditions(
             exposure=float(rng.choice([0.1, 0.4, 0.75, 1.5, 3.0])),
@@ -244,7 +246,7 @@ def test_whatever_the_picture_the_answer_is_right_or_a_refusal() -> None:
         error = seen.point - truth[:3, 3]
         assert np.linalg.norm(error) < 5e-3
         assert error @ np.linalg.solve(seen.covariance, error) < 8.0**2
-    assert measured > 10 and refused > 10
+    assert measured > 8 and refused > 8
     noise = rng.integers(0, 256, (2, 480, 640), dtype=np.uint8)
     with pytest.raises(StereoRefusal):
         eye_for().measure(noise[0], noise[1], 0)

@@ -18,7 +18,17 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from longarm_comp.sim.plates import Plate
+from longarm_comp.sim.plates import Plate, charuco_plate, tag_plate
+
+__all__ = [
+    "CameraInfo",
+    "CameraPair",
+    "Conditions",
+    "Plate",
+    "charuco_plate",
+    "render",
+    "tag_plate",
+]
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
