@@ -115,7 +115,7 @@ def test_machine_code_gives_the_same_numbers(arm):
     def machine(function):
         return lambda *buffers: function(*(b.ctypes.data for b in buffers))
 
-    calls = (machine(first), machine(step), machine(last), kernel.passes)
+    calls = (machine(first), machine(step), machine(last), None, None, kernel.passes)
     made = by_every_program(model, q, context)
     np.testing.assert_allclose(made["floats"], made["model"], rtol=0, atol=1e-12)
     for k in range(N):
@@ -167,7 +167,7 @@ def test_every_operation_in_every_language():
     tape = Tape()
     a, b = tape.input("q[0]"), tape.input("q[1]")
     outputs = {"out[0]": work(a, b), "out[1]": a - a, "out[2]": 0.0 * b + 1.0}
-    text = emit.python(tape, "f", outputs)
+    text = emit.python("f", tape, outputs)
     on_floats, on_arrays = dict(emit.FLOATS), dict(emit.ARRAYS)
     exec(text, on_floats)
     exec(text, on_arrays)
@@ -185,7 +185,7 @@ def test_every_operation_in_every_language():
 
     from longarm_comp.core.machine_code import compile_module
 
-    code = compile_module(emit.llvm(tape, {"f": outputs}))
+    code = compile_module(emit.llvm({"f": (tape, outputs)}))
     call = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 5)(code.address("f"))
     for x, y in points.T:
         given, made = np.array([x, y]), np.zeros(3)

@@ -37,9 +37,9 @@ def solve_damped(
     """
     for i in range(m):
         for j in range(i + 1):
-            s = J[i * n] * J[j * n] * free[0]
+            s = (J[j * n] * free[0]) * J[i * n]
             for k in range(1, n):
-                s = s + J[i * n + k] * J[j * n + k] * free[k]
+                s = s + (J[j * n + k] * free[k]) * J[i * n + k]
             A[i * m + j] = s
         A[i * m + i] = A[i * m + i] + damping
     for j in range(m):  # A = L D L'

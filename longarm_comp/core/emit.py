@@ -41,7 +41,7 @@ ARRAYS: dict[str, Any] = {
 }
 
 
-def python(tape: Tape, name: str, outputs: Outputs) -> str:
+def python(name: str, tape: Tape, outputs: Outputs) -> str:
     """A Python function; what is used once is written where it is used.
 
     On arrays no output may share memory with an input.
@@ -91,7 +91,7 @@ _LLVM_ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _LLVM_COMPARE = {"lt": "olt", "le": "ole"}
 
 
-def llvm(tape: Tape, functions: dict[str, Outputs]) -> str:
+def llvm(functions: dict[str, tuple[Tape, Outputs]]) -> str:
     """LLVM assembly of a module with one function a name: ``void name(ptr q, ptr c, ...)``.
 
     Nothing may be reordered (no fast-math), so that the numbers are those of Python.
@@ -99,7 +99,7 @@ def llvm(tape: Tape, functions: dict[str, Outputs]) -> str:
     lines = [
         f"declare double @{f}({', '.join(['double'] * count)}) #1" for f, count in _LIBM.items()
     ]
-    for name, outputs in functions.items():
+    for name, (tape, outputs) in functions.items():
         arguments = ", ".join(f"ptr %{a}" for a in ARGUMENTS)
         lines.append(f"define void @{name}({arguments}) #0 {{")
         for node in tape.needed(list(outputs.values())):

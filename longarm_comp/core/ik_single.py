@@ -24,7 +24,7 @@ class _Prepared:
     """A task's constants, as the compiled search takes them."""
 
     kernel: Kernel
-    machine: tuple[int, int, int, int]
+    machine: tuple[int, ...]
     lower: np.ndarray
     upper: np.ndarray
     span: np.ndarray

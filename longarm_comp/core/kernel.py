@@ -1,8 +1,8 @@
-"""The model as three small programs, for the inverse kinematics.
+"""The model as small programs, for the inverse kinematics.
 
 `first` gives the twists under the rigid arm's loads, `step` the tip, its Jacobian and the
-next twists at given ones, `last` the tip and its Jacobian alone.  They are traced from the
-model's own Python, so they give its numbers; parameters are constants in them, joints and
+next twists at given ones, `last` the tip and its Jacobian alone; `solve3` and `solve6` are
+the damped least-squares step, unrolled.  They are traced from the package's own Python, so they give its numbers; parameters are constants in them, joints and
 context are inputs.  They run on floats, on arrays, or (with llvmlite, which numba brings)
 as machine code, compiled in a fraction of a second.
 """
@@ -18,12 +18,13 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core import emit
+from longarm_comp.core.box_step import solve_damped
 from longarm_comp.core.context import Context
 from longarm_comp.core.jacobian import geometric
 from longarm_comp.core.model import Model
 from longarm_comp.core.trace import Symbol, Tape
 
-NAMES = ("first", "step", "last")
+NAMES = ("first", "step", "last", "solve3", "solve6")
 _KEPT = 32  # kernels held, the latest used
 
 
@@ -95,37 +96,48 @@ class Kernel:
         columns = geometric(posture, tip.p)
         seen += [column[i // 3][i % 3] for i in range(6) for column in columns]
         out: emit.Outputs = {f"out[{k}]": value for k, value in enumerate(seen)}
-        self.tape = tape
-        self.outputs: dict[str, emit.Outputs] = {
-            "first": {f"y[{k}]": start[s][i] for (s, i), k in slot.items()},
-            "step": {**out, **{f"y[{k}]": again[s][i] for (s, i), k in slot.items()}},
-            "last": out,
+        self.programs: dict[str, tuple[Tape, emit.Outputs]] = {
+            "first": (tape, {f"y[{k}]": start[s][i] for (s, i), k in slot.items()}),
+            "step": (tape, {**out, **{f"y[{k}]": again[s][i] for (s, i), k in slot.items()}}),
+            "last": (tape, out),
+            "solve3": _solver(3, self.n),
+            "solve6": _solver(6, self.n),
         }
 
     def _python(self, functions: Mapping[str, Any]) -> tuple[Any, ...]:
-        text = "\n".join(emit.python(self.tape, name, self.outputs[name]) for name in NAMES)
+        text = "\n".join(emit.python(name, *self.programs[name]) for name in NAMES)
         space = dict(functions)
         exec(compile(text, "<traced model>", "exec"), space)
         return (*(space[name] for name in NAMES), self.passes)
 
     @cached_property
     def floats(self) -> tuple[Any, ...]:
-        """(first, step, last, passes) on lists of floats."""
+        """The programs on lists of floats, in the order of `NAMES`, then the passes."""
         return self._python(emit.FLOATS)
 
     @cached_property
     def arrays(self) -> tuple[Any, ...]:
-        """(first, step, last, passes) on (k, N) arrays; x and y must not be the same."""
+        """As `floats`, on (k, N) arrays; x and y must not be the same."""
         return self._python(emit.ARRAYS)
 
     @cached_property
-    def machine(self) -> tuple[int, int, int, int]:
-        """(first, step, last, passes) as addresses of machine code on arrays of doubles."""
+    def machine(self) -> tuple[int, ...]:
+        """As `floats`, addresses of machine code on arrays of doubles."""
         from longarm_comp.core import machine_code
 
-        self._code = machine_code.compile_module(emit.llvm(self.tape, self.outputs))
-        first, step, last = (self._code.address(name) for name in NAMES)
-        return first, step, last, self.passes
+        self._code = machine_code.compile_module(emit.llvm(self.programs))
+        return (*(self._code.address(name) for name in NAMES), self.passes)
+
+
+def _solver(m: int, n: int) -> tuple[Tape, emit.Outputs]:
+    """`solve_damped` for m equations and n unknowns: q = J, c = e, x = free and damping, y = u."""
+    tape = Tape()
+    J = [tape.input(f"q[{k}]") for k in range(m * n)]
+    e = [tape.input(f"c[{k}]") for k in range(m)]
+    free = [tape.input(f"x[{k}]") for k in range(n + 1)]
+    u: list[Any] = [0.0] * n
+    solve_damped(J, e, free, free[n], m, n, [0.0] * (m * m), [0.0] * m, u)
+    return tape, {f"y[{k}]": value for k, value in enumerate(u)}
 
 
 def _fixed_twists(model: Model, layout: Layout) -> dict[tuple[int, int], float]:

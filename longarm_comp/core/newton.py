@@ -1,6 +1,6 @@
 """Newton-Raphson in the joint box, one target: the loop that is also compiled.
 
-Written in what plain Python and numba share: numbers, loops, flat buffers.  The four
+Written in what plain Python and numba share: numbers, loops, flat buffers.  The five
 functions under "the machine" are all that differs: as they stand they call a kernel of
 Python functions on lists; `newton_numba` swaps in calls of machine code on arrays.
 
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from longarm_comp.core.box_step import Buffer, rotation_error, solve_damped
+from longarm_comp.core.box_step import Buffer, rotation_error
 
 # The same figures drive the batch in `newton_batch`.
 DIFFERENCE = 1e-6  # step of the differences, in ranges
@@ -22,7 +22,7 @@ POOR = 0.1  # of the squared residual left after a step: then the Jacobian is ma
 FLOOR = 1e-13  # least damping, in (m per joint range)^2
 STALL_AFTER = 6  # iterations without a fifth of progress that end a start
 FIRST_DAMPING = 0.05
-NEAR = 1e-6  # squared residual (m^2) below which all load passes are made
+NEAR = 1e-10  # squared residual (m^2) below which all load passes are made
 
 # ------------------------------------------------------------------ the machine
 
@@ -47,12 +47,20 @@ def last(k: Any, q: Buffer, c: Buffer, x: Buffer, out: Buffer, y: Buffer) -> Non
     k[2](q, c, x, out, y)
 
 
+def least_squares(k: Any, m: int, J: Buffer, e: Buffer, free: Buffer, u: Buffer) -> None:
+    """u = the damped step of `box_step.solve_damped`; the damping follows the n flags in free."""
+    if m == 6:
+        k[4](J, e, free, u, u)
+    else:
+        k[3](J, e, free, u, u)
+
+
 # ------------------------------------------------------------------ the loop
 
 
 def full(k: Any, q: Buffer, c: Buffer, x: Buffer, out: Buffer) -> None:
     """out = tip and Jacobian after all of the model's load passes; x = twists, work."""
-    for i in range(k[3]):
+    for i in range(k[5]):
         if i == 0:
             first(k, q, c, x, out, x)
         else:
@@ -133,6 +141,7 @@ def broyden(J: Buffer, e: Buffer, e2: Buffer, u: Buffer, m: int, n: int, sag: Bu
 
 
 def box_step(
+    k: Any,
     J: Buffer,
     e: Buffer,
     q: Buffer,
@@ -145,8 +154,6 @@ def box_step(
     u: Buffer,
     free: Buffer,
     left: Buffer,
-    A: Buffer,
-    y: Buffer,
     trial: Buffer,
 ) -> None:
     """trial = q after a damped least-squares step that stays in the box.
@@ -159,8 +166,9 @@ def box_step(
     for j in range(n):
         free[j] = 1.0 if upper[j] > lower[j] else 0.0
         trial[j] = q[j]
+    free[n] = damping
     for _ in range(n):
-        solve_damped(J, left, free, damping, m, n, A, y, u)
+        least_squares(k, m, J, left, free, u)
         worst, out_by = -1, 0.0
         for j in range(n):
             if free[j] == 1.0:
@@ -202,11 +210,11 @@ def search(
         model's full passes.
     """
     out, x, y = buffer(12 + 6 * n), buffer(nx), buffer(nx)
-    e, e2, left, solved = buffer(6), buffer(6), buffer(6), buffer(6)
-    J, sag, exact, A = buffer(6 * n), buffer(6 * n), buffer(6 * n), buffer(36)
-    u, free, trial, size = buffer(n), buffer(n), buffer(n), buffer(2)
+    e, e2, left, size = buffer(6), buffer(6), buffer(6), buffer(2)
+    J, sag, exact = buffer(6 * n), buffer(6 * n), buffer(6 * n)
+    u, free, trial = buffer(n), buffer(n + 1), buffer(n)
 
-    if k[3] > 0:
+    if k[5] > 0:
         first(k, q, c, x, out, x)
     step(k, q, c, x, out, x)
     residual(out, target, length, m, e, size)
@@ -233,7 +241,7 @@ def search(
         for i in range(m * n):
             exact[i] = J[i] + sag[i]
         damping = mu * energy**0.5 + FLOOR
-        box_step(exact, e, q, lower, upper, span, damping, m, n, u, free, left, A, solved, trial)
+        box_step(k, exact, e, q, lower, upper, span, damping, m, n, u, free, left, trial)
         if near:
             full(k, trial, c, y, out)
         else:

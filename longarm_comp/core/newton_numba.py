@@ -1,4 +1,4 @@
-"""`newton`, compiled: the same functions with the machine's four replaced.
+"""`newton`, compiled: the same functions with the machine's five replaced.
 
 The loop knows kernels by address only, so it is compiled once for all models and kept in
 numba's cache (some 10 s the first time, well under a second later).
@@ -48,7 +48,18 @@ def _last(k: Any, q: Any, c: Any, x: Any, out: Any, y: Any) -> None:
     _call(k[2], q.ctypes.data, c.ctypes.data, x.ctypes.data, out.ctypes.data, y.ctypes.data)
 
 
-_MACHINE = {"buffer": _buffer, "first": _first, "step": _step, "last": _last}
+def _least_squares(k: Any, m: int, J: Any, e: Any, free: Any, u: Any) -> None:
+    at = k[4] if m == 6 else k[3]
+    _call(at, J.ctypes.data, e.ctypes.data, free.ctypes.data, u.ctypes.data, u.ctypes.data)
+
+
+_MACHINE = {
+    "buffer": _buffer,
+    "first": _first,
+    "step": _step,
+    "last": _last,
+    "least_squares": _least_squares,
+}
 
 
 def _compiled() -> Any:
