@@ -1,0 +1,1 @@
+"""Studies that stand behind the figures in the documentation."""
