@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -111,6 +112,22 @@ def test_every_command_is_there_and_helps(entry: registry.Entry, shell: Shell) -
     assert shell(*entry.name.split(), "--help") == 0
     assert shell.out.startswith(f"Usage: longarm {entry.name} ")
     assert "Example" in shell.out
+
+
+def test_small_matrices_get_one_thread_unless_told_otherwise() -> None:
+    program = (
+        "import os\nfrom longarm_comp.cli.run import run\nrun(['schema'])\n"
+        "print(os.environ['OMP_NUM_THREADS'], os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    env = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**env, "OMP_NUM_THREADS": "2"},
+    )
+    assert done.stdout.splitlines()[-1] == "2 1"
 
 
 def test_no_file_of_a_command_is_forgotten() -> None:

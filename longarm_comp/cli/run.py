@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 from collections.abc import Sequence
 
 import click
@@ -51,6 +52,12 @@ def _in(first: str, entry: Entry) -> bool:
     return entry.name.startswith(f"{first} ")
 
 
+_POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Matrices here are small: a second BLAS thread makes training three times slower, by measurement.
+
+Read when numpy is first imported, so that they must be set before any command is."""
+
+
 def root() -> click.Group:
     """The command ``longarm``."""
     group = LazyGroup(
@@ -67,6 +74,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
     Errors of the package become one line; anything else is a bug and keeps its traceback.
     """
+    for pool in _POOLS:
+        os.environ.setdefault(pool, "1")
     try:
         code = root().main(
             args=None if arguments is None else list(arguments),
