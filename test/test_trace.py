@@ -71,10 +71,10 @@ def by_every_program(model: Model, q: np.ndarray, context: Context) -> dict[str,
     kernel = Kernel(model, layout)
     rows, ids = layout.pack(context, len(q)), np.arange(len(q))
     made = {
-        "model": _ModelMachine(model, context).full(np.ascontiguousarray(q.T), ids),
+        "model": _ModelMachine(model, context).full(np.ascontiguousarray(q.T), ids)[0],
         "arrays": TracedArrays(kernel, np.ascontiguousarray(rows.T)).full(
             np.ascontiguousarray(q.T), ids
-        ),
+        )[0],
     }
     size = 12 + 6 * model.arm.n
     floats = []
@@ -139,8 +139,8 @@ def test_context_is_an_input_not_a_constant(arm):
     for some in (context, other):
         rows = np.ascontiguousarray(kernel.layout.pack(some, N).T)
         np.testing.assert_allclose(
-            TracedArrays(kernel, rows).full(columns, ids),
-            _ModelMachine(model, some).full(columns, ids),
+            TracedArrays(kernel, rows).full(columns, ids)[0],
+            _ModelMachine(model, some).full(columns, ids)[0],
             rtol=0,
             atol=1e-12,
         )

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,8 +48,7 @@ class Reason(Enum):
     ITERATIONS = "the permitted iterations are used up"
 
 
-@dataclass(frozen=True, slots=True)
-class Solution:
+class Solution(NamedTuple):
     """Joints for one target.
 
     Attributes:
@@ -286,7 +286,7 @@ def locked_joints(model: Model, locked: Sequence[int | str]) -> list[int]:
 def _solution(
     model: Model, found: tuple[np.ndarray, list[float]], options: tuple[bool, float, int, int]
 ) -> Solution:
-    q, (position, angle, iterations, starts) = found
+    q, (position, angle, iterations, starts, _) = found
     _, tol, max_iterations, _ = options
     at = single.at_limits(model, q)
     ok = position <= tol and angle <= tol

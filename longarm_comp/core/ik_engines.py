@@ -177,16 +177,12 @@ class _ModelMachine:
     def __init__(self, model: Model, context: Context) -> None:
         self.model, self.context = model, context
 
-    def start(self, q: np.ndarray, ids: np.ndarray) -> np.ndarray:
-        """No twists are carried."""
-        return np.empty((0, ids.size))
-
     def step(self, q: np.ndarray, ids: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `Machine`."""
-        return self.full(q, ids), x
+        return self.full(q, ids)[0], x
 
-    def full(self, q: np.ndarray, ids: np.ndarray) -> np.ndarray:
-        """See `Machine`."""
+    def full(self, q: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """See `Machine`; no twists are carried."""
         posture = self.model.posture(tuple(q), self.context.take(ids))
         tip = self.model.tip_frame(posture)
         columns = geometric(posture, tip.p)
@@ -195,7 +191,7 @@ class _ModelMachine:
         out = np.empty((len(values), ids.size))
         for k, value in enumerate(values):
             out[k] = value
-        return out
+        return out, np.empty((0, ids.size))
 
 
 def _in_chunks(machine: Machine, p: Problem) -> tuple[np.ndarray, np.ndarray]:

@@ -5,75 +5,101 @@ What does not change from target to target is made once per model and task.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from longarm_comp.core.context import Context
 from longarm_comp.core.ik_engines import characteristic_length, restart_points
-from longarm_comp.core.kernel import Kernel, Layout, kernel_of
+from longarm_comp.core.kernel import Layout, kernel_of
 from longarm_comp.core.model import Model
 
 ROTATION_TOLERANCE = 1e-6
 Options = tuple[bool, float, int, int]  # position_only, tol, max_iterations, max_starts
-
-
-@dataclass(frozen=True, slots=True)
-class _Prepared:
-    """A task's constants, as the compiled search takes them."""
-
-    kernel: Kernel
-    machine: tuple[int, ...]
-    lower: np.ndarray
-    upper: np.ndarray
-    span: np.ndarray
-    mid: np.ndarray
-    points: np.ndarray
-    length: float
-
+Key = tuple[Layout, int, float, int, int]  # layout, equations, the last three of the options
 
 _NOTHING = Layout.of(Context.empty())
-_NO_COLUMNS = np.zeros((1, 1))
+
+
+class _Task:
+    """A task's constants, as the compiled search takes them (see `newton_numba.search_one`)."""
+
+    def __init__(self, model: Model, key: Key) -> None:
+        layout, m, tol, max_iterations, max_starts = key
+        arm, kernel = model.arm, kernel_of(model, layout)
+        points = restart_points(arm.n, max(max_starts - 1, 0))
+        self.kernel = kernel  # keeps the machine code
+        self.columns = layout.approach + len(layout.columns)
+        self.n, self.layout, self.mid = arm.n, layout, arm.mid
+        self.numbers = np.array(
+            [
+                *kernel.machine,
+                *(m, kernel.nx, arm.n, max(1, self.columns), len(points), max_iterations),
+            ],
+            dtype=np.intp,
+        )
+        self.constants = np.array(
+            [
+                *(characteristic_length(model), tol, ROTATION_TOLERANCE**2),
+                *(*arm.lower, *arm.upper, *(arm.upper - arm.lower), *points.ravel()),
+            ]
+        )
+        self.size = 16 + 2 * arm.n + max(1, self.columns) + 5
+        self.fixed = self.numbers.ctypes.data, self.constants.ctypes.data
+        self.call = _search()
+
+    def run(self, target: np.ndarray, seed: Any, context: Context | None) -> Any:
+        """Joints and report, or None where the input is wrong."""
+        n, data = self.n, np.empty(self.size)
+        if target.size == 3:
+            data[:16] = 0.0
+            data[3:12:4] = target
+        else:
+            data[:16] = target.ravel()
+        if seed is None:
+            data[16 : 16 + n] = self.mid
+        else:
+            if np.shape(seed) != (n,):
+                return None
+            data[16 : 16 + n] = seed
+        if self.columns:
+            assert context is not None
+            data[16 + n : -5 - n] = self.layout.pack(context, 1)[0]
+        self.call(*self.fixed, data.ctypes.data)
+        report = data[-5:].tolist()
+        return None if report[4] else (data[-5 - n : -5].copy(), report)
+
+
+@cache
+def _search() -> Any:
+    from longarm_comp.core.newton_numba import by_address
+
+    return by_address()
 
 
 def solve_compiled(
     model: Model, target: np.ndarray, seed: Any, context: Context | None, options: Options
 ) -> tuple[np.ndarray, list[float]] | None:
-    """Joints (n,) and [position residual, angle residual, iterations, starts].
+    """Joints (n,) and [position residual, angle residual, iterations, starts, 0].
 
     Returns None where the request needs the long way: text columns, or input that is wrong
     and has to be named.
     """
-    from longarm_comp.core.newton_numba import search_one
-
     position_only, tol, max_iterations, max_starts = options
     layout = _NOTHING if context is None else Layout.of(context)
-    if not layout.traceable or not tol > 0:
-        return None
-    task = _prepared(model, layout, max_starts)
-    n = task.span.shape[0]
-    data = np.empty(12 + n)
-    if target.shape == (3,):
-        m = 3
-        data[:3], data[3:12] = target, 0.0
-    else:
-        m = 3 if position_only else 6
-        data[:3] = target[:3, 3]
-        data[3:12].reshape(3, 3)[:] = target[:3, :3].T
-        if m == 6 and target[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+    m = 3 if position_only or target.size == 3 else 6
+    key = (layout, m, tol, max_iterations, max_starts)
+    tasks: dict[Key, _Task] | None = model.__dict__.get("_tasks")
+    if tasks is None:
+        tasks = model.__dict__["_tasks"] = {}
+    task = tasks.get(key)
+    if task is None:
+        if not layout.traceable or not tol > 0:
             return None
-    start = task.mid if seed is None else np.asarray(seed, dtype=float)
-    if start.shape != (n,):
-        return None
-    data[12:] = start
-    columns = _NO_COLUMNS if context is None else layout.pack(context, 1)
-    q, report = np.empty((1, n)), np.zeros((1, 4))
-    fault = search_one(
-        task.machine, m, task.kernel.nx, data, columns, task.lower, task.upper, task.span,
-        task.points, task.length, tol, max_iterations, ROTATION_TOLERANCE**2, q, report,
-    )  # fmt: skip
-    return None if fault else (q[0], report[0].tolist())
+        task = tasks[key] = _Task(model, key)
+    found: tuple[np.ndarray, list[float]] | None = task.run(target, seed, context)
+    return found
 
 
 def at_limits(model: Model, q: np.ndarray) -> tuple[str, ...]:
@@ -84,25 +110,9 @@ def at_limits(model: Model, q: np.ndarray) -> tuple[str, ...]:
         limits = tuple(zip(arm.joint_names, arm.lower.tolist(), arm.upper.tolist(), strict=True))
         model.__dict__["_limits"] = limits
     return tuple(
-        name
-        for value, (name, low, high) in zip(q.tolist(), limits, strict=True)
-        if value <= low or value >= high
+        [
+            name
+            for value, (name, low, high) in zip(q.tolist(), limits, strict=True)
+            if value <= low or value >= high
+        ]
     )
-
-
-def _prepared(model: Model, layout: Layout, max_starts: int) -> _Prepared:
-    held: dict[tuple[Layout, int], _Prepared] = model.__dict__.setdefault("_prepared", {})
-    key = (layout, max_starts)
-    if key not in held:
-        arm, kernel = model.arm, kernel_of(model, layout)
-        held[key] = _Prepared(
-            kernel,
-            kernel.machine,
-            arm.lower[None].copy(),
-            arm.upper[None].copy(),
-            arm.upper - arm.lower,
-            arm.mid,
-            restart_points(arm.n, max(max_starts - 1, 0)),
-            characteristic_length(model),
-        )
-    return held[key]

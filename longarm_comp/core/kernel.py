@@ -2,9 +2,10 @@
 
 `first` gives the twists under the rigid arm's loads, `step` the tip, its Jacobian and the
 next twists at given ones, `last` the tip and its Jacobian alone; `solve3` and `solve6` are
-the damped least-squares step, unrolled.  They are traced from the package's own Python, so they give its numbers; parameters are constants in them, joints and
-context are inputs.  They run on floats, on arrays, or (with llvmlite, which numba brings)
-as machine code, compiled in a fraction of a second.
+the damped least-squares step, unrolled.  All are traced from the package's own Python, so
+they give its numbers; parameters are constants in them, joints and context are inputs.  They
+run on floats, on arrays, or (with llvmlite, which numba brings) as machine code, compiled in
+a fraction of a second.
 """
 
 from __future__ import annotations

@@ -214,12 +214,13 @@ def search(
     J, sag, exact = buffer(6 * n), buffer(6 * n), buffer(6 * n)
     u, free, trial = buffer(n), buffer(n + 1), buffer(n)
 
-    if k[5] > 0:
-        first(k, q, c, x, out, x)
-    step(k, q, c, x, out, x)
+    full(k, q, c, x, out)
     residual(out, target, length, m, e, size)
     weighted(out, span, length, m, n, J)
     energy, near = squared(e, m), False
+    found[0], found[1] = size[0], size[1]
+    if energy < NEAR:
+        near = True
     mu, marked, since, poor, used, exact_at = FIRST_DAMPING, energy, 0, False, 0, -RENEW
     while True:
         if not near and (energy < NEAR or poor or used >= max_iterations):

@@ -30,14 +30,11 @@ from longarm_comp.core.newton import (
 class Machine(Protocol):
     """The model, as the search asks for it: `out` holds tip and Jacobian, (12 + 6 n, K)."""
 
-    def start(self, q: np.ndarray, ids: np.ndarray) -> np.ndarray:
-        """Twists (nx, K) under the rigid arm's loads."""
-
     def step(self, q: np.ndarray, ids: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """out and the next twists, at given twists."""
 
-    def full(self, q: np.ndarray, ids: np.ndarray) -> np.ndarray:
-        """out after all load passes."""
+    def full(self, q: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """out after all load passes, and the twists it was made with."""
 
 
 class TracedArrays:
@@ -49,25 +46,22 @@ class TracedArrays:
     def _outs(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return np.empty((12 + 6 * len(q), q.shape[1])), np.empty((self.kernel.nx, q.shape[1]))
 
-    def start(self, q: np.ndarray, ids: np.ndarray) -> np.ndarray:
-        """See `Machine`."""
-        out, y = self._outs(q)
-        self.kernel.arrays[0](q, self.context[:, ids], y, out, y)
-        return y
-
     def step(self, q: np.ndarray, ids: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `Machine`."""
         out, y = self._outs(q)
         self.kernel.arrays[1](q, self.context[:, ids], x, out, y)
         return out, y
 
-    def full(self, q: np.ndarray, ids: np.ndarray) -> np.ndarray:
+    def full(self, q: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See `Machine`."""
         out, x = self._outs(q)
         for i in range(self.kernel.passes):
-            x = self.start(q, ids) if i == 0 else self.step(q, ids, x)[1]
+            if i == 0:
+                self.kernel.arrays[0](q, self.context[:, ids], x, out, x)
+            else:
+                x = self.step(q, ids, x)[1]
         self.kernel.arrays[2](q, self.context[:, ids], x, out, x)
-        return out
+        return out, x
 
 
 @dataclass(frozen=True)
@@ -124,13 +118,14 @@ class _State:
         self.machine, self.task, self.ids, self.q = machine, task, ids, q
         self.n, count = q.shape
         self.place = np.arange(count)
-        self.near, self.poor = np.zeros(count, bool), np.zeros(count, bool)
+        self.poor = np.zeros(count, bool)
         self.mu, self.since = np.full(count, FIRST_DAMPING), np.zeros(count, int)
         self.exact_at = np.full(count, -RENEW)
         self.sag = np.zeros((task.m * self.n, count))
-        out, self.x = machine.step(q, ids, machine.start(q, ids))
+        out, self.x = machine.full(q, ids)
         self.e, self.size, self.J = self.read(out, ids)
         self.energy = squared(self.e, task.m)
+        self.near = self.energy < NEAR
         self.marked = self.energy.copy()
 
     def read(self, out: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -162,7 +157,7 @@ class _State:
         if not at.size:
             return
         ids = self.ids[at]
-        out = self.machine.full(self.q[:, at], ids)
+        out = self.machine.full(self.q[:, at], ids)[0]
         self.e[:, at], self.size[:, at], self.J[:, at] = self.read(out, ids)
         self.energy[at] = self.marked[at] = squared(self.e[:, at], self.task.m)
         self.near[at], self.poor[at] = True, False
@@ -180,7 +175,7 @@ class _State:
         e2, size2, J2 = np.zeros_like(self.e), np.zeros_like(self.size), np.empty_like(self.J)
         near, far = np.flatnonzero(self.near), np.flatnonzero(~self.near)
         if near.size:
-            out = self.machine.full(trial[:, near], self.ids[near])
+            out = self.machine.full(trial[:, near], self.ids[near])[0]
             e2[:, near], size2[:, near], J2[:, near] = self.read(out, self.ids[near])
         if far.size:
             out, self.x[:, far] = self.machine.step(trial[:, far], self.ids[far], self.x[:, far])
@@ -213,7 +208,7 @@ class _State:
             outside = moved[j] + DIFFERENCE * span > task.upper[j, ids]
             h = np.where(outside, -DIFFERENCE, DIFFERENCE)
             moved[j] += h * span
-            e = self.read(self.machine.full(moved, ids), ids)[0]
+            e = self.read(self.machine.full(moved, ids)[0], ids)[0]
             J[j::n] = (self.e[:m, at] - e[:m]) / h
         return J
 

@@ -82,27 +82,58 @@ def _compiled() -> Any:
 search_all, _skewness = _compiled()
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def search_one(
-    k: Any, m: int, nx: int, data: Any, c: Any, lower: Any, upper: Any, span: Any, points: Any,
-    length: float, tol: float, max_iterations: int, limit: float, q: Any, report: Any,
-) -> int:  # fmt: skip
-    """`search_all` for one target: data holds the target (12) and the start (n).
+_double, _integer = nb.CPointer(nb.float64), nb.CPointer(nb.intp)
 
-    Returns:
-        0; 1 where a number is not finite, 2 where the axes are no rotation.
+
+@numba.cfunc(nb.void(_integer, _double, _double), cache=True, error_model="numpy")
+def search_one(numbers: Any, constants: Any, data: Any) -> None:
+    """`search_all` for one target, called by address.
+
+    Args:
+        numbers: programs and passes (6), m, nx, n, context columns, restarts, iterations.
+        constants: length, tol, tolerance of rotations, then lower, upper, span, restarts.
+        data: target (4 x 4, or a position in its last column), start, context; then the
+            answer: joints, report (4), and 1 where a number is not finite, 2 where the
+            orientation is no rotation.
     """
-    n = len(span)
-    for i in range(12 + n):
-        if not np.isfinite(data[i]):
-            return 1
-    if m == 6 and not _skewness(data, 3) < limit:
-        return 2
+    i = numba.carray(numbers, 12)
+    m, nx, n, nc, more = i[6], i[7], i[8], i[9], i[10]
+    f = numba.carray(constants, 3 + 3 * n + more * (n + 1))
+    d = numba.carray(data, 16 + n + nc + n + 5)
+    fault = 16 + n + nc + n + 4
+    d[fault] = 0.0
+    for j in range(16 + n):
+        if not np.isfinite(d[j]):
+            d[fault] = 1.0
+            return
+    target = np.empty((1, 12))
+    for j in range(3):
+        target[0, j] = d[4 * j + 3]
+        for k in range(3):
+            target[0, 3 + 3 * j + k] = d[4 * k + j]
+    if m == 6:
+        whole = d[12] == 0.0 and d[13] == 0.0 and d[14] == 0.0 and d[15] == 1.0
+        if not whole or not _skewness(target[0], 3) < f[2]:
+            d[fault] = 2.0
+            return
+    at = 3
+    lower, upper, span = f[at : at + n], f[at + n : at + 2 * n], f[at + 2 * n : at + 3 * n]
+    points = f[at + 3 * n : at + 3 * n + more * (n + 1)].reshape((more, n + 1))
+    start = d[16 : 16 + n]
     for j in range(n):
-        data[12 + j] = min(max(data[12 + j], lower[0, j]), upper[0, j])
-    targets, starts = data[:12].reshape((1, 12)), data[12:].reshape((1, n))
+        start[j] = min(max(start[j], lower[j]), upper[j])
+    c, q = d[16 + n : 16 + n + nc], d[16 + n + nc : 16 + n + nc + n]
+    report = d[fault - 4 : fault]
+    report[:] = 0.0
     search_all(
-        k, m, nx, targets, c, starts, lower, upper, span, points, length, tol, max_iterations,
-        q, report,
+        (i[0], i[1], i[2], i[3], i[4], i[5]), m, nx, target, c.reshape((1, nc)),
+        start.reshape((1, n)), lower.reshape((1, n)), upper.reshape((1, n)), span, points,
+        f[0], f[1], i[11], q.reshape((1, n)), report.reshape((1, 4)),
     )  # fmt: skip
-    return 0
+
+
+def by_address() -> Any:
+    """`search_one` as ctypes calls it: three addresses."""
+    import ctypes
+
+    return ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 3)(search_one.address)
