@@ -170,9 +170,7 @@ class _Robot:
             for key, default in (("multiplier", "1"), ("offset", "0")):
                 follows[key] = float(self._numbers(mimic.get(key), 1, f"{field} {key}", default)[0])
         origin = self._origin(node.find("origin"), field)
-        return _Joint(
-            *(name, kind, ends[0], ends[1], origin, axis / (length or 1.0), limits, follows)
-        )
+        return _Joint(name, kind, ends[0], ends[1], origin, axis / (length or 1.0), limits, follows)
 
 
 def import_urdf(path: str | Path, base: str, tip: str) -> dict[str, Any]:

@@ -206,6 +206,28 @@ def test_what_is_no_table(content: bytes, words: str, tmp_path: Path) -> None:
     assert words in refusal(path)
 
 
+@settings(
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(data=st.data())
+def test_whatever_is_in_the_file_it_is_read_or_refused(data: st.DataObject, tmp_path: Path) -> None:
+    good = "\n".join([HEADER, ROW, SECOND, ""]).encode()
+    start = data.draw(st.integers(0, len(good)))
+    stop = data.draw(st.integers(start, min(len(good), start + 6)))
+    noise = data.draw(
+        st.binary(max_size=6) | st.text('0123456789.,-eEnaif\n"q', max_size=8).map(str.encode)
+    )
+    path = tmp_path / "s.csv"
+    path.write_bytes(good[:start] + noise + good[stop:])
+    try:
+        session = read_csv(path, ARM)
+    except InputError:
+        return
+    assert np.isfinite(session.q).all()
+    assert np.isfinite(session.xyz[session.seen]).all()
+    assert np.isin(session.approach, (-1, 0, 1)).all()
+
+
 def test_no_such_file(tmp_path: Path) -> None:
     assert "No such file" in refusal(tmp_path / "none.csv")
 

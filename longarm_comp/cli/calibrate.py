@@ -21,9 +21,12 @@ if TYPE_CHECKING:
 @options.session
 @options.output("model.yaml", "Calibrated model to write.")
 @click.option(
-    *("--effect", "effects"), multiple=True, metavar="NAME",
+    "--effect",
+    "effects",
+    multiple=True,
+    metavar="NAME",
     help="Effect to fit besides, on every joint or beam that may have it; repeat for more.",
-)  # fmt: skip
+)
 @click.option("--no-deflection", is_flag=True, help="Leave the declared beams stiff.")
 @click.option("--fraction", type=float, default=0.2, show_default=True, help="Rows held out.")
 @options.seed
@@ -64,7 +67,10 @@ def command(
     with progress("calibrate") as show:
         done = iter(range(steps))
         rungs = ladder(
-            *(declared, train, held_out, chosen),
+            declared,
+            train,
+            held_out,
+            chosen,
             deflection=not no_deflection,
             progress=lambda name: show(name, next(done) / steps),
         )

@@ -24,9 +24,10 @@ if TYPE_CHECKING:
 @options.model
 @options.predictor
 @click.option(
-    *("--method",), type=click.Choice(["none", "deflection", "network", "both"]),
+    "--method",
+    type=click.Choice(["none", "deflection", "network", "both"]),
     help="What to compensate; by default all that the given files allow.",
-)  # fmt: skip
+)
 @click.option("--seed-q", help="Joints to start from, q1,..,qn (rad, m); default mid-range.")
 @click.option("--lock", multiple=True, metavar="ROW|NAME", help="Joint that stays at its seed.")
 @click.option("--position-only", is_flag=True, help="Leave the orientation free.")

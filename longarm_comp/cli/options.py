@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
+
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 _PATH = click.Path(path_type=Path)  # type: ignore[type-var]
 
@@ -18,14 +22,19 @@ seed = click.option(
 as_json = click.option("--json", "as_json", is_flag=True, help="Print results as JSON.")
 
 
-def output(default: str | None, what: str):  # type: ignore[no-untyped-def]
+def output(default: str | None, what: str) -> Decorator:
     """``-o PATH``."""
     return click.option(
-        *("-o", "--output"), type=_PATH, default=default, required=default is None,
-        show_default=default is not None, help=what,
-    )  # fmt: skip
+        "-o",
+        "--output",
+        type=_PATH,
+        default=default,
+        required=default is None,
+        show_default=default is not None,
+        help=what,
+    )
 
 
-def path_option(name: str, what: str, required: bool = False):  # type: ignore[no-untyped-def]
+def path_option(name: str, what: str, required: bool = False) -> Decorator:
     """An option that takes a path."""
     return click.option(name, type=_PATH, required=required, help=what)

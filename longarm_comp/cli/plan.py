@@ -13,9 +13,11 @@ from longarm_comp.cli.output import note, print_json
 @click.command()
 @options.arm
 @click.option(
-    *("--kind",), type=click.Choice(["grid", "sobol", "next"]), required=True,
+    "--kind",
+    type=click.Choice(["grid", "sobol", "next"]),
+    required=True,
     help="grid: the paper's levels; sobol: fills the joint box; next: from a diagnosis.",
-)  # fmt: skip
+)
 @click.option("-n", "count", type=int, required=True, help="How many poses.")
 @options.path_option("--report", "Folder of a diagnosis (for --kind next).")
 @options.output("poses.csv", "Plan to write.")

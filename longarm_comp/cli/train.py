@@ -17,13 +17,19 @@ from longarm_comp.cli.output import note, print_json, progress
 @options.output("predictor.npz", "Predictor to write.")
 @click.option("--init", type=click.Choice(["ssa", "xavier"]), default="ssa", show_default=True)
 @click.option(
-    *("--inputs",), type=click.Choice(["context", "joints"]), default="context", show_default=True,
+    "--inputs",
+    type=click.Choice(["context", "joints"]),
+    default="context",
+    show_default=True,
     help="context: joints, approach, temperature, payload; joints: as in the paper.",
-)  # fmt: skip
+)
 @click.option(
-    *("--ensemble",), type=click.IntRange(min=1), default=5, show_default=True,
+    "--ensemble",
+    type=click.IntRange(min=1),
+    default=5,
+    show_default=True,
     help="Networks, each from its own start.",
-)  # fmt: skip
+)
 @click.option(
     "--hidden", type=click.IntRange(min=1), help="Hidden units; by evidence if not given."
 )
@@ -72,7 +78,9 @@ def command(
     )
     with progress("train") as show:
         made = train(
-            *(seen.q, residual, predictor_context(seen)),
+            seen.q,
+            residual,
+            predictor_context(seen),
             inputs=inputs,
             init=init,
             seed=seed,
