@@ -7,10 +7,11 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import pytest
 import rclpy
@@ -31,6 +32,7 @@ class Bench:
         self.node = Node("tester", context=self.context)
         self.executor.add_node(self.node)
         self.processes: list[subprocess.Popen[str]] = []
+        self.said: dict[subprocess.Popen[str], IO[str]] = {}
 
     def start(
         self, node: str, params: Mapping[str, Any] | None = None, namespace: str = ""
@@ -51,9 +53,10 @@ class Bench:
             cwd=ROOT,
             env={**os.environ, "PYTHONPATH": str(ROOT)},
             text=True,
-            stdout=subprocess.PIPE,
+            stdout=(said := tempfile.TemporaryFile("w+")),  # noqa: SIM115
             stderr=subprocess.STDOUT,
         )
+        self.said[process] = said
         self.processes.append(process)
         return process
 
@@ -69,7 +72,7 @@ class Bench:
         end = time.monotonic() + within
         while not (found := until()):
             if time.monotonic() > end:
-                raise AssertionError(f"not within {within:g} s\n{self.ended()}")
+                raise AssertionError(f"not within {within:g} s\n{self.state()}")
             self.executor.spin_once(timeout_sec=0.02)
         return found
 
@@ -84,14 +87,14 @@ class Bench:
         self.spin(future.done, within)
         return future.result()
 
-    def ended(self) -> str:
-        """What processes said that ended by themselves."""
-        said = [
-            f"{p.args} ended with {p.returncode}:\n{p.stdout.read()}"
-            for p in self.processes
-            if p.poll() is not None and p.stdout is not None
-        ]
-        return "\n".join(said)
+    def output(self, process: subprocess.Popen[str]) -> str:
+        """What a process has said so far."""
+        self.said[process].seek(0)
+        return self.said[process].read()
+
+    def state(self) -> str:
+        """What every process says, for a failed test."""
+        return "\n".join(f"{p.args} {p.poll()}:\n{self.output(p)}" for p in self.processes)
 
     def end_processes(self) -> None:
         """End every process, gently first."""
@@ -104,8 +107,7 @@ class Bench:
             if process.poll() is None:
                 process.kill()
                 process.wait()
-            if process.stdout is not None:
-                process.stdout.close()
+            self.said.pop(process).close()
         self.processes.clear()
 
     def close(self) -> None:

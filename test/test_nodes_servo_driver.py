@@ -254,8 +254,8 @@ def test_parameters_are_described_and_wrong_ones_refused(rig: Rig, tmp_path: Pat
     second = rig.stage.python(
         ["-m", "longarm_comp.nodes.servo_driver", "--ros-args", "--params-file", str(wrong)]
     )
-    said, _ = second.communicate(timeout=20)
-    assert second.returncode == 2
+    assert second.wait(timeout=20) == 2
+    said = rig.stage.output(second)
     assert "gear_ration" in said
     assert "gear_ratio" in said
     assert "Traceback" not in said

@@ -102,10 +102,16 @@ class Limits:
     locked: tuple[int, ...] = ()
 
 
-def arrival(start: np.ndarray, goal: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Side (n,) of -1, 0, +1 that each joint arrives from, moving straight from start to goal."""
-    recorded = np.stack([before, np.zeros(len(goal))])
-    return derive_approach(np.stack([start, goal]), np.array([0, 1]), recorded)[1]
+def arrival(path: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Side (n,) of -1, 0, +1 that each joint arrives from at the end of a path.
+
+    Args:
+        path: (k, n) way-points, the first being where the joints stand.
+        before: (n,) side that they arrived from there; kept by joints that do not move.
+    """
+    recorded = np.zeros(path.shape)
+    recorded[0] = before
+    return derive_approach(path, np.arange(len(path)), recorded)[-1]
 
 
 def compensate_now(
@@ -145,7 +151,9 @@ def compensate_now(
             physics, target, seed=start, context=context, position_only=position_only,
             locked=limits.locked,
         )  # fmt: skip
-        context = circumstances.context(physics, now_s, max_age_s, arrival(start, first.q, side))
+        context = circumstances.context(
+            physics, now_s, max_age_s, arrival(np.stack([start, first.q]), side)
+        )
     made = compensate(
         model,
         predictor,

@@ -2,45 +2,39 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import time
+from functools import partial
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from sensor_msgs.msg import Imu, JointState, Temperature
-from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
-from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.compensate import Method, Status
+from longarm_comp.core.context import Context
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.online import (
-    Circumstances,
-    Limits,
-    StaleContext,
-    arrival,
-    compensate_now,
-)
+from longarm_comp.core.online import Limits, StaleContext, compensate_now
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes import markers, monitoring
+from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
+from longarm_comp.nodes.markers import Markers
 from longarm_comp.nodes.messages import (
     Provenance,
     Refusal,
     Told,
-    commanded_of,
     compensation_message,
     joints_of,
     response_of,
     target_of,
-    tilt_of,
     trajectory_message,
 )
 from longarm_comp.nodes.model_files import ModelFiles
+from longarm_comp.nodes.monitoring import TipMonitor
 from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.predictor_client import NoAnswer, PredictorClient
 from longarm_comp.nodes.runner import run
@@ -65,9 +59,9 @@ PARAMS = (
     Param("context_max_age_s", 60.0, "older temperature, payload, tilt are stale", 0.1, 1e6),
     Param("joints_max_age_s", 5.0, "older joint_states are no seed", 0.1, 1e6),
     Param("queue", 200, "targets that may wait", 1, 10000),
-    Param(
-        "watch_period_s", 1.0, "how often the files are looked at for a new version", 0.1, 3600.0
-    ),
+    Param("watch_period_s", 1.0, "how often the file is looked at for a new version", 0.1, 3600.0),
+    *monitoring.PARAMS,
+    *markers.PARAMS,
     PERIOD,
 )
 
@@ -87,30 +81,35 @@ class Kinematics(Node):
             tol_m=p["tolerance_m"], max_passes=p["max_passes"],
             max_correction_m=p["max_correction_m"],
         )  # fmt: skip
-        self._circumstances = Circumstances(started_s=time.monotonic())
-        self._joints: tuple[np.ndarray, float] | None = None
-        self._commanded: np.ndarray | None = None
-        self._side = np.zeros(self._arm.n)
         self._counts: dict[str, int] = {}
         self._last = ""
         self._worker = Worker(executor, p["queue"], self.survived)
         self._predictor = PredictorClient(self, self._arm, p["predictor_timeout_s"])
         self._trajectory = graph.JOINT_TRAJECTORY.publisher(self)
         self._compensation = graph.COMPENSATION.publisher(self)
+        self._monitor = TipMonitor(
+            self._predictor, p["monitor.settle_s"], p["monitor.sightings"], p["monitor.sigma_m"],
+            p["monitor.run_length"], self._advice(p),
+        )  # fmt: skip
+        self._markers = Markers(self, self._base_frame)
+        self._state = ArmState(
+            self, self._arm, self._count, self._monitor.on_command, self._monitor.on_joints
+        )
         graph.TARGET_POSE.subscription(self, self._on_target)
-        graph.JOINT_STATES.subscription(self, self._on_joints)
-        graph.JOINT_TRAJECTORY.subscription(self, self._on_trajectory)
-        graph.TEMPERATURE.subscription(self, self._on_temperature)
-        graph.PAYLOAD.subscription(self, self._on_payload)
-        graph.INCLINATION.subscription(self, self._on_inclination)
+        graph.TIP_MEASURED.subscription(self, self._on_tip)
         together = ReentrantCallbackGroup()
         graph.COMPENSATE.server(self, self._on_compensate, together)
         graph.RELOAD.server(self, self._on_reload, together)
         self._watch = FileWatch((p["model"],))
         self.create_timer(p["watch_period_s"], self._look)
-        self._health = Health(
-            self, {"targets": self._targets_report, "model": self._files.report}, p[PERIOD.name]
-        )
+        if p["markers.period_s"]:
+            self.create_timer(p["markers.period_s"], self._draw)
+        parts = {
+            "targets": self._targets_report,
+            "model": self._files.report,
+            "monitor": self._monitor.report,
+        }
+        self._health = Health(self, parts, p[PERIOD.name])
 
     def close(self) -> None:
         """Stop the worker."""
@@ -119,44 +118,6 @@ class Kinematics(Node):
     def survived(self, error: Exception) -> None:
         """Count what a callback let through."""
         self._health.fault(error)
-
-    # ------------------------------------------------------------------ what is told
-
-    def _on_joints(self, message: JointState) -> None:
-        try:
-            self._joints = joints_of(message, self._arm, "joint_states"), time.monotonic()
-        except InputError as error:
-            self._count("bad joint_states", str(error))
-
-    def _on_trajectory(self, message: JointTrajectory) -> None:
-        """Whoever commands the arm: its joints arrive from that side."""
-        try:
-            goal = commanded_of(message, self._arm)
-        except InputError:
-            return
-        before = self._commanded if self._commanded is not None else goal
-        self._side = arrival(before, goal, self._side)
-        self._commanded = goal
-
-    def _on_temperature(self, message: Temperature) -> None:
-        self._tell("temperature", {"temperature_c": message.temperature})
-
-    def _on_payload(self, message: Float64) -> None:
-        self._tell("payload", {"payload_kg": message.data})
-
-    def _on_inclination(self, message: Imu) -> None:
-        try:
-            row, columns = tilt_of(message)
-        except InputError as error:
-            self._count("bad inclination", str(error))
-            return
-        self._tell(f"inclination {row}", columns)
-
-    def _tell(self, source: str, columns: dict[str, float]) -> None:
-        if all(math.isfinite(value) for value in columns.values()):
-            self._circumstances = self._circumstances.told(source, columns, time.monotonic())
-        else:
-            self._count(f"bad {source}", f"{source}: {columns} is not finite")
 
     # ------------------------------------------------------------------ what is asked
 
@@ -201,8 +162,8 @@ class Kinematics(Node):
         loaded = self._files.loaded
         options: dict[str, Any] = {
             "start": start,
-            "side": self._side,
-            "circumstances": self._circumstances,
+            "side": self._state.side,
+            "circumstances": self._state.circumstances,
             "now_s": time.monotonic(),
             "max_age_s": self._max_age_s,
             "position_only": request.position_only,
@@ -241,10 +202,9 @@ class Kinematics(Node):
         """Joints to start from: the request's, else the last joint_states."""
         if request.seed.name:
             return joints_of(request.seed, self._arm, "seed")
-        if self._joints is None:
+        q, age = self._state.joints, self._state.age_s
+        if q is None:
             raise Refusal(Status.NOT_READY, "no joint_states yet, and no seed was given")
-        q, at = self._joints
-        age = time.monotonic() - at
         if age > self._joints_age_s:
             raise Refusal(Status.NOT_READY, f"the last joint_states is {age:.1f} s old")
         return q
@@ -267,24 +227,58 @@ class Kinematics(Node):
             )
         message = compensation_message(told, self._arm, self._base_frame, executed=send)
         self._compensation.publish(message)
+        self._markers.on_story(told)
         self._count(told.status.name, "" if told.status is Status.SUCCESS else told.message)
         return told
 
     # ------------------------------------------------------------------ upkeep
 
+    def _reload(self) -> tuple[bool, str]:
+        done = self._files.reload()
+        self._monitor.reset()
+        return done
+
     def _look(self) -> None:
         if self._watch.changed():
-            self._worker.submit(self._files.reload)
+            self._worker.submit(self._reload)
 
     async def _on_reload(
         self, request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        future = self._worker.ask(self._files.reload)
+        future = self._worker.ask(self._reload)
         if future is None:
             response.message = "too many targets wait"
             return response
         response.success, response.message = await future
         return response
+
+    def _on_tip(self, message: PoseWithCovarianceStamped) -> None:
+        self._markers.on_tip(message)
+        rest = self._monitor.on_tip(message)
+        context = None if rest is None else self._context(rest.side)
+        if rest is not None and context is not None:
+            model = self._files.loaded.model
+            self._worker.submit(partial(self._monitor.judge, rest, model, context))
+
+    def _context(self, side: np.ndarray) -> Context | None:
+        """Of this moment; None while something that the model needs is not known."""
+        model, now = self._files.loaded.model, time.monotonic()
+        try:
+            return self._state.circumstances.context(model, now, self._max_age_s, side)
+        except StaleContext:
+            return None
+
+    def _draw(self) -> None:
+        q, context = self._state.joints, self._context(self._state.side)
+        if q is None or context is None:
+            return
+        sag = self.get_parameter("markers.sag_factor").value
+        error = self.get_parameter("markers.error_factor").value
+        self._markers.publish(self._files.rigid, self._files.loaded.model, q, context, sag, error)
+
+    def _advice(self, p: dict[str, Any]) -> str:
+        model = f" --model {p['model']}" if p["model"] else ""
+        return f"longarm record, then longarm diagnose {p['arm']} BAG{model} -o diagnosis"
 
     def _count(self, what: str, why: str) -> None:
         self._counts[what] = self._counts.get(what, 0) + 1
@@ -294,7 +288,7 @@ class Kinematics(Node):
 
     def _targets_report(self) -> Report:
         facts = {**self._counts, "waiting": self._worker.waiting, "last refusal": self._last}
-        if self._joints is None:
+        if self._state.joints is None:
             return Report(WARN, "no joint_states yet", facts)
         if self._counts.get(Status.INTERNAL_ERROR.name):
             return Report(ERROR, self._last, facts)

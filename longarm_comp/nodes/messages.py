@@ -8,7 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
-from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Vector3
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseStamped,
+    PoseWithCovarianceStamped,
+    Quaternion,
+    Vector3,
+)
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -102,17 +109,21 @@ def joints_of(message: JointState, arm: Arm, where: str) -> np.ndarray:
     return _in_order(at, list(message.name), arm, where)
 
 
-def commanded_of(message: JointTrajectory, arm: Arm) -> np.ndarray:
-    """Where a trajectory ends, (n,).
+def path_of(message: JointTrajectory, arm: Arm) -> np.ndarray:
+    """The points of a trajectory, (k, n).
 
     Raises:
         InputError: as `joints_of`, or without a point.
     """
-    where = "joint_trajectory"
-    if not message.points or len(message.points[-1].positions) != len(message.joint_names):
-        raise InputError(where, "points", len(message.points), "at least one, a position a name")
-    at = dict(zip(message.joint_names, message.points[-1].positions, strict=True))
-    return _in_order(at, list(message.joint_names), arm, where)
+    where, names = "joint_trajectory", list(message.joint_names)
+    for point in message.points:
+        if len(point.positions) != len(names):
+            found = f"{len(names)} names, {len(point.positions)} positions"
+            raise InputError(where, "positions", found, "one position a name")
+    if not message.points:
+        raise InputError(where, "points", 0, "at least one")
+    rows = [dict(zip(names, point.positions, strict=True)) for point in message.points]
+    return np.array([_in_order(row, names, arm, where) for row in rows])
 
 
 def _in_order(at: Mapping[str, float], names: list[str], arm: Arm, where: str) -> np.ndarray:
@@ -161,6 +172,13 @@ def tilt_of(message: Imu) -> tuple[str, dict[str, float]]:
     row = message.header.frame_id or "0"
     x, y = quaternion.tilt(turn)
     return row, {f"incl_{row}_x": x, f"incl_{row}_y": y}
+
+
+def sighting_of(message: PoseWithCovarianceStamped) -> tuple[np.ndarray, np.ndarray]:
+    """Tip (3,) m, NaN where it was lost, and its variance (3,) m^2."""
+    p = message.pose.pose.position
+    covariance = np.asarray(message.pose.covariance, dtype=float)
+    return np.array([p.x, p.y, p.z]), covariance[[0, 7, 14]]
 
 
 @dataclass(frozen=True)

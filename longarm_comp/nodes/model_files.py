@@ -35,6 +35,7 @@ class ModelFiles:
             raise InputError("parameters of kinematics", "arm", arm_path, "path of arm.yaml")
         self.arm = Arm.load(arm_path)
         self._path = model_path
+        self.rigid = Model(self.arm)
         self.loaded = LoadedModel(declared_model(self.arm))
         self._fault = ""
         self.loads = 0

@@ -1,0 +1,120 @@
+"""Does the arm still do what its model promised?  A sequential test of the residual.
+
+Every rest pose gives one standardised residual ``z = (measured - predicted) / sigma`` (3,), which
+under the promise is standard normal. Seven Page tests (cumulative sums of log-likelihood ratios,
+restarted at zero) watch for a shift along each axis in each direction, and for errors that have
+grown. Lorden (1971, Ann. Math. Stat. 42) bounds each: the mean number of samples to a false alarm
+is at least ``exp(h)``, so with ``h = ln(7 * run_length)`` false alarms are rarer than one in
+``run_length`` samples on average. No threshold on a single residual is involved.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from longarm_comp.core.errors import InputError
+
+SHIFT = 1.0
+"""Shift along an axis that is looked for, standard deviations."""
+GROWTH = 1.6
+"""Growth of the standard deviation that is looked for."""
+AXES = ("x", "y", "z")
+_TESTS = 2 * len(AXES) + 1
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the test says after a sample.
+
+    Attributes:
+        drifted: some cumulative sum has passed the threshold.
+        finding: in one sentence, with size and onset; empty while nothing has.
+        samples: seen so far.
+        evidence: largest cumulative sum over the threshold; 1 is an alarm.
+    """
+
+    drifted: bool
+    finding: str
+    samples: int
+    evidence: float
+
+
+@dataclass(frozen=True)
+class Monitor:
+    """The state of the test. Frozen: `seen` returns the next one.
+
+    Attributes:
+        run_length: mean number of samples between false alarms, at least.
+        sums: (7,) cumulative sums: +x, -x, +y, -y, +z, -z, growth.
+        onset: (7,) sample at which each sum last left zero.
+        total: (7, 3) sum of residuals (m) and `squares`: (7,) of ``|z|^2`` since then.
+    """
+
+    run_length: float = 1e4
+    samples: int = 0
+    sums: np.ndarray = field(default_factory=lambda: np.zeros(_TESTS))
+    onset: np.ndarray = field(default_factory=lambda: np.zeros(_TESTS, int))
+    total: np.ndarray = field(default_factory=lambda: np.zeros((_TESTS, 3)))
+    squares: np.ndarray = field(default_factory=lambda: np.zeros(_TESTS))
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.run_length) and self.run_length > 1):
+            raise InputError("monitor", "run_length", self.run_length, "a number above 1")
+
+    @property
+    def threshold(self) -> float:
+        """Of every cumulative sum."""
+        return math.log(_TESTS * self.run_length)
+
+    def seen(self, residual: ArrayLike, sigma: ArrayLike) -> Monitor:
+        """Take one independent sample into account.
+
+        Args:
+            residual: (3,) measured - predicted, m.
+            sigma: (3,) m, what the model and the measurement promise together.
+
+        Raises:
+            InputError: not finite, or a sigma that is not above 0.
+        """
+        r, s = np.asarray(residual, float), np.asarray(sigma, float)
+        if r.shape != (3,) or not np.isfinite(r).all():
+            raise InputError("monitor", "residual", residual, "three finite numbers, m")
+        if s.shape != (3,) or not (np.isfinite(s).all() and (s > 0).all()):
+            raise InputError("monitor", "sigma", sigma, "three numbers above 0, m")
+        z = r / s
+        square = float(z @ z)
+        shifts = np.stack([SHIFT * z - SHIFT**2 / 2, -SHIFT * z - SHIFT**2 / 2], axis=1).ravel()
+        growth = 0.5 * square * (1 - GROWTH**-2) - 3 * math.log(GROWTH)
+        raised = self.sums + np.append(shifts, growth)
+        alive = raised > 0
+        fresh = self.sums == 0
+        started = np.where(fresh, self.samples, self.onset)
+        before = np.where(fresh[:, None], 0.0, self.total)
+        return replace(
+            self,
+            samples=self.samples + 1,
+            sums=np.where(alive, raised, 0.0),
+            onset=started,
+            total=before + r,
+            squares=np.where(fresh, 0.0, self.squares) + square,
+        )
+
+    def verdict(self) -> Verdict:
+        """What the sums say now."""
+        k = int(np.argmax(self.sums))
+        evidence = float(self.sums[k] / self.threshold)
+        if evidence < 1.0:
+            return Verdict(False, "", self.samples, evidence)
+        count = self.samples - int(self.onset[k])
+        since = f"over the last {count} poses"
+        if k == _TESTS - 1:
+            grown = math.sqrt(self.squares[k] / (3 * count))
+            finding = f"errors are {grown:.1f} times what the model promised {since}"
+        else:
+            shift = 1e3 * self.total[k, k // 2] / count
+            finding = f"the tip is off by {shift:+.2f} mm in {AXES[k // 2]} {since}"
+        return Verdict(True, finding, self.samples, evidence)

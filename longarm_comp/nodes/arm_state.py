@@ -1,0 +1,102 @@
+"""What the graph tells of the arm right now: joints, where they were sent, circumstances."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+import numpy as np
+from rclpy.node import Node
+from sensor_msgs.msg import Imu, JointState, Temperature
+from std_msgs.msg import Float64
+from trajectory_msgs.msg import JointTrajectory
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.online import Circumstances, arrival
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.messages import joints_of, path_of, tilt_of
+
+
+class ArmState:
+    """Listens; everything it holds is replaced whole, so that other threads may read it.
+
+    Args:
+        refused: told of every message that cannot be meant, as (what, why).
+        commanded: told where the arm is sent, as joints (n,) and sides (n,).
+        moved: told every joint reading (n,).
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        arm: Arm,
+        refused: Callable[[str, str], None],
+        commanded: Callable[[np.ndarray, np.ndarray], None],
+        moved: Callable[[np.ndarray], None],
+    ) -> None:
+        self._arm, self._refused = arm, refused
+        self._tell_commanded, self._tell_moved = commanded, moved
+        self.circumstances = Circumstances(started_s=time.monotonic())
+        self.side = np.zeros(arm.n)
+        self._joints: tuple[np.ndarray, float] | None = None
+        self._commanded: np.ndarray | None = None
+        graph.JOINT_STATES.subscription(node, self._on_joints)
+        graph.JOINT_TRAJECTORY.subscription(node, self._on_trajectory)
+        graph.TEMPERATURE.subscription(node, self._on_temperature)
+        graph.PAYLOAD.subscription(node, self._on_payload)
+        graph.INCLINATION.subscription(node, self._on_inclination)
+
+    @property
+    def joints(self) -> np.ndarray | None:
+        """(n,) rad and m, as last told; None before that."""
+        held = self._joints
+        return None if held is None else held[0]
+
+    @property
+    def age_s(self) -> float:
+        """Of the joints; infinite before the first."""
+        held = self._joints
+        return math.inf if held is None else time.monotonic() - held[1]
+
+    def _on_joints(self, message: JointState) -> None:
+        try:
+            q = joints_of(message, self._arm, "joint_states")
+        except InputError as error:
+            self._refused("bad joint_states", str(error))
+            return
+        self._joints = q, time.monotonic()
+        self._tell_moved(q)
+
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        """Whoever commands the arm: its joints arrive from that side."""
+        try:
+            path = path_of(message, self._arm)
+        except InputError as error:
+            self._refused("bad joint_trajectory", str(error))
+            return
+        before = self._commanded if self._commanded is not None else self.joints
+        self.side = arrival(path if before is None else np.vstack([before, path]), self.side)
+        self._commanded = path[-1]
+        self._tell_commanded(path[-1], self.side)
+
+    def _on_temperature(self, message: Temperature) -> None:
+        self._tell("temperature", {"temperature_c": message.temperature})
+
+    def _on_payload(self, message: Float64) -> None:
+        self._tell("payload", {"payload_kg": message.data})
+
+    def _on_inclination(self, message: Imu) -> None:
+        try:
+            row, columns = tilt_of(message)
+        except InputError as error:
+            self._refused("bad inclination", str(error))
+            return
+        self._tell(f"inclination {row}", columns)
+
+    def _tell(self, source: str, columns: dict[str, float]) -> None:
+        if all(math.isfinite(value) for value in columns.values()):
+            self.circumstances = self.circumstances.told(source, columns, time.monotonic())
+        else:
+            self._refused(f"bad {source}", f"{source}: {columns} is not finite")

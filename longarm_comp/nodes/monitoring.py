@@ -1,0 +1,109 @@
+"""Compares the measured tip with what model and predictor promised, pose by pose."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from geometry_msgs.msg import PoseWithCovarianceStamped
+
+from longarm_comp.core.context import Context
+from longarm_comp.core.model import Model
+from longarm_comp.core.monitor import Monitor
+from longarm_comp.core.rest_pose import RestPose, RestWatch
+from longarm_comp.nodes.health import OK, WARN, Report
+from longarm_comp.nodes.messages import sighting_of
+from longarm_comp.nodes.params import Param
+from longarm_comp.nodes.predictor_client import NoAnswer, PredictorClient
+
+PARAMS = (
+    Param("monitor.settle_s", 0.5, "joints at rest for so long before the tip counts", 0.0, 60.0),
+    Param("monitor.sightings", 3, "sightings averaged at a rest pose", 1, 1000),
+    Param("monitor.sigma_m", 1e-3, "promised error without a predictor, per axis", 1e-6, 1.0),
+    Param("monitor.run_length", 10000.0, "rest poses between false alarms, at least", 2.0, 1e9),
+)
+
+
+@dataclass(frozen=True)
+class Promise:
+    """What is expected at a rest pose: tip and its standard deviation, (3,) m each."""
+
+    tip: np.ndarray
+    sigma: np.ndarray
+
+
+class TipMonitor:
+    """Fed by the executor (`on_...`); `judge` runs on the worker's thread.
+
+    Args:
+        advice: the command to run once it has drifted.
+    """
+
+    def __init__(
+        self, client: PredictorClient, settle_s: float, sightings: int, sigma_m: float,
+        run_length: float, advice: str,
+    ) -> None:  # fmt: skip
+        self._client = client
+        self._watch = RestWatch(settle_s, sightings)
+        self._sigma_m, self._run_length, self._advice = sigma_m, run_length, advice
+        self._monitor = Monitor(run_length)
+        self._last = "no rest pose measured yet"
+        self._outside = 0
+
+    def reset(self) -> None:
+        """Start anew: another model promises something else."""
+        self._monitor = Monitor(self._run_length)
+
+    def on_command(self, q: np.ndarray, side: np.ndarray) -> None:
+        """The arm is sent somewhere."""
+        self._watch.commanded(q, side)
+
+    def on_joints(self, q: np.ndarray) -> None:
+        """The joints are there now."""
+        self._watch.joints(q, time.monotonic())
+
+    def on_tip(self, message: PoseWithCovarianceStamped) -> RestPose | None:
+        """A sighting; a rest pose now and then."""
+        tip, variance = sighting_of(message)
+        return self._watch.sighted(tip, variance, time.monotonic())
+
+    def judge(self, rest: RestPose, model: Model, context: Context) -> None:
+        """Take a rest pose into the sequential test."""
+        promise = self._promise(rest, model, context)
+        if promise is None:
+            self._outside += 1
+            return
+        residual = rest.tip - promise.tip
+        self._monitor = self._monitor.seen(residual, promise.sigma)
+        self._last = "residual " + " ".join(f"{1e3 * r:+.2f}" for r in residual) + " mm"
+
+    def _promise(self, rest: RestPose, model: Model, context: Context) -> Promise | None:
+        """None where the predictor refuses: nothing is promised there."""
+        tip = model.measured(rest.q, context)
+        fallback = np.full(3, self._sigma_m)
+        if not self._client.present:
+            return Promise(tip, fallback)
+        try:
+            columns = dict(context.columns)
+            if context.approach:
+                columns["approach"] = np.array([context.approach])
+            found = self._client.predict(rest.q[None], columns)
+        except NoAnswer:
+            return Promise(tip, fallback)
+        if not found.in_domain[0]:
+            return None
+        return Promise(tip + found.error[0], found.sigma[0])
+
+    def report(self) -> Report:
+        """For diagnostics."""
+        verdict = self._monitor.verdict()
+        facts = {
+            "rest poses": verdict.samples,
+            "evidence (1 warns)": round(verdict.evidence, 3),
+            "last": self._last,
+            "outside the training data": self._outside,
+        }
+        if verdict.drifted:
+            return Report(WARN, f"{verdict.finding}; run: {self._advice}", facts)
+        return Report(OK, "residuals are as promised", facts)
