@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import importlib
 import json
 import os
 import subprocess
@@ -16,6 +17,7 @@ import pytest
 import yaml
 from small_arm import ARM, measured
 
+from longarm_comp.bench import catalogue
 from longarm_comp.cli import registry, run
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.dataset import Session
@@ -332,6 +334,26 @@ def test_import_urdf_and_schema(shell: Shell) -> None:
     schema = json.loads(shell.out)
     assert set(schema["properties"]) == set(Arm.model_fields)
     assert schema["additionalProperties"] is False
+
+
+def test_bench_gives_the_agreed_rows(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    def row(name: str) -> dict[str, object]:
+        return {"name": name, "value": 2.0, "unit": "us", "peer": "p", "peer_value": 6.0,
+                "ratio": 3.0, "spread": [1.0, float("nan")]}  # fmt: skip
+
+    monkeypatch.setattr(catalogue, "run", row)
+    made = shell.json("bench")
+    assert [r["name"] for r in made["results"]] == list(catalogue.MODULE_OF)
+    assert made["results"][0]["spread"] == [1.0, None]
+    assert made["machine"]
+    assert shell("bench", "ssa_evals_vs_mealpy_300") == 0
+    assert "3.000" in shell.out
+    assert "ssa_evals_vs_mealpy_900" in shell.refused("bench", "ssa_evals")
+
+
+def test_every_benchmark_is_where_the_list_says() -> None:
+    for name, module in catalogue.MODULE_OF.items():
+        assert callable(getattr(importlib.import_module(f"longarm_comp.bench.{module}"), name))
 
 
 # ------------------------------------------------------------------ bad input

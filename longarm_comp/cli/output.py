@@ -79,6 +79,8 @@ def progress(label: str) -> Iterator[Callable[[str, float], None]]:
 def _cell(value: object) -> str:
     if isinstance(value, (float, np.floating)):
         return "" if math.isnan(value) else f"{value:.3f}"
+    if isinstance(value, (list, tuple)):
+        return " .. ".join(_cell(part) for part in value)
     return "" if value is None else str(value)
 
 

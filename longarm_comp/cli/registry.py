@@ -27,6 +27,7 @@ COMMANDS = (
     Entry("bag to-csv", "bag_to_csv", "A bag as samples.csv."),
     Entry("bag from-csv", "bag_from_csv", "A samples.csv as a bag."),
     Entry("up", "up", "Bring up an arm's ROS graph, real or simulated."),
+    Entry("bench", "bench", "Speed beside peers, in one run."),
     Entry("schema", "schema", "JSON schema of arm.yaml, for editors."),
     Entry("undo", "undo", "Put the version of a model.yaml before the last change back."),
 )

@@ -1,0 +1,36 @@
+"""Every benchmark by name: a function of that name in the module that it stands beside."""
+
+from __future__ import annotations
+
+import importlib
+import platform
+from collections.abc import Mapping
+
+from longarm_comp.core.errors import InputError
+
+MODULE_OF = {
+    "ik_single_vs_rtb_ik_lm_median": "kinematics",
+    "ik_warm_vs_rtb_ik_lm_median": "kinematics",
+    "ik_batch_vs_rtb_ik_lm_mean": "kinematics",
+    "ssa_evals_vs_mealpy_300": "ssa",
+    "ssa_evals_vs_mealpy_900": "ssa",
+}
+"""Names are agreed with whoever compares machines; each returns one row of results."""
+
+
+def run(name: str) -> Mapping[str, object]:
+    """One row: name, value, unit, peer, peer_value, ratio (above 1: faster than the peer), spread.
+
+    Raises:
+        InputError: no benchmark of this name.
+    """
+    if name not in MODULE_OF:
+        raise InputError("bench", "name", name, ", ".join(MODULE_OF))
+    module = importlib.import_module(f"longarm_comp.bench.{MODULE_OF[name]}")
+    row: Mapping[str, object] = getattr(module, name)()
+    return row
+
+
+def machine() -> str:
+    """What the figures were measured on."""
+    return f"{platform.system()} {platform.machine()}, Python {platform.python_version()}"
