@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import differential_evolution
+from scipy.optimize import Bounds, differential_evolution
 
 from longarm_comp.bench.smooth import SmoothSet, smooth_set
 from longarm_comp.core.learn.ensemble import train
@@ -51,7 +51,7 @@ class _Problem:
         outputs = forward(SHAPE, weights, self.test_x) * self.scale + self.offset
         return _rms_mm(outputs - self.data.test_truth)
 
-    def search(self, rng: np.random.Generator, form: str, iterations: int = 50) -> SparrowResult:
+    def search(self, rng: np.random.Generator, form: str, iterations: int) -> SparrowResult:
         """The raw search, without the guard against collapsed units."""
         bound = np.full(SHAPE.size, SPARROW_BOUND)
         fitness = squared_error(SHAPE, self.x, self.y)
@@ -118,16 +118,23 @@ def _adam(problem: _Problem, start: Array, steps: int, rate: float = 0.01) -> Ar
     return weights
 
 
-def errata(runs: int = 60) -> str:
+def errata(runs: int = 60, iterations: int = 200) -> str:
     """Canonical against printed Eq. (6)-(8): what the search finds, collapsed starts, and what one
     unguarded training makes of them."""
     problem = _Problem(300, 0)
-    lines = ["", "| form | search ends at, mm | all hidden units alike | some alike | after LM, mm: "
-             "median | worst |", "|---|---|---|---|---|---|"]  # fmt: skip
+    columns = (
+        "form",
+        "search ends at, mm",
+        "all units alike",
+        "some alike",
+        "after LM, mm",
+        "worst",
+    )
+    lines = ["", f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
     for form in ("canonical", "printed"):
         ends, after, whole, some = [], [], 0, 0
         for seed in range(runs):
-            weights = problem.search(np.random.default_rng(seed), form).position
+            weights = problem.search(np.random.default_rng(seed), form, iterations).position
             alike = int(hidden_alike(SHAPE, weights).sum())
             whole += alike >= SHAPE.hidden - 1
             some += alike > 0
@@ -158,7 +165,7 @@ def origin_bias(runs: int = 9, dims: int = 20, iterations: int = 200) -> str:
     def evolution(centre: Array, seed: int) -> float:
         budget = 50 + iterations * 55
         made = differential_evolution(
-            lambda x: np.sum((x - centre[:, None]) ** 2, axis=0), list(zip(lower, upper, strict=True)),
+            lambda x: np.sum((x - centre[:, None]) ** 2, axis=0), Bounds(lower, upper),
             popsize=50 // dims + 1, maxiter=budget // (dims * (50 // dims + 1)) - 1, tol=0.0,
             polish=False, rng=seed, vectorized=True, updating="deferred",
         )  # fmt: skip

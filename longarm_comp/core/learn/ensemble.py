@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,8 @@ INITS: dict[str, Start] = {
     "ssa": sparrow_start,
     "xavier": lambda shape, fitness, rng, search: xavier_start(shape, rng),
 }
-HIDDEN_CHOICES = (8, 12, 17, 24)  # tried in turn while the evidence grows
+HIDDEN_CHOICES = (8, 12, 17, 24)  # tried in turn until the evidence falls by _UNLIKELY
+_UNLIKELY = 30.0
 _FEWEST_ROWS = 20
 _Z90 = 1.6449
 _LAPLACE_KEPT = 0.995
@@ -66,10 +68,10 @@ def train(
     init: ``ssa`` or ``xavier`` (the control).
     seed: the same seed gives the same predictor on the same machine.
     population, iterations: of the sparrow search.
-    hidden: hidden units; ``None`` picks them by evidence.
+    hidden: hidden units; ``None`` tries several sizes and keeps the likeliest members of any.
     ensemble: members, each from its own start.
     weights: (N,) precision factors of the samples; 0 leaves one out.
-    progress: called with (members done, members in all).
+    progress: called with (networks trained, networks in all at most).
     provenance: what the predictor belongs to; the settings are added.
     device: torch device of the sparrow's population (``cuda``); None is numpy.
 
@@ -93,26 +95,35 @@ def train(
     scale = float(np.sqrt(np.mean(np.median(np.abs(y - offset)[weights > 0], axis=0) ** 2)))
     scale = max(1.4826 * scale, 1e-9)
     target = (y - offset) / scale
-    streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(ensemble + 1)]
 
     def fit(units: int, rng: np.random.Generator) -> Fit:
         shape = Shape(x.shape[1], units, 3)
         start = INITS[init](shape, fitness_on(device, shape, x, target), rng, search)
         return back_propagate(shape, start, x, target, weights)
 
-    units = hidden or _likeliest_size(fit, seed, x.shape[1], int((weights > 0).sum()))
-    fits = []
-    for done, rng in enumerate(streams[:ensemble]):
-        if progress is not None:
-            progress(done, ensemble)
-        fits.append(fit(units, rng))
+    sizes = HIDDEN_CHOICES if hidden is None else (hidden,)
+    starts = ensemble if hidden is not None else (ensemble + 1) // 2
+    fits: list[Fit] = []
+    for turn, units in enumerate(sizes):
+        if turn and Shape(x.shape[1], units, 3).size > 1.5 * (weights > 0).sum():
+            break
+        made = []
+        for start in range(starts):
+            if progress is not None:
+                progress(turn * starts + start, len(sizes) * starts)
+            made.append(fit(units, np.random.default_rng([seed, units, start])))
+        fits += made
+        if max(each.evidence for each in made) < max(each.evidence for each in fits) - _UNLIKELY:
+            break
     if progress is not None:
-        progress(ensemble, ensemble)
-    fits.sort(key=lambda each: -each.evidence)
-    probe = _probe(x, encoding, streams[-1])
+        progress(len(sizes) * starts, len(sizes) * starts)
+    fits = sorted(fits, key=lambda each: -each.evidence)[:ensemble]
+    shape = Shape(x.shape[1], max(each.shape.hidden for each in fits), 3)
+    probe = _probe(x, encoding, np.random.default_rng([seed]))
     settings = {
         "inputs": inputs, "init": init, "seed": seed, "population": population,
-        "iterations": iterations, "hidden": units, "ensemble": ensemble, "samples": len(q),
+        "iterations": iterations, "hidden": [each.shape.hidden for each in fits],
+        "ensemble": ensemble, "samples": len(q),
     }  # fmt: skip
     origin = provenance or Provenance()
     lower, upper = _ranges(raw)
@@ -120,9 +131,9 @@ def train(
         encoding=encoding,
         lower=lower,
         upper=upper,
-        weights=np.array([each.weights for each in fits]),
-        hidden=units,
-        posterior=_leading(Shape(x.shape[1], units, 3), fits[0], probe),
+        weights=np.array([_padded(shape, each.shape, each.weights) for each in fits]),
+        hidden=shape.hidden,
+        posterior=_padded(shape, fits[0].shape, _leading(fits[0], probe)),
         offset=offset,
         scale=scale,
         noise=np.full(3, scale * float(np.median([each.sigma for each in fits]))),
@@ -136,19 +147,13 @@ def train(
     return _calibrated(draft, fits, x, y, weights, probe)
 
 
-def _likeliest_size(
-    fit: Callable[[int, np.random.Generator], Fit], seed: int, inputs: int, samples: int
-) -> int:
-    """Hidden units of greatest evidence, tried upwards until it falls."""
-    best, best_evidence = HIDDEN_CHOICES[0], -np.inf
-    for units in HIDDEN_CHOICES:
-        if units > HIDDEN_CHOICES[0] and Shape(inputs, units, 3).size > 1.5 * samples:
-            break
-        evidence = fit(units, np.random.default_rng([seed, units])).evidence
-        if evidence <= best_evidence:
-            break
-        best, best_evidence = units, evidence
-    return best
+def _padded(shape: Shape, own: Shape, weights: NDArray[Any]) -> NDArray[Any]:
+    """Weights (..., own D) of a smaller network as weights (..., D): idle hidden units added."""
+    v, w, b = shape.split(np.arange(shape.size))
+    place = np.concatenate((v[:, : own.hidden].ravel(), w[: own.hidden].ravel(), b))
+    padded = np.zeros((*weights.shape[:-1], shape.size), dtype=weights.dtype)
+    padded[..., place] = weights
+    return padded
 
 
 def _calibrated(
@@ -161,7 +166,7 @@ def _calibrated(
 ) -> Predictor:
     """Set the conformal factors and the variance limit."""
     _, epistemic = draft._mean_and_variance(x)
-    left_out = np.mean([_leave_one_out(draft.shape, f, x, (y - draft.offset) / draft.scale, weights)
+    left_out = np.mean([_leave_one_out(f, x, (y - draft.offset) / draft.scale, weights)
                         for f in fits], axis=0) * draft.scale  # fmt: skip
     score = np.abs(left_out) / np.sqrt(epistemic + draft.noise**2)
     used = score[weights > 0]
@@ -182,10 +187,11 @@ def _probe(x: Array, encoding: Encoding, rng: np.random.Generator) -> Array:
     return probe
 
 
-def _leading(shape: Shape, fit: Fit, probe: Array) -> NDArray[np.float32]:
+def _leading(fit: Fit, probe: Array) -> NDArray[np.float32]:
     """(r, D) the directions of the posterior that matter: they carry all but 0.5 % of the Laplace
     variance of the outputs over the training region, at a fraction of the cost."""
-    flat = output_jacobian(shape, fit.weights, with_ones(probe[:500])).reshape(-1, shape.size)
+    flat = output_jacobian(fit.shape, fit.weights, with_ones(probe[:500]))
+    flat = flat.reshape(-1, fit.shape.size)
     spread = flat @ fit.posterior.T
     values, vectors = np.linalg.eigh(spread.T @ spread)
     carried = np.cumsum(values[::-1]) / values.sum()
@@ -194,7 +200,7 @@ def _leading(shape: Shape, fit: Fit, probe: Array) -> NDArray[np.float32]:
     return np.ascontiguousarray(leading, dtype=np.float32)
 
 
-def _leave_one_out(shape: Shape, fit: Fit, x: Array, target: Array, weights: Array) -> Array:
+def _leave_one_out(fit: Fit, x: Array, target: Array, weights: Array) -> Array:
     """Residuals (N, 3) as if each sample had been left out: ``(I - H_i)^-1 r_i``, linearised."""
     left = np.empty_like(target)
     precision = weights * fit.row_weights / fit.sigma**2
@@ -202,10 +208,10 @@ def _leave_one_out(shape: Shape, fit: Fit, x: Array, target: Array, weights: Arr
     for start in range(0, len(x), 512):
         rows = slice(start, start + 512)
         x1 = with_ones(x[rows])
-        jacobian = output_jacobian(shape, fit.weights, x1)
+        jacobian = output_jacobian(fit.shape, fit.weights, x1)
         half = jacobian @ fit.posterior.T
         leverage = precision[rows, None, None] * (half @ half.transpose(0, 2, 1))
-        residual = target[rows] - forward(shape, fit.weights, x1)
+        residual = target[rows] - forward(fit.shape, fit.weights, x1)
         keep = eye - leverage + 1e-6 * eye
         left[rows] = np.linalg.solve(keep, residual[:, :, None])[:, :, 0]
     return left

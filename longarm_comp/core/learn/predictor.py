@@ -55,7 +55,7 @@ class Predictor:
     lower: Array  # (columns,) training range of every raw column
     upper: Array
     weights: Array  # (M, D), standardised units
-    hidden: int
+    hidden: int  # of the largest member; smaller ones have idle units
     posterior: NDArray[np.float32]  # (r, D) covariance C ~ P'P of the first member, the likeliest
     offset: Array  # (3,) m, subtracted from the residual before scaling
     scale: float  # m, one for the three axes

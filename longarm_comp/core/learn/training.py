@@ -32,6 +32,7 @@ _SETTLED, _SETTLED_STEPS = 7e-4, 8  # change of log beta, over so many steps in 
 class Fit:
     """A trained network in standardised units."""
 
+    shape: Shape
     weights: Array  # (D,)
     posterior: Array  # (D, D) lower-triangular L^-1 with covariance (L^-1)'(L^-1), Laplace
     sigma: float  # noise sd of an output (core of the Student-t)
@@ -161,6 +162,7 @@ def _finished(
         + shape.hidden * np.log(2.0)  # equal optima: hidden units permuted, signs flipped
     )
     return Fit(
+        shape=shape,
         weights=weights,
         posterior=inverse,
         sigma=float(beta**-0.5),
