@@ -1,0 +1,27 @@
+"""A diagnosis as files: report.json for programs, report.html and plots for people."""
+
+from longarm_comp.report.detail import (
+    Check,
+    Correlation,
+    Detail,
+    Detectable,
+    Input,
+    Rows,
+    SetSplit,
+    SplitPose,
+)
+from longarm_comp.report.record import Report
+from longarm_comp.report.write import write_report
+
+__all__ = [
+    "Check",
+    "Correlation",
+    "Detail",
+    "Detectable",
+    "Input",
+    "Report",
+    "Rows",
+    "SetSplit",
+    "SplitPose",
+    "write_report",
+]

@@ -1,0 +1,226 @@
+"""What the page draws beyond report.json: plain arrays and strings, nothing to compute with.
+
+Everything is optional: a verdict of noise has no guilty input, one of bad_data no rows.
+Lengths are m, angles rad; one sign: error = measured - predicted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from longarm_comp.core.errors import InputError
+
+STAGES = ("nominal", "frames_only", "calibrated", "with_effects", "with_network")
+"""The models of the before/after table, in the order in which they are built."""
+
+
+@dataclass(frozen=True, eq=False)
+class Input:
+    """One input of the rows: a joint, the approach, a context column.
+
+    Attributes:
+        name: as the session and report.json call it (``q2``, ``approach``, ``temperature_c``).
+        unit: of the values (``rad``, ``m``, ``s``), empty where there is none.
+        values: (N,) in the order of the rows.
+    """
+
+    name: str
+    unit: str
+    values: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows of a session whose marker was seen: the hold-out, or those fitted.
+
+    Attributes:
+        index: (N,) row numbers in the session.
+        measured_m: (N, 3) tip.
+        errors_m: stage (one of `STAGES`) -> (N, 3) measured - predicted.
+        inputs: every input of the rows, joints first.
+        arms_m: centre-lines of the arm at a few of these rows, (K, 3) each, base to tip.
+    """
+
+    index: np.ndarray
+    measured_m: np.ndarray
+    errors_m: Mapping[str, np.ndarray]
+    inputs: tuple[Input, ...] = ()
+    arms_m: tuple[np.ndarray, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check shapes, finiteness and names.
+
+        Raises:
+            InputError: an array is of another length, a number is not finite, a stage unknown.
+        """
+        n = len(self.index)
+        _check("measured_m", self.measured_m, (n, 3))
+        for stage, errors in self.errors_m.items():
+            if stage not in STAGES:
+                raise InputError("report detail", "errors_m", stage, ", ".join(STAGES))
+            _check(f"errors_m[{stage}]", errors, (n, 3))
+        for entry in self.inputs:
+            _check(f"input {entry.name}", entry.values, (n,))
+        for line in self.arms_m:
+            _check("arms_m", line, (len(line), 3))
+
+    def input(self, name: str) -> Input | None:
+        """The input of that name, or None."""
+        return next((entry for entry in self.inputs if entry.name == name), None)
+
+
+@dataclass(frozen=True, eq=False)
+class Correlation:
+    """Posterior correlation of accepted parameters (rows) with geometry (columns).
+
+    Attributes:
+        parameters: (p,) labels, such as ``joint_compliance joint 2``.
+        geometry: (g,) labels, such as ``dh_error joint 2 a``.
+        matrix: (p, g), -1 to 1.
+    """
+
+    parameters: tuple[str, ...]
+    geometry: tuple[str, ...]
+    matrix: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Check shape and range.
+
+        Raises:
+            InputError: the matrix does not fit its labels or leaves [-1, 1].
+        """
+        _check("correlation", self.matrix, (len(self.parameters), len(self.geometry)))
+        if self.matrix.size and np.abs(self.matrix).max() > 1 + 1e-9:
+            raise InputError(
+                "report detail", "correlation", np.abs(self.matrix).max(), "between -1 and 1"
+            )
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """The smallest size of an effect that these data would have shown.
+
+    Attributes:
+        effect, where: canonical name and place, as among the candidates.
+        parameter: which parameter the size is of.
+        size: in `unit`; None where no size could be seen (the data do not excite it).
+        unit: of `size`.
+        size_mm: what that size moves the tip by, root mean square over the rows; None as `size`.
+    """
+
+    effect: str
+    where: str
+    parameter: str
+    size: float | None
+    unit: str
+    size_mm: float | None
+
+
+@dataclass(frozen=True)
+class SplitPose:
+    """A pose to measure next. None: as it is now.
+
+    Attributes:
+        q: commanded joints, rad and m.
+        approach: +1 from below, -1 from above, 0 from anywhere.
+        payload_kg, temperature_c: what to change besides.
+    """
+
+    q: tuple[float, ...]
+    approach: int = 0
+    payload_kg: float | None = None
+    temperature_c: float | None = None
+
+
+@dataclass(frozen=True)
+class SetSplit:
+    """Causes that cannot be told apart, and what would.
+
+    Attributes:
+        members: the names in the set, as the finding lists them.
+        reason: why they look alike in these data.
+        poses: what to measure; empty for a permanent set.
+        expected_log_bayes_factor: between the two closest members after measuring the poses.
+    """
+
+    members: tuple[str, ...]
+    reason: str = ""
+    poses: tuple[SplitPose, ...] = ()
+    expected_log_bayes_factor: float | None = None
+
+
+@dataclass(frozen=True)
+class Check:
+    """One attempt to shake a finding.
+
+    Attributes:
+        name: what was done (``block bootstrap, 200 draws``, ``priors x5``).
+        passed: whether the finding held.
+        result: what came out, in words.
+    """
+
+    name: str
+    passed: bool
+    result: str
+
+
+@dataclass(frozen=True, eq=False)
+class Detail:
+    """Everything the page draws beyond report.json.
+
+    Attributes:
+        title: what was diagnosed, such as the session's name.
+        joints: names of the commanded joints, in order.
+        joint_units: ``rad`` or ``m``, in order.
+        held_out, train: rows with their errors.
+        before, after: the stages that the verdict compares.
+        guilty: inputs that the findings, or the structure left, depend on; the worst first.
+        correlation: of the accepted parameters with geometry.
+        detectable: smallest visible size per effect.
+        splits: sets with the poses that split them.
+        checks: attempts to shake the findings.
+        plausibility: (effect, where, parameter) -> a remark on the value.
+        provenance: further facts, name -> value, shown after those of report.json.
+    """
+
+    title: str = "Diagnosis"
+    joints: tuple[str, ...] = ()
+    joint_units: tuple[str, ...] = ()
+    held_out: Rows | None = None
+    train: Rows | None = None
+    before: str = "calibrated"
+    after: str = "with_effects"
+    guilty: tuple[str, ...] = ()
+    correlation: Correlation | None = None
+    detectable: tuple[Detectable, ...] = ()
+    splits: tuple[SetSplit, ...] = ()
+    checks: tuple[Check, ...] = ()
+    plausibility: Mapping[tuple[str, str, str], str] = field(default_factory=dict)
+    provenance: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check what the fields say about one another.
+
+        Raises:
+            InputError: an unknown stage, joints without units, a pose of another length.
+        """
+        for name, stage in (("before", self.before), ("after", self.after)):
+            if stage not in STAGES:
+                raise InputError("report detail", name, stage, ", ".join(STAGES))
+        if len(self.joint_units) != len(self.joints):
+            raise InputError(
+                "report detail", "joint_units", self.joint_units, f"{len(self.joints)} units"
+            )
+        for pose in (pose for split in self.splits for pose in split.poses):
+            if self.joints and len(pose.q) != len(self.joints):
+                raise InputError("report detail", "q", pose.q, f"{len(self.joints)} joints")
+
+
+def _check(name: str, array: np.ndarray, shape: tuple[int, ...]) -> None:
+    if np.shape(array) != shape:
+        raise InputError("report detail", name, np.shape(array), f"shape {shape}")
+    if not np.isfinite(array).all():
+        raise InputError("report detail", name, "not finite", "finite numbers")

@@ -1,0 +1,86 @@
+"""report.html: one file that needs nothing else, by a template."""
+
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Mapping
+from importlib.resources import files
+
+import jinja2
+from plotly.offline import get_plotlyjs
+
+from longarm_comp.report import tables
+from longarm_comp.report.arrows import MOST, exaggeration, stages_of
+from longarm_comp.report.detail import Detail
+from longarm_comp.report.record import Report
+from longarm_comp.report.scene import scene_json
+from longarm_comp.report.style import LOOKS
+
+_FEW = 20
+"""Candidates shown before the rest is folded away."""
+
+
+def page(report: Report, detail: Detail, plots: Mapping[str, bytes]) -> str:
+    """The page as text.
+
+    Args:
+        report: the diagnosis.
+        detail: what it draws besides.
+        plots: name -> SVG of the still figures.
+    """
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("longarm_comp.report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    rows = detail.held_out if detail.held_out is not None and len(detail.held_out.index) else None
+    candidates = tables.candidate_lines(report)
+    return environment.get_template("report.html.j2").render(
+        report=report,
+        detail=detail,
+        tables=tables,
+        rows=rows,
+        candidates=candidates[:_FEW],
+        more_candidates=candidates[_FEW:],
+        looks=LOOKS,
+        against=against,
+        stages=stages_of(rows) if rows else (),
+        shown=_shown(detail, stages_of(rows) if rows else ()),
+        most=MOST,
+        plots={name: _data_uri(content) for name, content in plots.items()},
+        still_times=exaggeration(rows, still_stages(detail)) if rows else 1.0,
+        scene=scene_json(rows, _shown(detail, stages_of(rows))) if rows else None,
+        style=_own("report.css"),
+        script=_own("report.js"),
+        plotly=get_plotlyjs().replace("</script", "<\\/script") if rows else None,
+    )
+
+
+def still_stages(detail: Detail) -> tuple[str, ...]:
+    """Before and after, as far as the hold-out has them; else its first and last stage."""
+    rows = detail.held_out
+    if rows is None:
+        return ()
+    have = stages_of(rows)
+    wanted = tuple(stage for stage in (detail.before, detail.after) if stage in have)
+    return wanted or tuple(dict.fromkeys((*have[:1], *have[-1:])))
+
+
+def against(name: str) -> str:
+    """The name of the figure of the errors over an input; a column may be called anything."""
+    return "against_" + re.sub(r"\W", "_", name)
+
+
+def _shown(detail: Detail, stages: tuple[str, ...]) -> str:
+    return detail.before if detail.before in stages else next(iter(stages), "")
+
+
+def _own(name: str) -> str:
+    return files("longarm_comp.report").joinpath("templates", name).read_text("utf-8")
+
+
+def _data_uri(svg: bytes) -> str:
+    return f"data:image/svg+xml;base64,{base64.b64encode(svg).decode('ascii')}"

@@ -1,0 +1,207 @@
+"""The still figures of the page."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy import stats
+
+from longarm_comp.report.arrows import arrows, exaggeration, points_of, stages_of
+from longarm_comp.report.detail import Correlation, Input, Rows
+from longarm_comp.report.style import FLOOR, GRID, INK, LOOKS, SKY
+
+_MM = 1e3
+_LEVELS = 8
+"""An input with no more distinct values than this is drawn level by level."""
+_MANY = 800
+"""Above this many points, a cloud is drawn as pixels."""
+
+
+def distribution(rows: Rows, sigma_mm: tuple[float, float, float] | None) -> Figure:
+    """Share of rows below an error, and the errors per axis, for every stage."""
+    drawn = Figure(figsize=(9, 3.8))
+    left, right = drawn.subplots(1, 2, width_ratios=(1.15, 1))
+    share = (np.arange(len(rows.index)) + 1) / max(1, len(rows.index))
+    for stage in stages_of(rows):
+        look = LOOKS[stage]
+        length = np.sort(np.linalg.norm(rows.errors_m[stage], axis=1)) * _MM
+        left.plot(
+            np.maximum(length, 1e-4),
+            share,
+            label=look.label,
+            color=look.color,
+            linestyle=look.dash,
+            marker=look.marker,
+            markevery=max(1, len(length) // 8),
+            markersize=5,
+        )
+    if sigma_mm is not None:
+        scale = float(np.sqrt(np.mean(np.square(sigma_mm))))
+        at = np.linspace(0.005, 0.995, 200)
+        left.plot(stats.chi(3, scale=scale).ppf(at), at, color=INK, linewidth=1, label=FLOOR)
+    left.set(
+        xscale="log", ylim=(0, 1.02), xlabel="3-D error, mm (log scale)", ylabel="share of rows"
+    )
+    left.set_title("Share of hold-out rows below an error")
+    left.legend(fontsize=8, loc="best")
+    _boxes(right, rows)
+    return drawn
+
+
+def _boxes(axes: Axes, rows: Rows) -> None:
+    stages = stages_of(rows)
+    width = 0.8 / max(1, len(stages))
+    for k, stage in enumerate(stages):
+        look = LOOKS[stage]
+        at = np.arange(3) + (k - (len(stages) - 1) / 2) * width
+        made = axes.boxplot(
+            list((rows.errors_m[stage] * _MM).T),
+            positions=at,
+            widths=width * 0.8,
+            patch_artist=True,
+            whis=(2.5, 97.5),
+            showfliers=False,
+            medianprops={"color": INK, "linewidth": 1.5},
+        )
+        for box in made["boxes"]:
+            box.set(facecolor="white", edgecolor=look.color, hatch=look.hatch)
+        axes.plot([], [], color=look.color, marker=look.marker, linestyle="", label=look.label)
+    axes.axhline(0, color=INK, linewidth=0.8)
+    axes.set_xticks(range(3), ["x", "y", "z"])
+    axes.set(ylabel="measured − predicted, mm", yscale="symlog")
+    axes.set_title("Per axis: quartiles and 95 % range\n(boxes from left to right as in the legend)")
+
+
+def against_input(
+    rows: Rows,
+    entry: Input,
+    before: str,
+    after: str,
+    sigma_mm: tuple[float, float, float] | None,
+) -> Figure:
+    """Errors over one input, one row of panels per axis, before on the left, after on the right."""
+    drawn = Figure(figsize=(9, 6.4))
+    panels = drawn.subplots(3, 2, sharex=True, sharey="row")
+    values = np.asarray(entry.values, dtype=float)
+    for column, stage in enumerate((before, after)):
+        look = LOOKS[stage]
+        for axis, name in enumerate("xyz"):
+            panel = panels[axis, column]
+            error = rows.errors_m[stage][:, axis] * _MM
+            if sigma_mm is not None:
+                half = 1.96 * sigma_mm[axis]
+                panel.axhspan(-half, half, color=GRID, alpha=0.6, linewidth=0)
+            panel.axhline(0, color=INK, linewidth=0.8)
+            panel.plot(
+                _spread(values),
+                error,
+                linestyle="",
+                marker=look.marker,
+                markersize=3,
+                color=look.color,
+                alpha=0.6,
+                rasterized=len(error) > _MANY,
+            )
+            centre, middle = _medians(values, error)
+            panel.plot(centre, middle, color=INK, marker="_", markersize=12, linewidth=1.6)
+            if column == 0:
+                panel.set_ylabel(f"{name} error, mm")
+        panels[0, column].set_title(("Before: " if column == 0 else "After: ") + look.label)
+        panels[2, column].set_xlabel(f"{entry.name}, {entry.unit}" if entry.unit else entry.name)
+    levels = np.unique(values)
+    if 1 < len(levels) <= _LEVELS:
+        panels[2, 0].set_xticks(levels, [f"{level:.4g}" for level in levels])
+    return drawn
+
+
+def _spread(values: np.ndarray) -> np.ndarray:
+    """Levels drawn a little apart, so that their points can be told; anything else as it is."""
+    levels = np.unique(values)
+    if not 1 < len(levels) <= _LEVELS:
+        return values
+    step = np.diff(levels).min()
+    return values + 0.16 * step * (np.arange(len(values)) * 0.618034 % 1 - 0.5)
+
+
+def _medians(values: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Medians per level, or in ten bins of equal count."""
+    levels = np.unique(values)
+    if len(levels) <= _LEVELS:
+        groups = [np.flatnonzero(values == level) for level in levels]
+    else:
+        bins = np.array_split(np.argsort(values, kind="stable"), min(10, len(values)))
+        groups = [group for group in bins if len(group)]
+    centre = np.array([np.median(values[group]) for group in groups])
+    return centre, np.array([np.median(error[group]) for group in groups])
+
+
+def still_scene(rows: Rows, stages: tuple[str, ...]) -> Figure:
+    """The residual arrows on the arm, one panel a stage, all with one exaggeration."""
+    drawn = Figure(figsize=(9, 4.6))
+    times = exaggeration(rows, stages)
+    low, high = _cube(points_of(rows))
+    for k, stage in enumerate(stages):
+        panel = drawn.add_subplot(1, len(stages), k + 1, projection="3d")
+        for line in rows.arms_m:
+            panel.plot(*line.T, color="#8a8a8a", linewidth=2, solid_capstyle="round")
+        found = arrows(rows, stage, times)
+        look = LOOKS[stage]
+        panel.quiver(
+            *found.start_m.T,
+            *(found.stop_m - found.start_m).T,
+            color=look.color,
+            linewidth=0.9,
+            arrow_length_ratio=0.25,
+        )
+        panel.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+        panel.set(xlabel="x, m", ylabel="y, m", zlabel="z, m")
+        panel.set_box_aspect((1, 1, 1))
+        panel.view_init(elev=22, azim=-60)
+        panel.set_title(f"{look.label}: arrows × {times:g}")
+    return drawn
+
+
+def _cube(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle, half = (low + high) / 2, max(float(np.ptp(points, axis=0).max()) / 2, 1e-3)
+    return middle - half, middle + half
+
+
+def correlations(entry: Correlation) -> Figure:
+    """Accepted parameters against geometry as coloured cells; |r| of 0.3 and more is printed."""
+    rows, columns = len(entry.parameters), len(entry.geometry)
+    drawn = Figure(figsize=(min(14, max(6, 2.6 + 0.34 * columns)), 1.7 + 0.34 * rows + 0.6))
+    axes = drawn.subplots()
+    axes.grid(False)
+    image = axes.imshow(entry.matrix, cmap="PuOr_r", vmin=-1, vmax=1, aspect="auto")
+    axes.set_xticks(range(columns), entry.geometry, rotation=60, ha="right", fontsize=7)
+    axes.set_yticks(range(rows), entry.parameters, fontsize=8)
+    for i, k in zip(*np.nonzero(np.abs(entry.matrix) >= 0.3), strict=True):
+        strong = abs(entry.matrix[i, k]) > 0.7
+        axes.text(
+            k,
+            i,
+            f"{entry.matrix[i, k]:.1f}".replace("0.", "."),
+            ha="center",
+            va="center",
+            fontsize=6.5,
+            color="white" if strong else INK,
+        )
+    drawn.colorbar(image, ax=axes, label="correlation", shrink=0.9, pad=0.01)
+    return drawn
+
+
+def scores(labels: list[str], values: list[float], accepted: list[bool]) -> Figure:
+    """Log Bayes factors as bars, best first; hatched: accepted."""
+    drawn = Figure(figsize=(9, 0.8 + 0.24 * len(labels)))
+    axes = drawn.subplots()
+    bars = axes.barh(range(len(labels)), values, color="white", edgecolor=INK, linewidth=0.8)
+    for bar, chosen in zip(bars, accepted, strict=True):
+        bar.set(facecolor=SKY if chosen else "white", hatch="//" if chosen else "")
+    axes.set_yticks(range(len(labels)), labels, fontsize=8)
+    axes.invert_yaxis()
+    axes.axvline(0, color=INK, linewidth=0.8)
+    axes.set_xscale("symlog", linthresh=10)
+    axes.set_xlabel("log Bayes factor against leaving it out (symmetric log scale)")
+    return drawn

@@ -1,0 +1,191 @@
+"""report.json: its shape, its check, its text. schema.json beside this file is `Report`'s."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from longarm_comp.core.errors import InputError
+
+SCHEMA = "longarm/diagnosis/1"
+DIGITS = 12
+"""Significant digits of every number in report.json: the last bits differ between machines."""
+
+Verdict = Literal["noise", "named", "set", "partly", "unknown", "bad_data"]
+State = Literal["accepted", "rejected", "not_testable", "invisible"]
+Stage = Literal["nominal", "frames_only", "calibrated", "with_effects", "with_network"]
+Interval = tuple[float, float]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Parameter(_Part):
+    """A value of an accepted effect, SI units unless `unit` says otherwise."""
+
+    name: str
+    where: str
+    value: float
+    unit: str
+    ci95: Interval | None
+    prior_scale: float | None = Field(gt=0)
+
+
+class RunnerUp(_Part):
+    """The next best candidate beside the one accepted."""
+
+    effect: str
+    log_bayes_factor: float
+
+
+class Finding(_Part):
+    """An effect that was added, or the set that it cannot be told apart from."""
+
+    effect: str
+    set: list[str]
+    where: list[str]
+    log_bayes_factor: float
+    parameters: list[Parameter]
+    runner_up: RunnerUp | None
+    compensated: bool
+
+
+class Candidate(_Part):
+    """One candidate that was tried, or could not be."""
+
+    effect: str
+    where: str
+    log_bayes_factor: float | None
+    state: State
+    why: str
+
+
+class StructureLeft(_Part):
+    """Dependence on the inputs that no accepted effect explains."""
+
+    flag: bool
+    p_value: float | None = Field(ge=0, le=1)
+    share_explained: float | None
+    inputs: list[str]
+    size_mm: float | None = Field(ge=0)
+
+
+class Noise(_Part):
+    """Standard deviation per axis, and correlation from one row to the next."""
+
+    sigma_mm: tuple[float, float, float] | None
+    source: Literal["repeats", "residual"] | None
+    rho: float | None = Field(ge=-1, le=1)
+
+
+class ErrorRow(_Part):
+    """Errors of one model on the hold-out."""
+
+    model: Stage
+    mean_mm: float = Field(ge=0)
+    rms_mm: float = Field(ge=0)
+    p95_mm: float = Field(ge=0)
+    max_mm: float = Field(ge=0)
+    mean_abs_z_mm: float = Field(ge=0)
+    variance_mm2: float = Field(ge=0)
+    excess_mm: float = Field(ge=0)
+
+
+class HeldOut(_Part):
+    """The proof on rows that no fit saw."""
+
+    n: int = Field(ge=0)
+    rows: list[ErrorRow]
+    before_after_ci95_mm: Interval | None
+
+
+class Outlier(_Part):
+    """A row that was left out, and why."""
+
+    index: int
+    why: str
+
+
+class Provenance(_Part):
+    """What is needed to repeat the diagnosis to the byte."""
+
+    seed: int
+    data_sha256: str
+    version: str
+    holdout_uses: int = Field(ge=0)
+
+
+class Report(_Part):
+    """A diagnosis, as report.json holds it."""
+
+    schema_: Literal["longarm/diagnosis/1"] = Field(alias="schema")
+    verdict: Verdict
+    summary: str = Field(min_length=1)
+    findings: list[Finding]
+    candidates: list[Candidate]
+    structure_left: StructureLeft
+    noise: Noise
+    held_out: HeldOut
+    next_poses: list[list[float]]
+    outliers: list[Outlier]
+    provenance: Provenance
+
+
+def checked(report: dict[str, Any]) -> Report:
+    """The dict as a `Report`.
+
+    Raises:
+        InputError: a key is missing or unknown, a value of the wrong kind, a number not finite.
+    """
+    try:
+        return Report.model_validate(report)
+    except ValidationError as error:
+        fault = error.errors(include_url=False)[0]
+        field = ".".join(str(part) for part in fault["loc"]) or "report"
+        raise InputError("report.json", field, fault["input"], _allowed(fault)) from error
+
+
+def text(report: Report) -> str:
+    """report.json: keys in the order of the schema, numbers to `DIGITS` digits."""
+    plain = report.model_dump(mode="json", by_alias=True)
+    return json.dumps(_rounded(plain), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def schema_text() -> str:
+    """The JSON schema that report/schema.json holds."""
+    schema = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **Report.model_json_schema(by_alias=True),
+    }
+    return json.dumps(schema, indent=2) + "\n"
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, float):
+        return float(f"{value:.{DIGITS}g}") + 0.0  # + 0.0: no negative zero
+    if isinstance(value, list):
+        return [_rounded(entry) for entry in value]
+    if isinstance(value, dict):
+        return {key: _rounded(entry) for key, entry in value.items()}
+    return value
+
+
+def _allowed(fault: Any) -> str:
+    if fault["type"] != "extra_forbidden":
+        return str(fault["msg"])
+    return f"no key of this name; known: {', '.join(_known(fault['loc'][:-1]))}"
+
+
+def _known(path: tuple[int | str, ...]) -> list[str]:
+    """Keys that the schema has at `path`."""
+    schema = Report.model_json_schema(by_alias=True)
+    node = schema
+    for step in path:
+        inner = node.get("items", {}) if isinstance(step, int) else node["properties"][step]
+        inner = next((part for part in inner.get("anyOf", []) if "$ref" in part), inner)
+        reference = inner.get("$ref")
+        node = schema["$defs"][reference.rsplit("/", 1)[1]] if reference else inner
+    return sorted(node.get("properties", {}))

@@ -1,0 +1,72 @@
+"""One look for every figure: Okabe and Ito's palette, and a second sign beside every colour."""
+
+from __future__ import annotations
+
+import io
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+
+import matplotlib as mpl
+from matplotlib.figure import Figure
+
+INK = "#1a1a1a"
+GRID = "#d9d9d9"
+BLUE, ORANGE, GREEN, VERMILLION, PURPLE, SKY = (
+    *("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9"),
+)
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a stage is called and drawn: no two share a colour, a line, a marker or a hatch."""
+
+    label: str
+    color: str
+    dash: str | tuple[float, tuple[float, ...]]
+    marker: str
+    hatch: str
+
+
+LOOKS = {
+    "nominal": Look("nominal", INK, (0, (1, 1.2)), "X", ""),
+    "frames_only": Look("frames only", PURPLE, (0, (5, 1.5, 1, 1.5)), "s", "xx"),
+    "calibrated": Look("calibrated", ORANGE, (0, (5, 1.5)), "^", "//"),
+    "with_effects": Look("+ effect", BLUE, "-", "o", ".."),
+    "with_network": Look("+ network", GREEN, (0, (8, 1.5, 1, 1.5, 1, 1.5)), "D", "\\\\"),
+}
+FLOOR = "noise floor"
+
+RC = {
+    "axes.axisbelow": True,
+    "axes.edgecolor": INK,
+    "axes.grid": True,
+    "axes.labelcolor": INK,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlelocation": "left",
+    "axes.titlesize": 10,
+    "figure.constrained_layout.use": True,
+    "figure.facecolor": "white",
+    "font.size": 9,
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "savefig.facecolor": "white",
+    "svg.fonttype": "path",
+    "svg.hashsalt": "longarm",  # the same figure gives the same bytes
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+}
+
+
+def rc() -> AbstractContextManager[None]:
+    """Context within which figures look alike."""
+    return mpl.rc_context(RC)
+
+
+def svg(drawn: Figure) -> bytes:
+    """The figure as SVG, without date."""
+    held = io.BytesIO()
+    drawn.savefig(held, format="svg", dpi=150, metadata={"Date": None, "Creator": None})
+    return held.getvalue()
