@@ -305,6 +305,17 @@ def test_numbers_that_cannot_be(
     assert words in refusal(tmp_path / "bag")
 
 
+@pytest.mark.parametrize(
+    "text", ["", "5", '{"index": "x"}', '{"columns": 3}', '{"rows": 1}', '{"columns": {"a": "b"}}']
+)
+def test_a_row_that_tells_nonsense(text: str, tmp_path: Path) -> None:
+    with robot(tmp_path / "bag") as put:
+        command(put, 0.2, [0.1, 0.5, 0.05, 0.2])
+        sighting(put, 0.5, [0.4, 0.1, 0.3])
+        put("session_row", "std_msgs/msg/String", 0.6, data=text)
+    assert "session_row at 0.400 s" in refusal(tmp_path / "bag")
+
+
 def test_a_bag_without_commands_or_sightings(tmp_path: Path) -> None:
     with robot(tmp_path / "a") as put:
         command(put, 0.2, [0.1, 0.5, 0.05, 0.2])

@@ -13,11 +13,13 @@ from hypothesis import strategies as st
 from small_arm import ARM, measured
 
 from longarm_comp.core import files
+from longarm_comp.core.admission import admit
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.dataset import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sessions.targets import Command, Targets, read_targets, write_commands
+from longarm_comp.studies.real_sessions import declared
 
 HEADER = "index,approach,q1,q2,q3,q4,x,y,z"
 ROW = "0,1,0.1,0.5,0.05,0.2,0.4,0.1,0.3"
@@ -65,6 +67,18 @@ def test_reads_the_twin_as_a_plain_reader_does(case: str, data_dir: Path) -> Non
     followed = [i for i in blank if i not in after_gap]
     step = np.sign(session.q[followed] - session.q[np.array(followed) - 1])
     assert (session.approach[followed][step != 0] == step[step != 0]).all()
+
+
+@pytest.mark.parametrize(("name", "rows"), [("wam", 236), ("ur5", 1020)])
+def test_reads_public_measurements_as_they_are(name: str, rows: int, data_dir: Path) -> None:
+    arm = declared(name)
+    session = read_csv(data_dir / "real" / "wam_ur5" / f"{name}_samples.csv", arm)
+    assert len(session) == rows
+    assert len(session.where("set", "random")) == 20
+    target = np.stack([session.columns[f"target_{c}"] for c in "xyz"], -1)
+    difference = np.stack([session.columns[f"dif_{c}"] for c in "xyz"], -1)
+    assert np.allclose(session.xyz, target + difference, atol=1e-6)
+    assert {finding.check for finding in admit(session, arm).findings} <= {"outliers"}
 
 
 def test_only_joints_and_positions_are_required(tmp_path: Path) -> None:

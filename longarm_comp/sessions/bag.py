@@ -14,7 +14,8 @@ are passed over.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -27,8 +28,8 @@ from longarm_comp.core.arm import Arm
 from longarm_comp.core.dataset import SAME_POSE, Session, derive_approach
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.message_types import message_types
-from longarm_comp.sessions.settled import settled
-from longarm_comp.sessions.tape import TYPES, Tape
+from longarm_comp.sessions.settled import Sighting, settled
+from longarm_comp.sessions.tape import TYPES, Row, Tape
 
 
 def read_bag(path: str | Path, arm: Arm, namespace: str | None = None) -> Session:
@@ -112,20 +113,34 @@ def _messages(
         raise _broken(where, error) from error
 
 
+class _Track:
+    """Records that begin with their time (s): those within a span, quickly."""
+
+    def __init__(self, records: Sequence[Any]) -> None:
+        self._records = sorted(records, key=lambda record: record[0])
+        self._times = [record[0] for record in self._records]
+
+    def __call__(self, begin: float, end: float) -> list[Any]:
+        return self._records[bisect_right(self._times, begin) : bisect_left(self._times, end)]
+
+
 def _session(tape: Tape) -> Session:
     commands = tape.commands if tape.rows else _without_copies(tape.commands)
     ends = [t for t, _ in commands[1:]] + [math.inf]
+    between = (_Track(tape.sightings), _Track(tape.states), _Track(tape.rows))
     path: list[np.ndarray] = []  # every point passed, rows and vias
     count: list[int] = []  # its place; a step of two is a gap
     at_row: list[int] = []
-    made: list[Any] = []
-    facts: list[dict[str, Any]] = []
+    made: list[Sighting] = []
+    told: list[Row] = []
+    index: list[int] = []
     place, passed = 0, False
     for (begin, points), end in zip(commands, ends, strict=True):
-        seen = settled(tape.sightings, tape.states, begin, end)
-        fact = next((row for t, row in tape.rows if begin < t < end), {})
-        index = int(fact.get("index", facts[-1]["index"] + 1 if facts else 0)) if seen else 0
-        gap = seen and facts and not passed and not 0 <= index - facts[-1]["index"] <= 1
+        sightings, states, rows = (track(begin, end) for track in between)
+        seen = settled(sightings, states, begin)
+        row = rows[0][1] if rows else Row()
+        number = row.index if row.index is not None else index[-1] + 1 if index else 0
+        gap = seen and index and not passed and not 0 <= number - index[-1] <= 1
         for k, q in enumerate(points):
             place += 2 if gap and k == 0 else 1
             path.append(q)
@@ -134,7 +149,8 @@ def _session(tape: Tape) -> Session:
         if seen is not None:
             at_row.append(len(path) - 1)
             made.append(seen)
-            facts.append({**fact, "index": index})
+            told.append(row)
+            index.append(number)
     if not made:
         raise InputError(
             tape.where, "tip_measured", "none after a command", "a sighting per command"
@@ -147,16 +163,16 @@ def _session(tape: Tape) -> Session:
     for name, held in tape.columns.items():
         moments, values = np.array(held).T
         columns[name] = values[np.maximum(np.searchsorted(moments, times, "right") - 1, 0)]
-    columns |= _told(facts, "columns", float)
+    columns |= _told([row.columns for row in told])
     return Session(
-        index=np.array([fact["index"] for fact in facts]),
+        index=np.array(index),
         q=q[at_row],
         xyz=xyz,
         approach=derive_approach(q, np.array(count))[at_row],
-        repeat_id=np.array([fact.get("repeat_id", -1) for fact in facts]),
+        repeat_id=np.array([row.repeat_id for row in told]),
         sigma=np.sqrt(variance) if (variance > 0).all() else None,
         columns=columns,
-        labels=_told(facts, "labels", str),
+        labels=_told([row.labels for row in told]),
         source=tape.where,
     )
 
@@ -170,7 +186,7 @@ def _without_copies(commands: list[tuple[float, np.ndarray]]) -> list[tuple[floa
     return made
 
 
-def _told(facts: list[dict[str, Any]], group: str, kind: type) -> dict[str, np.ndarray]:
-    """Columns that every row's `session_row` tells."""
-    names = [n for n in facts[0].get(group, {}) if all(n in f.get(group, {}) for f in facts)]
-    return {name: np.array([kind(fact[group][name]) for fact in facts]) for name in names}
+def _told(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
+    """Columns of what every row's `session_row` tells."""
+    names = [name for name in rows[0] if all(name in row for row in rows)]
+    return {name: np.array([row[name] for row in rows]) for name in names}

@@ -32,9 +32,9 @@ class State(NamedTuple):
 
 
 def settled(
-    sightings: Sequence[Sighting], states: Sequence[State], begin: float, end: float
+    sightings: Sequence[Sighting], states: Sequence[State], begin: float
 ) -> Sighting | None:
-    """The mean of the settled sightings between two commands.
+    """The mean of the settled sightings between a command at `begin` (s) and the next one.
 
     The arm is at rest from when the measured joints stay where they end (`JOINT_REST`), and
     the sightings stay where they end (`TIP_REST_M` about the median of the last five).
@@ -43,18 +43,16 @@ def settled(
         Mean time and position, and the variance of the mean; at NaN when the marker was only
         ever lost; None when nothing was sighted, or the joints did not come to rest.
     """
-    mine = [s for s in sightings if begin < s.t < end]
-    if not mine:
+    if not sightings:
         return None
-    seen = [s for s in mine if not np.isnan(s.xyz).any()]
+    seen = [s for s in sightings if not np.isnan(s.xyz).any()]
     if not seen:
-        return mine[-1]
-    joints = [s for s in states if begin < s.t < end]
+        return sightings[-1]
     rest = begin
-    for state in joints:
-        if np.abs(state.q - joints[-1].q).max() > JOINT_REST:
+    for state in states:
+        if np.abs(state.q - states[-1].q).max() > JOINT_REST:
             rest = state.t
-    if joints and max(joints[-1].t, mine[-1].t) - rest < REST_S:
+    if states and max(states[-1].t, sightings[-1].t) - rest < REST_S:
         return None
     seen = [s for s in seen if s.t >= rest] or seen[-1:]
     last = np.median([s.xyz for s in seen[-_LAST:]], axis=0)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.errors import InputError
@@ -28,6 +28,17 @@ TYPES = {
 _CLOCKS_APART = 60.0  # s between stamp and recording above which the stamp is another clock's
 
 
+class Row(BaseModel):
+    """What a `session_row` message tells about a row, as JSON."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    index: int | None = None
+    repeat_id: int = -1
+    columns: dict[str, float] = {}
+    labels: dict[str, str] = {}
+
+
 @dataclass
 class Tape:
     """What was read so far; every time in s from `start_ns`.
@@ -41,7 +52,7 @@ class Tape:
     commands: list[tuple[float, np.ndarray]] = field(default_factory=list)
     sightings: list[Sighting] = field(default_factory=list)
     states: list[State] = field(default_factory=list)
-    rows: list[tuple[float, dict[str, Any]]] = field(default_factory=list)
+    rows: list[tuple[float, Row]] = field(default_factory=list)
     columns: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     frames: set[str] = field(default_factory=set)
 
@@ -100,12 +111,11 @@ class Tape:
 
     def _session_row(self, t: float, message: Any) -> None:
         try:
-            row = json.loads(message.data)
-        except ValueError:
-            row = None
-        if not isinstance(row, dict):
-            raise self._error("session_row", t, message.data, "a JSON object")
-        self.rows.append((t, row))
+            self.rows.append((t, Row.model_validate_json(message.data)))
+        except ValidationError as error:
+            fault = error.errors(include_url=False)[0]
+            allowed = f"{' '.join(map(str, fault['loc']))}: {fault['msg']}"
+            raise self._error("session_row", t, message.data, allowed) from error
 
     def _hold(self, name: str, t: float, value: float) -> None:
         if not math.isfinite(value):

@@ -1,0 +1,143 @@
+"""A bag that is readable at every moment of its recording: a split rosbag2 that grows by files.
+
+Messages go to a hidden segment; a segment that is finished is moved into the bag and told of in
+metadata.yaml in one step.  Whoever kills the recorder loses the segment at hand, nothing else.
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import yaml
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import write_text
+from longarm_comp.sessions.message_types import message_types
+
+_PARTIAL = ".recording"
+_KEY = "rosbag2_bagfile_information"
+
+
+class SegmentedBag:
+    """Writer of a bag folder; use as a context manager.
+
+    Args:
+        path: the bag's folder.
+        resume: go on with a bag that is there already.
+
+    Raises:
+        InputError: the folder exists (or, with ``resume``, holds something else).
+    """
+
+    def __init__(self, path: str | Path, *, resume: bool = False) -> None:
+        self._path = Path(path)
+        self._partial = self._path / _PARTIAL
+        self._information = self._begin(resume)
+        self._writer: Writer | None = None
+        self._connections: dict[tuple[str, str], Connection] = {}
+        self.messages = 0
+        """Written into the segment at hand."""
+
+    def _begin(self, resume: bool) -> dict[str, Any] | None:
+        metadata = self._path / "metadata.yaml"
+        if not resume and self._path.exists():
+            allowed = "a folder that does not exist yet, or --resume"
+            raise InputError(self._path, "bag", "exists", allowed)
+        if resume and self._path.exists():
+            strangers = [p.name for p in self._path.iterdir() if p.name != _PARTIAL]
+            if not metadata.is_file() and strangers:
+                raise InputError(self._path, "bag", strangers[0], "a bag, to resume it")
+        try:
+            self._path.mkdir(parents=True, exist_ok=True)
+            shutil.rmtree(self._partial, ignore_errors=True)
+        except OSError as error:
+            said = error.strerror or str(error)
+            raise InputError(self._path, "output folder", said, "a folder to write in") from error
+        if not metadata.is_file():
+            return None
+        try:
+            found = yaml.safe_load(metadata.read_text(encoding="utf-8"))[_KEY]
+        except (yaml.YAMLError, KeyError, TypeError) as error:
+            raise InputError(metadata, _KEY, str(error), "metadata of a rosbag2") from error
+        if found.get("storage_identifier") != "mcap":
+            raise InputError(metadata, "storage", found.get("storage_identifier"), "mcap")
+        return dict(found)
+
+    def __enter__(self) -> SegmentedBag:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._information is None:
+            self._open()  # a bag without a message is a bag
+        self.finish_segment()
+
+    def write(self, topic: str, kind: str, stamp_ns: int, data: bytes) -> None:
+        """Add one serialised message (CDR) of a type that `message_types` knows."""
+        writer = self._open()
+        if (topic, kind) not in self._connections:
+            made = writer.add_connection(topic, kind, typestore=message_types())
+            self._connections[topic, kind] = made
+        writer.write(self._connections[topic, kind], stamp_ns, data)
+        self.messages += 1
+
+    def _open(self) -> Writer:
+        if self._writer is None:
+            self._writer = Writer(self._segment, version=9, storage_plugin=StoragePlugin.MCAP)
+            self._writer.open()
+        return self._writer
+
+    @property
+    def _segment(self) -> Path:
+        files = [] if self._information is None else self._information["relative_file_paths"]
+        return self._partial / f"{self._path.name}_{len(files)}"
+
+    def finish_segment(self) -> None:
+        """Make everything written so far part of the bag."""
+        if self._writer is None:
+            return
+        segment = self._segment
+        self._writer.close()
+        self._writer, self._connections, self.messages = None, {}, 0
+        made = yaml.safe_load((segment / "metadata.yaml").read_text(encoding="utf-8"))[_KEY]
+        for name in made["relative_file_paths"]:
+            (segment / name).replace(self._path / name)
+        self._information = _joined(self._information, made)
+        text = yaml.safe_dump({_KEY: self._information}, sort_keys=False)
+        write_text(self._path / "metadata.yaml", text)
+        shutil.rmtree(self._partial, ignore_errors=True)
+
+
+def _joined(one: dict[str, Any] | None, two: dict[str, Any]) -> dict[str, Any]:
+    """Metadata of both: files in order, counts added, the time of both."""
+    if one is None:
+        return two
+    first, second = (part["starting_time"]["nanoseconds_since_epoch"] for part in (one, two))
+    end = max(first + one["duration"]["nanoseconds"], second + two["duration"]["nanoseconds"])
+    start = min(first, second)
+    topics = {_name(entry): dict(entry) for entry in one["topics_with_message_count"]}
+    for entry in two["topics_with_message_count"]:
+        known = topics.setdefault(_name(entry), {**entry, "message_count": 0})
+        known["message_count"] += entry["message_count"]
+    return {
+        **two,
+        "starting_time": {"nanoseconds_since_epoch": start},
+        "duration": {"nanoseconds": end - start},
+        "message_count": one["message_count"] + two["message_count"],
+        "topics_with_message_count": list(topics.values()),
+        "relative_file_paths": [*one["relative_file_paths"], *two["relative_file_paths"]],
+        "files": [*one.get("files", []), *two.get("files", [])],
+    }
+
+
+def _name(entry: dict[str, Any]) -> str:
+    return str(entry["topic_metadata"]["name"])
