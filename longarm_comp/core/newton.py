@@ -22,7 +22,7 @@ POOR = 0.1  # of the squared residual left after a step: then the Jacobian is ma
 FLOOR = 1e-13  # least damping, in (m per joint range)^2
 STALL_AFTER = 6  # iterations without a fifth of progress that end a start
 FIRST_DAMPING = 0.05
-NEAR = 1e-10  # squared residual (m^2) below which all load passes are made
+NEAR = 1e-6  # squared residual (m^2) from which on all load passes are made
 
 # ------------------------------------------------------------------ the machine
 
@@ -217,22 +217,20 @@ def search(
     full(k, q, c, x, out)
     residual(out, target, length, m, e, size)
     weighted(out, span, length, m, n, J)
-    energy, near = squared(e, m), False
+    energy, near, true = squared(e, m), False, True  # true: e is by all load passes
     found[0], found[1] = size[0], size[1]
-    if energy < NEAR:
-        near = True
     mu, marked, since, poor, used, exact_at = FIRST_DAMPING, energy, 0, False, 0, -RENEW
     while True:
-        if not near and (energy < NEAR or poor or used >= max_iterations):
-            near, poor = True, False
+        ended = used >= max_iterations or since >= STALL_AFTER
+        near = near or poor or energy < NEAR
+        if not true and (poor or ended):
+            true, poor = True, False
             full(k, q, c, y, out)
             residual(out, target, length, m, e, size)
             weighted(out, span, length, m, n, J)
-            energy = marked = squared(e, m)
+            energy = squared(e, m)
             found[0], found[1] = size[0], size[1]
-        if near and (found[0] <= tol and found[1] <= tol):
-            break
-        if used >= max_iterations or since >= STALL_AFTER:
+        if ended or (true and found[0] <= tol and found[1] <= tol):
             break
         if near and poor and used >= exact_at + RENEW:
             exact_at = used
@@ -250,7 +248,7 @@ def search(
         residual(out, target, length, m, e2, size)
         energy2 = squared(e2, m)
         used += 1
-        if near and exact_at < used - 1:
+        if true and near and exact_at < used - 1:
             for j in range(n):
                 u[j] = (trial[j] - q[j]) / span[j]
             broyden(J, e, e2, u, m, n, sag)
@@ -263,7 +261,8 @@ def search(
             weighted(out, span, length, m, n, J)
             energy = energy2
             mu = max(0.1 * mu, 1e-6)
-            if near:
+            true = near
+            if true:
                 found[0], found[1] = size[0], size[1]
         else:
             poor = True

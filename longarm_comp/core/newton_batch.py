@@ -125,7 +125,7 @@ class _State:
         out, self.x = machine.full(q, ids)
         self.e, self.size, self.J = self.read(out, ids)
         self.energy = squared(self.e, task.m)
-        self.near = self.energy < NEAR
+        self.near, self.true = np.zeros(count, bool), np.ones(count, bool)
         self.marked = self.energy.copy()
 
     def read(self, out: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -140,27 +140,39 @@ class _State:
     @property
     def over(self) -> np.ndarray:
         """Which have arrived, or gain nothing more."""
-        arrived = self.near & (self.size <= self.task.tol).all(axis=0)
-        return arrived | (self.near & (self.since >= STALL_AFTER))
+        arrived = self.true & (self.size <= self.task.tol).all(axis=0)
+        return arrived | (self.since >= STALL_AFTER)
 
     def keep(self, which: np.ndarray) -> None:
         """Drop the other columns."""
-        for name in ("ids", "place", "near", "poor", "mu", "since", "energy", "marked", "exact_at"):
+        for name in (
+            "ids",
+            "place",
+            "near",
+            "true",
+            "poor",
+            "mu",
+            "since",
+            "energy",
+            "marked",
+            "exact_at",
+        ):
             setattr(self, name, getattr(self, name)[which])
         for name in ("q", "x", "e", "size", "J", "sag"):
             setattr(self, name, getattr(self, name)[:, which])
 
     def draw_near(self, at_once: bool) -> None:
         """Close to the target, or where carried twists do not do: all load passes from here on."""
-        go = (self.energy < NEAR) | self.poor | (self.since >= STALL_AFTER) | at_once
-        at = np.flatnonzero(go & ~self.near)
+        ended = at_once | (self.since >= STALL_AFTER)
+        self.near |= self.poor | (self.energy < NEAR)
+        at = np.flatnonzero(~self.true & (self.poor | ended))
         if not at.size:
             return
         ids = self.ids[at]
         out = self.machine.full(self.q[:, at], ids)[0]
         self.e[:, at], self.size[:, at], self.J[:, at] = self.read(out, ids)
-        self.energy[at] = self.marked[at] = squared(self.e[:, at], self.task.m)
-        self.near[at], self.poor[at] = True, False
+        self.energy[at] = squared(self.e[:, at], self.task.m)
+        self.true[at], self.poor[at] = True, False
 
     def iterate(self, used: int) -> None:
         """One step of every search."""
@@ -181,7 +193,7 @@ class _State:
             out, self.x[:, far] = self.machine.step(trial[:, far], self.ids[far], self.x[:, far])
             e2[:, far], size2[:, far], J2[:, far] = self.read(out, self.ids[far])
         energy2 = squared(e2, m)
-        learn = np.flatnonzero(self.near & (self.exact_at < used))
+        learn = np.flatnonzero(self.true & self.near & (self.exact_at < used))
         if learn.size:
             u = (trial[:, learn] - self.q[:, learn]) / task.span[:, None]
             sag = self.sag[:, learn]
@@ -192,6 +204,7 @@ class _State:
         for name, value in (("q", trial), ("e", e2), ("J", J2), ("size", size2)):
             setattr(self, name, np.where(better, value, getattr(self, name)))
         self.energy = np.where(better, energy2, self.energy)
+        self.true = np.where(better, self.near, self.true)
         self.mu = np.where(
             better, np.maximum(0.1 * self.mu, 1e-6), np.minimum(8.0 * self.mu + 1e-3, 1e6)
         )
