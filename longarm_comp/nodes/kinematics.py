@@ -255,12 +255,12 @@ class Kinematics(Node):
     def _on_tip(self, message: PoseWithCovarianceStamped) -> None:
         self._markers.on_tip(message)
         rest = self._monitor.on_tip(message)
-        context = None if rest is None else self._context(rest.side)
+        context = None if rest is None else self._now_context(rest.side)
         if rest is not None and context is not None:
             model = self._files.loaded.model
             self._worker.submit(partial(self._monitor.judge, rest, model, context))
 
-    def _context(self, side: np.ndarray) -> Context | None:
+    def _now_context(self, side: np.ndarray) -> Context | None:
         """Of this moment; None while something that the model needs is not known."""
         model, now = self._files.loaded.model, time.monotonic()
         try:
@@ -269,7 +269,7 @@ class Kinematics(Node):
             return None
 
     def _draw(self) -> None:
-        q, context = self._state.joints, self._context(self._state.side)
+        q, context = self._state.joints, self._now_context(self._state.side)
         if q is None or context is None:
             return
         sag = self.get_parameter("markers.sag_factor").value

@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from geometry_msgs.msg import PointStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import Temperature
@@ -114,6 +115,7 @@ class SimulatedArm(Node):
         self._worker = Worker(executor, 1, self.survived)
         self._images = graph.LEFT_IMAGE.publisher(self), graph.RIGHT_IMAGE.publisher(self)
         self._infos = graph.LEFT_INFO.publisher(self), graph.RIGHT_INFO.publisher(self)
+        self._truth = self.create_publisher(PointStamped, "~/true_tip", 20)
         self._temperature = graph.TEMPERATURE.publisher(self)
         self._payload = graph.PAYLOAD.publisher(self)
         if p["frame_rate_hz"]:
@@ -139,7 +141,12 @@ class SimulatedArm(Node):
     def _frame(self) -> None:
         """On the worker's thread: both images carry the moment of the exposure."""
         ns = self.get_clock().now().nanoseconds
-        images = self._workshop.look(time.monotonic() - self._started)
+        t_s = time.monotonic() - self._started
+        images = self._workshop.look(t_s)
+        truth = PointStamped()
+        truth.header.stamp, truth.header.frame_id = stamp_of(ns), "base"
+        truth.point.x, truth.point.y, truth.point.z = self._workshop.tip_pose(t_s)[:3, 3].tolist()
+        self._truth.publish(truth)
         infos = self._workshop.room.cameras.camera_infos()
         for k, frame in enumerate(("left_optical", "right_optical")):
             self._infos[k].publish(info_message(infos[k], ns, frame))

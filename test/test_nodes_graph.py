@@ -1,0 +1,189 @@
+"""Whole graphs on simulated arms: two side by side, killed nodes, a drifted arm, `longarm up`."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from nodes_bench import Bench, bench, own_graph
+
+from longarm_comp.core import quaternion
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.calibrate import declared_model
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.bringup import SIMULATED, BringUp, running
+from longarm_comp.nodes.health import WARN
+from longarm_comp.nodes.messages import sighting_of, trajectory_message
+from longarm_comp.nodes.supervisor import Supervisor
+from longarm_interfaces.srv import Compensate
+
+ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
+SPEED = 8.0
+
+
+@pytest.fixture(scope="module")
+def arm() -> Arm:
+    return Arm.load(ARM)
+
+
+class Station:
+    """One arm's namespace as a client sees it."""
+
+    def __init__(self, stage: Bench, namespace: str, arm: Arm) -> None:
+        self.stage, self.arm, self.model = stage, arm, declared_model(arm)
+        self.tips = stage.collect(graph.TIP_MEASURED, namespace)
+        self.joints = stage.collect(graph.JOINT_STATES, namespace)
+        self.diagnostics = stage.collect(graph.DIAGNOSTICS)
+        self.namespace = namespace
+        self.client = stage.node.create_client(Compensate, f"/{namespace}/compensate")
+
+    def alive(self) -> bool:
+        """Whether every part has said something since the lists were emptied."""
+        return bool(self.tips and self.joints)
+
+    def forget(self) -> None:
+        for got in (self.tips, self.joints, self.diagnostics):
+            got.clear()
+
+    def reach(self, q: np.ndarray) -> np.ndarray:
+        """Send the tip to where it hangs at q; the sighting that follows."""
+        target = self.model.pose(q)
+        request = Compensate.Request(execute=True)
+        request.target.header.frame_id = "base"
+        p, o = request.target.pose.position, request.target.pose.orientation
+        p.x, p.y, p.z = target[:3, 3].tolist()
+        o.x, o.y, o.z, o.w = quaternion.from_rotation(target[:3, :3]).tolist()
+
+        def arrived() -> Any:
+            answer = self.stage.call(self.client, request)
+            if not answer.success:
+                return None
+            goal = np.array(answer.command.position)
+            self.tips.clear()
+            self.stage.spin(lambda: len(self.tips) > 4, within=30.0)
+            at = dict(zip(self.joints[-1].name, self.joints[-1].position, strict=True))
+            now = np.array([at[name] for name in self.arm.joint_names])
+            return np.abs(now - goal).max() < 2e-3
+
+        self.stage.spin(arrived, within=40.0)
+        tip, _ = sighting_of(self.tips[-1])
+        np.testing.assert_allclose(tip, target[:3, 3], atol=2e-3)
+        return tip
+
+    def told(self, part: str) -> tuple[bytes, str]:
+        """Level and sentence of a part of /diagnostics, the last."""
+        for array in reversed(self.diagnostics):
+            for status in array.status:
+                if status.name == f"/{self.namespace}/{part}":
+                    return status.level, status.message
+        return b"", ""
+
+
+def bring_up(namespace: str, **more: Any) -> BringUp:
+    quick = {"diagnostics_period_s": 0.2}
+    parameters = {
+        "simulated_arm": {"frame_rate_hz": 4.0} | more.pop("sim", {}),
+        "kinematics": quick | more.pop("kinematics", {}),
+    }
+    return BringUp(arm=ARM, sim=True, speed=SPEED, namespace=namespace, set=parameters, **more)
+
+
+@pytest.fixture
+def stage(tmp_path: Path) -> Iterator[Bench]:
+    with own_graph(tmp_path), bench() as made:
+        yield made
+
+
+def gone(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    return False
+
+
+def test_two_arms_side_by_side_survive_killed_nodes(stage: Bench, arm: Arm) -> None:
+    with running(bring_up("left_arm")) as left, running(bring_up("right_arm")) as right:
+        one, two = Station(stage, "left_arm", arm), Station(stage, "right_arm", arm)
+        stage.spin(lambda: one.alive() and two.alive(), within=60.0)
+        still = np.array(two.joints[-1].position)
+        tip = one.reach(arm.mid)
+        np.testing.assert_allclose(two.joints[-1].position, still, atol=1e-4)
+        other = two.reach(0.3 * arm.lower + 0.7 * arm.upper)
+        assert np.linalg.norm(other - tip) > 0.05
+        for node in SIMULATED:
+            survives(stage, one, left, node)
+        one.reach(0.6 * arm.lower + 0.4 * arm.upper)
+        pids = [s.pid(node) for s in (left, right) for node in SIMULATED]
+    assert all(gone(pid) for pid in pids)
+
+
+def survives(stage: Bench, station: Station, supervisor: Supervisor, node: str) -> None:
+    """Kill a node: another takes its place, and the arm is measured and read again."""
+    before = supervisor.pid(node)
+    os.kill(before, signal.SIGKILL)
+
+    def again() -> bool:
+        supervisor.look()
+        return supervisor.pid(node) != before
+
+    stage.spin(again)
+    station.forget()
+    stage.spin(station.alive, within=30.0)
+
+
+def test_a_drifted_arm_is_noticed_and_the_command_named(stage: Bench, arm: Arm) -> None:
+    settings = {"monitor.sigma_m": 3e-4, "monitor.settle_s": 0.2, "monitor.sightings": 1}
+    drifted = bring_up("arm", sim={"hidden": "base_pose=4.0"}, kinematics=settings)
+    with running(drifted):
+        station = Station(stage, "arm", arm)
+        stage.spin(station.alive, within=60.0)
+        rng = np.random.default_rng(2)
+        sender = stage.node.create_publisher(
+            graph.JOINT_TRAJECTORY.type, "/arm/joint_trajectory", 10
+        )
+        stage.connected(sender)
+
+        def warned() -> bool:
+            q = arm.mid + 0.1 * (rng.random(arm.n) - 0.5) * (arm.upper - arm.lower)
+            sender.publish(trajectory_message(arm, q, 0.1))
+            station.tips.clear()
+            stage.spin(lambda: len(station.tips) > 5, within=30.0)
+            return station.told("kinematics: monitor")[0] == WARN
+
+        stage.spin(warned, within=60.0)
+        _, message = station.told("kinematics: monitor")
+        assert "longarm diagnose" in message
+        assert str(ARM) in message
+
+
+def test_longarm_up_ends_everything_when_it_is_told_or_killed(stage: Bench, arm: Arm) -> None:
+    command = ["-m", "longarm_comp", "up", str(ARM), "--sim", "--namespace", "arm"]
+    for number, code in ((signal.SIGTERM, 0), (signal.SIGKILL, -signal.SIGKILL)):
+        program = stage.python([*command, "--speed", str(SPEED)])
+        station = Station(stage, "arm", arm)
+        stage.spin(station.alive, within=60.0)
+        children = [
+            int(pid)
+            for pid in Path(f"/proc/{program.pid}/task/{program.pid}/children").read_text().split()
+        ]
+        assert len(children) == len(SIMULATED)
+        program.send_signal(number)
+        assert program.wait(timeout=30) == code
+        stage.spin(lambda pids=children: all(map(gone, pids)), within=20.0)
+
+
+def test_a_wrong_bring_up_is_refused_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="elbow"):
+        BringUp(arm=ARM, set={"elbow": {}})
+    with pytest.raises(InputError, match="speed"):
+        BringUp(arm=ARM, speed=0.0)

@@ -1,0 +1,142 @@
+"""`error_predictor` as a process: answers, refuses, reloads; `kinematics` takes its error off."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from geometry_msgs.msg import PoseStamped
+from nodes_bench import Bench, bench, own_graph
+from std_srvs.srv import Trigger
+
+from longarm_comp.core import quaternion
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.identify.calibrate import declared_model
+from longarm_comp.core.learn.ensemble import train
+from longarm_comp.core.learn.predictor import Predictor, Provenance
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.messages import joints_message
+from longarm_interfaces.srv import Compensate, PredictError
+
+BIAS = np.array([0.002, -0.001, 0.004])
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    with own_graph(tmp_path_factory.mktemp("predictor")), bench() as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def arm() -> Arm:
+    return Arm.load(Path(__file__).parents[1] / "config" / "arm_demo.yaml")
+
+
+def trained(arm: Arm, bias: np.ndarray) -> Predictor:
+    """Learned around the middle of the joint box: a constant error and a slope."""
+    rng = np.random.default_rng(3)
+    q = arm.mid + 0.2 * (arm.upper - arm.lower) * (rng.random((60, arm.n)) - 0.5)
+    residual = bias + 0.01 * (q[:, :3] - arm.mid[:3]) + 1e-4 * rng.standard_normal((60, 3))
+    return train(
+        q, residual, init="xavier", ensemble=2, hidden=4, inputs="joints",
+        provenance=Provenance(arm_hash=arm.hash, joint_names=arm.joint_names),
+    )  # fmt: skip
+
+
+def question(arm: Arm, q: np.ndarray) -> PredictError.Request:
+    return PredictError.Request(
+        joints=joints_message(arm, q), temperature_c=math.nan, payload_kg=math.nan
+    )
+
+
+def test_the_learned_error_is_predicted_taken_off_and_replaced(
+    stage: Bench, arm: Arm, demo_arm_path: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "predictor.npz"
+    first = trained(arm, BIAS)
+    first.save(path)
+    files = {"arm": demo_arm_path, "predictor": path, "watch_period_s": 0.1}
+    predictor = stage.start("error_predictor", files)
+    stage.start("kinematics", {"arm": demo_arm_path})
+    handed_out = stage.collect(graph.PREDICTED_ERROR)
+    ask = graph.PREDICT_ERROR.client(stage.node)
+    compensate = graph.COMPENSATE.client(stage.node)
+
+    answer = stage.call(ask, question(arm, arm.mid))
+    assert answer.success and answer.in_domain
+    told = np.array([answer.error.x, answer.error.y, answer.error.z])
+    np.testing.assert_allclose(told, first.predict(arm.mid[None]).error[0], atol=1e-12)
+    stage.spin(lambda: handed_out)
+    assert handed_out[0].vector == answer.error
+    assert handed_out[0].header.frame_id == "base"
+
+    outside = stage.call(ask, question(arm, arm.upper))
+    assert not outside.success and not outside.in_domain
+    assert "training range" in outside.message
+    nameless = question(arm, arm.mid)
+    nameless.joints.name[2] = "elbow"
+    wrong = stage.call(ask, nameless)
+    assert not wrong.success and "elbow" in wrong.message
+
+    model = declared_model(arm)
+    target = model.pose(arm.mid)
+    request = Compensate.Request(
+        target=posed(target), seed=joints_message(arm, arm.mid), position_only=True
+    )
+    answer = stage.call(compensate, request)
+    assert answer.status == Compensate.Response.SUCCESS, answer.message
+    assert answer.in_domain and answer.passes >= 1
+    command = np.array(answer.command.position)
+    error = first.predict(command[None]).error[0]
+    np.testing.assert_allclose(model.tip(command) + error, target[:3, 3], atol=3e-5)
+
+    stories = stage.collect(graph.COMPENSATION)
+    far = Compensate.Request(
+        target=posed(model.pose(arm.upper)), seed=joints_message(arm, arm.upper)
+    )
+    answer = stage.call(compensate, far)
+    assert answer.status == Compensate.Response.OUT_OF_DOMAIN
+    assert answer.success and "physics only" in answer.message
+    np.testing.assert_allclose(answer.command.position, answer.ideal.position)
+
+    second = trained(arm, -BIAS)
+    second.save(path)
+
+    def taken_up() -> bool:
+        error = stage.call(ask, question(arm, arm.mid)).error
+        return error.z < 0
+
+    stage.spin(taken_up)
+    path.write_bytes(b"no predictor")
+    reload = graph.RELOAD.client(stage.node, of="error_predictor")
+    answer = stage.call(reload, Trigger.Request())
+    assert not answer.success and str(path) in answer.message
+    assert stage.call(ask, question(arm, arm.mid)).success  # the last good one is kept
+
+    predictor.kill()
+    predictor.wait(timeout=10)
+
+    def alone() -> bool:
+        answer = stage.call(compensate, request)
+        return answer.status == Compensate.Response.NO_PREDICTOR
+
+    stage.spin(alone)
+    second.save(path)
+    stage.start("error_predictor", files)
+    stage.spin(lambda: stage.call(compensate, request).status == Compensate.Response.SUCCESS)
+    assert stories[-1].predictor_hash
+
+
+def posed(matrix: np.ndarray) -> PoseStamped:
+    made = PoseStamped()
+    made.header.frame_id = "base"
+    p, o = made.pose.position, made.pose.orientation
+    p.x, p.y, p.z = matrix[:3, 3].tolist()
+    o.x, o.y, o.z, o.w = quaternion.from_rotation(matrix[:3, :3]).tolist()
+    return made
