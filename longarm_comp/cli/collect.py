@@ -1,0 +1,81 @@
+"""``longarm collect``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from longarm_comp.cli import options
+from longarm_comp.cli.output import note, print_json, progress
+
+
+@click.command()
+@options.arm
+@click.argument("poses", type=click.Path(path_type=Path), metavar="POSES")
+@options.output(None, "Bag folder to record.")
+@click.option("--both-sides", is_flag=True, help="Every pose from below and from above.")
+@click.option("--repeats", default=0, show_default=True, help="Poses that come twice more.")
+@click.option("--in-order", is_flag=True, help="As in the file, not in random order.")
+@click.option("--sightings", default=5, show_default=True, help="Averaged at each pose.")
+@click.option("--dwell", default=0.3, show_default=True, help="Rest before the first, s.")
+@click.option("--move", default=0.5, show_default=True, help="Least time of a move, s.")
+@click.option("--resume", is_flag=True, help="Go on with a bag that was broken off.")
+@click.option("--namespace", default="", help="Of the arm.")
+@options.seed
+@options.as_json
+def command(
+    arm: Path,
+    poses: Path,
+    output: Path,
+    both_sides: bool,
+    repeats: int,
+    in_order: bool,
+    sightings: int,
+    dwell: float,
+    move: float,
+    resume: bool,
+    namespace: str,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Drive ARM through the plan POSES over ROS and record a session bag.
+
+    Per pose: a run-up from the planned side, rest, and the mean of several sightings. Ctrl-C
+    ends it; the bag then holds every complete visit, and --resume makes the others.
+
+    \b
+    Examples:
+      longarm collect arm.yaml poses.csv -o session_1
+      longarm collect arm.yaml poses.csv -o session_1 --both-sides --repeats 10 --resume
+    """
+    from longarm_comp.cli.signals import stop_on_signals
+    from longarm_comp.core.arm import Arm
+    from longarm_comp.jobs.client import ArmClient
+    from longarm_comp.jobs.collect import Pace, collect
+    from longarm_comp.jobs.visits import visits
+    from longarm_comp.sessions.poses import read_poses
+
+    declared = Arm.load(arm)
+    todo = visits(
+        read_poses(poses, declared),
+        declared,
+        both_sides=both_sides,
+        repeats=repeats,
+        shuffle=not in_order,
+        seed=seed,
+    )
+    pace = Pace(sightings=sightings, dwell_s=dwell, move_s=move)
+    with (
+        stop_on_signals() as stop,
+        ArmClient(declared, namespace, stop, "collect") as client,
+        progress("collect") as show,
+    ):
+        done = collect(client, todo, output, pace=pace, resume=resume, progress=show)
+    if as_json:
+        print_json({"bag": str(output), **vars(done)})
+        return
+    before = f", {done.before} before" if done.before else ""
+    note(f"{done.made} visits made{before}, of {done.planned}; bag in {output}")
+    if done.unseen:
+        note(f"the marker was not seen at visits {', '.join(map(str, done.unseen))}")

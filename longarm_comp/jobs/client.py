@@ -1,0 +1,183 @@
+"""A program's own place on an arm's graph: send joints, wait for rest, watch the tip.
+
+A single executor in the caller's thread; every wait ends at once when ``stop`` is set.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+import rclpy
+from builtin_interfaces.msg import Duration
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.images import stamp_ns
+from longarm_comp.nodes.messages import joints_of, sighting_of
+
+
+class Interrupted(JobError):  # noqa: N818
+    """The caller's stop event was set."""
+
+    exit_code = 130
+
+
+class ArmClient:
+    """Use as a context manager.
+
+    Args:
+        arm: names and orders the joints.
+        namespace: of the arm on the graph.
+        stop: ends every wait with `Interrupted`.
+        name: of the node.
+    """
+
+    def __init__(
+        self, arm: Arm, namespace: str = "", stop: threading.Event | None = None,
+        name: str = "longarm_client",
+    ) -> None:  # fmt: skip
+        self.arm, self.stop = arm, stop or threading.Event()
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.node = Node(
+            name, context=self.context, namespace=namespace, start_parameter_services=False
+        )
+        self.executor.add_node(self.node)
+        self.joints: np.ndarray | None = None
+        self.sightings: list[tuple[int, np.ndarray, np.ndarray]] = []
+        """(stamp ns, tip (3,) m or NaN, variance (3,)), newest last."""
+        self._moved_ns = 0
+        self._rest_at: np.ndarray | None = None
+        self._trajectory = graph.JOINT_TRAJECTORY.publisher(self.node)
+        graph.JOINT_STATES.subscription(self.node, self._on_joints)
+        graph.TIP_MEASURED.subscription(self.node, self._on_tip)
+
+    def __enter__(self) -> ArmClient:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.executor.shutdown(timeout_sec=1.0)
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+    def _on_joints(self, message: JointState) -> None:
+        try:
+            q = joints_of(message, self.arm, "joint_states")
+        except InputError:
+            return
+        self.joints = q
+
+    def _on_tip(self, message: PoseWithCovarianceStamped) -> None:
+        xyz, variance = sighting_of(message)
+        self.sightings.append((stamp_ns(message.header.stamp), xyz, variance))
+        del self.sightings[:-200]
+
+    # ------------------------------------------------------------------ waiting
+
+    def until(self, condition: Callable[[], Any], within_s: float, what: str) -> Any:
+        """Spin until something is truthy; what it is.
+
+        Raises:
+            JobError: not within the time. Interrupted: stop was set.
+        """
+        end = time.monotonic() + within_s
+        while not (found := condition()):
+            if self.stop.is_set():
+                raise Interrupted("interrupted")
+            if time.monotonic() > end:
+                raise JobError(f"{what}: not within {within_s:g} s")
+            self.executor.spin_once(timeout_sec=0.01)
+        return found
+
+    def spin(self, seconds: float) -> None:
+        """Serve what comes for so long. Raises Interrupted."""
+        end = time.monotonic() + seconds
+        self.until(lambda: time.monotonic() >= end, seconds + 60.0, "waiting")
+
+    def ready(self, within_s: float = 30.0, *, tip: bool = True) -> None:
+        """Wait for joints, a driver that listens, and (``tip``) eyes that see."""
+        self.until(lambda: self.joints is not None, within_s, "no joint_states")
+        heard = self._trajectory.get_subscription_count
+        self.until(lambda: heard() > 0, within_s, "nobody listens to joint_trajectory")
+        if tip:
+            self.until(lambda: self.sightings, within_s, "no tip_measured")
+
+    def call(self, client: Any, request: Any, within_s: float = 20.0) -> Any:
+        """The answer of a service. Raises as `until`."""
+        self.until(client.service_is_ready, within_s, f"nobody offers {client.srv_name}")
+        future = client.call_async(request)
+        self.until(future.done, within_s, f"no answer of {client.srv_name}")
+        return future.result()
+
+    # ------------------------------------------------------------------ moving
+
+    def send(self, path: np.ndarray, move_s: float = 0.5) -> None:
+        """Command way-points (k, n), stopping at each; the driver keeps its limits."""
+        points = []
+        for k, q in enumerate(path, 1):
+            whole = int(k * move_s)
+            after = Duration(sec=whole, nanosec=round((k * move_s - whole) * 1e9))
+            points.append(
+                JointTrajectoryPoint(
+                    positions=q.tolist(), velocities=[0.0] * self.arm.n, time_from_start=after
+                )
+            )
+        names = list(self.arm.joint_names)
+        self._trajectory.publish(JointTrajectory(joint_names=names, points=points))
+
+    def arrive(self, q: np.ndarray, tolerance: np.ndarray, dwell_s: float, within_s: float) -> int:
+        """Wait until the joints stay within (n,) of q for a while.
+
+        Returns:
+            The moment (ns, the graph's clock) from which the arm was at rest.
+
+        Raises:
+            JobError: it did not arrive. Interrupted.
+        """
+        inside_since: list[float] = []
+
+        def there() -> bool:
+            inside = self.joints is not None and (np.abs(self.joints - q) <= tolerance).all()
+            if not inside:
+                inside_since.clear()
+            elif not inside_since:
+                inside_since.append(time.monotonic())
+            return bool(inside_since) and time.monotonic() - inside_since[0] >= dwell_s
+
+        self.until(there, within_s, "the joints did not come to rest where they were sent")
+        return int(self.node.get_clock().now().nanoseconds)
+
+    def look(self, after_ns: int, count: int, within_s: float) -> list[np.ndarray]:
+        """Sightings (3,) taken after a moment: ``count`` of them, or as many as came in time.
+
+        Lost ones are left out.
+        """
+
+        def taken() -> list[np.ndarray]:
+            return [
+                xyz for ns, xyz, _ in self.sightings if ns > after_ns and np.isfinite(xyz).all()
+            ]
+
+        end = time.monotonic() + within_s
+        self.until(
+            lambda: len(taken()) >= count or time.monotonic() > end, within_s + 60.0, "sightings"
+        )
+        return taken()

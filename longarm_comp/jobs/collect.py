@@ -1,0 +1,137 @@
+"""Runs a pose plan over the graph and records it: move, settle, look several times, next.
+
+A visit enters the bag when it is complete, with a ``session_row`` message that says which it
+was; so a session that was broken off anywhere is readable, and `collect` goes on from there.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Float64, String
+
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.jobs.client import ArmClient
+from longarm_comp.jobs.recorder import Recorder
+from longarm_comp.jobs.visits import Visit
+from longarm_comp.sessions.bag import open_bag
+from longarm_comp.sessions.bag_segments import SegmentedBag
+from longarm_comp.sessions.message_types import message_types
+from longarm_comp.sessions.settled import JOINT_REST
+
+ROW_TOPIC, ROW_TYPE = "session_row", "std_msgs/msg/String"
+_FRESH_S = 0.05  # a sighting shall be taken this long after the joints came to rest
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How long a visit may take.
+
+    Attributes:
+        sightings: averaged at each pose.
+        dwell_s: the joints must rest so long before the first sighting counts.
+        move_s: asked of the driver for each way-point; it keeps its own limits.
+        arrive_s, look_s: patience with a move, and with the sightings.
+        tolerance: rad or m between commanded and reported joints at rest.
+    """
+
+    sightings: int = 5
+    dwell_s: float = 0.3
+    move_s: float = 0.5
+    arrive_s: float = 60.0
+    look_s: float = 5.0
+    tolerance: float = JOINT_REST
+
+    def __post_init__(self) -> None:
+        if self.sightings < 1:
+            raise InputError("collect", "--sightings", self.sightings, "at least 1")
+
+
+@dataclass(frozen=True)
+class Collected:
+    """What came of it: visits made now, made before, of all; and those without a sighting."""
+
+    made: int
+    before: int
+    planned: int
+    unseen: tuple[int, ...]
+
+
+def collect(
+    client: ArmClient,
+    todo: Sequence[Visit],
+    path: Path,
+    *,
+    pace: Pace | None = None,
+    resume: bool = False,
+    progress: Callable[[str, float], None] = lambda text, share: None,
+) -> Collected:
+    """Visit every pose of a plan that the bag does not hold yet.
+
+    Raises:
+        InputError: the bag exists (without ``resume``), or belongs to another plan.
+        JobError: the arm did not arrive, or never saw the marker.
+        Interrupted: the client was stopped; the bag holds every complete visit.
+    """
+    pace = pace or Pace()
+    done = visited(path, todo, client) if resume and (path / "metadata.yaml").is_file() else set()
+    unseen: list[int] = []
+    payload = client.node.create_publisher(Float64, "payload", 5)
+    with SegmentedBag(path, resume=resume) as bag:
+        recorder = Recorder(client.node, bag)
+        client.ready()
+        left = [visit for visit in todo if visit.index not in done]
+        for k, visit in enumerate(left):
+            progress(f"pose {visit.index}", k / len(left))
+            recorder.drop()
+            if visit.payload_kg is not None:
+                payload.publish(Float64(data=visit.payload_kg))
+            if not _visit(client, visit, pace):
+                unseen.append(visit.index)
+            _tell(client, recorder, visit)
+            recorder.keep()
+            if len(unseen) > max(5, len(left) // 2):
+                raise JobError("the marker is not seen at most poses", lost=len(unseen))
+    return Collected(len(left), len(done), len(todo), tuple(unseen))
+
+
+def _visit(client: ArmClient, visit: Visit, pace: Pace) -> int:
+    """Drive to one pose and look; the number of sightings."""
+    way = [visit.q] if visit.via is None else [visit.via, visit.q]
+    client.send(np.array(way), pace.move_s)
+    client.spin(0.05)  # the driver has taken it up when its joints move
+    tolerance = np.full(client.arm.n, pace.tolerance)
+    now = client.arrive(visit.q, tolerance, pace.dwell_s, pace.arrive_s)
+    return len(client.look(now + int(_FRESH_S * 1e9), pace.sightings, pace.look_s))
+
+
+def _tell(client: ArmClient, recorder: Recorder, visit: Visit) -> None:
+    """Into the bag alone: what no topic of the robot says."""
+    row = {"index": visit.index, "repeat_id": visit.repeat_id, "q": visit.q.tolist()}
+    topic = client.node.resolve_topic_name(ROW_TOPIC)
+    recorder.put(topic, ROW_TYPE, serialize_message(String(data=json.dumps(row))))
+
+
+def visited(path: Path, todo: Sequence[Visit], client: ArmClient) -> set[int]:
+    """Indices of the visits that a bag holds.
+
+    Raises:
+        InputError: its poses are not those of these visits.
+    """
+    planned = {visit.index: visit.q for visit in todo}
+    done = set()
+    with open_bag(path) as reader:
+        rows = [c for c in reader.connections if c.topic.rpartition("/")[2] == ROW_TOPIC]
+        for _, _, raw in reader.messages(connections=rows) if rows else ():
+            row = json.loads(message_types().deserialize_cdr(raw, ROW_TYPE).data)
+            q = planned.get(row["index"])
+            if q is None or np.shape(row.get("q")) != q.shape or not np.allclose(q, row["q"]):
+                allowed = "the plan, seed and options that it was begun with"
+                raise InputError(path, f"visit {row['index']}", row.get("q"), allowed)
+            done.add(int(row["index"]))
+    return done

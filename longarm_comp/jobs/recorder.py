@@ -1,0 +1,112 @@
+"""The graph's topics into a bag, as they come over the wire."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Sequence
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
+
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.interfaces import Topic
+from longarm_comp.sessions.bag_segments import SegmentedBag
+
+SESSION_TOPICS = (
+    graph.TARGET_POSE, graph.JOINT_TRAJECTORY, graph.COMPENSATION, graph.JOINT_STATES,
+    graph.PREDICTED_ERROR, graph.TIP_MEASURED, graph.TEMPERATURE, graph.PAYLOAD,
+    graph.INCLINATION,
+)  # fmt: skip
+"""What tells of a session; images would be a hundred times as much."""
+
+IMAGE_TOPICS = (graph.LEFT_IMAGE, graph.RIGHT_IMAGE, graph.LEFT_INFO, graph.RIGHT_INFO)
+
+_DEPTH = 2000
+_SEGMENT_S = 20.0
+
+
+class Recorder:
+    """Subscribes to topics on a node and keeps them in a bag.
+
+    Messages wait in memory until `keep` makes them part of the recording; `drop` forgets them.
+
+    Args:
+        segment_s: a segment is finished when it is older: at most so much is lost by a kill.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        bag: SegmentedBag,
+        topics: Sequence[Topic] = SESSION_TOPICS,
+        segment_s: float = _SEGMENT_S,
+    ) -> None:
+        self._node, self._bag, self._segment_s = node, bag, segment_s
+        self._waiting: list[tuple[str, str, int, bytes]] = []
+        self._since = time.monotonic()
+        self.counts: dict[str, int] = {}
+        for topic in topics:
+            self._subscribe(topic)
+
+    def _subscribe(self, topic: Topic) -> None:
+        name = self._node.resolve_topic_name(topic.name)
+        kind = _type_name(topic.type)
+        qos = QoSProfile(depth=_DEPTH, reliability=topic.listens)
+        self._node.create_subscription(
+            topic.type, topic.name, lambda raw: self.put(name, kind, bytes(raw)), qos, raw=True
+        )
+
+    def put(self, topic: str, kind: str, raw: bytes) -> None:
+        """Take one serialised message that came just now; ``topic`` is its full name."""
+        self._waiting.append((topic, kind, time.time_ns(), raw))
+
+    def keep(self, *, finish: bool = False) -> None:
+        """Write what waits; ``finish`` makes it part of the readable bag at once."""
+        for topic, kind, stamp, raw in self._waiting:
+            self._bag.write(topic, kind, stamp, raw)
+            self.counts[topic] = self.counts.get(topic, 0) + 1
+        self._waiting.clear()
+        if finish or time.monotonic() - self._since > self._segment_s:
+            self._bag.finish_segment()
+            self._since = time.monotonic()
+
+    def drop(self) -> None:
+        """Forget what waits."""
+        self._waiting.clear()
+
+
+def _type_name(kind: type) -> str:
+    """``std_msgs/msg/String`` of a generated message class."""
+    return f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
+
+
+def record(
+    bag: SegmentedBag,
+    topics: Sequence[Topic],
+    stop: threading.Event,
+    namespace: str = "",
+    segment_s: float = _SEGMENT_S,
+    duration_s: float | None = None,
+) -> dict[str, int]:
+    """Record until the event is set, or for so long; messages by topic."""
+    context = rclpy.Context()
+    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+    executor = SingleThreadedExecutor(context=context)
+    node = Node("recorder", context=context, namespace=namespace, start_parameter_services=False)
+    executor.add_node(node)
+    recorder = Recorder(node, bag, topics, segment_s)
+    end = None if duration_s is None else time.monotonic() + duration_s
+    try:
+        while not stop.is_set() and (end is None or time.monotonic() < end):
+            executor.spin_once(timeout_sec=0.1)
+            recorder.keep()
+    finally:
+        recorder.keep(finish=True)
+        executor.shutdown(timeout_sec=1.0)
+        node.destroy_node()
+        context.try_shutdown()
+    return recorder.counts
