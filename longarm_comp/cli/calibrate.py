@@ -84,6 +84,10 @@ def command(
         "longarm_comp": __version__,
     }
     save_model(output, store(final.model, final.standard_errors, provenance=provenance))
+    geometry = len(rungs) - len(chosen)
+    for before, rung in zip(rungs[geometry - 1 :], rungs[geometry:], strict=False):
+        if rung.held_out.rms >= before.held_out.rms:
+            note(f"{rung.name} did not lower the held-out error: better left out")
     rows = [error_row(rung.name, rung.held_out) for rung in rungs]
     if as_json:
         print_json({"output": str(output), "held_out": rows, **_facts(final, whole.hash)})
