@@ -28,6 +28,7 @@ from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.gravity_direction import GravityDirection
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.joint_term import typical_loads
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.link_stiffness import LinkStiffness
@@ -67,6 +68,8 @@ def _eccentric(e: Any) -> list[Any]:
 
 
 # name: (the model's terms for a hidden effect, rms difference allowed in mm at 3 mm of effect)
+TORQUE = typical_loads(Arm.load(Path(__file__).parents[1] / "config" / "arm_demo.yaml"))[1]
+
 SAME: dict[str, tuple[Callable[[Any], list[Any]], float]] = {
     "joint_zero": (lambda e: _each(ALL, JointZero, offset=e.offset), 0.06),
     "base_pose": (
@@ -83,7 +86,7 @@ SAME: dict[str, tuple[Callable[[Any], list[Any]], float]] = {
     "gear_eccentricity": (_eccentric, 0.01),
     "servo_quantisation": (
         lambda e: [
-            ServoQuantisation(joint=r, steps_per_turn=round(2 * np.pi / e.step[r - 1]), share=1.0)
+            ServoQuantisation(joint=r, steps_per_turn=round(2 * np.pi / e.step[r - 1]))
             for r in TURNING
         ],
         0.01,
@@ -92,13 +95,13 @@ SAME: dict[str, tuple[Callable[[Any], list[Any]], float]] = {
         lambda e: _each(TURNING, ServoDroop, sag=e.yielding, deadband=e.deadband),
         0.6,
     ),
-    "backlash": (lambda e: _each(TURNING, Backlash, width=2 * e.half, threshold=e.gate), 0.3),
+    "backlash": (lambda e: _each(TURNING, Backlash, width=2 * e.half, gate=e.gate / TORQUE), 0.3),
     "friction_hysteresis": (lambda e: _each(TURNING, FrictionHysteresis, width=2 * e.lag), 0.01),
     "joint_compliance": (
         lambda e: _each(TURNING, JointCompliance, compliance=e.compliance),
         0.01,
     ),
-    "bearing_tilt": (lambda e: _each(ALL, BearingTilt, compliance=e.compliance), 0.01),
+    "bearing_tilt": (lambda e: _each(ALL, BearingTilt, about_x=e.compliance), 0.01),
     "base_compliance": (lambda e: [BaseCompliance(compliance=e.compliance)], 0.01),
     "telescope_clearance": (
         lambda e: _each(SLIDING, TelescopeClearance, clearance=e.clearance),

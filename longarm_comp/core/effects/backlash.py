@@ -10,8 +10,8 @@ from typing_extensions import Self
 
 from longarm_comp.core import spatial
 from longarm_comp.core.arm import Arm
-from longarm_comp.core.effects.effect import parameter
-from longarm_comp.core.effects.joint_term import JointTerm, typical_loads
+from longarm_comp.core.effects.effect import Parameter, parameter
+from longarm_comp.core.effects.joint_term import JointTerm, typical_loads, with_prior
 from longarm_comp.core.posture import Posture
 from longarm_comp.core.spatial import Twist
 
@@ -28,27 +28,40 @@ class Backlash(JointTerm):
     sixth of the threshold, as a gear under a nearly balanced load does.
 
     Attributes:
-        threshold: torque (N m) under which the approach direction decides.
+        gate: load under which the approach direction decides, as a share of the arm's
+            typical torque (`typical_loads`), or of a quarter of its weight for a slide.
     """
 
     name: ClassVar[str] = "backlash"
     needs: ClassVar[tuple[str, ...]] = ("approach",)
     loaded: ClassVar[bool] = True
 
-    threshold: float = 0.0
+    gate: float = 0.0
     width: float = parameter("rad", "full width of the play", prior=0.02, lower=0.0)
 
     @classmethod
+    def fits(cls, arm: Arm, row: int) -> bool:
+        """Every commanded joint can have play."""
+        return True
+
+    @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """Each revolute joint, with thresholds at shares of the arm's typical torque."""
-        torque = typical_loads(arm)[1]
-        rows = cls.rows(arm)
-        return [(cls(joint=row, threshold=gate * torque),) for row in rows for gate in GATES]
+        """Each joint, with several gates."""
+        return [(cls(joint=row, gate=gate),) for row in cls.rows(arm) for gate in GATES]
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Prior 20 mrad, or 0.5 mm for a slide."""
+        if arm.joints[self.joint - 1].type == "prismatic":
+            return with_prior(self.declared(), unit="m", prior=5e-4)
+        return self.declared()
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Half the width to the side that holds."""
         load = self.load(posture)
-        settled = (abs(load) - self.threshold - _RESTING) / (self.threshold / 6 + 0.1 * _RESTING)
-        gate = 0.5 + 0.5 * spatial.tanh(settled)
-        side = gate * spatial.sign(load) - (1.0 - gate) * self.direction(posture)
+        force, torque = typical_loads(posture.arm)
+        sliding = posture.arm.joints[self.joint - 1].type == "prismatic"
+        threshold = self.gate * (force / 4 if sliding else torque)
+        settled = (abs(load) - threshold - _RESTING) / (threshold / 6 + 0.1 * _RESTING)
+        share = 0.5 + 0.5 * spatial.tanh(settled)
+        side = share * spatial.sign(load) - (1.0 - share) * self.direction(posture)
         return self.motion(posture, (0.5 * self.width) * side)

@@ -14,7 +14,7 @@ from longarm_comp.core.spatial import Vec, dot, scale
 
 @dataclass(frozen=True)
 class CameraRadial(CameraView):
-    """Lateral part times ``1 + k1 r^2``, r the tangent of the angle off the optical axis (Brown)."""
+    """Lateral part times ``1 + k1 r^2``, r the tangent off the optical axis (Brown)."""
 
     name: ClassVar[str] = "camera_radial"
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from longarm_comp.core import spatial
-from longarm_comp.core.effects.effect import parameter
-from longarm_comp.core.effects.joint_term import JointTerm
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.effects.effect import Parameter, parameter
+from longarm_comp.core.effects.joint_term import JointTerm, with_prior
 from longarm_comp.core.posture import Posture
 from longarm_comp.core.spatial import Twist
 
@@ -22,7 +23,8 @@ class FrictionHysteresis(JointTerm):
     part of it; the rest remembers the move before: ``side = way / reach - 1`` within +-1.
 
     Attributes:
-        reach: way (rad) in which the joint winds from one side to the middle.
+        reach: way (rad; a tenth as many m for a slide) in which the joint winds from one side
+            to the middle.
     """
 
     name: ClassVar[str] = "friction_hysteresis"
@@ -34,9 +36,26 @@ class FrictionHysteresis(JointTerm):
         "rad", "full width that the move before decides", prior=3e-3, lower=0.0
     )
 
+    @classmethod
+    def fits(cls, arm: Arm, row: int) -> bool:
+        """Every commanded joint can stick."""
+        return True
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Priors 10 and 3 mrad, or 0.3 and 0.1 mm for a slide."""
+        width, memory = self.declared()
+        if arm.joints[self.joint - 1].type == "prismatic":
+            return (
+                *with_prior((width,), unit="m", prior=3e-4),
+                *with_prior((memory,), unit="m", prior=1e-4),
+            )
+        return width, memory
+
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Half the widths against the directions of motion."""
         way = self.way(posture)
-        wound = spatial.minimum(abs(way) / self.reach - 1.0, 1.0) * spatial.sign(way)
+        sliding = posture.arm.joints[self.joint - 1].type == "prismatic"
+        reach = 0.1 * self.reach if sliding else self.reach
+        wound = spatial.minimum(abs(way) / reach - 1.0, 1.0) * spatial.sign(way)
         lag = 0.5 * self.width * self.direction(posture) + 0.5 * self.memory * wound
         return self.motion(posture, -1.0 * lag)

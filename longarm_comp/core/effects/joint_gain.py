@@ -18,7 +18,7 @@ class JointGain(JointTerm):
 
     name: ClassVar[str] = "joint_gain"
 
-    gain: float = parameter("1", "extra motion per commanded motion", prior=0.03)
+    gain: float = parameter("1", "extra motion per commanded motion", prior=0.05)
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Rotation ``gain * q``."""

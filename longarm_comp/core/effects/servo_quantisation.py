@@ -11,17 +11,22 @@ from typing_extensions import Self
 
 from longarm_comp.core import spatial
 from longarm_comp.core.arm import Arm
-from longarm_comp.core.effects.effect import parameter
 from longarm_comp.core.effects.joint_term import JointTerm
 from longarm_comp.core.posture import Posture
 from longarm_comp.core.spatial import Twist
 
-STEPS_PER_TURN = (300, 360, 512, 720, 1000, 1024, 2048, 4096)
+STEPS_PER_TURN = (
+    *(200, 256, 300, 360, 400, 500, 512, 600, 720, 800, 900, 1000, 1024, 1080),
+    *(1200, 1440, 1800, 2000, 2048, 3600, 4096),
+)
 
 
 @dataclass(frozen=True)
 class ServoQuantisation(JointTerm):
-    """The joint stands at the nearest step: ``share (round(q/step) step - q)``.
+    """The joint stands at the nearest step: ``round(q/step) step - q``.
+
+    Nothing is fitted: a servo either rounds so or it does not.  (With a free amplitude a
+    coarse pose grid lets it imitate any function of the joint, and it then errs off the grid.)
 
     Attributes:
         steps_per_turn: steps of the servo in one turn.
@@ -30,7 +35,6 @@ class ServoQuantisation(JointTerm):
     name: ClassVar[str] = "servo_quantisation"
 
     steps_per_turn: int = 1000
-    share: float = parameter("1", "1 where the servo really rounds so", prior=1.0, lower=0.0)
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
@@ -47,4 +51,4 @@ class ServoQuantisation(JointTerm):
         step = 2 * math.pi / self.steps_per_turn
         q = posture.q[posture.arm.commanded.index(self.joint)]
         rounded = step * spatial.floor(q / step + 0.5)
-        return self.motion(posture, self.share * (rounded - q))
+        return self.motion(posture, rounded - q)

@@ -187,8 +187,8 @@ class _State:
         made = []
         for candidate in self.candidates:
             new = tuple(t for t in candidate.terms if key(t) not in held)
-            if new and len(new) == len(candidate.terms):
-                made.append(self.score(marginal, candidate))
+            if len(new) > 1 or new == candidate.terms:
+                made.append(self.score(marginal, Candidate(candidate.name, new)))
         return tuple(sorted(made, key=lambda s: -s.log_bayes_factor))
 
     def score(self, marginal: Marginal, candidate: Candidate) -> Score:

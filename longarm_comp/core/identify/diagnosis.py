@@ -1,0 +1,302 @@
+"""Close the loop: residual, missing effect, effect added, proof; or an honest "I don't know"."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.context import Context
+from longarm_comp.core.dataset import Session
+from longarm_comp.core.effects.catalogue import LIBRARY
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.holdout import Sealed, blocked_split
+from longarm_comp.core.identify import noise as noise_step
+from longarm_comp.core.identify.calibrate import declared_model, errors
+from longarm_comp.core.identify.candidates import library
+from longarm_comp.core.identify.confirm import Confirmed, confirm
+from longarm_comp.core.identify.distinguish import Finding, findings
+from longarm_comp.core.identify.fit import Fit, align, fit, frames, geometry
+from longarm_comp.core.identify.next_poses import NextPoses, next_poses
+from longarm_comp.core.identify.proof import Proof, prove
+from longarm_comp.core.identify.structure import Structure, examine
+from longarm_comp.core.identify.trace import Traced, search
+from longarm_comp.core.model import Model
+
+POSES_TO_SPLIT = 12
+
+
+class Residual(Protocol):
+    """A learned correction, as `core.learn` makes one."""
+
+    def predict(self, q: np.ndarray, context: Context | None = None) -> Prediction: ...
+
+
+class Prediction(Protocol):
+    """What a learned correction predicts."""
+
+    @property
+    def error(self) -> np.ndarray: ...
+
+    @property
+    def in_domain(self) -> np.ndarray: ...
+
+
+Train = Callable[[Model, Session], Residual]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Everything that was found, and how sure it is.
+
+    Attributes:
+        verdict: noise, named, set, partly or unknown.
+        summary: one sentence.
+        arm: as declared.
+        traced: the search.
+        findings: effects that were added, strongest first; empty after a rollback.
+        confirmed: intervals and doubts.
+        structure: what is left.
+        proof: held-out errors.
+        rolled_back: the effects were found but did not help held-out poses.
+        models: nominal, frames_only, calibrated, with_effects; the last is what to use.
+        network: the learned correction of what is left, where it helped.
+        split_by: poses per set.
+        not_testable: (effect, why).
+        train: rows that were fitted.
+        held_out: the rows of the proof.
+        holdout_uses: what the hold-out was opened for.
+        seed: of everything random.
+    """
+
+    verdict: str
+    summary: str
+    arm: Arm
+    traced: Traced
+    findings: tuple[Finding, ...]
+    confirmed: Confirmed
+    structure: Structure
+    proof: Proof
+    rolled_back: bool
+    models: Mapping[str, Model]
+    network: Residual | None
+    split_by: tuple[NextPoses, ...]
+    not_testable: tuple[tuple[str, str], ...]
+    train: Session
+    held_out: Session
+    holdout_uses: tuple[str, ...]
+    seed: int
+
+    @property
+    def model(self) -> Model:
+        """The model to use from now on."""
+        return self.models["with_effects"]
+
+    @property
+    def fit(self) -> Fit:
+        """The final fit."""
+        return self.traced.fit
+
+
+def diagnose(
+    arm: Arm,
+    session: Session,
+    *,
+    test: Session | None = None,
+    model: Model | None = None,
+    kinds: Sequence[type[Effect] | type[Bias]] = LIBRARY,
+    train_network: Train | None = None,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
+) -> Diagnosis:
+    """Trace the residual of a session to what the model lacks.
+
+    Args:
+        arm: as declared.
+        session: admitted measurements.
+        test: hold-out; whole blocks of the session are locked away when not given.
+        model: what is known already (its effects are never added twice).
+        kinds: the library to search.
+        train_network: makes the learned correction of what is left; none is trained without.
+        seed: of everything random; the same seed gives the same bytes.
+        progress: told what is going on.
+
+    Raises:
+        InputError: too few rows.
+        JobError: a fit did not stay finite.
+    """
+    say = progress or (lambda _: None)
+    rng = np.random.default_rng(seed)
+    train, rest = _split(session, test, seed)
+    sealed = Sealed(rest)
+    nominal = model or declared_model(arm)
+    base = _with_geometry(nominal, arm, train)
+    say("frames")
+    placed = fit(align(nominal_frames(nominal, arm, train), train), train)
+    candidates = library(arm, train.context(), kinds, base.terms)
+    start = align(base, train)
+    traced = search(
+        start,
+        train,
+        candidates.testable,
+        known_noise=noise_step.from_repeats(train),
+        progress=say,
+    )
+    say("structure")
+    calibrated = fit(
+        start,
+        train,
+        sigma=traced.noise.sigma,
+        rho=traced.noise.rho,
+        weights=traced.fit.weights,
+    )
+    structure = examine(traced.fit, calibrated, rng)
+    say("look-alikes")
+    found = findings(traced, candidates.testable)
+    confirmed = confirm(traced, found, rng)
+    models = {
+        "nominal": nominal,
+        "frames_only": placed.model,
+        "calibrated": calibrated.model,
+        "with_effects": traced.fit.model,
+    }
+    network = None
+    if structure.flag and train_network is not None:
+        say("network")
+        network = train_network(
+            traced.fit.model, train.take(train.seen).take(traced.fit.weights > 0)
+        )
+    sealed.release(f"{len(traced.chosen)} terms, seed {seed}")
+    held_out = sealed.open("proof")
+    held_out = held_out.take(held_out.seen)
+    proof = _prove(models, network, held_out, rng)
+    network = network if _helps(proof) else None
+    rolled_back = bool(found) and not proof.better
+    if rolled_back:
+        models["with_effects"] = models["calibrated"]
+    say("next poses")
+    splits = tuple(
+        next_poses(traced, f, f.alternatives[0], POSES_TO_SPLIT, seed)
+        for f in found
+        if f.alternatives and not rolled_back
+    )
+    kept = () if rolled_back else tuple(found)
+    verdict = _verdict(kept, structure, rolled_back)
+    return Diagnosis(
+        verdict,
+        summary(verdict, kept, structure, confirmed, traced, proof, rolled_back),
+        arm,
+        traced,
+        kept,
+        confirmed,
+        structure,
+        proof,
+        rolled_back,
+        models,
+        network,
+        splits,
+        candidates.not_testable,
+        train,
+        held_out,
+        sealed.uses,
+        seed,
+    )
+
+
+def nominal_frames(nominal: Model, arm: Arm, session: Session) -> Model:
+    """The model with nothing but its frames free to move."""
+    known = {(t.name, t.where) for t in nominal.terms}
+    return nominal.plus(*(t for t in frames(arm, session) if (t.name, t.where) not in known))
+
+
+def _with_geometry(nominal: Model, arm: Arm, session: Session) -> Model:
+    known = {(t.name, t.where) for t in nominal.terms}
+    return nominal.plus(*(t for t in geometry(arm, session) if (t.name, t.where) not in known))
+
+
+def _split(session: Session, test: Session | None, seed: int) -> tuple[Session, Session]:
+    if test is not None:
+        return session, test
+    roles = session.labels.get("role")
+    if roles is not None and (roles == "test").any() and (roles != "test").any():
+        return session.take(roles != "test"), session.take(roles == "test")
+    return blocked_split(session, rng=seed)
+
+
+def _prove(
+    models: Mapping[str, Model],
+    network: Residual | None,
+    held_out: Session,
+    rng: np.random.Generator,
+) -> Proof:
+    made = {name: errors(m, held_out) for name, m in models.items()}
+    if network is not None:
+        predicted = network.predict(held_out.q, held_out.context())
+        learned = np.where(predicted.in_domain[:, None], predicted.error, 0.0)
+        made["with_network"] = made["with_effects"] - learned
+    return prove(made, rng)
+
+
+def _helps(proof: Proof) -> bool:
+    rows = proof.rows
+    return "with_network" in rows and rows["with_network"].mean < rows["with_effects"].mean
+
+
+def _verdict(found: tuple[Finding, ...], structure: Structure, rolled_back: bool) -> str:
+    if not found:
+        return "unknown" if structure.flag or rolled_back else "noise"
+    if structure.flag:
+        return "partly"
+    return "set" if any(f.alternatives for f in found) else "named"
+
+
+def summary(
+    verdict: str,
+    found: tuple[Finding, ...],
+    structure: Structure,
+    confirmed: Confirmed,
+    traced: Traced,
+    proof: Proof,
+    rolled_back: bool,
+) -> str:
+    """The verdict in one sentence."""
+    if rolled_back:
+        return (
+            "Effects were found in the fitted poses but did not help the held-out ones; "
+            "the model was left as it was."
+        )
+    left = (
+        f"{1e3 * structure.size_m:.2f} mm of structure depends on {', '.join(structure.inputs)}"
+        if structure.flag
+        else ""
+    )
+    if verdict == "noise":
+        return "After calibration nothing but noise is left; no effect was added."
+    if verdict == "unknown":
+        return f"The model lacks something that no effect of the library explains: {left}."
+    parts = [_sentence(f, confirmed, traced) for f in found]
+    before, after = (proof.rows[k].mean for k in ("calibrated", "with_effects"))
+    text = "; ".join(parts)
+    text += f". Held-out mean error {1e3 * before:.2f} -> {1e3 * after:.2f} mm"
+    return f"{text}; {left} and has no name." if left else f"{text}."
+
+
+def _sentence(found: Finding, confirmed: Confirmed, traced: Traced) -> str:
+    values = []
+    places = {(t.name, t.where) for t in found.terms}
+    for k, slot in enumerate(traced.fit.slots):
+        if (slot.owner.name, slot.owner.where) in places:
+            i = confirmed.intervals[k]
+            p = slot.parameter
+            values.append(
+                f"{slot.owner.where} {p.name} {i.value:.3g} {p.unit} [{i.low:.3g}, {i.high:.3g}]"
+            )
+    name = " or ".join(found.names)
+    other = ""
+    if found.runner_up is not None and not found.alternatives:
+        odds = found.log_bayes_factor - found.runner_up.log_bayes_factor
+        other = f", runner-up {found.runner_up.candidate.name} (log odds {odds:.0f})"
+    return f"{name}: {', '.join(values[:4])}{', ...' if len(values) > 4 else ''}{other}"

@@ -1,0 +1,155 @@
+"""Name or set: which other effects the data could not tell from the one that was found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.identify.candidates import Candidate, Columns, Term
+from longarm_comp.core.identify.linear import Marginal
+from longarm_comp.core.identify.trace import Score, Traced, key, score
+
+CLOSE = 3.0
+"""Log evidence (or log likelihood) within which two explanations are not told apart."""
+
+ALIASES: tuple[frozenset[str], ...] = (
+    frozenset({"joint_compliance", "servo_droop"}),  # proportional sag is a compliance
+)
+"""Effects that no pose can tell apart, whatever is measured."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One effect that the data ask for, with what they cannot tell from it.
+
+    Attributes:
+        name: canonical name.
+        terms: the fitted instances.
+        log_bayes_factor: against leaving the effect out, geometry and rest marginalised.
+        alternatives: other effects that explain the same, best first.
+        runner_up: the best other effect, told apart or not; None if there is none.
+        effect_m: RMS shift of the tip that it stands for, m.
+    """
+
+    name: str
+    terms: tuple[Term, ...]
+    log_bayes_factor: float
+    alternatives: tuple[Score, ...]
+    runner_up: Score | None
+    effect_m: float
+
+    @property
+    def where(self) -> tuple[str, ...]:
+        """Places, in order."""
+        return tuple(dict.fromkeys(t.where for t in self.terms))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The effect and what cannot be told from it."""
+        return tuple(dict.fromkeys((self.name, *(a.candidate.name for a in self.alternatives))))
+
+
+def findings(traced: Traced, candidates: Sequence[Candidate]) -> list[Finding]:
+    """Every found effect with its look-alikes, strongest first."""
+    columns = _columns(traced)
+    made = []
+    for name in dict.fromkeys(t.name for t in traced.chosen):
+        terms = tuple(_fitted(traced, t) for t in traced.chosen if t.name == name)
+        made.append(_finding(traced, candidates, columns, name, terms))
+    return sorted(made, key=lambda f: -f.log_bayes_factor)
+
+
+def without(traced: Traced, places: set[tuple[str, str]]) -> Marginal:
+    """Evidence on top of all but the terms at some places."""
+    fit = traced.fit
+    kept = [k for k, s in enumerate(fit.slots) if key(s.owner) not in places]
+    return Marginal(fit.design[:, kept], fit.data)
+
+
+def _columns(traced: Traced) -> Columns:
+    fit = traced.fit
+    q = [fit.session.q[:, j] for j in range(fit.session.n)]
+    return Columns(fit.model, fit.model.posture(q, fit.session.context()))
+
+
+def _fitted(traced: Traced, term: Term) -> Term:
+    return next(
+        t for t in traced.fit.model.terms if key(t) == key(term) and t.placement == term.placement
+    )
+
+
+def _finding(
+    traced: Traced,
+    candidates: Sequence[Candidate],
+    columns: Columns,
+    name: str,
+    terms: tuple[Term, ...],
+) -> Finding:
+    places = {key(t) for t in terms}
+    marginal = without(traced, places)
+    mine = Candidate(name, terms)
+    own = score(traced.fit, marginal, mine, columns.of(terms))
+    limit = _likelihood(traced, marginal, columns, mine)
+    held = {key(t) for t in traced.chosen}
+    best: dict[str, Score] = {}
+    close: dict[str, Score] = {}
+    for other in _others(candidates, name, terms):
+        new = tuple(t for t in other.terms if key(t) not in held)
+        if not new:
+            continue
+        option = Candidate(other.name, new)
+        scored = score(traced.fit, marginal, option, columns.of(new))
+        if other.name not in best or scored.log_bayes_factor > best[other.name].log_bayes_factor:
+            best[other.name] = scored
+        alike = scored.log_bayes_factor > own.log_bayes_factor - CLOSE
+        if not alike and _size(traced, option) <= _size(traced, mine) + 1:
+            alike = _likelihood(traced, marginal, columns, option) > limit - CLOSE
+        alias = any({name, other.name} <= family for family in ALIASES)
+        known = close.get(other.name)
+        if (alike or alias) and (known is None or scored.log_bayes_factor > known.log_bayes_factor):
+            close[other.name] = scored
+    ranked = sorted(best.values(), key=lambda s: -s.log_bayes_factor)
+    alternatives = sorted(close.values(), key=lambda s: -s.log_bayes_factor)
+    return Finding(
+        name,
+        terms,
+        own.log_bayes_factor,
+        tuple(alternatives),
+        ranked[0] if ranked else None,
+        own.effect_m,
+    )
+
+
+def _others(candidates: Sequence[Candidate], name: str, terms: tuple[Term, ...]) -> list[Candidate]:
+    """Other effects: as they are, and restricted to the places that were found."""
+    joints = {t.placement["joint"] for t in terms if "joint" in t.placement}
+    made = []
+    for other in candidates:
+        if other.name == name:
+            continue
+        made.append(other)
+        same = tuple(t for t in other.terms if t.placement.get("joint") in joints)
+        if 1 < len(same) < len(other.terms):
+            made.append(Candidate(other.name, same))
+    return made
+
+
+def _size(traced: Traced, candidate: Candidate) -> int:
+    return len(candidate.slots(traced.fit.model.arm))
+
+
+def _likelihood(
+    traced: Traced, marginal: Marginal, columns: Columns, candidate: Candidate
+) -> float:
+    """Gain in log likelihood with the candidate's own priors taken away."""
+    if not _size(traced, candidate):
+        return -np.inf
+    b = traced.fit.whitened(columns.of(candidate.terms))
+    gram = b.T @ marginal.project(b)
+    t = b.T @ marginal.py
+    values, vectors = np.linalg.eigh((gram + gram.T) / 2)
+    good = values > 1e-9 * max(float(values.max(initial=0.0)), 1e-12)
+    u = vectors[:, good].T @ t
+    return float((u * u / values[good]).sum() / 2)

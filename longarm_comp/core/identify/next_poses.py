@@ -1,0 +1,97 @@
+"""What to measure next: poses at which two explanations disagree most."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+from longarm_comp.core.context import Context
+from longarm_comp.core.identify.candidates import Columns
+from longarm_comp.core.identify.distinguish import Finding
+from longarm_comp.core.identify.fit import Fit
+from longarm_comp.core.identify.trace import Score, Traced, key
+
+POOL = 512
+
+
+@dataclass(frozen=True)
+class NextPoses:
+    """Poses that would split a set.
+
+    Attributes:
+        q: (M, n) commanded joints.
+        approach: (M,) side to arrive from.
+        between: the two effects.
+        log_bayes_factor: expected log odds between them once these are measured too.
+    """
+
+    q: np.ndarray
+    approach: np.ndarray
+    between: tuple[str, str]
+    log_bayes_factor: float
+
+
+def next_poses(
+    traced: Traced, found: Finding, other: Score, count: int, seed: int = 0
+) -> NextPoses:
+    """Greedy choice of the poses that the alternative explains worst.
+
+    At every step the alternative (with the geometry) is refitted to what the found effect
+    predicts for the session and the poses chosen so far, and the pose where it is then most
+    wrong, in units of the noise, is added.
+    """
+    fit = traced.fit
+    arm = fit.model.arm
+    unit = qmc.Sobol(arm.n, seed=seed).random(POOL)
+    q = arm.lower + (arm.upper - arm.lower) * unit
+    side = np.where(np.arange(POOL) % 2 == 0, 1.0, -1.0)
+    recorded = fit.session.columns
+    typical = {k: np.full(POOL, float(np.median(v))) for k, v in recorded.items()}
+    pool = Context(tuple(side for _ in range(arm.n)), typical)
+    theirs, mine = _designs(fit, found, other, _rows(fit))
+    far, shift = _designs(fit, found, other, (q, pool))
+    scale = fit.sigma[None, :, None]
+    far, shift = far / scale, shift / scale[..., 0]
+    gram = theirs.T @ theirs + np.eye(theirs.shape[1])
+    right = theirs.T @ mine
+    chosen: list[int] = []
+    for _ in range(count):
+        wrong = ((shift - far @ np.linalg.solve(gram, right)) ** 2).sum(axis=1)
+        wrong[chosen] = -1.0
+        best = int(np.argmax(wrong))
+        chosen.append(best)
+        gram = gram + far[best].T @ far[best]
+        right = right + far[best].T @ shift[best]
+    u = np.linalg.solve(gram, right)
+    total = ((mine - theirs @ u) ** 2).sum() + ((shift[chosen] - far[chosen] @ u) ** 2).sum()
+    return NextPoses(q[chosen], side[chosen], (found.name, other.candidate.name), float(total) / 2)
+
+
+def _rows(fit: Fit) -> tuple[np.ndarray, Context]:
+    return fit.session.q, fit.session.context()
+
+
+def _designs(
+    fit: Fit, found: Finding, other: Score, at: tuple[np.ndarray, Context]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Design of geometry, rest and alternative, and the shift that the found effect makes.
+
+    For the session's own rows both are whitened, (3M, p) and (3M,); for others they are in
+    m, (N, 3, p) and (N, 3).
+    """
+    q, context = at
+    posture = fit.model.posture([q[:, j] for j in range(q.shape[1])], context)
+    places = set(map(key, found.terms))
+    rest = [s for s in fit.slots if key(s.owner) not in places]
+    priors = np.array([s.parameter.prior for s in rest])
+    columns = fit.model.columns(posture, rest)[1] * priors
+    built = Columns(fit.model, posture)
+    a = np.concatenate([columns, built.of(other.candidate.terms)], axis=-1)
+    own = [s for s in fit.slots if key(s.owner) in places]
+    values = np.array([getattr(s.owner, s.parameter.name) for s in own])
+    shift = fit.model.columns(posture, own)[1] @ values
+    if len(q) == len(fit.session) and q is fit.session.q:
+        return fit.whitened(a), fit.whitened(shift[..., None])[:, 0]
+    return a, shift
