@@ -43,7 +43,9 @@ def held_out_rows(rng: np.random.Generator, n: int = 60, network: bool = True) -
     approach = np.where(rng.random(n) < 0.5, -1.0, 1.0)
     lines = [centre_line(row) for row in q]
     noise = rng.normal(0, SIGMA_MM, (n, 3)) * 1e-3
-    sag = np.column_stack([0.004 * np.sin(q[:, 0]), 0.004 * np.cos(q[:, 0]), -0.015 - 0.01 * q[:, 1]])
+    sag = np.column_stack(
+        [0.004 * np.sin(q[:, 0]), 0.004 * np.cos(q[:, 0]), -0.015 - 0.01 * q[:, 1]]
+    )
     lash = 0.0025 * approach[:, None] * np.column_stack([np.sin(q[:, 0]), np.cos(q[:, 0]), q[:, 1]])
     errors = {
         "nominal": sag + lash + noise,
@@ -53,8 +55,13 @@ def held_out_rows(rng: np.random.Generator, n: int = 60, network: bool = True) -
     }
     if network:
         errors["with_network"] = 0.02 * sag + noise
-    inputs = [Input(name, unit, q[:, k]) for k, (name, unit) in enumerate(zip(JOINTS, UNITS, strict=True))]
-    inputs += [Input("approach", "", approach), Input("temperature_c", "°C", 20 + 3 * rng.random(n))]
+    inputs = [
+        Input(name, unit, q[:, k]) for k, (name, unit) in enumerate(zip(JOINTS, UNITS, strict=True))
+    ]
+    inputs += [
+        Input("approach", "", approach),
+        Input("temperature_c", "°C", 20 + 3 * rng.random(n)),
+    ]
     return Rows(
         np.arange(240, 240 + n),
         np.array([line[-1] for line in lines]),
@@ -88,7 +95,13 @@ def error_rows(rows: Rows) -> list[dict[str, Any]]:
 def candidates(accepted: Mapping[tuple[str, str], float]) -> list[dict[str, Any]]:
     """Fifty-odd candidates; those named are accepted with their score."""
     made = [
-        {"effect": e, "where": w, "log_bayes_factor": s, "state": "accepted", "why": "accepted first"}
+        {
+            "effect": e,
+            "where": w,
+            "log_bayes_factor": s,
+            "state": "accepted",
+            "why": "accepted first",
+        }
         for (e, w), s in accepted.items()
     ]
     joints = [f"joint {k}" for k in range(1, 8)]
@@ -110,7 +123,11 @@ def candidates(accepted: Mapping[tuple[str, str], float]) -> list[dict[str, Any]
                         else "geometry takes up 99 % of it",
                     }
                 )
-    for effect, missing in (("measured_tilt", "inclinometer"), ("creep", "time"), ("tip_payload", "payload")):
+    for effect, missing in (
+        ("measured_tilt", "inclinometer"),
+        ("creep", "time"),
+        ("tip_payload", "payload"),
+    ):
         made.append(
             {
                 "effect": effect,
@@ -223,7 +240,9 @@ def named(rng: np.random.Generator) -> Diagnosis:
         joint_units=UNITS,
         held_out=rows,
         guilty=("approach", "q2"),
-        correlation=Correlation(("backlash joint 2 gap", "backlash joint 2 threshold"), geometry, matrix),
+        correlation=Correlation(
+            ("backlash joint 2 gap", "backlash joint 2 threshold"), geometry, matrix
+        ),
         detectable=detail.detectable,
         checks=(
             Check("block bootstrap, 200 draws", True, "first in 200 of 200"),
@@ -251,7 +270,10 @@ def a_set(rng: np.random.Generator) -> Diagnosis:
     split = SetSplit(
         tuple(members),
         "On three levels per joint both are a step between the two approach sides.",
-        tuple(SplitPose(tuple(q), 1 if k % 2 else -1, 0.5 if k == 2 else None) for k, q in enumerate(poses)),
+        tuple(
+            SplitPose(tuple(q), 1 if k % 2 else -1, 0.5 if k == 2 else None)
+            for k, q in enumerate(poses)
+        ),
         12.4,
     )
     return report, _with(detail, splits=(split,))

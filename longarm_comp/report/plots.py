@@ -46,6 +46,7 @@ def distribution(rows: Rows, sigma_mm: tuple[float, float, float] | None) -> Fig
     left.set_title("Share of hold-out rows below an error")
     left.legend(fontsize=8, loc="best")
     _boxes(right, rows)
+    drawn.subplots_adjust(left=0.07, right=0.99, bottom=0.13, top=0.88, wspace=0.18)
     return drawn
 
 
@@ -70,7 +71,9 @@ def _boxes(axes: Axes, rows: Rows) -> None:
     axes.axhline(0, color=INK, linewidth=0.8)
     axes.set_xticks(range(3), ["x", "y", "z"])
     axes.set(ylabel="measured − predicted, mm", yscale="symlog")
-    axes.set_title("Per axis: quartiles and 95 % range\n(boxes from left to right as in the legend)")
+    axes.set_title(
+        "Per axis: quartiles and 95 % range\n(from left to right in the order of the legend)"
+    )
 
 
 def against_input(
@@ -112,6 +115,7 @@ def against_input(
     levels = np.unique(values)
     if 1 < len(levels) <= _LEVELS:
         panels[2, 0].set_xticks(levels, [f"{level:.4g}" for level in levels])
+    drawn.subplots_adjust(left=0.07, right=0.99, bottom=0.075, top=0.96, wspace=0.04, hspace=0.08)
     return drawn
 
 
@@ -159,6 +163,7 @@ def still_scene(rows: Rows, stages: tuple[str, ...]) -> Figure:
         panel.set_box_aspect((1, 1, 1))
         panel.view_init(elev=22, azim=-60)
         panel.set_title(f"{look.label}: arrows × {times:g}")
+    drawn.subplots_adjust(left=0.01, right=0.94, bottom=0.02, top=0.94, wspace=0.08)
     return drawn
 
 
@@ -171,7 +176,10 @@ def _cube(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def correlations(entry: Correlation) -> Figure:
     """Accepted parameters against geometry as coloured cells; |r| of 0.3 and more is printed."""
     rows, columns = len(entry.parameters), len(entry.geometry)
-    drawn = Figure(figsize=(min(14, max(6, 2.6 + 0.34 * columns)), 1.7 + 0.34 * rows + 0.6))
+    drawn = Figure(
+        figsize=(min(14, max(6, 2.6 + 0.34 * columns)), 1.7 + 0.34 * rows + 0.6),
+        layout="constrained",
+    )
     axes = drawn.subplots()
     axes.grid(False)
     image = axes.imshow(entry.matrix, cmap="PuOr_r", vmin=-1, vmax=1, aspect="auto")
@@ -194,7 +202,7 @@ def correlations(entry: Correlation) -> Figure:
 
 def scores(labels: list[str], values: list[float], accepted: list[bool]) -> Figure:
     """Log Bayes factors as bars, best first; hatched: accepted."""
-    drawn = Figure(figsize=(9, 0.8 + 0.24 * len(labels)))
+    drawn = Figure(figsize=(9, 0.8 + 0.24 * len(labels)), layout="constrained")
     axes = drawn.subplots()
     bars = axes.barh(range(len(labels)), values, color="white", edgecolor=INK, linewidth=0.8)
     for bar, chosen in zip(bars, accepted, strict=True):

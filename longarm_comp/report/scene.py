@@ -6,14 +6,18 @@ import json
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
 
 from longarm_comp.report.arrows import Arrows, arrows, exaggeration, extent_m, stages_of
 from longarm_comp.report.detail import Rows
 from longarm_comp.report.style import LOOKS
 
-_SYMBOLS = {"o": "circle", "s": "square", "^": "circle-open", "X": "x", "D": "diamond"}
 _ARM = "#8a8a8a"
+_HEAD = 0.018
+"""Length of an arrow's head as a share of the scene."""
+_WIDE = 0.45
+"""Half width of a head over its length."""
+_POINTS = 10
+"""Points of the broken line that is one arrow."""
 
 
 def scene_json(rows: Rows, shown: str) -> str:
@@ -28,79 +32,70 @@ def scene_json(rows: Rows, shown: str) -> str:
     """
     stages = stages_of(rows)
     same = exaggeration(rows, stages)
-    traces: list[Any] = [_arm_line(line) for line in rows.arms_m]
+    head = _HEAD * extent_m(rows)
+    traces = [_arm_line(line) for line in rows.arms_m]
     for stage in stages:
         for scale, times in (("own", exaggeration(rows, (stage,))), ("same", same)):
-            found = arrows(rows, stage, times)
             meta = {"stage": stage, "scale": scale, "times": times}
             visible = stage == shown and scale == "own"
-            traces += [
-                _shafts(found, meta, visible),
-                _heads(found, meta, visible, 0.02 * extent_m(rows)),
-            ]
-    figure = go.Figure(data=traces, layout=_layout())
-    plain = _short(json.loads(figure.to_json()))
+            traces.append(_arrow_lines(arrows(rows, stage, times), meta, visible, head))
+    plain = _short({"data": traces, "layout": _layout()})
     return json.dumps(plain, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 
-def _arm_line(line: np.ndarray) -> Any:
-    return go.Scatter3d(
-        x=line[:, 0].tolist(),
-        y=line[:, 1].tolist(),
-        z=line[:, 2].tolist(),
-        mode="lines+markers",
-        line={"color": _ARM, "width": 6},
-        marker={"color": _ARM, "size": 3},
-        hoverinfo="skip",
-        showlegend=False,
-    )
+def _arm_line(line: np.ndarray) -> dict[str, Any]:
+    return {
+        "type": "scatter3d",
+        **dict(zip("xyz", line.T.tolist(), strict=True)),
+        "mode": "lines+markers",
+        "line": {"color": _ARM, "width": 6},
+        "marker": {"color": _ARM, "size": 3},
+        "hoverinfo": "skip",
+        "showlegend": False,
+    }
 
 
-def _shafts(found: Arrows, meta: dict[str, Any], visible: bool) -> Any:
-    """Start and end of every arrow, with a gap after it, as one broken line."""
-    xyz: list[list[float | None]] = [[], [], []]
-    for start, stop in zip(found.start_m, found.stop_m, strict=True):
-        for axis in range(3):
-            xyz[axis] += [float(start[axis]), float(stop[axis]), None]
+def _arrow_lines(
+    found: Arrows, meta: dict[str, Any], visible: bool, head_m: float
+) -> dict[str, Any]:
+    points = _outlines(found, head_m)
+    xyz = [[None if np.isnan(v) else float(v) for v in axis] for axis in points.reshape(-1, 3).T]
     notes = [_note(k, e) for k, e in zip(found.index, found.error_m, strict=True)]
-    look = LOOKS[found.stage]
-    return go.Scatter3d(
-        x=xyz[0],
-        y=xyz[1],
-        z=xyz[2],
-        mode="lines+markers",
-        line={"color": look.color, "width": 3},
-        marker={
-            "color": look.color,
-            "size": [3, 0, 0] * len(notes),
-            "symbol": _SYMBOLS[look.marker],
+    color = LOOKS[found.stage].color
+    return {
+        "type": "scatter3d",
+        **dict(zip("xyz", xyz, strict=True)),
+        "mode": "lines+markers",
+        "line": {"color": color, "width": 4},
+        "marker": {
+            "color": color,
+            "size": [4, *[0] * (_POINTS - 1)] * len(notes),
             "line": {"width": 0},
         },
-        text=[entry for note in notes for entry in (note, note, "")],
-        hoverinfo="text",
-        meta=meta,
-        visible=visible,
-        showlegend=False,
-    )
+        "text": [entry for note in notes for entry in (note, note, *[""] * (_POINTS - 2))],
+        "hoverinfo": "text",
+        "meta": meta,
+        "visible": visible,
+        "showlegend": False,
+    }
 
 
-def _heads(found: Arrows, meta: dict[str, Any], visible: bool, size_m: float) -> Any:
-    along = found.stop_m - found.start_m
-    length = np.linalg.norm(along, axis=1, keepdims=True)
-    unit = np.divide(along, length, out=np.zeros_like(along), where=length > 0)
-    color = LOOKS[found.stage].color
-    return go.Cone(
-        **{name: found.stop_m[:, k].tolist() for k, name in enumerate("xyz")},
-        **{name: unit[:, k].tolist() for k, name in enumerate("uvw")},
-        anchor="tip",
-        sizemode="absolute",
-        sizeref=size_m,
-        colorscale=[[0, color], [1, color]],
-        showscale=False,
-        hoverinfo="skip",
-        meta=meta,
-        visible=visible,
-    )
+def _outlines(found: Arrows, head_m: float) -> np.ndarray:
+    """(M, 10, 3) shaft, then out and back to the tip along four barbs, then a gap (NaN)."""
+    shaft = found.stop_m - found.start_m
+    length = np.linalg.norm(shaft, axis=1, keepdims=True)
+    ahead = np.divide(shaft, length, out=np.zeros_like(shaft), where=length > 0)
+    least = np.eye(3)[np.abs(ahead).argmin(axis=1)]
+    aside = np.cross(ahead, least)
+    aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)
+    across = np.cross(ahead, aside)
+    size = np.minimum(head_m, 0.5 * length)
+    neck = found.stop_m - size * ahead
+    gap = np.full_like(shaft, np.nan)
+    points = [found.start_m, found.stop_m]
+    for sideways in (aside, across, -aside, -across):
+        points += [neck + _WIDE * size * sideways, found.stop_m]
+    return np.stack([*points[:-1], gap], axis=1)
 
 
 def _note(index: int, error_m: np.ndarray) -> str:
@@ -110,16 +105,18 @@ def _note(index: int, error_m: np.ndarray) -> str:
 
 def _layout() -> dict[str, Any]:
     def axis(name: str) -> dict[str, Any]:
-        return {"title": {"text": f"{name}, m"}, "showspikes": False, "backgroundcolor": "#f4f4f4"}
+        return {"title": {"text": f"{name}, m"}, "showspikes": False}
 
     return {
-        "template": "none",
         "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
         "paper_bgcolor": "white",
         "scene": {
             **{f"{name}axis": axis(name) for name in "xyz"},
             "aspectmode": "data",
-            "camera": {"eye": {"x": 1.1, "y": -1.5, "z": 0.7}},
+            "camera": {
+                "eye": {"x": 1.25, "y": -1.7, "z": 0.8},
+                "center": {"x": 0, "y": 0, "z": -0.12},
+            },
         },
     }
 

@@ -31,8 +31,8 @@ LOOKS = {
     "nominal": Look("nominal", INK, (0, (1, 1.2)), "X", ""),
     "frames_only": Look("frames only", PURPLE, (0, (5, 1.5, 1, 1.5)), "s", "xx"),
     "calibrated": Look("calibrated", ORANGE, (0, (5, 1.5)), "^", "//"),
-    "with_effects": Look("+ effect", BLUE, "-", "o", ".."),
-    "with_network": Look("+ network", GREEN, (0, (8, 1.5, 1, 1.5, 1, 1.5)), "D", "\\\\"),
+    "with_effects": Look("+\u00a0effect", BLUE, "-", "o", ".."),
+    "with_network": Look("+\u00a0network", GREEN, (0, (8, 1.5, 1, 1.5, 1, 1.5)), "D", "\\\\"),
 }
 FLOOR = "noise floor"
 
@@ -45,7 +45,6 @@ RC = {
     "axes.spines.top": False,
     "axes.titlelocation": "left",
     "axes.titlesize": 10,
-    "figure.constrained_layout.use": True,
     "figure.facecolor": "white",
     "font.size": 9,
     "grid.color": GRID,

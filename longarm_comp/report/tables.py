@@ -79,7 +79,7 @@ def number(value: float | None, digits: int = 4) -> str:
         return DASH
     if value and not 1e-3 <= abs(value) < 1e5:
         mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-        return f"{mantissa}·10^{int(exponent)}".replace("-", "−")
+        return f"{mantissa}·{_ten(int(exponent))}".replace("-", "−")
     return f"{value:.{digits}g}".replace("-", "−")
 
 
@@ -172,7 +172,9 @@ def candidate_lines(report: Report) -> list[CandidateLine]:
             entry.effect,
             entry.where,
             entry.log_bayes_factor,
-            DASH if entry.log_bayes_factor is None else f"{entry.log_bayes_factor:.1f}",
+            DASH
+            if entry.log_bayes_factor is None
+            else f"{entry.log_bayes_factor:.1f}".replace("-", "−"),
             entry.state,
             entry.why,
         )
@@ -194,8 +196,13 @@ def odds(log_bayes_factor: float) -> str:
     """A log Bayes factor as odds."""
     power = log_bayes_factor / np.log(10)
     if abs(power) < 4:
-        return f"{10**power:.3g} : 1"
-    return f"about 10^{power:.0f} : 1".replace("-", "−")
+        return f"{10**power:.3g} : 1" if power > 0 else f"1 : {10**-power:.3g}"
+    return f"{_ten(round(power))} : 1" if power > 0 else f"1 : {_ten(round(-power))}"
+
+
+def _ten(power: int) -> str:
+    """A power of ten with its exponent raised."""
+    return "10" + str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def pose_lines(split: SetSplit, detail: Detail) -> list[tuple[list[str], str]]:
