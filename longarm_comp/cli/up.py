@@ -23,7 +23,7 @@ from longarm_comp.cli.output import note
 @click.option(
     "--config",
     type=click.Path(exists=True, file_okay=False, path_type=Path),
-    help="Folder with one YAML file a node; else the package's own.",
+    help="Folder of parameter files that replace the package's own, NODE.yaml.",
 )
 @click.option("--respawn/--no-respawn", default=True, help="Start again a node that dies.")
 def command(

@@ -52,7 +52,7 @@ class BringUp:
         arm, model, predictor: files; without a model the arm is as declared.
         sim: with the simulated arm instead of hardware.
         namespace: of the arm; empty: none.
-        config: folder with one YAML file a node; the package's own by default.
+        config: folder of parameter files that replace the package's own, ``<node>.yaml``.
         port: serial port of the servos; the file's by default.
         speed: simulation: how many times faster than the files say all motion is.
         set: further parameters, by node and name.
@@ -83,8 +83,10 @@ class BringUp:
         return tuple(n for n in (SIMULATED if self.sim else REAL) if n not in self.without)
 
     def file(self, node: str) -> Path:
-        """A node's parameter file."""
-        return (self.config or folder("config")) / f"{node}.yaml"
+        """A node's parameter file: the given folder's where it has one, else the package's."""
+        name = f"{node}.yaml"
+        own = self.config / name if self.config else None
+        return own if own is not None and own.is_file() else folder("config") / name
 
     def parameters(self, node: str, bus: str) -> dict[str, Any]:
         """What is set on top of the file; ``bus``: link to the simulated servo bus."""

@@ -68,6 +68,13 @@ class Param:
         return f"{kind}, {self._range[0]:g} to {self._range[1]:g}"
 
     @property
+    def comment(self) -> str:
+        """As the parameter file says it."""
+        bounded = self.choices or self.lower is not None or self.upper is not None
+        live = "; may be set while running" if self.live else ""
+        return self.description + (f" ({self.allowed})" if bounded else "") + live
+
+    @property
     def _range(self) -> tuple[float, float]:
         low = -1e9 if self.lower is None else self.lower
         return low, 1e9 if self.upper is None else self.upper

@@ -1,0 +1,83 @@
+"""One arm's graph under `ros2 launch`, on real hardware or simulated; the same as `longarm up`.
+
+ros2 launch longarm_comp longarm.launch.py arm:=arm.yaml model:=model.yaml port:=/dev/ttyUSB0
+ros2 launch longarm_comp longarm.launch.py arm:=arm.yaml sim:=true rviz:=true
+"""
+
+from pathlib import Path
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+from longarm_comp.nodes.bringup import BringUp, folder
+
+ARGUMENTS = (
+    ("arm", None, "arm.yaml: the declared arm"),
+    ("model", "", "model.yaml: the calibrated model; empty: the arm as declared"),
+    ("predictor", "", "predictor file; empty: physics only"),
+    ("sim", "false", "simulated servos and cameras instead of hardware"),
+    ("hidden", "", "simulation: undeclared effects, 'backlash=2.0' (mm)"),
+    ("speed", "1.0", "simulation: motion so many times faster"),
+    ("port", "", "serial port of the servos; empty: the file's"),
+    ("bus", "/tmp/longarm_servo_bus", "simulation: link to make to the servo bus"),
+    ("namespace", "", "of this arm, so that several share a network"),
+    ("config", "", "folder of parameter files that replace the package's own"),
+    ("rviz", "false", "start RViz too"),
+)
+
+
+def path(text):
+    """A path, or None for nothing."""
+    return Path(text) if text else None
+
+
+def nodes(context):
+    """One launch_ros Node for each of the graph."""
+    given = {name: LaunchConfiguration(name).perform(context) for name, _, _ in ARGUMENTS}
+    sim = given["sim"].lower() in ("true", "1")
+    graph = BringUp(
+        arm=Path(given["arm"]),
+        model=path(given["model"]),
+        predictor=path(given["predictor"]),
+        sim=sim,
+        namespace=given["namespace"],
+        config=path(given["config"]),
+        port=given["port"],
+        speed=float(given["speed"]),
+        set={"simulated_arm": {"hidden": given["hidden"]}} if sim else {},
+    )
+    bus = "_".join(filter(None, (given["bus"], given["namespace"].strip("/").replace("/", "_"))))
+    made = [
+        Node(
+            package="longarm_comp",
+            executable=name,
+            name=name,
+            namespace=graph.namespace,
+            parameters=[str(graph.file(name)), graph.parameters(name, bus)],
+            output="screen",
+            respawn=True,
+            respawn_delay=1.0,
+        )
+        for name in graph.nodes
+    ]
+    if given["rviz"].lower() in ("true", "1"):
+        still = ["--frame-id", "world", "--child-frame-id", "base"]  # RViz wants a known frame
+        view = ["-d", str(folder("config") / "longarm.rviz")]
+        made += [
+            Node(package="tf2_ros", executable="static_transform_publisher", arguments=still),
+            Node(package="rviz2", executable="rviz2", namespace=graph.namespace, arguments=view),
+        ]
+    return made
+
+
+def generate_launch_description():
+    """Arguments first; the nodes are made once their values are known."""
+    arguments = [
+        DeclareLaunchArgument(name, description=text)
+        if default is None
+        else DeclareLaunchArgument(name, default_value=default, description=text)
+        for name, default, text in ARGUMENTS
+    ]
+    return LaunchDescription([*arguments, OpaqueFunction(function=nodes)])

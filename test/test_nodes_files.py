@@ -1,0 +1,144 @@
+"""Configuration and launch files against the nodes that read them, without starting any."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import sys
+import types
+from pathlib import Path
+from typing import Any
+from unittest.mock import MagicMock
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from longarm_comp.core.arm import Arm, read_yaml
+from longarm_comp.core.errors import InputError
+from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.bringup import SIMULATED, BringUp, folder
+from longarm_comp.nodes.params import Param
+
+ROOT = Path(__file__).parents[1]
+GIVEN_BY_BRING_UP = {"arm", "model", "predictor", "servos", "port", "hidden"}
+
+
+def table(node: str) -> dict[str, Param]:
+    params = importlib.import_module(f"longarm_comp.nodes.{node}").PARAMS
+    return {param.name: param for param in params}
+
+
+def flat(data: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    made: dict[str, Any] = {}
+    for key, value in data.items():
+        if isinstance(value, dict):
+            made |= flat(value, f"{prefix}{key}.")
+        else:
+            made[prefix + key] = value
+    return made
+
+
+def in_file(node: str) -> dict[str, Any]:
+    data = read_yaml(folder("config") / f"{node}.yaml")
+    (name,) = data
+    assert name == f"/**/{node}"
+    return flat(data[name]["ros__parameters"])
+
+
+@pytest.mark.parametrize("node", SIMULATED)
+def test_every_parameter_is_described_and_the_file_lists_them_all(node: str) -> None:
+    known, listed = table(node), in_file(node)
+    servo = {name for name in listed if name.split(".")[0] in ServoConfig.model_fields}
+    assert all(param.description for param in known.values())
+    assert set(listed) - servo <= set(known)
+    unlisted = set(known) - set(listed) - GIVEN_BY_BRING_UP
+    assert not unlisted, f"config/{node}.yaml lacks {sorted(unlisted)}"
+    for name in set(listed) - servo:
+        assert known[name].check(listed[name]) == known[name].default, name
+    text = (folder("config") / f"{node}.yaml").read_text("utf-8")
+    for name in set(listed) - servo:
+        assert known[name].comment in text, name
+
+
+def test_the_servo_file_fits_the_demonstration_arm() -> None:
+    arm = Arm.load(folder("config") / "arm_demo.yaml")
+    servos = ServoConfig.load(folder("config") / "servo_driver.yaml")
+    assert tuple(servos.joints) == arm.joint_names
+    for name, lower, upper in zip(arm.joint_names, arm.lower, arm.upper, strict=True):
+        joint = servos.joints[name]
+        assert joint.lower == pytest.approx(lower, abs=1e-6)
+        assert joint.upper == pytest.approx(upper, abs=1e-6)
+
+
+def test_names_are_relative_and_appear_once() -> None:
+    names = [topic.name for topic in graph.TOPICS] + [service.name for service in graph.SERVICES]
+    assert len(set(names)) == len(names)
+    assert [name for name in names if name.startswith("/")] == ["/diagnostics"]
+
+
+@pytest.mark.parametrize(
+    ("param", "value"),
+    [
+        (Param("gain", 1.0, "", 0.0, 2.0), 3.0),
+        (Param("gain", 1.0, ""), "1"),
+        (Param("count", 1, "", 1, 9), 2.0),
+        (Param("flag", True, ""), 1),
+        (Param("name", "a", "", choices=("a", "b")), "c"),
+        (Param("xyz", [0.0, 0.0, 0.0], ""), [1.0, 2.0]),
+    ],
+)
+def test_a_wrong_parameter_is_refused(param: Param, value: object) -> None:
+    with pytest.raises(ValueError):
+        param.check(value)
+
+
+def test_a_whole_number_is_taken_for_a_float() -> None:
+    assert Param("gain", 1.0, "", 0.0, 5.0).check(2) == 2.0
+
+
+def test_bring_up_scales_the_simulation_and_leaves_hardware_alone(tmp_path: Path) -> None:
+    arm = folder("config") / "arm_demo.yaml"
+    real = BringUp(arm=arm, port="/dev/ttyACM0")
+    assert real.parameters("servo_driver", "unused") == {"bus.port": "/dev/ttyACM0"}
+    assert "simulated_arm" not in real.nodes
+    fast = BringUp(arm=arm, sim=True, speed=4.0)
+    scaled = fast.parameters("servo_driver", "/tmp/bus")
+    assert scaled["joints.joint1.max_velocity"] == pytest.approx(1.6)
+    assert scaled["bus.port"] == "/tmp/bus"
+    (tmp_path / "servo_driver.yaml").write_text("joints: {}\n")
+    own = BringUp(arm=arm, sim=True, speed=4.0, config=tmp_path)
+    assert own.file("kinematics") == folder("config") / "kinematics.yaml"
+    with pytest.raises(InputError, match="ros__parameters"):
+        own.parameters("servo_driver", "")
+
+
+LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
+
+
+@pytest.mark.parametrize("file", LAUNCH_FILES, ids=lambda file: file.name)
+def test_a_launch_file_describes_itself(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`launch` is in no registry: its classes are stand-ins that only keep their arguments."""
+    for name in (
+        *("launch", "launch.actions", "launch.substitutions"),
+        *("launch.launch_description_sources", "launch_ros", "launch_ros.actions"),
+    ):
+        monkeypatch.setitem(sys.modules, name, MagicMock(name=name))
+    module = types.ModuleType(file.stem)
+    module.__file__ = str(file)
+    source = file.read_text("utf-8")
+    exec(compile(ast.parse(source), str(file), "exec"), module.__dict__)
+    module.generate_launch_description()
+    (entities,), _ = module.LaunchDescription.call_args
+    assert len(entities) >= 2
+    if "nodes" in module.__dict__:
+        arguments = {name: default or "" for name, default, _ in module.ARGUMENTS}
+        given = {**arguments, "arm": "arm.yaml", "sim": "true", "rviz": "true"}
+        module.LaunchConfiguration = lambda name: types.SimpleNamespace(
+            perform=lambda context: given[name]
+        )
+        made = module.nodes(None)
+        assert len(made) == len(SIMULATED) + 2
+        executables = [call.kwargs["executable"] for call in module.Node.call_args_list]
+        assert executables[: len(SIMULATED)] == list(SIMULATED)
