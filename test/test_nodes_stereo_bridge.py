@@ -1,0 +1,152 @@
+"""`stereo_bridge` as a process, on rendered pairs with a known truth and with every fault."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from nodes_bench import Bench, bench, own_graph
+
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.images import image_message, info_message
+from longarm_comp.nodes.messages import sighting_of
+from longarm_comp.sim.cameras import CameraPair, Conditions, render, tag_plate
+
+PAIR = CameraPair(focal_px=640.0)
+PLATE = tag_plate(0.06, 0.012, 2, 2)
+FACING = np.array([[1.0, 0, 0, 1.0], [0, 0, -1, 0.05], [0, 1, 0, 0.2], [0, 0, 0, 1]])
+
+
+class Cameras:
+    """Publishes pairs of images and collects what the bridge makes of them."""
+
+    def __init__(self, stage: Bench, rng: np.random.Generator) -> None:
+        self.stage, self.rng = stage, rng
+        self.process = stage.start(
+            "stereo_bridge", {"diagnostics_period_s": 0.1, "reliable_images": True}
+        )
+        self.tips = stage.collect(graph.TIP_MEASURED)
+        self.diagnostics = stage.collect(graph.DIAGNOSTICS)
+        node = stage.node
+        self.images = [t.publisher(node) for t in (graph.LEFT_IMAGE, graph.RIGHT_IMAGE)]
+        self.infos = [t.publisher(node) for t in (graph.LEFT_INFO, graph.RIGHT_INFO)]
+        for publisher in (*self.images, *self.infos):
+            stage.connected(publisher)
+        self.ns = 1_000_000_000
+
+    def calibrated(self, scale: float = 1.0) -> None:
+        """Publish calibrations until the bridge has both (best effort: one may be lost)."""
+        for _ in range(3):
+            for publisher, info, side in zip(
+                self.infos, PAIR.camera_infos(), ("left", "right"), strict=True
+            ):
+                message = info_message(info, self.ns, side)
+                message.p[0] *= scale
+                publisher.publish(message)
+
+    def render(self, pose: np.ndarray = FACING, **conditions: object) -> tuple:
+        return render(pose, PLATE, PAIR, self.rng, Conditions(**conditions))
+
+    def show(self, left: np.ndarray | None, right: np.ndarray | None, apart_ns: int = 0) -> int:
+        """Publish a pair; its stamp."""
+        self.ns += 100_000_000
+        for publisher, image, later in zip(self.images, (left, right), (0, apart_ns), strict=True):
+            if image is not None:
+                publisher.publish(image_message(image, self.ns + later, "camera"))
+        return self.ns
+
+    def seen(self, left: np.ndarray, right: np.ndarray, apart_ns: int = 0) -> np.ndarray:
+        """What becomes of a pair: the tip, NaN where it was refused."""
+        self.tips.clear()
+        self.show(left, right, apart_ns)
+        self.stage.spin(lambda: self.tips)
+        self.covariance = sighting_of(self.tips[0])[1]
+        return sighting_of(self.tips[0])[0]
+
+    def facts(self) -> dict[str, str]:
+        """The bridge's last report."""
+        for array in reversed(self.diagnostics):
+            for status in array.status:
+                if status.name.endswith(": stereo"):
+                    return {value.key: value.value for value in status.values}
+        return {}
+
+    def counted(self, what: str) -> None:
+        """Wait until a refusal or drop is reported."""
+        self.stage.spin(lambda: any(what in key for key in self.facts()))
+
+
+@pytest.fixture(scope="module")
+def cameras(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cameras]:
+    with own_graph(tmp_path_factory.mktemp("stereo")), bench() as stage:
+        yield Cameras(stage, np.random.default_rng(5))
+
+
+def test_without_calibration_nothing_is_measured(cameras: Cameras) -> None:
+    assert math.isnan(cameras.seen(*cameras.render())[0])
+    cameras.counted("no calibration")
+    cameras.calibrated(scale=0.0)
+    assert math.isnan(cameras.seen(*cameras.render())[0])
+    cameras.counted("not calibrated")
+    cameras.calibrated()
+    cameras.stage.spin(lambda: math.isfinite(cameras.seen(*cameras.render())[0]))
+
+
+def test_the_tip_is_where_it_is_and_its_covariance_is_honest(cameras: Cameras) -> None:
+    squares = []
+    for shift in np.linspace(-0.15, 0.15, 8):
+        pose = FACING.copy()
+        pose[:3, 3] += [shift, 0.3 * shift, -0.5 * shift]
+        off = cameras.seen(*cameras.render(pose)) - pose[:3, 3]
+        assert np.linalg.norm(off) < 1e-3
+        squares.append(off**2 / cameras.covariance)
+    # chi-square of 24 numbers: the claimed sigma is neither ten times too small nor too large
+    assert 0.01 < np.mean(squares) < 4.0
+
+
+@pytest.mark.parametrize(
+    ("conditions", "reason"),
+    [
+        ({"exposure": 0.02}, "too dark"),
+        ({"blur_px": 6.0}, "blurred"),
+        ({"covered": (0.9, 0.0)}, "left image"),
+        ({"covered": (0.9, 0.9)}, "left image"),
+    ],
+)
+def test_a_bad_picture_is_refused_and_counted(
+    cameras: Cameras, conditions: dict[str, object], reason: str
+) -> None:
+    assert math.isnan(cameras.seen(*cameras.render(**conditions))[0])
+    cameras.counted(reason)
+
+
+def test_wrong_size_and_nonsense_are_refused(cameras: Cameras) -> None:
+    left, right = cameras.render()
+    assert math.isnan(cameras.seen(left[:240, :320], right)[0])
+    cameras.counted("size differs")
+    message = image_message(left, cameras.ns + 50_000_000, "camera")
+    message.encoding = "bayer_rggb8"
+    cameras.images[0].publish(message)
+    message = image_message(right, cameras.ns + 50_000_000, "camera")
+    cameras.images[1].publish(message)
+    cameras.counted("not 8-bit")
+
+
+def test_unsynchronised_and_lonely_images_are_counted_and_do_no_harm(cameras: Cameras) -> None:
+    left, right = cameras.render()
+    cameras.show(left, right, apart_ns=40_000_000)
+    cameras.show(left, None)
+    assert math.isfinite(cameras.seen(left, right)[0])
+    cameras.counted("dropped: no partner")
+    cameras.show(left, right)
+    cameras.ns -= 200_000_000
+    cameras.show(left, right)
+    cameras.counted("dropped: stamp older")
+    cameras.ns += 300_000_000
+    assert math.isfinite(cameras.seen(left, right)[0])
+    assert cameras.process.poll() is None
