@@ -28,6 +28,7 @@ COMMANDS = (
     Entry("bag from-csv", "bag_from_csv", "A samples.csv as a bag."),
     Entry("up", "up", "Bring up an arm's ROS graph, real or simulated."),
     Entry("bench", "bench", "Speed beside peers, in one run."),
+    Entry("demo", "demo", "The whole loop over the ROS graph on a simulated arm."),
     Entry("collect", "collect", "Drive a pose plan over ROS and record the session."),
     Entry("record", "record", "Record an arm's topics as a rosbag2."),
     Entry("schema", "schema", "JSON schema of arm.yaml, for editors."),

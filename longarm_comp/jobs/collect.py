@@ -10,11 +10,13 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64, String
 
+from longarm_comp.core.dataset import SAME_POSE
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.recorder import Recorder
@@ -25,6 +27,8 @@ from longarm_comp.sessions.message_types import message_types
 from longarm_comp.sessions.settled import JOINT_REST
 
 ROW_TOPIC, ROW_TYPE = "session_row", "std_msgs/msg/String"
+COMMAND_TOPIC = "joint_trajectory"
+_READ = {ROW_TOPIC: ROW_TYPE, COMMAND_TOPIC: "trajectory_msgs/msg/JointTrajectory"}
 _FRESH_S = 0.05  # a sighting shall be taken this long after the joints came to rest
 
 
@@ -112,7 +116,7 @@ def _visit(client: ArmClient, visit: Visit, pace: Pace) -> int:
 
 def _tell(client: ArmClient, recorder: Recorder, visit: Visit) -> None:
     """Into the bag alone: what no topic of the robot says."""
-    row = {"index": visit.index, "repeat_id": visit.repeat_id, "q": visit.q.tolist()}
+    row = {"index": visit.index, "repeat_id": visit.repeat_id}
     topic = client.node.resolve_topic_name(ROW_TOPIC)
     recorder.put(topic, ROW_TYPE, serialize_message(String(data=json.dumps(row))))
 
@@ -124,14 +128,24 @@ def visited(path: Path, todo: Sequence[Visit], client: ArmClient) -> set[int]:
         InputError: its poses are not those of these visits.
     """
     planned = {visit.index: visit.q for visit in todo}
-    done = set()
+    done: set[int] = set()
+    command = np.zeros(0)
     with open_bag(path) as reader:
-        rows = [c for c in reader.connections if c.topic.rpartition("/")[2] == ROW_TOPIC]
-        for _, _, raw in reader.messages(connections=rows) if rows else ():
-            row = json.loads(message_types().deserialize_cdr(raw, ROW_TYPE).data)
-            q = planned.get(row["index"])
-            if q is None or np.shape(row.get("q")) != q.shape or not np.allclose(q, row["q"]):
+        kept = [c for c in reader.connections if _last_name(c.topic) in _READ]
+        for connection, _, raw in reader.messages(connections=kept) if kept else ():
+            name = _last_name(connection.topic)
+            message: Any = message_types().deserialize_cdr(raw, _READ[name])
+            if name == COMMAND_TOPIC:
+                command = np.asarray(message.points[-1].positions)
+                continue
+            index = int(json.loads(message.data)["index"])
+            q = planned.get(index)
+            if q is None or command.shape != q.shape or np.abs(command - q).max() > SAME_POSE:
                 allowed = "the plan, seed and options that it was begun with"
-                raise InputError(path, f"visit {row['index']}", row.get("q"), allowed)
-            done.add(int(row["index"]))
+                raise InputError(path, f"visit {index}", command, allowed)
+            done.add(index)
     return done
+
+
+def _last_name(topic: str) -> str:
+    return topic.rpartition("/")[2]

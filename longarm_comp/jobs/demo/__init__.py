@@ -1,0 +1,1 @@
+"""The whole loop over the real graph on the simulated arm: `longarm demo`."""

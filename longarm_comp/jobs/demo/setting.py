@@ -1,0 +1,90 @@
+"""What the demonstration does, and the graph that it does it on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from longarm_comp.core.arm import Arm, read_yaml
+from longarm_comp.core.errors import InputError
+from longarm_comp.jobs.collect import Pace
+from longarm_comp.nodes.bringup import BringUp, folder
+
+NAMESPACE = "longarm_demo"
+"""Apart from any real arm on the same network."""
+
+PACE = Pace(sightings=3, dwell_s=0.06, move_s=0.05, arrive_s=20.0, look_s=3.0)
+_FRAME_RATE_HZ = 20.0
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One demonstration.
+
+    Attributes:
+        out: folder for everything that it makes.
+        poses: visits to learn from. targets: fresh ones to judge by.
+        hidden: undeclared effects of the simulated arm, ``name=mm``.
+        speed: motion so many times faster than the servos' file says.
+        seed: of the hidden effects, the plan and the targets.
+        networks: members of the predictor.
+        arm: file; the demonstration's own by default.
+        parameters: of nodes, on top.
+    """
+
+    out: Path
+    poses: int = 140
+    targets: int = 40
+    hidden: str = "joint_compliance=8.0 backlash=3.0 gear_eccentricity=2.0 tip_payload=4.0"
+    speed: float = 10.0
+    seed: int = 1
+    networks: int = 5
+    arm: Path = field(default_factory=lambda: folder("config") / "arm_demo.yaml")
+    parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, least in (("poses", 30), ("targets", 2)):
+            if getattr(self, name) < least:
+                raise InputError("demo", f"--{name}", getattr(self, name), f"at least {least}")
+
+    @property
+    def bag(self) -> Path:
+        """Session that was collected."""
+        return self.out / "session"
+
+    @property
+    def model(self) -> Path:
+        """Calibrated model."""
+        return self.out / "model.yaml"
+
+    @property
+    def predictor(self) -> Path:
+        """Learned residual."""
+        return self.out / "predictor.npz"
+
+    def graph(self) -> BringUp:
+        """The graph; model and predictor are taken up once they are there."""
+        given = {
+            "simulated_arm": {
+                "hidden": self.hidden, "seed": self.seed, "frame_rate_hz": _FRAME_RATE_HZ,
+            },
+            "kinematics": {"move_time_s": PACE.move_s},
+        }  # fmt: skip
+        for node, more in self.parameters.items():
+            given[node] = {**given.get(node, {}), **more}
+        return BringUp(
+            arm=self.arm,
+            model=self.model,
+            predictor=self.predictor,
+            sim=True,
+            namespace=NAMESPACE,
+            speed=self.speed,
+            set=given,
+        )
+
+
+def declared(setting: Setting) -> Arm:
+    """The arm as everybody believes it to be."""
+    read_yaml(setting.arm)
+    return Arm.load(setting.arm)
