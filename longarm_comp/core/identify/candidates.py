@@ -129,6 +129,7 @@ class Columns:
     def __init__(self, model: Model, posture: Posture) -> None:
         self.model, self.posture = model, posture
         self._known: dict[tuple[object, ...], np.ndarray] = {}
+        self._shifts: dict[tuple[object, ...], np.ndarray] = {}
 
     def of(self, terms: Sequence[Term]) -> np.ndarray:
         """(N, 3, k) columns of some terms, each times its prior standard deviation."""
@@ -140,6 +141,13 @@ class Columns:
                 self._known[key] = column * slot.parameter.prior
             made.append(self._known[key])
         return np.stack(made, axis=-1) if made else np.zeros((*self.shape, 0))
+
+    def shift(self, term: Term) -> np.ndarray:
+        """(N, 3) what a term without parameters adds, m."""
+        key = (term.name, *term.placement.values())
+        if key not in self._shifts:
+            self._shifts[key] = self.model.shift(self.posture, term)
+        return self._shifts[key]
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.stats import norm
@@ -80,7 +81,7 @@ def _blocks(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     a, y = fit.design, fit.data
     rows = len(a) // 3
     cuts = np.linspace(0, rows, min(BLOCKS, rows) + 1).astype(int) * 3
-    parts = [slice(lo, hi) for lo, hi in zip(cuts[:-1], cuts[1:], strict=True)]
+    parts = [slice(lo, hi) for lo, hi in pairwise(cuts)]
     return np.stack([a[s].T @ a[s] for s in parts]), np.stack([a[s].T @ y[s] for s in parts])
 
 

@@ -90,7 +90,7 @@ def _finding(
     places = {key(t) for t in terms}
     marginal = without(traced, places)
     mine = Candidate(name, terms)
-    own = score(traced.fit, marginal, mine, columns.of(terms))
+    own = score(traced.fit, marginal, mine, columns)
     limit = _likelihood(traced, marginal, columns, mine)
     held = {key(t) for t in traced.chosen}
     best: dict[str, Score] = {}
@@ -100,7 +100,7 @@ def _finding(
         if not new:
             continue
         option = Candidate(other.name, new)
-        scored = score(traced.fit, marginal, option, columns.of(new))
+        scored = score(traced.fit, marginal, option, columns)
         if other.name not in best or scored.log_bayes_factor > best[other.name].log_bayes_factor:
             best[other.name] = scored
         alike = scored.log_bayes_factor > own.log_bayes_factor - CLOSE

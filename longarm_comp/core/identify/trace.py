@@ -193,8 +193,7 @@ class _State:
 
     def score(self, marginal: Marginal, candidate: Candidate) -> Score:
         """One candidate on top of a marginal."""
-        columns = self.columns.of(candidate.terms)
-        return score(self.fit, marginal, candidate, columns)
+        return score(self.fit, marginal, candidate, self.columns)
 
     def best(self, threshold: float) -> Score | None:
         """The candidate to accept, if any pays for the choice."""
@@ -280,12 +279,13 @@ class _State:
         return changed
 
 
-def score(fitted: Fit, marginal: Marginal, candidate: Candidate, columns: np.ndarray) -> Score:
-    """Evidence of a candidate's (N, 3, k) prior-scaled columns on top of a marginal."""
+def score(fitted: Fit, marginal: Marginal, candidate: Candidate, columns: Columns) -> Score:
+    """Evidence of a candidate on top of a marginal."""
     slots = candidate.slots(fitted.model.arm)
     if not slots:
-        return _fixed(fitted, marginal, candidate)
-    white = fitted.whitened(columns)
+        return _fixed(fitted, marginal, candidate, columns)
+    scaled = columns.of(candidate.terms)
+    white = fitted.whitened(scaled)
     if not np.isfinite(white).all() or not white.any():
         zero = np.zeros(len(slots))
         return Score(candidate, 0.0, 0.0, zero, zero, 0.0)
@@ -294,7 +294,6 @@ def score(fitted: Fit, marginal: Marginal, candidate: Candidate, columns: np.nda
     bounded = np.array([s.parameter.lower == 0.0 for s in slots])
     sided = (math.log(2.0) + norm.logcdf(added.mean / sd))[bounded].sum()
     mean = np.where(bounded, np.maximum(added.mean, 0.0), added.mean)
-    shift = columns @ mean
     scale = _prior(slots)
     return Score(
         candidate,
@@ -302,21 +301,22 @@ def score(fitted: Fit, marginal: Marginal, candidate: Candidate, columns: np.nda
         added.fit_gain,
         mean * scale,
         sd * scale,
-        float(np.sqrt((shift**2).sum(-1).mean())),
+        _rms(scaled @ mean),
     )
 
 
-def _fixed(fitted: Fit, marginal: Marginal, candidate: Candidate) -> Score:
+def _fixed(fitted: Fit, marginal: Marginal, candidate: Candidate, columns: Columns) -> Score:
     """An effect without parameters: it is there, whole, or it is not."""
-    model, seen = fitted.model, fitted.session
-    shift = model.plus(*candidate.terms).measured(seen.q, seen.context()) - model.measured(
-        seen.q, seen.context()
-    )
+    shift = np.sum([columns.shift(term) for term in candidate.terms], axis=0)
     white = fitted.whitened(shift[..., None])[:, 0]
     projected = marginal.project(white)
     gain = float(projected @ marginal.y - 0.5 * projected @ white)
     empty = np.zeros(0)
-    return Score(candidate, gain, gain, empty, empty, float(np.sqrt((shift**2).sum(-1).mean())))
+    return Score(candidate, gain, gain, empty, empty, _rms(shift))
+
+
+def _rms(shift: np.ndarray) -> float:
+    return float(np.sqrt((shift**2).sum(-1).mean()))
 
 
 def _prior(slots: Sequence[Slot]) -> np.ndarray:
