@@ -54,10 +54,10 @@ PARAMS = (
     Param("marker.rows", 2, "tags down", 1, 20),
     Param(
         "marker.mounting",
-        [-0.13162393, -0.80949839, -0.19855571, 0.53662196],
-        "plate against the tip frame, x y z w; its centre is the tip",
-        -1.0,
-        1.0,
+        [-0.31333312, -1.92702538, -0.47266542],
+        "rotation vector of the plate against the tip frame, rad; its centre is the tip",
+        -6.3,
+        6.3,
     ),
     PERIOD,
 )

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from longarm_comp.core import quaternion
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.settled import Sighting, State
@@ -104,8 +105,7 @@ class Tape:
         """Tilt about x and y of the frame that the message names, from its orientation."""
         o = message.orientation
         frame = re.sub(r"\W+", "_", message.header.frame_id) or "base"
-        roll = math.atan2(2 * (o.w * o.x + o.y * o.z), 1 - 2 * (o.x**2 + o.y**2))
-        pitch = math.asin(max(-1.0, min(1.0, 2 * (o.w * o.y - o.z * o.x))))
+        roll, pitch = quaternion.tilt(np.array([o.x, o.y, o.z, o.w]))
         self._hold(f"incl_{frame}_x", t, roll)
         self._hold(f"incl_{frame}_y", t, pitch)
 

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -125,14 +126,8 @@ class Workshop:
         return render(plate, room.plate, room.cameras, self._rng, room.conditions)
 
 
-def mounting(quaternion: Sequence[float]) -> Array:
-    """(4, 4) of a plate whose centre is the tip, turned by x, y, z, w against it."""
-    q = np.asarray(quaternion, dtype=float)
-    x, y, z, w = q / np.linalg.norm(q)
+def mounting(turn_rad: Sequence[float]) -> Array:
+    """(4, 4) of a plate whose centre is the tip, turned by a rotation vector (rad) against it."""
     made = np.eye(4)
-    made[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
+    made[:3, :3] = cv2.Rodrigues(np.asarray(turn_rad, dtype=float))[0]
     return made

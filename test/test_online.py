@@ -1,0 +1,103 @@
+"""What is known right now becomes a context: freshness, sides, and the pose at rest."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_arm import ARM
+
+from longarm_comp.core.compensate import Status
+from longarm_comp.core.effects.backlash import Backlash
+from longarm_comp.core.effects.measured_tilt import MeasuredTilt
+from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model import Model
+from longarm_comp.core.online import Circumstances, StaleContext, arrival, compensate_now
+from longarm_comp.core.outline import exaggerated, outline
+from longarm_comp.core.rest_pose import RestWatch
+
+WARM = Model(ARM, (ThermalGrowth(8e-5),))
+
+
+def told(**columns: float) -> Circumstances:
+    made = Circumstances(started_s=90.0)
+    for name, value in columns.items():
+        made = made.told(name, {name: value}, 100.0)
+    return made
+
+
+def test_only_what_the_model_needs_must_be_fresh() -> None:
+    made = told(temperature_c=30.0)
+    assert made.context(WARM, 105.0, 10.0).columns == {"t_s": 15.0, "temperature_c": 30.0}
+    with pytest.raises(StaleContext, match=r"temperature_c is 20\.0 s old"):
+        made.context(WARM, 120.0, 10.0)
+    with pytest.raises(StaleContext, match="temperature_c was never told"):
+        told().context(WARM, 100.0, 10.0)
+    assert made.context(Model(ARM), 120.0, 10.0).columns == {"t_s": 30.0}
+
+
+def test_an_inclinometer_belongs_to_its_frame() -> None:
+    tilted = Model(ARM, (MeasuredTilt(frame=0),))
+    reading = Circumstances().told("0", {"incl_0_x": 0.01, "incl_0_y": 0.0}, 1.0)
+    assert reading.context(tilted, 2.0, 5.0).columns["incl_0_x"] == 0.01
+    other = Circumstances().told("3", {"incl_3_x": 0.01, "incl_3_y": 0.0}, 1.0)
+    with pytest.raises(StaleContext, match="incl_0_x"):
+        other.context(tilted, 2.0, 5.0)
+
+
+def test_joints_arrive_from_where_they_last_moved() -> None:
+    path = np.array([[0, 0, 0, 0], [1, 1, 1, 0], [2, 0.5, 1, 0]], float)
+    before = np.array([-1, -1, -1, -1])
+    assert arrival(path, before).tolist() == [1, -1, 1, -1]
+    assert arrival(path[:1], before).tolist() == before.tolist()
+
+
+def test_backlash_is_compensated_for_the_side_of_this_move() -> None:
+    gap = 0.02
+    model = Model(ARM, (Backlash(joint=ARM.commanded[0], width=gap),))
+    rigid = Model(ARM)
+    target = rigid.tip(ARM.mid)
+    commands = []
+    for step in (-0.2, 0.2):
+        start = ARM.mid + step * (ARM.upper - ARM.lower) * [1, 0, 0, 0]
+        made, context = compensate_now(
+            model, None, target, start=start, side=np.zeros(ARM.n), circumstances=told(),
+            now_s=100.0, max_age_s=10.0,
+        )  # fmt: skip
+        assert made.status is Status.NO_PREDICTOR
+        assert context.approach[0] == -np.sign(step)
+        np.testing.assert_allclose(model.tip(made.command, context), target, atol=2e-6)
+        commands.append(made.command[0])
+    assert commands[0] != pytest.approx(commands[1], abs=gap / 4)
+
+
+def test_a_rest_pose_is_handed_out_once_and_only_at_rest() -> None:
+    watch = RestWatch(settle_s=0.5, sightings=2)
+    goal, side = np.full(4, 0.3), np.ones(4)
+    variance = np.full(3, 4e-8)
+    assert watch.sighted(np.zeros(3), variance, 0.0) is None  # never commanded
+    watch.commanded(goal, side)
+    watch.joints(goal + 0.1, 1.0)
+    assert watch.sighted(np.zeros(3), variance, 1.1) is None  # on the way
+    watch.joints(goal, 2.0)
+    assert watch.sighted(np.zeros(3), variance, 2.4) is None  # not settled
+    assert watch.sighted(np.array([1.0, 0, 0]), variance, 2.6) is None  # the first of two
+    assert watch.sighted(np.full(3, np.nan), variance, 2.7) is None  # lost
+    rest = watch.sighted(np.array([3.0, 0, 0]), variance, 2.8)
+    assert rest is not None
+    np.testing.assert_allclose(rest.tip, [2.0, 0, 0])
+    np.testing.assert_allclose(rest.variance, variance / 2)
+    assert watch.sighted(np.array([3.0, 0, 0]), variance, 3.0) is None  # once
+    watch.commanded(goal, side)
+    watch.joints(goal, 4.0)
+    watch.joints(goal + 0.01, 4.2)  # it moved after all
+    watch.joints(goal, 4.4)
+    assert watch.sighted(np.zeros(3), variance, 4.7) is None
+    with pytest.raises(InputError):
+        RestWatch(sightings=0)
+
+
+def test_the_outline_runs_from_the_foot_to_the_tip() -> None:
+    line = outline(Model(ARM), ARM.mid)
+    np.testing.assert_allclose(line[-1], Model(ARM).tip(ARM.mid))
+    np.testing.assert_allclose(exaggerated(line + 1.0, line, 3.0), line + 3.0)
