@@ -68,8 +68,10 @@ def test_the_whole_paper_grid(model, position_only):
     assert np.allclose(made.position_residual_m, position, atol=1e-11)
 
 
-@pytest.mark.parametrize("engine", [Engine.PYTHON, Engine.ARRAYS, Engine.MODEL])
+@pytest.mark.parametrize("engine", [Engine.PYTHON, Engine.ARRAYS, Engine.MIXED, Engine.MODEL])
 def test_engines_run_one_search(model, engine, rng):
+    if engine is Engine.MIXED:
+        pytest.importorskip("llvmlite")
     arm = model.arm
     q = rng.uniform(arm.lower, arm.upper, (6, arm.n))
     q[0] = arm.lower  # a corner of the box

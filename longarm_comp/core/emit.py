@@ -94,6 +94,9 @@ _LLVM_COMPARE = {"lt": "olt", "le": "ole"}
 def llvm(functions: dict[str, tuple[Tape, Outputs]]) -> str:
     """LLVM assembly of a module with one function a name: ``void name(ptr q, ptr c, ...)``.
 
+    ``many_name(sizes, q, c, ...)`` calls it for rows of arrays: sizes holds their number and
+    the length of a row of each array.
+
     Nothing may be reordered (no fast-math), so that the numbers are those of Python.
     """
     lines = [
@@ -107,10 +110,28 @@ def llvm(functions: dict[str, tuple[Tape, Outputs]]) -> str:
         for k, (target, out) in enumerate(outputs.items()):
             value = _llvm(out.node) if isinstance(out, Symbol) else _llvm(float(out))
             lines += [_address(f"o{k}", target), f"store double {value}, ptr %o{k}"]
-        lines += ["ret void", "}"]
+        lines += ["ret void", "}", *_many(name)]
     return "\n".join(
         [*lines, "attributes #0 = { nounwind }", "attributes #1 = { nounwind memory(none) }", ""]
     )
+
+
+def _many(name: str) -> list[str]:
+    given = ", ".join(f"ptr %{a}" for a in ARGUMENTS)
+    lines = [f"define void @many_{name}(ptr %sizes, {given}) #0 {{", "entry:"]
+    for k, a in enumerate(("count", *ARGUMENTS)):
+        lines.append(f"%at_{a} = getelementptr i64, ptr %sizes, i64 {k}")
+        lines.append(f"%size_{a} = load i64, ptr %at_{a}")
+    lines.append("%any = icmp sgt i64 %size_count, 0")
+    lines += ["br i1 %any, label %loop, label %end", "loop:"]
+    lines.append("%i = phi i64 [ 0, %entry ], [ %next, %loop ]")
+    for a in ARGUMENTS:
+        lines.append(f"%by_{a} = mul i64 %i, %size_{a}")
+        lines.append(f"%row_{a} = getelementptr double, ptr %{a}, i64 %by_{a}")
+    rows = ", ".join(f"ptr %row_{a}" for a in ARGUMENTS)
+    lines += [f"call void @{name}({rows})", "%next = add i64 %i, 1"]
+    lines.append("%more = icmp slt i64 %next, %size_count")
+    return [*lines, "br i1 %more, label %loop, label %end", "end:", "ret void", "}"]
 
 
 def _instructions(node: int, op: str, operands: tuple[Operand, ...]) -> list[str]:

@@ -131,7 +131,7 @@ def solve(
         options = (position_only, tol, max_iterations, max_starts)
         found = single.solve_compiled(model, target, seed, context, options)
         if found is not None:
-            return _solution(model, found, options)
+            return _solution(found, tol, max_iterations)
     many = solve_many(
         model,
         target[None],
@@ -283,12 +283,10 @@ def locked_joints(model: Model, locked: Sequence[int | str]) -> list[int]:
     return made
 
 
-def _solution(
-    model: Model, found: tuple[np.ndarray, list[float]], options: tuple[bool, float, int, int]
-) -> Solution:
-    q, (position, angle, iterations, starts, _) = found
-    _, tol, max_iterations, _ = options
-    at = single.at_limits(model, q)
+def _solution(found: single.Found, tol: float, max_iterations: int) -> Solution:
+    q, report, limits = found
+    position, angle, iterations, starts, _ = report[-5:]
+    at = tuple([name for v, (name, low, high) in zip(report, limits) if v <= low or v >= high])  # noqa: B905 - report goes on
     ok = position <= tol and angle <= tol
     reason = _reason(ok, iterations >= starts * max_iterations, bool(at))
     return Solution(q, ok, reason, position, angle, int(iterations), at, int(starts))
@@ -308,7 +306,7 @@ def _collect(model: Model, q: np.ndarray, report: np.ndarray, problem: Problem) 
     at_limit = (q <= model.arm.lower) | (q >= model.arm.upper)
     ok = (position <= problem.tol) & (angle <= problem.tol)
     exhausted = iterations >= starts * problem.max_iterations
-    blocked = at_limit.any(axis=1)
+    blocked = np.asarray(at_limit.any(axis=1))
     reasons = tuple(map(_reason, ok.tolist(), exhausted.tolist(), blocked.tolist()))
     return Solutions(
         q, ok, reasons, position, angle, iterations, at_limit, starts, model.arm.joint_names

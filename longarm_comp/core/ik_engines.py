@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core import newton
+from longarm_comp.core.box_step import solve_damped
 from longarm_comp.core.context import Context
 from longarm_comp.core.jacobian import geometric
 from longarm_comp.core.kernel import Layout, kernel_of
@@ -61,6 +62,7 @@ class Engine(Enum):
     COMPILED = "machine code (needs numba)"
     PYTHON = "the traced model in plain Python, target after target"
     ARRAYS = "the traced model on arrays of targets"
+    MIXED = "machine code for the model, arrays for the search (needs llvmlite)"
     MODEL = "the model's own code on arrays of targets: what the others are checked against"
 
 
@@ -119,6 +121,8 @@ def _chosen(layout: Layout, count: int) -> Engine:
     _Compiled.solved += count
     if _Compiled.loop is not None or (_Compiled.solved > _COMPILE_AFTER and warm_up()):
         return Engine.COMPILED
+    if importlib.util.find_spec("llvmlite") is not None:
+        return Engine.MIXED
     return Engine.PYTHON if count <= _FEW else Engine.ARRAYS
 
 
@@ -157,6 +161,15 @@ def _arrays(
     return _in_chunks(TracedArrays(kernel_of(model, layout), rows), p)
 
 
+def _mixed(
+    model: Model, context: Context, layout: Layout, p: Problem
+) -> tuple[np.ndarray, np.ndarray]:
+    from longarm_comp.core.machine_rows import MachineRows
+
+    rows = layout.pack(context, len(p.targets))
+    return _in_chunks(MachineRows(kernel_of(model, layout), rows), p)
+
+
 def _model(
     model: Model, context: Context, layout: Layout, p: Problem
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -167,6 +180,7 @@ _RUN: dict[Engine, Callable[..., tuple[np.ndarray, np.ndarray]]] = {
     Engine.COMPILED: _compiled,
     Engine.PYTHON: _python,
     Engine.ARRAYS: _arrays,
+    Engine.MIXED: _mixed,
     Engine.MODEL: _model,
 }
 
@@ -192,6 +206,13 @@ class _ModelMachine:
         for k, value in enumerate(values):
             out[k] = value
         return out, np.empty((0, ids.size))
+
+    def solve(self, m: int, J: np.ndarray, e: np.ndarray, free: np.ndarray) -> np.ndarray:
+        """See `Machine`."""
+        n, count = len(free) - 1, e.shape[1]
+        A, y, u = np.empty((m * m, count)), np.empty((m, count)), np.empty((n, count))
+        solve_damped(J, e, free, free[n], m, n, A, y, u)
+        return u
 
 
 def _in_chunks(machine: Machine, p: Problem) -> tuple[np.ndarray, np.ndarray]:

@@ -16,8 +16,11 @@ from longarm_comp.core.kernel import Layout, kernel_of
 from longarm_comp.core.model import Model
 
 ROTATION_TOLERANCE = 1e-6
+Limits = tuple[tuple[str, float, float], ...]  # name, lower, upper of every joint
+# joints (n,); the same and position residual, angle residual, iterations, starts, 0; limits
+Found = tuple[np.ndarray, list[float], Limits]
 Options = tuple[bool, float, int, int]  # position_only, tol, max_iterations, max_starts
-Key = tuple[Layout, int, float, int, int]  # layout, equations, the last three of the options
+Key = tuple[Layout | None, int, float, int, int]  # layout, equations, the last three of the options
 
 _NOTHING = Layout.of(Context.empty())
 
@@ -26,7 +29,8 @@ class _Task:
     """A task's constants, as the compiled search takes them (see `newton_numba.search_one`)."""
 
     def __init__(self, model: Model, key: Key) -> None:
-        layout, m, tol, max_iterations, max_starts = key
+        given, m, tol, max_iterations, max_starts = key
+        layout = given or _NOTHING
         arm, kernel = model.arm, kernel_of(model, layout)
         points = restart_points(arm.n, max(max_starts - 1, 0))
         self.kernel = kernel  # keeps the machine code
@@ -48,27 +52,36 @@ class _Task:
         self.size = 16 + 2 * arm.n + max(1, self.columns) + 5
         self.fixed = self.numbers.ctypes.data, self.constants.ctypes.data
         self.call = _search()
+        self.limits = tuple(
+            zip(arm.joint_names, arm.lower.tolist(), arm.upper.tolist(), strict=True)
+        )
+        self.spare: list[tuple[np.ndarray, int]] = []  # working memory and its address
 
-    def run(self, target: np.ndarray, seed: Any, context: Context | None) -> Any:
-        """Joints and report, or None where the input is wrong."""
-        n, data = self.n, np.empty(self.size)
+    def run(self, target: np.ndarray, seed: Any, context: Context | None) -> Found | None:
+        """See `solve_compiled`."""
+        n = self.n
+        try:
+            data, address = self.spare.pop()
+        except IndexError:  # the first, or another thread holds it
+            data = np.empty(self.size)
+            address = data.ctypes.data
         if target.size == 3:
             data[:16] = 0.0
             data[3:12:4] = target
         else:
             data[:16] = target.ravel()
-        if seed is None:
-            data[16 : 16 + n] = self.mid
-        else:
-            if np.shape(seed) != (n,):
-                return None
-            data[16 : 16 + n] = seed
+        start = self.mid if seed is None else np.asarray(seed)
+        if start.shape != (n,):
+            return None
+        data[16 : 16 + n] = start
         if self.columns:
             assert context is not None
             data[16 + n : -5 - n] = self.layout.pack(context, 1)[0]
-        self.call(*self.fixed, data.ctypes.data)
-        report = data[-5:].tolist()
-        return None if report[4] else (data[-5 - n : -5].copy(), report)
+        self.call(*self.fixed, address)
+        report = data[-5 - n :].tolist()
+        q = data[-5 - n : -5].copy()
+        self.spare.append((data, address))
+        return None if report[-1] else (q, report, self.limits)
 
 
 @cache
@@ -80,14 +93,14 @@ def _search() -> Any:
 
 def solve_compiled(
     model: Model, target: np.ndarray, seed: Any, context: Context | None, options: Options
-) -> tuple[np.ndarray, list[float]] | None:
-    """Joints (n,) and [position residual, angle residual, iterations, starts, 0].
+) -> Found | None:
+    """Solve by the compiled search.
 
-    Returns None where the request needs the long way: text columns, or input that is wrong
-    and has to be named.
+    None where the request needs the long way: text columns, or input that is wrong and has to
+    be named.
     """
     position_only, tol, max_iterations, max_starts = options
-    layout = _NOTHING if context is None else Layout.of(context)
+    layout = None if context is None else Layout.of(context)
     m = 3 if position_only or target.size == 3 else 6
     key = (layout, m, tol, max_iterations, max_starts)
     tasks: dict[Key, _Task] | None = model.__dict__.get("_tasks")
@@ -95,24 +108,7 @@ def solve_compiled(
         tasks = model.__dict__["_tasks"] = {}
     task = tasks.get(key)
     if task is None:
-        if not layout.traceable or not tol > 0:
+        if (layout and not layout.traceable) or not tol > 0:
             return None
         task = tasks[key] = _Task(model, key)
-    found: tuple[np.ndarray, list[float]] | None = task.run(target, seed, context)
-    return found
-
-
-def at_limits(model: Model, q: np.ndarray) -> tuple[str, ...]:
-    """Names of the joints that stand on a limit."""
-    limits = model.__dict__.get("_limits")
-    if limits is None:
-        arm = model.arm
-        limits = tuple(zip(arm.joint_names, arm.lower.tolist(), arm.upper.tolist(), strict=True))
-        model.__dict__["_limits"] = limits
-    return tuple(
-        [
-            name
-            for value, (name, low, high) in zip(q.tolist(), limits, strict=True)
-            if value <= low or value >= high
-        ]
-    )
+    return task.run(target, seed, context)

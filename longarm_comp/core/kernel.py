@@ -124,10 +124,14 @@ class Kernel:
     @cached_property
     def machine(self) -> tuple[int, ...]:
         """As `floats`, addresses of machine code on arrays of doubles."""
+        return (*(self.code.address(name) for name in NAMES), self.passes)
+
+    @cached_property
+    def code(self) -> Any:
+        """The machine code, kept as long as the kernel."""
         from longarm_comp.core import machine_code
 
-        self._code = machine_code.compile_module(emit.llvm(self.programs))
-        return (*(self._code.address(name) for name in NAMES), self.passes)
+        return machine_code.compile_module(emit.llvm(self.programs))
 
 
 def _solver(m: int, n: int) -> tuple[Tape, emit.Outputs]:

@@ -11,7 +11,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from longarm_comp.core.box_step import solve_damped
 from longarm_comp.core.newton import (
     DIFFERENCE,
     FIRST_DAMPING,
@@ -35,6 +34,9 @@ class Machine(Protocol):
 
     def full(self, q: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """out after all load passes, and the twists it was made with."""
+
+    def solve(self, m: int, J: np.ndarray, e: np.ndarray, free: np.ndarray) -> np.ndarray:
+        """The damped step (n, K) of `box_step.solve_damped`; free ends with the damping."""
 
 
 class TracedArrays:
@@ -62,6 +64,12 @@ class TracedArrays:
                 x = self.step(q, ids, x)[1]
         self.kernel.arrays[2](q, self.context[:, ids], x, out, x)
         return out, x
+
+    def solve(self, m: int, J: np.ndarray, e: np.ndarray, free: np.ndarray) -> np.ndarray:
+        """See `Machine`."""
+        u = np.empty((self.kernel.n, e.shape[1]))
+        self.kernel.arrays[4 if m == 6 else 3](J, e, free, u, u)
+        return u
 
 
 @dataclass(frozen=True)
@@ -183,7 +191,8 @@ class _State:
             self.sag[:, at] = self.differences(at) - self.J[:, at]
         damping = self.mu * np.sqrt(self.energy) + FLOOR
         low, high = task.lower[:, self.ids], task.upper[:, self.ids]
-        trial = box_step(self.J + self.sag, self.e, self.q, low, high, task.span, damping, m)
+        J = self.J + self.sag
+        trial = box_step(self.machine, J, self.e, self.q, low, high, task.span, damping, m)
         e2, size2, J2 = np.zeros_like(self.e), np.zeros_like(self.size), np.empty_like(self.J)
         near, far = np.flatnonzero(self.near), np.flatnonzero(~self.near)
         if near.size:
@@ -227,6 +236,7 @@ class _State:
 
 
 def box_step(
+    machine: Machine,
     J: np.ndarray,
     e: np.ndarray,
     q: np.ndarray,
@@ -243,14 +253,12 @@ def box_step(
     """
     n, count = q.shape
     spans = np.asarray(span)[:, None]
-    free = (upper > lower).astype(float)
+    free = np.concatenate([upper > lower, damping[None]])
     left, trial = e[:m].copy(), q.copy()
     todo = np.arange(count)
     for _ in range(n):
-        A, y = np.empty((m * m, todo.size)), np.empty((m, todo.size))
-        u = np.empty((n, todo.size))
-        f = free[:, todo]
-        solve_damped(J[:, todo], left[:, todo], f, damping[todo], m, n, A, y, u)
+        u = machine.solve(m, J[:, todo], left[:, todo], free[:, todo])
+        f = free[:n, todo]
         moved = q[:, todo] + u * spans
         trial[:, todo] = np.where(f == 1.0, moved, trial[:, todo])
         low, high = lower[:, todo], upper[:, todo]
