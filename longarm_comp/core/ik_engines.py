@@ -23,7 +23,7 @@ from longarm_comp.core.kernel import Layout, kernel_of
 from longarm_comp.core.model import Model
 from longarm_comp.core.newton_batch import Machine, Task, TracedArrays, search
 
-_CHUNK = 512  # targets whose arrays stay in the processor's cache
+_CHUNK = 1024  # targets whose arrays stay in the processor's cache
 _FEW = 4  # targets up to which plain Python is ahead of arrays
 _COMPILE_AFTER = 500  # targets solved without, before the compiled loop is fetched unasked
 

@@ -252,8 +252,9 @@ def search(
             for j in range(n):
                 u[j] = (trial[j] - q[j]) / span[j]
             broyden(J, e, e2, u, m, n, sag)
-        poor = energy2 > POOR * energy and used > 2
-        if energy2 < energy:
+        crossing = near and not true and energy2 < NEAR  # first true residual: not comparable
+        poor = energy2 > POOR * energy and used > 2 and not crossing
+        if energy2 < energy or crossing:
             for j in range(n):
                 q[j] = trial[j]
             for i in range(m):

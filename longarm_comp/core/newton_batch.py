@@ -208,8 +208,9 @@ class _State:
             sag = self.sag[:, learn]
             broyden(self.J[:, learn], self.e[:, learn], e2[:, learn], u, m, n, sag)
             self.sag[:, learn] = sag
-        better = energy2 < self.energy
-        self.poor = ((energy2 > POOR * self.energy) & (used >= 2)) | ~better
+        crossing = self.near & ~self.true & (energy2 < NEAR)
+        better = (energy2 < self.energy) | crossing
+        self.poor = ((energy2 > POOR * self.energy) & (used >= 2) & ~crossing) | ~better
         for name, value in (("q", trial), ("e", e2), ("J", J2), ("size", size2)):
             setattr(self, name, np.where(better, value, getattr(self, name)))
         self.energy = np.where(better, energy2, self.energy)
