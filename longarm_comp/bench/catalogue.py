@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from longarm_comp.core.errors import InputError
 
@@ -14,8 +14,26 @@ MODULE_OF = {
     "ik_batch_vs_rtb_ik_lm_mean": "kinematics",
     "ssa_evals_vs_mealpy_300": "ssa",
     "ssa_evals_vs_mealpy_900": "ssa",
+    "ros_target_to_trajectory_vs_echo_p50_ms": "ros",
+    "ros_compensate_vs_echo_p50_ms": "ros",
 }
 """Names are agreed with whoever compares machines; each returns one row of results."""
+
+
+def chosen(names: Sequence[str]) -> tuple[str, ...]:
+    """Benchmarks that some names mean: their own, or all of a kind (`ros`); none: every one.
+
+    Raises:
+        InputError: no such name or kind.
+    """
+    made: list[str] = []
+    for name in names:
+        alike = [known for known, kind in MODULE_OF.items() if name in (known, kind)]
+        if not alike:
+            kinds = dict.fromkeys(MODULE_OF.values())
+            raise InputError("bench", "name", name, ", ".join((*MODULE_OF, *kinds)))
+        made += [known for known in alike if known not in made]
+    return tuple(made) or tuple(MODULE_OF)
 
 
 def run(name: str) -> Mapping[str, object]:

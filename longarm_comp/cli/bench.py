@@ -16,20 +16,18 @@ _SHOWN = ("name", "value", "unit", "peer", "peer_value", "ratio", "spread")
 def command(names: tuple[str, ...], as_json: bool) -> None:
     """Measure this package beside its peers, all in one run; ratios above 1 mean faster.
 
-    Without NAMES all are run. Peers that are not installed give a row without a ratio.
+    Without NAMES all are run; kinematics, ssa and ros stand for all of their kind. Peers that
+    are not installed give a row without a ratio.
 
     \b
     Examples:
       longarm bench
       longarm bench ik_single_vs_rtb_ik_lm_median --json
+      longarm bench ros
     """
     from longarm_comp.bench import catalogue
-    from longarm_comp.core.errors import InputError
 
-    chosen = names or tuple(catalogue.MODULE_OF)
-    for name in chosen:
-        if name not in catalogue.MODULE_OF:
-            raise InputError("bench", "name", name, ", ".join(catalogue.MODULE_OF))
+    chosen = catalogue.chosen(names)
     rows = []
     with progress("bench") as show:
         for done, name in enumerate(chosen):

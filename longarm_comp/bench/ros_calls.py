@@ -1,0 +1,151 @@
+"""The caller's side of the latency benchmark: one call at a time, timed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from rclpy.qos import QoSProfile
+from trajectory_msgs.msg import JointTrajectory
+
+from longarm_comp.bench.ros import reachable
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.errors import JobError
+from longarm_comp.jobs.client import ArmClient
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.messages import joints_message, pose_message
+from longarm_interfaces.srv import Compensate, PredictError
+
+_POSES = 400
+_PATIENCE_S = 10.0
+
+
+class Calls:
+    """Every call returns its seconds."""
+
+    def __init__(self, arm: Arm, namespace: str) -> None:
+        self._client = ArmClient(arm, namespace, name="caller")
+        node = self._client.node
+        self._arm = arm
+        self._poses = [_stamped(matrix) for matrix in reachable(arm, _POSES)]
+        self._got = self._echoed = self._predicted = 0
+        self._joints = graph.JOINT_STATES.publisher(node)
+        self._target = graph.TARGET_POSE.publisher(node)
+        self._echo_target = node.create_publisher(PoseStamped, "echo_target", QoSProfile(depth=100))
+        graph.JOINT_TRAJECTORY.subscription(node, self._on_trajectory)
+        node.create_subscription(
+            JointTrajectory, "echo_trajectory", self._on_echo, QoSProfile(depth=50)
+        )
+        graph.PREDICTED_ERROR.subscription(node, self._on_prediction)
+        self._compensate = graph.COMPENSATE.client(node)
+        self._echo_compensate = node.create_client(Compensate, "echo_compensate")
+        self._predict = graph.PREDICT_ERROR.client(node)
+        self._stand = arm.mid
+        node.create_timer(0.05, self._tell_joints)
+        graph.COMPENSATION.subscription(node, self._on_story)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._client.__exit__(None, None, None)
+
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        self._got += 1
+        self._stand = np.array(message.points[0].positions)
+
+    def _tell_joints(self) -> None:
+        self._joints.publish(joints_message(self._arm, self._stand))
+
+    def _on_story(self, message: Any) -> None:
+        if not message.executed.position and message.status > Compensate.Response.OUT_OF_DOMAIN:
+            raise JobError(f"a target of the benchmark was refused: {message.message}")
+
+    def _on_echo(self, message: JointTrajectory) -> None:
+        self._echoed += 1
+
+    def _on_prediction(self, message: Any) -> None:
+        self._predicted += 1
+
+    def _until(self, condition: Callable[[], Any], within_s: float = _PATIENCE_S) -> None:
+        self._client.until(condition, within_s, "no answer")
+
+    def warm_up(self) -> None:
+        """Everybody is there, and has done everything a few times."""
+        for service in (self._compensate, self._echo_compensate, self._predict):
+            self._until(service.service_is_ready, 60.0)
+        for topic in (self._target, self._echo_target, self._joints):
+            self._until(lambda topic=topic: topic.get_subscription_count(), 60.0)
+        self._client.spin(0.5)
+        for i in range(20):
+            for call in (self.service, self.topic, self.topic_echo, self.service_echo):
+                call(i)
+
+    def topic(self, i: int) -> float:
+        """`target_pose` to `joint_trajectory`."""
+        want = self._got + 1
+        begin = time.perf_counter()
+        self._target.publish(self._poses[i % _POSES])
+        self._until(lambda: self._got >= want)
+        return time.perf_counter() - begin
+
+    def topic_echo(self, i: int) -> float:
+        """The same through the echo."""
+        want = self._echoed + 1
+        begin = time.perf_counter()
+        self._echo_target.publish(self._poses[i % _POSES])
+        self._until(lambda: self._echoed >= want)
+        return time.perf_counter() - begin
+
+    def service(self, i: int) -> float:
+        """`compensate`, from the last joint states."""
+        return self._call(self._compensate, Compensate.Request(target=self._poses[i % _POSES]))
+
+    def service_echo(self, i: int) -> float:
+        """The same through the echo."""
+        request = Compensate.Request(target=self._poses[i % _POSES])
+        return self._call(self._echo_compensate, request)
+
+    def predict(self, i: int) -> float:
+        """`predict_error` alone."""
+        spread = 0.3 * (self._arm.upper - self._arm.lower) * np.sin(i + np.arange(self._arm.n))
+        joints = joints_message(self._arm, self._arm.mid + spread)
+        return self._call(self._predict, PredictError.Request(joints=joints))
+
+    def _call(self, service: Any, request: Any) -> float:
+        begin = time.perf_counter()
+        future = service.call_async(request)
+        self._until(future.done)
+        return time.perf_counter() - begin
+
+    def predictions_per_target(self, count: int) -> float:
+        """How often the predictor is asked for one target."""
+        self._client.spin(0.2)
+        before = self._predicted
+        for i in range(count):
+            self.topic(i)
+        self._client.spin(0.2)
+        return (self._predicted - before) / count
+
+    def rate(self, burst: int) -> float:
+        """Targets a second that the graph works off while a queue waits: above it queues grow."""
+        return self._rate(burst, self._target, lambda: self._got)
+
+    def echo_rate(self, burst: int) -> float:
+        """The same of the echo."""
+        return self._rate(burst, self._echo_target, lambda: self._echoed)
+
+    def _rate(self, burst: int, topic: Any, count: Callable[[], int]) -> float:
+        want = count() + burst
+        begin = time.perf_counter()
+        for i in range(burst):
+            topic.publish(self._poses[i % _POSES])
+        self._until(lambda: count() >= want, 60.0)
+        return burst / (time.perf_counter() - begin)
+
+
+def _stamped(matrix: np.ndarray) -> PoseStamped:
+    made = PoseStamped(pose=pose_message(matrix))
+    made.header.frame_id = "base"
+    return made
