@@ -26,6 +26,7 @@ COMMANDS = (
     Entry("bag info", "bag_info", "What is in a bag, and what a session is made from."),
     Entry("bag to-csv", "bag_to_csv", "A bag as samples.csv."),
     Entry("bag from-csv", "bag_from_csv", "A samples.csv as a bag."),
+    Entry("study real", "study_real", "Held-out errors on public data of real arms."),
     Entry("up", "up", "Bring up an arm's ROS graph, real or simulated."),
     Entry("bench", "bench", "Speed beside peers, in one run."),
     Entry("demo", "demo", "The whole loop over the ROS graph on a simulated arm."),

@@ -1,0 +1,113 @@
+"""The ladder on real arms, on the stated splits (data that is used here and shipped nowhere)."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from longarm_comp.cli.study_real import command
+from longarm_comp.core.errors import InputError
+from longarm_comp.studies import real
+from longarm_comp.studies.real_sessions import declared, justin, laser_tracked
+
+RUNGS = [
+    "frames_only", "joint_zeros", "rigid", "joint_compliance", "lateral_compliance", "best",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def study(data_dir: Path) -> dict[str, dict[str, dict]]:
+    """What ``longarm study real --json`` prints, by robot and model."""
+    done = CliRunner().invoke(command, ["--data", str(data_dir / "real"), "--json"])
+    assert done.exit_code == 0, done.output
+    printed = json.loads(done.stdout)
+    assert all([line["model"] for line in lines] == RUNGS for lines in printed.values())
+    return {robot: {line["model"]: line for line in lines} for robot, lines in printed.items()}
+
+
+def test_justin(study: dict[str, dict[str, dict]]) -> None:
+    """Published 10.5, 5.64, 3.12 mm; both arms' 150 held-out postures each."""
+    lines = study["dlr_justin"]
+    assert lines["frames_only"]["n"] == 300
+    assert 15 < lines["frames_only"]["mean_mm"] < 25
+    assert lines["joint_zeros"]["mean_mm"] < lines["frames_only"]["mean_mm"]
+    assert lines["rigid"]["mean_mm"] <= 11.0
+    assert lines["joint_compliance"]["mean_mm"] <= 4.9
+    assert lines["lateral_compliance"]["mean_mm"] <= 3.1
+    assert lines["best"]["mean_mm"] <= 3.1
+    assert lines["best"]["effects"] == ["joint_compliance", "bearing_tilt"]
+
+
+def test_wam(study: dict[str, dict[str, dict]]) -> None:
+    """A cable drive: the training rows ask for play."""
+    lines = study["wam"]
+    assert lines["frames_only"]["n"] == 20
+    assert lines["frames_only"]["mean_mm"] < 4.1
+    assert lines["rigid"]["mean_mm"] <= 3.1
+    assert lines["best"]["mean_mm"] <= 2.9
+    assert set(lines["best"]["effects"]) & {"backlash", "friction_hysteresis"}
+
+
+def test_ur5_is_rigid(study: dict[str, dict[str, dict]]) -> None:
+    """The negative control: a tenth of a millimetre, and nothing is claimed."""
+    lines = study["ur5"]
+    assert lines["rigid"]["mean_mm"] <= 0.10
+    assert lines["best"]["effects"] == []
+    assert lines["best"]["mean_mm"] == lines["rigid"]["mean_mm"]
+
+
+def test_no_stiffness_is_negative_and_the_torso_is_one(data_dir: Path) -> None:
+    """Fitted compliances of both arms; what they share is one value."""
+    parts = justin(data_dir / "real")
+    terms = [
+        (
+            *real.geometry(p.arm, p.train),
+            *real.JointCompliance.for_arm(p.arm),
+            *real.BearingTilt.for_arm(p.arm),
+        )
+        for p in parts
+    ]
+    right, left = real._fitted(parts, terms, None)
+    values = [
+        {s.label: v for s, v in zip(f.slots, f.model.values, strict=True)} for f in (right, left)
+    ]
+    bounded = [
+        value
+        for f in (right, left)
+        for s, value in zip(f.slots, f.model.values, strict=True)
+        if s.owner.name in ("joint_compliance", "bearing_tilt")
+    ]
+    assert len(bounded) == 66
+    assert min(bounded) >= 0.0 and max(bounded) > 1e-5
+    torso = "joint_compliance / joint 2 / compliance"
+    elbow = "joint_compliance / joint 9 / compliance"
+    assert values[0][torso] == values[1][torso]
+    assert values[0][elbow] != values[1][elbow]
+
+
+def test_train_and_test_rows_are_the_stated_ones(data_dir: Path) -> None:
+    """350 postures of the permutation for both arms; grid and random for the others."""
+    right, left = justin(data_dir / "real")
+    order = np.random.default_rng(0).permutation(500)
+    for part in (right, left):
+        assert set(part.train.index) == set(order[:350])
+        assert set(part.test.index) == set(order[350:])
+    (wam,) = laser_tracked(data_dir / "real", "wam")
+    assert (len(wam.train), len(wam.test)) == (216, 20)
+
+
+@pytest.mark.parametrize("name", ["justin_left", "justin_right", "wam", "ur5"])
+def test_arm_files_declare_tolerances(name: str) -> None:
+    """Every row says how far its geometry may be off."""
+    arm = declared(name)
+    assert all(j.tolerance.a_m and j.tolerance.theta_deg for j in arm.joints)
+
+
+def test_folder_without_the_data(tmp_path: Path) -> None:
+    """One error that names the file."""
+    with pytest.raises(InputError, match=r"samples\.csv"):
+        real.study(tmp_path)
