@@ -11,8 +11,11 @@ NODES = ["error_predictor", "kinematics", "servo_driver", "simulated_arm", "ster
 
 RUNTIME = [
     "click>=8.1",
+    "jinja2>=3.1",
+    "matplotlib>=3.8",
     "numpy>=1.26",
     "opencv-python-headless>=4.10",
+    "plotly>=5.20",
     "pydantic>=2.6",
     "pyserial>=3.5",
     "pyyaml>=6.0",

@@ -198,8 +198,8 @@ def named(rng: np.random.Generator) -> Diagnosis:
     rows = held_out_rows(rng)
     report |= {
         "verdict": "named",
-        "summary": "backlash at joint 2: gap 0.0071 rad (95 % CI 0.0066 to 0.0077), log Bayes factor"
-        " 214.6, runner-up friction_hysteresis at joint 2 with odds of 1 : 10^34.",
+        "summary": "backlash at joint 2: gap 0.0071 rad (95 % CI 0.0066 to 0.0077), log Bayes"
+        " factor 214.6, runner-up friction_hysteresis at joint 2 with odds of 1 : 10^34.",
         "findings": [
             {
                 "effect": "backlash",
@@ -263,7 +263,7 @@ def a_set(rng: np.random.Generator) -> Diagnosis:
     members = ["backlash", "friction_hysteresis"]
     report |= {
         "verdict": "set",
-        "summary": "backlash or friction_hysteresis at joint 2: odds of 2.1 : 1, not enough to choose.",
+        "summary": "backlash or friction_hysteresis at joint 2: odds of 2.1 : 1, too close.",
         "findings": [finding | {"set": members}],
         "next_poses": poses,
     }
@@ -284,7 +284,8 @@ def partly(rng: np.random.Generator) -> Diagnosis:
     report, detail = named(rng)
     report |= {
         "verdict": "partly",
-        "summary": "backlash at joint 2 explains 71 %; structure of 0.9 mm over q4 and temperature_c is left.",
+        "summary": "backlash at joint 2 explains 71 %; structure of 0.9 mm over q4 and"
+        " temperature_c is left.",
         "structure_left": {
             "flag": True,
             "p_value": 0.0004,
@@ -328,7 +329,7 @@ def bad_data(rng: np.random.Generator) -> Diagnosis:
     report, _ = base(rng)
     report |= {
         "verdict": "bad_data",
-        "summary": "samples.csv: x, y, z: tip at 812 m from the base; allowed: metres, not millimetres.",
+        "summary": "samples.csv: x, y, z: tip at 812 m from the base; allowed: metres, not mm.",
         "candidates": [],
         "noise": {"sigma_mm": None, "source": None, "rho": None},
         "held_out": {"n": 0, "rows": [], "before_after_ci95_mm": None},

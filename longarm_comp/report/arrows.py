@@ -58,7 +58,7 @@ def exaggeration(rows: Rows, stages: tuple[str, ...]) -> float:
         return 1.0
     wanted = max(1.0, _SHARE * extent_m(rows) / long)
     decade = 10.0 ** np.floor(np.log10(wanted))
-    return float(decade * _ROUND[_ROUND <= wanted / decade * (1 + 1e-9)].max())
+    return float(decade * _ROUND[wanted / decade * (1 + 1e-9) >= _ROUND].max())
 
 
 def arrows(rows: Rows, stage: str, times: float) -> Arrows:

@@ -79,7 +79,7 @@ def _shown(detail: Detail, stages: tuple[str, ...]) -> str:
 
 
 def _own(name: str) -> str:
-    return files("longarm_comp.report").joinpath("templates", name).read_text("utf-8")
+    return files("longarm_comp.report").joinpath("templates").joinpath(name).read_text("utf-8")
 
 
 def _data_uri(svg: bytes) -> str:

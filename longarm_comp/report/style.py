@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
@@ -36,7 +38,7 @@ LOOKS = {
 }
 FLOOR = "noise floor"
 
-RC = {
+RC: Any = {
     "axes.axisbelow": True,
     "axes.edgecolor": INK,
     "axes.grid": True,
@@ -58,6 +60,12 @@ RC = {
     "ytick.color": INK,
 }
 
+_UNDATED: Any = {
+    "svg": {"Date": None, "Creator": None},
+    "png": {"Software": None},
+    "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+}
+
 
 def rc() -> AbstractContextManager[None]:
     """Context within which figures look alike."""
@@ -65,7 +73,12 @@ def rc() -> AbstractContextManager[None]:
 
 
 def svg(drawn: Figure) -> bytes:
-    """The figure as SVG, without date."""
+    """The figure as SVG; the same figure gives the same bytes."""
     held = io.BytesIO()
-    drawn.savefig(held, format="svg", dpi=150, metadata={"Date": None, "Creator": None})
+    drawn.savefig(held, format="svg", dpi=150, metadata=_UNDATED["svg"])
     return held.getvalue()
+
+
+def save(drawn: Figure, path: Path) -> None:
+    """The figure as a file by its ending; the same figure gives the same bytes."""
+    drawn.savefig(path, dpi=150, metadata=_UNDATED[path.suffix.removeprefix(".")])

@@ -33,16 +33,10 @@ STATES = {
 
 @dataclass(frozen=True)
 class ErrorLine:
-    """A row of the before/after table, in mm and mm^2."""
+    """A row of the before/after table: mean, RMS, p95, max, mean |z|, variance, excess."""
 
     label: str
-    mean: str
-    rms: str
-    p95: str
-    max: str
-    mean_abs_z: str
-    variance: str
-    excess: str
+    values: tuple[str, ...]
     kind: str = ""
 
 
@@ -94,9 +88,11 @@ def error_lines(report: Report, detail: Detail) -> list[ErrorLine]:
     lines = [
         ErrorLine(
             LOOKS[row.model].label,
-            *map(_mm, (row.mean_mm, row.rms_mm, row.p95_mm, row.max_mm)),
-            *map(_mm, (row.mean_abs_z_mm, row.variance_mm2, row.excess_mm)),
-            kind=marked.get(row.model, ""),
+            _mm(
+                *(row.mean_mm, row.rms_mm, row.p95_mm, row.max_mm),
+                *(row.mean_abs_z_mm, row.variance_mm2, row.excess_mm),
+            ),
+            marked.get(row.model, ""),
         )
         for row in report.held_out.rows
     ]
@@ -110,15 +106,15 @@ def _floor(noise: Noise, n: int) -> list[ErrorLine]:
     variance = float(np.mean(np.square(noise.sigma_mm)))
     length = stats.chi(3, scale=sqrt(variance))
     longest = float(length.ppf(0.5 ** (1 / n)))
-    values = (
+    values = _mm(
         *(float(length.mean()), sqrt(3 * variance), float(length.ppf(0.95)), longest),
         *(noise.sigma_mm[2] * sqrt(2 / np.pi), variance, 0.0),
     )
-    return [ErrorLine(FLOOR, *map(_mm, values), kind="floor")]
+    return [ErrorLine(FLOOR, values, "floor")]
 
 
-def _mm(value: float) -> str:
-    return f"{value:.3f}" if value < 100 else f"{value:.1f}"
+def _mm(*values: float) -> tuple[str, ...]:
+    return tuple(f"{value:.3f}" if value < 100 else f"{value:.1f}" for value in values)
 
 
 def parameter_lines(report: Report, detail: Detail) -> list[ParameterLine]:
