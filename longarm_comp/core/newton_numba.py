@@ -90,7 +90,7 @@ def _version() -> int:
 _search_all, _skewness = _compiled()
 
 
-_double, _integer = nb.CPointer(nb.float64), nb.CPointer(nb.intp)
+_double, _integer = nb.CPointer(nb.float64), nb.CPointer(nb.intp)  # type: ignore[attr-defined]
 
 
 def _entries(version: int) -> tuple[Any, Any]:
