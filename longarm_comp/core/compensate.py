@@ -357,7 +357,38 @@ class _Work:
     def _solve(self, rows: np.ndarray, seed: np.ndarray, to: np.ndarray, starts: int) -> None:
         if not rows.size:
             return
-        found = ik.solve_many(
+        q, ok, misses = self._search(rows, seed, to, starts)
+        self.command[rows] = q
+        failed = rows[~ok]
+        mask = np.zeros_like(self.open)
+        mask[failed] = True
+        what = "pseudo-target" if self.passes[rows].any() else "target"
+        texts = [
+            f"{what} missed by {1e3 * miss.position_residual_m:.3f} mm, "
+            f"{np.degrees(miss.angle_residual_rad):.4f} deg: {miss.reason.value}"
+            for miss in misses
+        ]
+        if what == "target":
+            self.ideal[failed] = q[~ok]
+        self.end(mask, Status.UNREACHABLE, texts)
+
+    def _search(
+        self, rows: np.ndarray, seed: np.ndarray, to: np.ndarray, starts: int
+    ) -> tuple[np.ndarray, np.ndarray, list[ik.Solution]]:
+        """Joints (M, n), whether each hits (M,), and those that miss; one target goes alone."""
+        if len(rows) == 1:
+            row = int(rows[0])
+            one = ik.solve(
+                self.model,
+                to[row],
+                seed=seed[row],
+                context=self.context.take(row),
+                position_only=self.position_only,
+                locked=self.locked,
+                max_starts=starts,
+            )
+            return one.q[None], np.array([one.ok]), [] if one.ok else [one]
+        many = ik.solve_many(
             self.model,
             to[rows],
             seed=seed[rows],
@@ -366,19 +397,7 @@ class _Work:
             locked=self.locked,
             max_starts=starts,
         )
-        self.command[rows] = found.q
-        failed = rows[~found.ok]
-        mask = np.zeros_like(self.open)
-        mask[failed] = True
-        what = "pseudo-target" if self.passes[rows].any() else "target"
-        texts = [
-            f"{what} missed by {1e3 * found.position_residual_m[k]:.3f} mm, "
-            f"{np.degrees(found.angle_residual_rad[k]):.4f} deg: {found.reason[k].value}"
-            for k in np.flatnonzero(~found.ok)
-        ]
-        if what == "target":
-            self.ideal[failed] = found.q[~found.ok]
-        self.end(mask, Status.UNREACHABLE, texts)
+        return many.q, many.ok, [many[int(k)] for k in np.flatnonzero(~many.ok)]
 
     def _predictor_context(self, rows: np.ndarray) -> dict[str, Any]:
         context = self.context.take(rows)

@@ -77,7 +77,7 @@ class Context:
             return 1.0 if held == value else 0.0
         return (np.asarray(held) == value).astype(float)
 
-    def take(self, rows: np.ndarray | slice) -> Context:
+    def take(self, rows: np.ndarray | slice | int) -> Context:
         """The context of some of N postures; what is one scalar for all stays so."""
 
         def of(value: Any) -> Any:

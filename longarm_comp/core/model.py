@@ -85,8 +85,11 @@ class Model:
         )
 
     def _with_terms(self, terms: Sequence[Effect | Bias]) -> Model:
-        cut = len(self.effects)
-        model = dataclasses.replace(self, effects=tuple(terms[:cut]), biases=tuple(terms[cut:]))
+        model = dataclasses.replace(
+            self,
+            effects=tuple(t for t in terms if isinstance(t, Effect)),
+            biases=tuple(t for t in terms if isinstance(t, Bias)),
+        )
         model.__dict__["chain"] = self.chain
         return model
 

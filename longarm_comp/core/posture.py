@@ -11,7 +11,7 @@ its first moment: ``force = m g`` and ``moment about p = (S - m p) x g``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -23,6 +23,7 @@ from longarm_comp.core.context import Context
 from longarm_comp.core.spatial import IDENTITY, ZERO, Frame, Scalar, Twist, Vec
 
 Twists = Mapping[int, Twist]
+LineLoads = dict[int, list[tuple[Scalar, Scalar]]]
 _UNIT: tuple[Vec, Vec, Vec] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -203,39 +204,55 @@ class Posture:
             mass = context.payload_kg(arm.payload.mass_kg)
             at_station = chain.frame_station(arm.payload.frame)
             masses.setdefault(at_station, []).append((mass, arm.payload.position_m))
+        for station, behind, centre in self._overhangs():
+            masses.setdefault(station, []).append((behind, centre))
         for lump in self.extra:
             masses.setdefault(lump.station, []).append((lump.mass, lump.position))
         return masses
 
     @cached_property
-    def line_loads(self) -> dict[int, list[tuple[Scalar, Scalar]]]:
+    def line_loads(self) -> LineLoads:
         """By element station: (mass per length kg/m, loaded length m back from its far end).
 
         A sliding body lies in its own beam and, for the rest of its length, inside the
         beams before it.
         """
-        loads: dict[int, list[tuple[Scalar, Scalar]]] = {}
+        loads: LineLoads = {}
         for row in self.chain.rows:
             for elements in (row.elements_a, row.elements_d):
                 self._spread(elements, loads)
         return loads
 
-    def _spread(self, elements: tuple[Element, ...], loads: dict) -> None:
+    def _spread(self, elements: tuple[Element, ...], loads: LineLoads) -> None:
         for k, e in enumerate(elements):
             length = abs_(self.lengths[e.station])
             own = loads.setdefault(e.station, [])
-            if e.beam.mass_kg > 0:
-                body = e.beam.body_length_m
-                if body is None:
-                    own.append((e.beam.mass_kg / float(e.beam.length_m), length))
-                else:
-                    beyond = self._beyond(elements, k, e.beam)
-                    own.append((e.beam.mass_kg / body, clip(body - beyond, length)))
-            for body in e.covers:
-                beyond = self._beyond(elements, k, body)
-                assert body.body_length_m is not None
-                reach = clip(body.body_length_m - beyond, length)
-                own.append((body.mass_kg / body.body_length_m, reach))
+            if e.beam.mass_kg > 0 and e.beam.body_length_m is None:
+                own.append((e.beam.mass_kg / float(e.beam.length_m), length))
+            for beam in (e.beam, *e.covers):
+                if beam.mass_kg > 0 and beam.body_length_m is not None:
+                    reach = clip(beam.body_length_m - self._beyond(elements, k, beam), length)
+                    own.append((beam.mass_kg / beam.body_length_m, reach))
+
+    def _overhangs(self) -> Iterator[tuple[int, Scalar, Vec]]:
+        """Weight of bodies that reach back behind their row's first beam: (station, mass, at)."""
+        for number, row in enumerate(self.chain.rows):
+            before = self.chain.frame_station(number)
+            for elements, station in ((row.elements_a, before), (row.elements_d, row.bearing)):
+                for beam in {e.beam.name: e.beam for e in elements}.values():
+                    if beam.mass_kg == 0 or beam.body_length_m is None:
+                        continue
+                    last = max(j for j, e in enumerate(elements) if e.beam is beam)
+                    inside: Scalar = 0.0
+                    for e in elements[: last + 1]:
+                        inside = inside + abs_(self.lengths[e.station])
+                    behind = clip(beam.body_length_m - inside, beam.body_length_m)
+                    if type(behind) is float and behind == 0.0:
+                        continue
+                    at = [0.0, 0.0, 0.0]
+                    at[elements[0].axis] = -0.5 * behind  # type: ignore[call-overload]
+                    density = beam.mass_kg / beam.body_length_m
+                    yield station, density * behind, (at[0], at[1], at[2])
 
     def _beyond(self, elements: tuple[Element, ...], k: int, beam: Beam) -> Scalar:
         """Length from element k's far end to the far end of `beam`."""
@@ -271,7 +288,7 @@ class Posture:
                 moment = spatial.add(moment, spatial.scale(m, centre))
         return masses, moments
 
-    def _cached(self, kind: str, station: int, make) -> Vec:
+    def _cached(self, kind: str, station: int, make: Callable[[], Vec]) -> Vec:
         key = (kind, station)
         if key not in self._cache:
             self._cache[key] = make()

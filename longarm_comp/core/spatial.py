@@ -195,7 +195,7 @@ class Frame(NamedTuple):
         for j in range(4):
             column = [matrix[..., i, j] for i in range(3)]
             columns.append(tuple(float(c) if np.ndim(c) == 0 else c for c in column))
-        return cls(*columns)
+        return cls(*columns)  # type: ignore[arg-type]
 
 
 IDENTITY = Frame((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), ZERO)

@@ -106,7 +106,7 @@ def geometry(arm: Arm, session: Session) -> tuple[Effect, ...]:
 
 def frames(arm: Arm, session: Session) -> tuple[Effect, ...]:
     """Base placement(s) and markers only: what any measurement needs."""
-    groups = np.unique(session.labels["group"]) if "group" in session.labels else []
+    groups = sorted(set(session.labels["group"])) if "group" in session.labels else []
     bases = tuple(BasePose(group=str(g)) for g in groups) if len(groups) > 1 else (BasePose(),)
     return (*bases, *TipOffset.for_arm(arm))
 
@@ -288,14 +288,14 @@ def _fit_parts(
     place: dict[tuple[object, ...], int] = {}
     maps, chosen = [], []
     for number, part in enumerate(parts):
-        mine = []
+        places = []
         for slot in part.model.slots:
             key = (slot.label, number if own is not None and own(slot) else -1)
             if key not in place:
                 place[key] = len(place)
                 chosen.append(slot)
-            mine.append(place[key])
-        maps.append(np.array(mine, dtype=int))
+            places.append(place[key])
+        maps.append(np.array(places, dtype=int))
     scale = priors(tuple(chosen))
     lower = np.array([s.parameter.lower for s in chosen]) / scale
     upper = np.array([s.parameter.upper for s in chosen]) / scale
