@@ -41,7 +41,8 @@ class Bench:
         args = ["-m", f"longarm_comp.nodes.{node}", "--ros-args"]
         if namespace:
             args += ["-r", f"__ns:=/{namespace}"]
-        for name, value in (params or {}).items():
+        quick = {"compiled": False} if node == "kinematics" else {}
+        for name, value in {**quick, **(params or {})}.items():
             text = str(value).lower() if isinstance(value, bool) else value
             args += ["-p", f"{name}:={text}"]
         return self.python(args)

@@ -89,7 +89,7 @@ class Station:
 
 
 def bring_up(namespace: str, **more: Any) -> BringUp:
-    quick = {"diagnostics_period_s": 0.2}
+    quick = {"diagnostics_period_s": 0.2, "compiled": False}
     parameters = {
         "simulated_arm": {"frame_rate_hz": 4.0} | more.pop("sim", {}),
         "kinematics": quick | more.pop("kinematics", {}),

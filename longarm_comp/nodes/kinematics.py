@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from functools import partial
 from typing import Any
@@ -14,6 +15,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from longarm_comp.core import ik
 from longarm_comp.core.compensate import Method, Status
 from longarm_comp.core.context import Context
 from longarm_comp.core.errors import InputError
@@ -58,6 +60,7 @@ PARAMS = (
     Param("predictor_timeout_s", 0.5, "no answer within it counts as no predictor", 0.01, 60.0),
     Param("context_max_age_s", 60.0, "older temperature, payload, tilt are stale", 0.1, 1e6),
     Param("joints_max_age_s", 5.0, "older joint_states are no seed", 0.1, 1e6),
+    Param("compiled", True, "compile the search (needs numba; seconds, once on a machine)"),
     Param("queue", 200, "targets that may wait", 1, 10000),
     Param("watch_period_s", 1.0, "how often the file is looked at for a new version", 0.1, 3600.0),
     *monitoring.PARAMS,
@@ -110,6 +113,8 @@ class Kinematics(Node):
             "monitor": self._monitor.report,
         }
         self._health = Health(self, parts, p[PERIOD.name])
+        if p["compiled"]:  # beside the targets, which are solved more slowly until it is done
+            threading.Thread(target=ik.warm_up, name="compiler", daemon=True).start()
 
     def close(self) -> None:
         """Stop the worker."""
@@ -169,8 +174,9 @@ class Kinematics(Node):
             "position_only": request.position_only,
             "limits": limits,
         }
-        client = self._predictor if limits.method.learned else None
-        why = ""
+        client, why = self._predictor if limits.method.learned else None, ""
+        if client is not None and not client.present:
+            client, why = None, ": no error_predictor is running"
         try:
             outcome, context = compensate_now(loaded.model, client, target, **options)
         except NoAnswer as absent:
