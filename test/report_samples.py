@@ -239,6 +239,7 @@ def named(rng: np.random.Generator) -> Diagnosis:
         joints=JOINTS,
         joint_units=UNITS,
         held_out=rows,
+        train=held_out_rows(rng, 240),
         guilty=("approach", "q2"),
         correlation=Correlation(
             ("backlash joint 2 gap", "backlash joint 2 threshold"), geometry, matrix

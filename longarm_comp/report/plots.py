@@ -82,8 +82,12 @@ def against_input(
     before: str,
     after: str,
     sigma_mm: tuple[float, float, float] | None,
+    fitted: Rows | None = None,
 ) -> Figure:
-    """Errors over one input, one row of panels per axis, before on the left, after on the right."""
+    """Errors over one input, one row of panels per axis, before on the left, after on the right.
+
+    Rows that were fitted are small dots behind those of the hold-out.
+    """
     drawn = Figure(figsize=(9, 6.4))
     panels = drawn.subplots(3, 2, sharex=True, sharey="row")
     values = np.asarray(entry.values, dtype=float)
@@ -96,6 +100,7 @@ def against_input(
                 half = 1.96 * sigma_mm[axis]
                 panel.axhspan(-half, half, color=GRID, alpha=0.6, linewidth=0)
             panel.axhline(0, color=INK, linewidth=0.8)
+            _behind(panel, fitted, entry.name, stage, axis)
             panel.plot(
                 _spread(values),
                 error,
@@ -117,6 +122,16 @@ def against_input(
         panels[2, 0].set_xticks(levels, [f"{level:.4g}" for level in levels])
     drawn.subplots_adjust(left=0.07, right=0.99, bottom=0.075, top=0.96, wspace=0.04, hspace=0.08)
     return drawn
+
+
+def _behind(panel: Axes, fitted: Rows | None, name: str, stage: str, axis: int) -> None:
+    """The fitted rows, as far as they have that input and stage."""
+    entry = fitted.input(name) if fitted is not None else None
+    if fitted is None or entry is None or stage not in fitted.errors_m:
+        return
+    error = fitted.errors_m[stage][:, axis] * _MM
+    at = _spread(np.asarray(entry.values, dtype=float))
+    panel.plot(at, error, ".", color="#808080", markersize=2, alpha=0.5, rasterized=True)
 
 
 def _spread(values: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ from math import sqrt
 import numpy as np
 from scipy import stats
 
+from longarm_comp.report.arrows import stages_of
 from longarm_comp.report.detail import Correlation, Detail, SetSplit, SplitPose
 from longarm_comp.report.record import Candidate, Finding, Noise, Parameter, Report
 from longarm_comp.report.style import FLOOR, LOOKS
@@ -97,6 +98,22 @@ def error_lines(report: Report, detail: Detail) -> list[ErrorLine]:
         for row in report.held_out.rows
     ]
     return lines + _floor(report.noise, report.held_out.n) if lines else []
+
+
+def fitted_lines(detail: Detail) -> list[ErrorLine]:
+    """The errors on the fitted rows; without excess."""
+    if detail.train is None or not len(detail.train.index):
+        return []
+    lines = []
+    for stage in stages_of(detail.train):
+        error = detail.train.errors_m[stage] * 1e3
+        length = np.linalg.norm(error, axis=1)
+        values = (
+            *(length.mean(), np.sqrt((length**2).mean()), np.percentile(length, 95)),
+            *(length.max(), np.abs(error[:, 2]).mean(), error.var(axis=0).mean()),
+        )
+        lines.append(ErrorLine(LOOKS[stage].label, _mm(*map(float, values))))
+    return lines
 
 
 def _floor(noise: Noise, n: int) -> list[ErrorLine]:

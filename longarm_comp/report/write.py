@@ -64,7 +64,12 @@ def _drawn(report: record.Report, detail: Detail) -> dict[str, bytes]:
                     if entry is None:
                         raise InputError("report detail", "guilty", name, _names(rows))
                     figures[against(name)] = plots.against_input(
-                        rows, entry, detail.before, detail.after, report.noise.sigma_mm
+                        rows,
+                        entry,
+                        detail.before,
+                        detail.after,
+                        report.noise.sigma_mm,
+                        detail.train,
                     )
         if detail.correlation is not None and detail.correlation.matrix.size:
             figures["correlation"] = plots.correlations(detail.correlation)

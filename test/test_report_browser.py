@@ -1,0 +1,204 @@
+"""The report's page in a real browser: nothing asked of the network, nothing complained of.
+
+Chromium draws a copy of the page that carries a recorder (first in the head: errors, warnings,
+refused loads) and a visitor (last in the body: looks, clicks, types, and leaves JSON behind).
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from report_samples import VERDICTS
+
+from longarm_comp.report import write_report
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+FLAGS = (
+    *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"),
+    *("--use-angle=swiftshader", "--enable-unsafe-swiftshader"),  # WebGL without a GPU
+    *("--no-first-run", "--disable-background-networking", "--disable-component-update"),
+    *("--disable-sync", "--window-size=1200,900", "--virtual-time-budget=20000"),
+)
+POLICY = re.compile(r'<meta http-equiv="Content-Security-Policy"[^>]*>')
+
+RECORDER = """<script>
+window.faults = [];
+addEventListener("error", (e) => faults.push("error: " + (e.message || e.target.outerHTML)), true);
+addEventListener("unhandledrejection", (e) => faults.push("rejection: " + e.reason));
+addEventListener("securitypolicyviolation", (e) => faults.push("refused: " + e.blockedURI));
+for (const kind of ["error", "warn"]) console[kind] = (...said) => faults.push(said.join(" "));
+</script>"""
+
+VISITOR = """<pre id="visit"></pre><script>
+const byId = (id) => document.getElementById(id);
+const shows = (id) => !!byId(id) && byId(id).checkVisibility();
+const rows = (id) => [...(byId(id)?.tBodies[0].rows ?? [])].map((r) => r.cells[0].textContent);
+const wait = (ms) => new Promise((done) => setTimeout(done, ms));
+const eye = () => byId("plot")._fullLayout.scene._scene.getCamera().eye;
+const picture = () => Plotly.toImage(byId("plot"), { format: "png", width: 600, height: 400 });
+const press = async (turn) => {
+  document.querySelector(`[data-turn=${turn}]`).click();
+  await wait(300);
+  return eye();
+};
+const type = (id, text) => {
+  byId(id).value = text;
+  byId(id).dispatchEvent(new Event(id === "state" ? "change" : "input"));
+  return [...rows("best"), ...rows("rest")];
+};
+addEventListener("load", async () => {
+  const seen = {};
+  try {
+    const drawn = () => !window.Plotly || document.querySelector(".alive");
+    for (let k = 0; k < 50 && !drawn(); k++) await wait(100);
+    const summary = document.querySelector(".summary");
+    const box = summary.getBoundingClientRect();
+    seen.verdict = { text: summary.innerText, top: box.top, tall: box.height };
+    seen.wide = document.documentElement.scrollWidth - innerWidth;
+    seen.scene = shows("plot");
+    seen.still = shows("still");
+    if (byId("best")) {
+      seen.sorted = { start: [rows("best").length, rows("rest").length] };
+      document.querySelector("#best th[data-key=effect] button").click();
+      seen.sorted.effect = [...rows("best"), ...rows("rest")];
+      seen.sorted.says = document.querySelector("#best th[data-key=effect]").ariaSort;
+      seen.filtered = { words: type("words", "session has no TIME") };
+      type("words", "");
+      seen.filtered.state = type("state", "accepted");
+      seen.filtered.none = type("state", "");
+    }
+    if (seen.scene) {
+      seen.canvases = document.querySelectorAll("#plot canvas").length;
+      seen.before = await picture();
+      seen.eyes = [eye(), await press("left"), await press("right"), await press("up")];
+      seen.eyes.push(await press("out"), await press("reset"));
+      document.querySelector("input[value=with_effects]")?.click();
+      await wait(500);
+      seen.after = await picture();
+      seen.times = byId("times").textContent;
+      byId("same").click();
+      seen.same = byId("times").textContent;
+    }
+    seen.loads = performance.getEntriesByType("resource").map((entry) => entry.name);
+  } catch (error) { faults.push("visitor: " + error.stack); }
+  seen.faults = faults;
+  byId("visit").textContent = JSON.stringify(seen);
+});
+</script></body>"""
+
+
+def browser() -> str:
+    found = next(filter(None, map(shutil.which, BROWSERS)), None)
+    assert found, f"none of {', '.join(BROWSERS)} is installed: run `sudo make system`"
+    return found
+
+
+Visit = Callable[..., dict[str, Any]]
+
+
+@pytest.fixture
+def visit(tmp_path: Path) -> Visit:
+    """Open a page's text in the browser and return what the visitor saw."""
+
+    def visited(text: str, *flags: str) -> dict[str, Any]:
+        copy = tmp_path / "visited.html"
+        copy.write_text(
+            text.replace("<head>", "<head>" + RECORDER, 1).replace("</body>", VISITOR), "utf-8"
+        )
+        profile = f"--user-data-dir={tmp_path / 'profile'}"
+        command = [browser(), *FLAGS, profile, *flags, "--dump-dom", copy.as_uri()]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=180, check=False)
+        left = re.search(r'<pre id="visit">(.+?)</pre>', done.stdout, re.DOTALL)
+        assert left, f"the page did not finish: {done.stderr[-2000:]}"
+        seen: dict[str, Any] = json.loads(html.unescape(left[1]))
+        return seen
+
+    return visited
+
+
+def page_text(verdict: str, folder: Path) -> str:
+    path = write_report(*VERDICTS[verdict](np.random.default_rng(5)), folder)
+    return path.read_text("utf-8")
+
+
+def pixels_of(picture: str, rgb: tuple[int, int, int]) -> int:
+    """How many pixels of a PNG data address are of about that colour."""
+    content = np.frombuffer(base64.b64decode(picture.split(",")[1]), np.uint8)
+    image = cv2.imdecode(content, cv2.IMREAD_COLOR)
+    assert image is not None
+    return int((np.abs(image[..., ::-1].astype(int) - rgb).max(axis=-1) < 40).sum())
+
+
+ORANGE, BLUE, GREY = (230, 159, 0), (0, 114, 178), (138, 138, 138)
+
+
+def test_full_page_shows_turns_sorts_and_filters(visit: Visit, tmp_path: Path) -> None:
+    seen = visit(page_text("named", tmp_path / "report"))
+    assert seen["faults"] == []
+    assert all(load.startswith(("data:", "blob:")) for load in seen["loads"])
+
+    assert seen["verdict"]["text"].startswith("backlash at joint 2")
+    assert seen["verdict"]["tall"] > 10 and 0 < seen["verdict"]["top"] < 600
+    assert seen["wide"] <= 0
+
+    assert seen["scene"] and not seen["still"] and seen["canvases"] >= 1
+    assert pixels_of(seen["before"], GREY) > 300
+    assert pixels_of(seen["before"], ORANGE) > 300 and pixels_of(seen["before"], BLUE) < 20
+    assert pixels_of(seen["after"], BLUE) > 300 and pixels_of(seen["after"], ORANGE) < 20
+    start, left, right, up, out, reset = (
+        np.array([eye[axis] for axis in "xyz"]) for eye in seen["eyes"]
+    )
+    far = np.linalg.norm(start)
+    assert np.arctan2(*start[1::-1]) - np.arctan2(*left[1::-1]) == pytest.approx(np.pi / 12)
+    assert np.linalg.norm(left) == pytest.approx(far)
+    assert right == pytest.approx(start) and reset == pytest.approx(start)
+    assert up[2] > start[2] and np.linalg.norm(out) == pytest.approx(1.25 * far)
+    assert re.fullmatch(r"arrows × \d+", seen["times"]) and seen["same"] != seen["times"]
+
+    assert seen["sorted"]["start"] == [20, 32]
+    assert seen["sorted"]["effect"] == sorted(seen["sorted"]["effect"])
+    assert seen["sorted"]["says"] == "ascending"
+    assert seen["filtered"]["words"] == ["creep"]
+    assert seen["filtered"]["state"] == ["backlash"]
+    assert len(seen["filtered"]["none"]) == 52
+
+
+def test_narrow_page_does_not_run_over(visit: Visit, tmp_path: Path) -> None:
+    seen = visit(page_text("set", tmp_path / "report"), "--window-size=500,900")
+    assert seen["faults"] == [] and seen["scene"] and seen["wide"] <= 0
+
+
+def test_page_without_data_is_quiet(visit: Visit, tmp_path: Path) -> None:
+    seen = visit(page_text("bad_data", tmp_path / "report"))
+    assert seen["faults"] == [] and seen["loads"] == []
+    assert "812 m from the base" in seen["verdict"]["text"] and not seen["scene"]
+
+
+def test_without_webgl_the_still_figure_stays(visit: Visit, tmp_path: Path) -> None:
+    seen = visit(page_text("noise", tmp_path / "report"), "--disable-3d-apis")
+    assert seen["faults"] == [] and not seen["scene"] and seen["still"]
+
+
+def test_a_planted_fault_is_found(visit: Visit, tmp_path: Path) -> None:
+    """The recorder works, and the page's own policy stops what it would report."""
+    text = page_text("bad_data", tmp_path / "report")
+    planted = (
+        '<img alt="" src="http://127.0.0.1:9/planted.png"><script>undefinedName();</script></main>'
+    )
+    text = text.replace("</main>", planted)
+    held = visit(text)
+    assert any("refused: http://127.0.0.1:9" in fault for fault in held["faults"])
+    assert any("undefinedName" in fault for fault in held["faults"])
+    let_through = visit(POLICY.sub("", text))
+    assert let_through["loads"] == ["http://127.0.0.1:9/planted.png"]
