@@ -87,6 +87,7 @@ class Context:
             tuple(of(a) for a in self.approach),
             {name: of(v) for name, v in self.columns.items()},
             {name: of(v) for name, v in self.labels.items()},
+            tuple(of(a) for a in self.travel),
         )
 
     @classmethod

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from longarm_comp.core.identify.candidates import Candidate
-from longarm_comp.core.identify.detectable import IMPLAUSIBLE, Smallest, detectable
+from longarm_comp.core.identify.detectable import IMPLAUSIBLE, Smallest, columns_at, detectable
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.distinguish import Finding, columns_at, fitted_term, without
+from longarm_comp.core.identify.distinguish import Finding, without
 from longarm_comp.core.identify.trace import ODDS, key, score
 
 Label = tuple[str, str]
@@ -59,7 +59,7 @@ def _chosen(diagnosis: Diagnosis) -> dict[Label, dict[str, Any]]:
     traced = diagnosis.traced
     columns = columns_at(traced.fit)
     made = {}
-    for term in (fitted_term(traced, t) for t in traced.chosen):
+    for term in traced.chosen:
         single = Candidate(term.name, (term,))
         gain = score(traced.fit, without(traced, {key(term)}), single, columns).log_bayes_factor
         form = f", {_form(single)}" if single.form else ""

@@ -1,0 +1,81 @@
+"""``longarm diagnose``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from longarm_comp.cli import options
+from longarm_comp.cli.output import note, print_json, print_rows, print_table, progress
+
+STEPS = 6.0
+"""Steps after which the bar stands half way: how many effects there are is not known before."""
+
+
+@click.command()
+@options.arm
+@options.session
+@options.path_option("--test", "Hold-out (CSV or bag); blocks of SESSION if not given.")
+@options.path_option("--model", "What is known already; its effects are never added twice.")
+@options.seed
+@click.option("--no-network", is_flag=True, help="Train no network on what is left.")
+@options.output("diagnosis", "Folder to write.")
+@options.as_json
+def command(
+    arm: Path,
+    session: Path,
+    test: Path | None,
+    model: Path | None,
+    seed: int,
+    no_network: bool,
+    output: Path,
+    as_json: bool,
+) -> None:
+    """Trace what ARM's model lacks in SESSION (CSV or bag), add it and prove it.
+
+    Writes report.json, report.html, plots, model.yaml with the effect added (longarm undo puts
+    the version of --model back), predictor.npz where a network helped the hold-out, and
+    next_poses.csv where more poses would tell two effects apart.
+
+    \b
+    Examples:
+      longarm diagnose arm.yaml samples.csv --test test.csv -o diagnosis
+      longarm diagnose arm.yaml bag --model model.yaml -o diagnosis
+    """
+    from longarm_comp.core.arm import Arm
+    from longarm_comp.jobs.diagnose import Request, run
+
+    request = Request(Arm.load(arm), session, test, model, seed, not no_network)
+    with progress("diagnose") as show:
+        done = iter(range(1, 1000))
+
+        def say(text: str) -> None:
+            step = next(done)
+            show(text, step / (step + STEPS))
+
+        report = run(request, output, say)
+    if as_json:
+        print_json({"output": str(output), **report})
+        return
+    _print(report)
+    note(f"report in {output / 'report.html'}, model in {output / 'model.yaml'}")
+
+
+def _print(report: dict[str, Any]) -> None:
+    print_rows(f"Held-out errors ({report['held_out']['n']} rows)", report["held_out"]["rows"])
+    cells = [
+        (f["effect"], p["where"], p["name"], *_value(p))
+        for f in report["findings"]
+        for p in f["parameters"]
+    ]
+    if cells:
+        header = ("effect", "where", "parameter", "value", "95 % interval", "unit")
+        print_table("Effects added", header, cells)
+    click.echo(f"{report['verdict']}: {report['summary']}")
+
+
+def _value(p: dict[str, Any]) -> tuple[str, str, str]:
+    low, high = p["ci95"]
+    return f"{p['value']:.4g}", f"{low:.4g} .. {high:.4g}", p["unit"]

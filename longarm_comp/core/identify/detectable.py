@@ -1,0 +1,87 @@
+"""How large an effect must be before these data show it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.identify.candidates import Candidate, Columns
+from longarm_comp.core.identify.fit import Fit
+from longarm_comp.core.identify.linear import Marginal
+from longarm_comp.core.identify.trace import Traced, score
+
+IMPLAUSIBLE = 5.0
+"""Prior standard deviations beyond which nobody believes a size."""
+
+
+@dataclass(frozen=True)
+class Smallest:
+    """The smallest size of a candidate that would be accepted.
+
+    Attributes:
+        candidate: the hypothesis.
+        log_bayes_factor: what it scores on these data.
+        size: in its prior standard deviations; infinite where no size could be seen.
+        shift_m: RMS shift of the tip that this size stands for, m; infinite as `size`.
+    """
+
+    candidate: Candidate
+    log_bayes_factor: float
+    size: float
+    shift_m: float
+
+    @property
+    def visible(self) -> bool:
+        """Whether a plausible size would have shown."""
+        return self.size <= IMPLAUSIBLE
+
+
+def smallest(
+    fit: Fit, marginal: Marginal, columns: Columns, candidate: Candidate, threshold: float
+) -> Smallest:
+    """Smallest size whose expected log Bayes factor reaches the threshold, noise apart.
+
+    With ``S = B'PB`` of the k prior-scaled columns, parameters drawn with a standard deviation
+    of c priors give ``E[t'(I+S)^-1 t] = c^2 tr(S (I+S)^-1 S)``; c solves
+    ``c^2 tr(S (I+S)^-1 S) / 2 - ln|I+S| / 2 = threshold``.  An effect without parameters has
+    one size: it is seen or not.
+
+    Args:
+        fit: whose rows, noise and weights count.
+        marginal: what is in the model already.
+        columns: of candidates at the fit's rows.
+        candidate: the hypothesis.
+        threshold: log Bayes factor to reach.
+    """
+    scored = score(fit, marginal, candidate, columns).log_bayes_factor
+    if candidate.slots(fit.model.arm):
+        raw = columns.of(candidate.terms)
+    else:
+        raw = np.sum([columns.shift(term) for term in candidate.terms], axis=0)[..., None]
+    b = fit.whitened(raw)
+    s = b.T @ marginal.project(b)
+    values = np.clip(np.linalg.eigvalsh((s + s.T) / 2), 0.0, None)
+    if candidate.slots(fit.model.arm):
+        gain = float((values**2 / (1.0 + values)).sum())
+        need = 2.0 * threshold + float(np.log1p(values).sum())
+        size = math.sqrt(need / gain) if gain > 1e-12 else math.inf
+    else:
+        size = 1.0 if values.sum() / 2.0 >= threshold else math.inf
+    length = float(np.sqrt((raw**2).sum((1, 2)).mean()))
+    return Smallest(candidate, scored, size, size * length if length else math.inf)
+
+
+def columns_at(fit: Fit) -> Columns:
+    """Columns of any candidate at the rows and the solution of a fit."""
+    q = [fit.session.q[:, j] for j in range(fit.session.n)]
+    return Columns(fit.model, fit.model.posture(q, fit.session.context()))
+
+
+def detectable(traced: Traced, candidates: Sequence[Candidate]) -> tuple[Smallest, ...]:
+    """`smallest` of candidates on top of everything that was found, in the order given."""
+    fit, columns = traced.fit, columns_at(traced.fit)
+    marginal = Marginal(fit.design, fit.data)
+    return tuple(smallest(fit, marginal, columns, c, traced.threshold) for c in candidates)

@@ -1,0 +1,165 @@
+"""A diagnosis as report.json and as what its page draws; the same diagnosis, the same bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from longarm_comp import __version__
+from longarm_comp.core.effects.effect import Bias
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.calibrate import Errors
+from longarm_comp.core.identify.diagnosis import Diagnosis
+from longarm_comp.core.identify.distinguish import Finding
+from longarm_comp.core.identify.trace import key
+from longarm_comp.report.candidate_states import candidate_rows, sizes
+from longarm_comp.report.detail import Detail
+from longarm_comp.report.drawing import SPLITS, detail
+from longarm_comp.report.record import SCHEMA
+
+NO_STRUCTURE: dict[str, Any] = {
+    "flag": False,
+    "p_value": None,
+    "share_explained": None,
+    "inputs": [],
+    "size_mm": None,
+}
+
+
+def assemble(
+    diagnosis: Diagnosis, data_sha256: str, facts: Mapping[str, str] | None = None
+) -> tuple[dict[str, Any], Detail]:
+    """report.json and the page's detail.
+
+    Args:
+        diagnosis: what was found.
+        data_sha256: of the rows that were given.
+        facts: further provenance for the page; ``session`` becomes its title.
+    """
+    tried = sizes(diagnosis)
+    structure, noise = diagnosis.structure, diagnosis.traced.noise
+    gain = diagnosis.proof.gain_ci95
+    report = {
+        "schema": SCHEMA,
+        "verdict": diagnosis.verdict,
+        "summary": diagnosis.summary,
+        "findings": [_finding(diagnosis, f) for f in diagnosis.findings],
+        "candidates": candidate_rows(diagnosis, tried),
+        "structure_left": {
+            "flag": structure.flag,
+            "p_value": structure.p_value,
+            "share_explained": structure.share_explained,
+            "inputs": list(structure.inputs),
+            "size_mm": 1e3 * structure.size_m,
+        },
+        "noise": {
+            "sigma_mm": [1e3 * float(s) for s in noise.sigma],
+            "source": noise.source,
+            "rho": float(noise.rho),
+        },
+        "held_out": {
+            "n": len(diagnosis.held_out),
+            "rows": [
+                _error_row(name, errors, noise.sigma)
+                for name, errors in diagnosis.proof.rows.items()
+                if name != "with_network" or diagnosis.network is not None
+            ],
+            "before_after_ci95_mm": None if gain is None else [1e3 * g for g in gain],
+        },
+        "next_poses": [
+            [float(v) for v in q]
+            for by in diagnosis.split_by
+            if by.log_bayes_factor >= SPLITS
+            for q in by.q
+        ],
+        "outliers": _outliers(diagnosis),
+        "provenance": _provenance(diagnosis.seed, data_sha256, len(diagnosis.holdout_uses)),
+    }
+    return report, detail(diagnosis, tried, facts or {})
+
+
+def refused(
+    error: InputError, seed: int, title: str, data_sha256: str = ""
+) -> tuple[dict[str, Any], Detail]:
+    """The report of data that were not admitted."""
+    report = {
+        "schema": SCHEMA,
+        "verdict": "bad_data",
+        "summary": str(error),
+        "findings": [],
+        "candidates": [],
+        "structure_left": NO_STRUCTURE,
+        "noise": {"sigma_mm": None, "source": None, "rho": None},
+        "held_out": {"n": 0, "rows": [], "before_after_ci95_mm": None},
+        "next_poses": [],
+        "outliers": [],
+        "provenance": _provenance(seed, data_sha256, 0),
+    }
+    return report, Detail(title=title)
+
+
+def _provenance(seed: int, data_sha256: str, uses: int) -> dict[str, Any]:
+    return {
+        "seed": seed,
+        "data_sha256": data_sha256,
+        "version": __version__,
+        "holdout_uses": uses,
+    }
+
+
+def _finding(diagnosis: Diagnosis, found: Finding) -> dict[str, Any]:
+    places = {key(t) for t in found.terms}
+    parameters = []
+    for k, slot in enumerate(diagnosis.fit.slots):
+        if key(slot.owner) not in places:
+            continue
+        interval = diagnosis.confirmed.intervals[k]
+        parameters.append(
+            {
+                "name": slot.parameter.name,
+                "where": slot.owner.where,
+                "value": interval.value,
+                "unit": slot.parameter.unit,
+                "ci95": [interval.low, interval.high],
+                "prior_scale": slot.parameter.prior,
+            }
+        )
+    runner = found.runner_up
+    return {
+        "effect": found.name,
+        "set": list(found.names),
+        "where": list(found.where),
+        "log_bayes_factor": found.log_bayes_factor,
+        "parameters": parameters,
+        "runner_up": None
+        if runner is None
+        else {"effect": runner.candidate.name, "log_bayes_factor": runner.log_bayes_factor},
+        "compensated": not any(isinstance(t, Bias) for t in found.terms),
+    }
+
+
+def _error_row(name: str, errors: Errors, sigma: np.ndarray) -> dict[str, Any]:
+    floor = float((sigma**2).sum())
+    return {
+        "model": name,
+        "mean_mm": 1e3 * errors.mean,
+        "rms_mm": 1e3 * errors.rms,
+        "p95_mm": 1e3 * errors.p95,
+        "max_mm": 1e3 * errors.max,
+        "mean_abs_z_mm": 1e3 * errors.mean_abs_z,
+        "variance_mm2": 1e6 * errors.variance,
+        "excess_mm": 1e3 * float(np.sqrt(max(0.0, errors.rms**2 - floor))),
+    }
+
+
+def _outliers(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+    fit = diagnosis.fit
+    made = []
+    for row in fit.outliers:
+        length = float(np.linalg.norm(fit.residual[row]))
+        ratio = float(np.max(np.abs(fit.residual[row]) / fit.sigma))
+        why = f"{1e3 * length:.1f} mm off, {ratio:.0f} standard deviations on its worst axis"
+        made.append({"index": int(fit.session.index[row]), "why": why})
+    return made

@@ -1,0 +1,177 @@
+"""What the page draws of a diagnosis: rows, correlations, smallest sizes, splits, checks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from longarm_comp.core.dataset import Session
+from longarm_comp.core.identify.candidates import Term
+from longarm_comp.core.identify.confirm import RESAMPLES
+from longarm_comp.core.identify.detectable import Smallest
+from longarm_comp.core.identify.diagnosis import Diagnosis
+from longarm_comp.core.identify.next_poses import NextPoses
+from longarm_comp.core.identify.trace import key
+from longarm_comp.core.outline import outline
+from longarm_comp.report.candidate_states import best_forms
+from longarm_comp.report.detail import (
+    Check,
+    Correlation,
+    Detail,
+    Detectable,
+    Input,
+    Rows,
+    SetSplit,
+    SplitPose,
+)
+
+ARMS = 6
+"""Arms drawn in the scene."""
+GUILTY = 4
+"""Inputs plotted against the residual at most."""
+SPLITS = 3.0
+"""Expected log odds from which poses are worth measuring."""
+UNITS = {"temperature_c": "°C", "payload_kg": "kg", "t_s": "s"}
+
+
+def detail(diagnosis: Diagnosis, tried: Sequence[Smallest], facts: Mapping[str, str]) -> Detail:
+    """Everything that report.html shows beyond report.json."""
+    arm = diagnosis.arm
+    units = tuple("m" if arm.joints[r - 1].type == "prismatic" else "rad" for r in arm.commanded)
+    rows = _rows(diagnosis, units)
+    return Detail(
+        title=f"{diagnosis.arm.name}: {facts.get('session', 'session')}",
+        joints=tuple(arm.joint_names),
+        joint_units=units,
+        held_out=rows,
+        after="with_network" if diagnosis.network is not None else "with_effects",
+        guilty=_guilty(diagnosis, rows),
+        correlation=_correlation(diagnosis),
+        detectable=_detectable(diagnosis, tried),
+        splits=tuple(split(diagnosis, s) for s in diagnosis.split_by),
+        checks=_checks(diagnosis),
+        provenance=facts,
+    )
+
+
+def _rows(diagnosis: Diagnosis, units: Sequence[str]) -> Rows:
+    held = diagnosis.held_out
+    shown = np.unique(np.linspace(0, len(held) - 1, min(ARMS, len(held))).astype(int))
+    context = held.context()
+    model = diagnosis.model
+    stages = dict(diagnosis.proof.errors)
+    if diagnosis.network is None:
+        stages.pop("with_network", None)
+    return Rows(
+        held.index,
+        held.xyz,
+        stages,
+        inputs(held, units),
+        tuple(outline(model, held.q[k], context.take(int(k))) for k in shown),
+    )
+
+
+def inputs(session: Session, units: Sequence[str]) -> tuple[Input, ...]:
+    """Joints, mean approach side and way, and every recorded column that varies."""
+    made = [Input(f"q{j + 1}", unit, session.q[:, j]) for j, unit in enumerate(units)]
+    if session.approach.any():
+        made.append(Input("approach", "", session.approach.mean(axis=1)))
+    made += [Input(k, UNITS.get(k, ""), v) for k, v in session.columns.items() if np.ptp(v) > 0]
+    return tuple(made)
+
+
+def _guilty(diagnosis: Diagnosis, rows: Rows) -> tuple[str, ...]:
+    """Inputs that the findings sit at or need, then those that the structure left depends on."""
+    commanded = list(diagnosis.arm.commanded)
+    names: list[str] = []
+    for found in diagnosis.findings:
+        largest = sorted(found.terms, key=lambda t: -_size(diagnosis, t))
+        for term in largest[:2]:
+            joint = term.placement.get("joint")
+            if joint in commanded:
+                names.append(f"q{commanded.index(joint) + 1}")
+        names += found.terms[0].needs
+    names += diagnosis.structure.inputs
+    known = [name for name in dict.fromkeys(names) if rows.input(name) is not None]
+    return tuple(known[:GUILTY])
+
+
+def _size(diagnosis: Diagnosis, term: Term) -> float:
+    """Largest parameter in its prior standard deviations."""
+    parameters = term.parameters(diagnosis.arm)
+    return max((abs(getattr(term, p.name)) / p.prior for p in parameters if p.prior > 0), default=0)
+
+
+def _correlation(diagnosis: Diagnosis) -> Correlation | None:
+    found = {key(t) for f in diagnosis.findings for t in f.terms}
+    fit = diagnosis.fit
+    own = [k for k, s in enumerate(fit.slots) if key(s.owner) in found]
+    rest = [k for k, s in enumerate(fit.slots) if s.owner.geometry]
+    if not own or not rest:
+        return None
+    sd = fit.standard_errors
+    matrix = fit.covariance[np.ix_(own, rest)] / np.outer(sd[own], sd[rest])
+    labels = [f"{s.owner.name} {s.owner.where} {s.parameter.name}" for s in fit.slots]
+    return Correlation(
+        tuple(labels[k] for k in own),
+        tuple(labels[k] for k in rest),
+        np.clip(matrix, -1.0, 1.0),
+    )
+
+
+def _detectable(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> tuple[Detectable, ...]:
+    """One line per effect and place; families are left to their places."""
+    made = []
+    for (name, place), one in sorted(best_forms(tried).items()):
+        slots = one.candidate.slots(diagnosis.arm)
+        if len(one.candidate.terms) > 1 or not slots:
+            continue
+        p = slots[0].parameter
+        seen = np.isfinite(one.size)
+        made.append(
+            Detectable(
+                name,
+                place,
+                p.name,
+                one.size * p.prior if seen else None,
+                p.unit,
+                1e3 * one.shift_m if seen else None,
+            )
+        )
+    return tuple(made)
+
+
+def split(diagnosis: Diagnosis, by: NextPoses) -> SetSplit:
+    """A set with its splitting poses; without any where no pose would tell."""
+    found = next(f for f in diagnosis.findings if f.name == by.between[0])
+    pair = f"{by.between[0]} and {by.between[1]}"
+    if by.log_bayes_factor < SPLITS:
+        reason = f"No pose tells {pair} apart: expected log odds {by.log_bayes_factor:.1f}."
+        return SetSplit(found.names, reason, (), by.log_bayes_factor)
+    poses = tuple(
+        SplitPose(tuple(map(float, q)), int(side))
+        for q, side in zip(by.q, by.approach, strict=True)
+    )
+    reason = f"These poses do not tell {pair} apart."
+    return SetSplit(found.names, reason, poses, by.log_bayes_factor)
+
+
+def _checks(diagnosis: Diagnosis) -> tuple[Check, ...]:
+    made = []
+    for found in diagnosis.findings:
+        share = diagnosis.confirmed.stable[found.name]
+        made.append(
+            Check(
+                f"{found.name}: block bootstrap, {RESAMPLES} draws",
+                share >= 0.95,
+                f"its evidence holds in {100 * share:.0f} %",
+            )
+        )
+        notes = diagnosis.confirmed.notes[found.name]
+        others = [n for n in notes if "resampled sessions" not in n]
+        made += [Check(f"{found.name}: doubt", False, note) for note in others]
+        if not others:
+            name = f"{found.name}: noise × 1.5, priors × 5 and / 5, size"
+            made.append(Check(name, True, "it would be found all the same"))
+    return tuple(made)
