@@ -12,6 +12,7 @@ NODES = ["error_predictor", "kinematics", "servo_driver", "simulated_arm", "ster
 RUNTIME = [
     "click>=8.1",
     "jinja2>=3.1",
+    "joblib>=1.4",
     "matplotlib>=3.8",
     "numpy>=1.26",
     "opencv-python-headless>=4.10",
@@ -28,6 +29,7 @@ RUNTIME = [
 ]
 
 EXTRAS = {
+    "cluster": ["dask[distributed]>=2024.1"],
     "fast": ["llvmlite>=0.42", "numba>=0.59"],
     "dev": [
         "PyNiteFEA",

@@ -1,0 +1,178 @@
+"""What the loop study measures: which effect, on which arm, in which data."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.effects.catalogue import LIBRARY
+from longarm_comp.core.errors import InputError
+from longarm_comp.sim.hidden.catalogue import OUTSIDE_EVERY_LIBRARY
+
+NAMES = tuple(kind.name for kind in LIBRARY)
+GROUPS = ("none", "single", "pair", "removed", "outside")
+
+
+@dataclass(frozen=True)
+class Spoiled:
+    """How measuring goes wrong.
+
+    Attributes:
+        outliers: share of gross errors.
+        rho: correlation of the noise from row to row.
+        tail_dof: of Student's t; None is normal.
+        geometry: times the usual geometry errors (joint zeros, DH rows, base).
+    """
+
+    outliers: float = 0.02
+    rho: float = 0.0
+    tail_dof: float | None = None
+    geometry: float = 1.0
+
+
+SPOILED: dict[str, Spoiled] = {
+    "usual": Spoiled(),
+    "clean": Spoiled(outliers=0.0, geometry=0.0),
+    "outliers": Spoiled(outliers=0.12),
+    "heavy_tails": Spoiled(tail_dof=3.0),
+    "correlated": Spoiled(rho=0.9),
+    "geometry": Spoiled(geometry=3.0),
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One data set to diagnose; its `id` names it and seeds everything random in it.
+
+    Attributes:
+        group: none, single, pair, removed (the true effects are not in the library) or outside.
+        effects: canonical names of what is hidden.
+        one_place: the effect sits at one joint or beam only, where it has several.
+        spoiled: key of `SPOILED`.
+        plan: ``grid`` (the paper's) or ``sobol``.
+        rows: measured for fitting; the hold-out comes on top.
+        noise: times the usual noise of a stereo head (0.22 mm across, 0.36 mm in depth).
+        arm: 0 is the declared arm, others are random ones like it.
+        number: tells repetitions apart.
+    """
+
+    group: str
+    effects: tuple[str, ...]
+    one_place: bool
+    spoiled: str
+    plan: str
+    rows: int
+    noise: float
+    arm: int
+    number: int
+
+    @property
+    def id(self) -> str:
+        """``single/backlash/one/usual/grid/300/1/arm2/0``."""
+        place = "one" if self.one_place else "all"
+        return "/".join(
+            (
+                self.group,
+                "+".join(self.effects) or "-",
+                place,
+                self.spoiled,
+                self.plan,
+                str(self.rows),
+                f"{self.noise:g}",
+                f"arm{self.arm}",
+                str(self.number),
+            )
+        )
+
+    @property
+    def rng(self) -> np.random.Generator:
+        """A generator that belongs to this case alone."""
+        return np.random.default_rng(list(hashlib.sha256(self.id.encode()).digest()))
+
+    def as_dict(self) -> dict[str, object]:
+        """For a JSON line."""
+        return {**dataclasses.asdict(self), "effects": list(self.effects), "id": self.id}
+
+
+@dataclass(frozen=True)
+class Design:
+    """Which cases: every combination of the lists, `repeats` times.
+
+    Raises:
+        InputError: an unknown group, effect or plan, or too few rows.
+    """
+
+    groups: Sequence[str] = GROUPS
+    effects: Sequence[str] = NAMES
+    plans: Sequence[str] = ("grid",)
+    rows: Sequence[int] = (300, 60)
+    noises: Sequence[float] = (1.0,)
+    arms: int = 3
+    repeats: int = 2
+    pairs: int = 20
+
+    def __post_init__(self) -> None:
+        known: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
+            "groups": (self.groups, GROUPS),
+            "effects": (self.effects, NAMES),
+            "plans": (self.plans, ("grid", "sobol")),
+        }
+        for name, (given, allowed) in known.items():
+            for value in given:
+                if value not in allowed:
+                    raise InputError("study loop", name, value, ", ".join(allowed))
+        if min(self.rows) < 30:
+            raise InputError("study loop", "rows", min(self.rows), "at least 30")
+        for name in ("arms", "repeats"):
+            if getattr(self, name) < 1:
+                raise InputError("study loop", name, getattr(self, name), "at least 1")
+
+    def cases(self) -> list[Case]:
+        """All of them, the repetitions outermost, so that a part of them is a fair sample."""
+        made = []
+        for number, arm in itertools.product(range(self.repeats), range(self.arms)):
+            for plan, rows, noise in itertools.product(self.plans, self.rows, self.noises):
+                for group in self.groups:
+                    for effects, spoiled in _MENUS[group](self, number * self.arms + arm):
+                        odd = (number + arm) % 2 == 1
+                        made.append(
+                            Case(group, effects, odd, spoiled, plan, rows, noise, arm, number)
+                        )
+        return made
+
+
+Menu = Iterator[tuple[tuple[str, ...], str]]
+
+
+def _none(design: Design, turn: int) -> Menu:
+    return (((), name) for name in SPOILED)
+
+
+def _single(design: Design, turn: int) -> Menu:
+    return (((name,), "usual") for name in design.effects)
+
+
+def _pair(design: Design, turn: int) -> Menu:
+    """Other pairs on every arm; in the end all of them."""
+    every = list(itertools.combinations(design.effects, 2))
+    order = np.random.default_rng(len(every)).permutation(len(every))
+    taken = [(turn * design.pairs + k) % len(every) for k in range(min(design.pairs, len(every)))]
+    return ((every[order[k]], "usual") for k in taken)
+
+
+def _outside(design: Design, turn: int) -> Menu:
+    return (((name,), "usual") for name in OUTSIDE_EVERY_LIBRARY)
+
+
+_MENUS = {
+    "none": _none,
+    "single": _single,
+    "pair": _pair,
+    "removed": _single,
+    "outside": _outside,
+}

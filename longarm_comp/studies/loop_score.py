@@ -1,0 +1,234 @@
+"""A diagnosis judged by the truth: right, honest, dangerous."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from longarm_comp.core.dataset import Session
+from longarm_comp.core.effects.catalogue import BY_NAME, LIBRARY
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.identify.calibrate import declared_model
+from longarm_comp.core.identify.candidates import Term, library
+from longarm_comp.core.identify.diagnosis import Diagnosis
+from longarm_comp.core.identify.distinguish import Finding
+from longarm_comp.core.identify.fit import Fit, fit, geometry
+from longarm_comp.core.identify.trace import Score
+from longarm_comp.core.model import Model
+from longarm_comp.studies.loop_setting import Setting
+from longarm_comp.studies.loop_truth import places, values
+
+ALIKE = 10.0
+"""Loss in noise-free log likelihood below which another explanation counts as a true twin.
+
+With noise the log likelihood of such a pair differs by 10 +- 4.5: within the 3 that the
+diagnosis calls undecided about once in twenty times.
+"""
+SHOWN = 4
+
+
+def score(setting: Setting, found: Diagnosis) -> dict[str, Any]:
+    """Everything that the tables count, as plain JSON; lengths in mm."""
+    true = set(setting.case.effects)
+    names = [set(f.names) for f in found.findings]
+    best = true_fit(setting) if _knowable(setting) else None
+    errors = _errors(setting, found, best)
+    covered = all(any(t in n for n in names) for t in true)
+    sets = [f for f in found.findings if f.alternatives]
+    named_wrong = [f.name for f in found.findings if not f.alternatives and f.name not in true]
+    made: dict[str, Any] = {
+        "verdict": found.verdict,
+        "visible": [round(v, 3) for v in setting.visible],
+        "found": [list(f.names) for f in found.findings],
+        "where": [list(f.where) for f in found.findings],
+        "covered": covered,
+        "exact": covered and not sets and len(names) == len(true),
+        "minimal": covered and len(names) == len(true) and _minimal(setting, sets, best),
+        "extra": sum(not n & true for n in names),
+        "wrong_name": named_wrong,
+        "wrong_single": bool(named_wrong) and found.verdict == "named",
+        "located": _located(setting, found),
+        "flag": found.structure.flag,
+        "structure": {
+            "p": found.structure.p_value,
+            "inputs": list(found.structure.inputs),
+            "size_mm": 1e3 * found.structure.size_m,
+            "share": found.structure.share_explained,
+        },
+        "rolled_back": found.rolled_back,
+        "noise_mm": (1e3 * found.traced.noise.sigma).round(4).tolist(),
+        "rho": found.traced.noise.rho,
+        "intervals": _intervals(setting, found),
+        "errors_mm": errors,
+        "first": _table(found.traced.first),
+        "last": _table(found.traced.last),
+        "threshold": found.traced.threshold,
+    }
+    made["dangerous"] = bool(
+        found.verdict == "named"
+        and named_wrong
+        and np.hypot(errors["with_effects"], errors["floor"]) > 2 * errors["floor"]
+    )
+    return made
+
+
+def true_fit(setting: Setting, session: Session | None = None) -> Fit:
+    """The model that holds exactly the hidden effects, in their best form, fitted.
+
+    Args:
+        setting: what is hidden.
+        session: rows; the training rows by default.
+
+    Raises:
+        InputError: an effect is in no library.
+    """
+    return _best(setting, [_forms(setting, name) for name in setting.case.effects], session)
+
+
+def _best(
+    setting: Setting, menus: Sequence[list[tuple[Term, ...]]], session: Session | None = None
+) -> Fit:
+    """The likeliest of the combinations of one form per effect."""
+    rows = setting.train if session is None else session
+    base = declared_model(setting.arm)
+    base = base.plus(*geometry(setting.arm, rows))
+    fits = []
+    for forms in itertools.product(*menus):
+        model = base.plus(*(t for form in forms for t in form))
+        fits.append(fit(model, rows, sigma=setting.sigma, robust=session is None))
+    return min(fits, key=_misfit)
+
+
+def _misfit(fitted: Fit) -> float:
+    white = fitted.whitened(fitted.residual[..., None])
+    return float((white**2).sum() / 2) + 0.5 * 4.2**2 * float((fitted.weights == 0).sum())
+
+
+def _forms(setting: Setting, name: str) -> list[tuple[Term, ...]]:
+    """Each form of an effect, at all of its places."""
+    known = library(setting.arm, setting.train.context(), (BY_NAME[name],))
+    most = max(len(c.terms) for c in known.testable)
+    return [c.terms for c in known.testable if len(c.terms) == most]
+
+
+def _knowable(setting: Setting) -> bool:
+    kinds = {kind.name for kind in LIBRARY}
+    return all(name in kinds for name in setting.case.effects)
+
+
+def _errors(setting: Setting, found: Diagnosis, best: Fit | None) -> dict[str, float]:
+    """RMS 3-D errors against the noise-free truth on fresh poses off the grid, and the noise."""
+    models: dict[str, Model] = dict(found.models)
+    if best is not None:
+        models["true_effects"] = best.model
+    made = {
+        name: _rms(setting.clean_held_out, model, setting.held_out)
+        for name, model in models.items()
+    }
+    for name in ("with_effects", "true_effects"):
+        if name in models:
+            made[f"{name}_train"] = _rms(setting.clean_train, models[name], setting.train)
+    made["floor"] = 1e3 * float(np.sqrt((setting.sigma**2).sum()))
+    return made
+
+
+def _rms(clean: np.ndarray, model: Model, session: Session) -> float:
+    error = clean - model.measured(session.q, session.context())
+    return 1e3 * float(np.sqrt((error**2).sum(axis=1).mean()))
+
+
+def _minimal(setting: Setting, sets: Sequence[Finding], best: Fit | None) -> bool:
+    """Whether no member of any set could be told from the truth with these rows."""
+    if not sets or best is None:
+        return best is not None
+    clean = _clean(setting)
+    least = _misfit(true_fit(setting, clean))
+    true = setting.case.effects
+    for found in sets:
+        own = next((t for t in true if t in found.names), None)
+        if own is None:
+            return False
+        rest = [_forms(setting, t) for t in true if t != own]
+        for name in found.names:
+            if name != own:
+                other = _best(setting, [*rest, _forms(setting, name)], clean)
+                if _misfit(other) - least > ALIKE:
+                    return False
+    return True
+
+
+def _clean(setting: Setting) -> Session:
+    """The training rows as they would be without noise and outliers."""
+    t = setting.train
+    return Session(
+        t.index, t.q, setting.clean_train, t.approach, t.repeat_id, None, t.columns, t.labels,
+        t.source, t.travel,
+    )  # fmt: skip
+
+
+def _located(setting: Setting, found: Diagnosis) -> bool | None:
+    """Whether the strongest place of what covers an effect at one place is the true one."""
+    if not setting.case.one_place:
+        return None
+    answers = []
+    for effect in setting.effects:
+        where = places(effect, setting.arm)
+        mine = [f for f in found.findings if effect.name in f.names]
+        if len(where) == 1 and mine:
+            answers.append(bool(_said(found, mine[0], effect.name) & where))
+    return all(answers) if answers else None
+
+
+def _said(found: Diagnosis, finding: Finding, name: str) -> set[str]:
+    """Where a finding has an effect: its own strongest place, or the alternative's places."""
+    if finding.name == name:
+        return {_strongest(found, finding.terms)}
+    return {w for a in finding.alternatives if a.candidate.name == name for w in a.candidate.where}
+
+
+def _strongest(found: Diagnosis, terms: tuple[Effect | Bias, ...]) -> str:
+    """Where the largest shift of the tip comes from."""
+    fitted = found.traced.fit
+    sizes: dict[str, float] = {}
+    mine = {(t.name, t.where) for t in terms}
+    shifts: dict[str, np.ndarray] = {}
+    for k, slot in enumerate(fitted.slots):
+        if (slot.owner.name, slot.owner.where) in mine:
+            part = fitted.columns[..., k] * fitted.model.values[k]
+            shifts[slot.owner.where] = shifts.get(slot.owner.where, 0.0) + part
+    for where, shift in shifts.items():
+        sizes[where] = float(((shift - shift.mean(axis=0)) ** 2).sum())
+    return max(sizes, key=lambda w: sizes[w]) if sizes else terms[0].where
+
+
+def _intervals(setting: Setting, found: Diagnosis) -> list[dict[str, Any]]:
+    """True value and 95 % interval of every found parameter that the simulator has too."""
+    made = []
+    for effect in setting.effects:
+        true = values(effect, setting.arm)
+        if not any(f.name == effect.name for f in found.findings):
+            continue
+        for k, slot in enumerate(found.fit.slots):
+            key = slot.owner.where, slot.parameter.name
+            if slot.owner.name == effect.name and key in true:
+                i = found.confirmed.intervals[k]
+                made.append(
+                    {
+                        "of": f"{effect.name} {key[0]} {key[1]}",
+                        "true": true[key],
+                        "value": i.value,
+                        "low": i.low,
+                        "high": i.high,
+                    }
+                )
+    return made
+
+
+def _table(scores: Sequence[Score]) -> list[list[Any]]:
+    return [
+        [s.candidate.label, round(s.log_bayes_factor, 2), round(s.fit_gain, 2)]
+        for s in scores[:SHOWN]
+    ]

@@ -1,0 +1,161 @@
+"""The loop study in figures: shares with Wilson intervals, by group, plan and sample size."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+Line = Mapping[str, Any]
+Row = dict[str, Any]
+
+Z95 = 1.959963984540054
+WORSE = 1.1
+"""A found model may err by so many times the true model's own fit."""
+
+
+def wilson(hits: int, count: int) -> tuple[float, float]:
+    """95 % interval of a share (Wilson 1927); 0 to 1 where nothing was counted."""
+    if count == 0:
+        return 0.0, 1.0
+    p, z2 = hits / count, Z95**2 / count
+    centre = (p + z2 / 2) / (1 + z2)
+    half = Z95 * math.sqrt(p * (1 - p) / count + z2 / (4 * count)) / (1 + z2)
+    return max(0.0, centre - half), min(1.0, centre + half)
+
+
+def share(of: str, measure: str, answers: Iterable[bool | None]) -> Row | None:
+    """One row; answers that are None do not count.  None where nothing counts."""
+    counted = [bool(a) for a in answers if a is not None]
+    if not counted:
+        return None
+    low, high = wilson(sum(counted), len(counted))
+    return {
+        "of": of,
+        "measure": measure,
+        "share": sum(counted) / len(counted),
+        "low": low,
+        "high": high,
+        "hits": sum(counted),
+        "n": len(counted),
+    }
+
+
+def _visible(line: Line) -> bool:
+    return min(line["result"]["visible"], default=1.0) >= 1.0
+
+
+def _ratio(line: Line, which: str = "") -> float | None:
+    errors = line["result"]["errors_mm"]
+    true = errors.get(f"true_effects{which}")
+    return None if true is None else errors[f"with_effects{which}"] / true
+
+
+def _within(line: Line, which: str = "") -> bool | None:
+    ratio = _ratio(line, which)
+    return None if ratio is None else ratio <= WORSE
+
+
+def _flagged(line: Line) -> bool:
+    r = line["result"]
+    return r["flag"] or r["verdict"] in ("unknown", "partly", "set") or r["rolled_back"]
+
+
+Measure = tuple[str, Callable[[Line], "bool | None"]]
+
+_ADDED: Measure = ("adds an effect", lambda x: bool(x["result"]["found"]))
+_STRUCTURE: Measure = ("claims structure", lambda x: x["result"]["flag"])
+_DANGEROUS: Measure = ("dangerous verdict", lambda x: x["result"]["dangerous"])
+_WRONG: Measure = ("wrong single name", lambda x: x["result"]["wrong_single"])
+_NAMING: tuple[Measure, ...] = (
+    ("right name, or a set with it", lambda x: x["result"]["covered"]),
+    ("exact name", lambda x: x["result"]["exact"]),
+    ("exact name or minimal set", lambda x: x["result"]["minimal"]),
+    _WRONG,
+    ("any wrong name beside", lambda x: bool(x["result"]["wrong_name"])),
+    ("an effect too many", lambda x: x["result"]["extra"] > 0),
+    ("says noise", lambda x: x["result"]["verdict"] == "noise"),
+    ("claims structure beside", lambda x: x["result"]["flag"]),
+    ("place found", lambda x: x["result"]["located"]),
+    ("held-out error <= 1.1 of the true model's", _within),
+    ("the same on the fitted poses", lambda x: _within(x, "_train")),
+    _DANGEROUS,
+)
+_OTHER: tuple[Measure, ...] = (
+    ("flagged: set, partly, unknown or rolled back", _flagged),
+    _WRONG,
+    _DANGEROUS,
+)
+_MEASURES: dict[str, tuple[Measure, ...]] = {
+    "none": (_ADDED, _STRUCTURE, _DANGEROUS),
+    "single": _NAMING,
+    "pair": _NAMING,
+    "removed": _OTHER,
+    "outside": _OTHER,
+}
+
+
+def summary(lines: Sequence[Line]) -> list[Row]:
+    """All shares, and the medians of the error ratios, of the cases that ran."""
+    rows: list[Row | None] = []
+    kinds: dict[tuple[str, str, int, bool], list[Line]] = {}
+    for line in _ran(lines):
+        case = line["case"]
+        kind = case["group"], case["plan"], case["rows"], _visible(line)
+        kinds.setdefault(kind, []).append(line)
+    for (group, plan, count, seen), mine in sorted(kinds.items(), key=_order):
+        of = f"{group}, {plan} {count}" + ("" if seen else ", not visible")
+        rows += [share(of, name, map(ask, mine)) for name, ask in _MEASURES[group]]
+        rows.append(share(of, "95 % interval holds the true value", _held(mine)))
+    return [row for row in rows if row is not None]
+
+
+def by_effect(lines: Sequence[Line]) -> list[Row]:
+    """Visible single effects: one row per effect, plan and sample size."""
+    kinds: dict[tuple[str, str, int], list[Line]] = {}
+    for line in _ran(lines):
+        case = line["case"]
+        if case["group"] == "single" and _visible(line):
+            kinds.setdefault((case["effects"][0], case["plan"], case["rows"]), []).append(line)
+    made = []
+    for (name, plan, count), mine in sorted(kinds.items(), key=lambda k: (k[0][1:], k[0][0])):
+        results = [x["result"] for x in mine]
+        ratios = [r for r in map(_ratio, mine) if r is not None]
+        made.append(
+            {
+                "effect": name,
+                "data": f"{plan} {count}",
+                "n": len(mine),
+                "in set": sum(r["covered"] for r in results),
+                "exact": sum(r["exact"] for r in results),
+                "minimal": sum(r["minimal"] for r in results),
+                "wrong": sum(r["wrong_single"] for r in results),
+                "extra": sum(r["extra"] > 0 for r in results),
+                "flag": sum(r["flag"] for r in results),
+                "off-grid ratio": float(np.median(ratios)),
+            }
+        )
+    return made
+
+
+def failures(lines: Sequence[Line]) -> list[str]:
+    """One line per case that broke off."""
+    return [f"{x['case']['id']}: {x['error']}" for x in lines if "error" in x]
+
+
+def _ran(lines: Sequence[Line]) -> list[Line]:
+    return [x for x in lines if "result" in x]
+
+
+def _held(lines: Sequence[Line]) -> list[bool]:
+    return [i["low"] <= i["true"] <= i["high"] for x in lines for i in x["result"]["intervals"]]
+
+
+_GROUPS = list(_MEASURES)
+
+
+def _order(item: tuple[tuple[str, str, int, bool], list[Line]]) -> tuple[int, str, int, bool]:
+    group, plan, count, seen = item[0]
+    return _GROUPS.index(group), plan, -count, not seen
