@@ -12,13 +12,17 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nodes_bench import Bench, bench
+from sensor_msgs.msg import Imu, Temperature
 from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core import quaternion
 from longarm_comp.core.arm import Arm
+from longarm_comp.core.context import Context
 from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.modelfile import save_model, store
 from longarm_comp.nodes import interfaces as graph
@@ -157,3 +161,54 @@ def test_a_new_model_is_taken_up_without_a_restart(
     assert str(path) in answer.message
     kept = stage.call(client, request(target, arm))
     np.testing.assert_allclose(kept.ideal.position, after.ideal.position, atol=1e-9)
+
+
+def test_what_the_model_needs_must_be_told_and_nonsense_is_only_counted(
+    stage: Bench, arm: Arm, demo_arm_path: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "model.yaml"
+    warm = declared_model(arm).plus(ThermalGrowth(8e-5))
+    save_model(path, store(warm))
+    files = {"arm": demo_arm_path, "model": path}
+    node = stage.start("kinematics", {**files, "diagnostics_period_s": 0.1})
+    client = graph.COMPENSATE.client(stage.node)
+    stories = stage.collect(graph.COMPENSATION)
+    diagnostics = stage.collect(graph.DIAGNOSTICS)
+    target = warm.pose(arm.mid, Context(columns={"temperature_c": 40.0}))
+    answer = stage.call(client, request(target, arm))
+    assert answer.status == Compensate.Response.STALE_CONTEXT
+    assert "temperature_c was never told" in answer.message
+
+    topics = (graph.JOINT_STATES, graph.JOINT_TRAJECTORY, graph.TEMPERATURE, graph.INCLINATION)
+    joints, trajectories, temperatures, tilts = (t.publisher(stage.node) for t in topics)
+    tips = graph.TIP_MEASURED.publisher(stage.node)
+    for publisher in (joints, trajectories, temperatures, tilts, tips):
+        stage.connected(publisher)
+    nonsense = joints_message(arm, np.full(arm.n, math.nan))
+    lonely = joints_message(arm, arm.mid)
+    lonely.name = lonely.name[:1]
+
+    def all_counted() -> bool:
+        """Best effort: sent until each has been heard."""
+        joints.publish(nonsense)
+        joints.publish(lonely)
+        trajectories.publish(JointTrajectory(joint_names=["elbow"]))
+        temperatures.publish(Temperature(temperature=math.nan))
+        tilts.publish(Imu(orientation_covariance=[-1.0] + [0.0] * 8))
+        tips.publish(PoseWithCovarianceStamped())
+        facts = {
+            value.key for array in diagnostics for status in array.status for value in status.values
+        }
+        return {f"bad {topic.name}" for topic in topics} <= facts
+
+    stage.spin(all_counted)
+
+    def told() -> bool:
+        temperatures.publish(Temperature(temperature=40.0))
+        answer = stage.call(client, request(target, arm))
+        return answer.status == Compensate.Response.NO_PREDICTOR
+
+    stage.spin(told)
+    stage.spin(lambda: stories and stories[-1].temperature_c == 40.0)
+    np.testing.assert_allclose(stories[-1].ideal.position, arm.mid, atol=1e-3)
+    assert node.poll() is None

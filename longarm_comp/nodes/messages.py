@@ -163,8 +163,11 @@ def tilt_of(message: Imu) -> tuple[str, dict[str, float]]:
     """Row that the sensor sits on and the columns of its tilt (rad), as sessions name them.
 
     Raises:
-        InputError: the orientation is not a unit quaternion.
+        InputError: the sensor gives no orientation, or no unit quaternion.
     """
+    if message.orientation_covariance[0] < 0:
+        where = "orientation_covariance[0]"
+        raise InputError("inclination", where, "-1: no orientation", "a sensor that gives one")
     o = message.orientation
     turn = np.array([o.x, o.y, o.z, o.w])
     if not quaternion.is_unit(turn):
