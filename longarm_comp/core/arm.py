@@ -12,28 +12,20 @@ import json
 import math
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 import numpy as np
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
-from longarm_comp.core.errors import InputError
+from longarm_comp.core.declared import Declared, Misdeclared, parse_declared, read_yaml
 from longarm_comp.core.spatial import Frame, rpy_frame
 
 Vec3 = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
-T = TypeVar("T", bound=BaseModel)
 NonNegative = Annotated[float, Field(ge=0)]
 
 
-class _Declared(BaseModel):
-    """Frozen; unknown keys and non-finite numbers are errors."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Pose(_Declared):
+class Pose(Declared):
     """A fixed placement: translation (m) and fixed-axis roll, pitch, yaw (deg)."""
 
     xyz_m: Vec3 = (0.0, 0.0, 0.0)
@@ -44,7 +36,7 @@ class Pose(_Declared):
         return rpy_frame(self.xyz_m, tuple(map(math.radians, self.rpy_deg)))  # type: ignore[arg-type]
 
 
-class Tip(_Declared):
+class Tip(Declared):
     """The point (and orientation) that is commanded and measured."""
 
     frame: int = Field(description="row whose frame carries the tip")
@@ -56,7 +48,7 @@ class Tip(_Declared):
         return rpy_frame(self.position_m, tuple(map(math.radians, self.rpy_deg)))  # type: ignore[arg-type]
 
 
-class Mimic(_Declared):
+class Mimic(Declared):
     """URDF's mimic: this joint's value is ``multiplier * joint + offset``."""
 
     joint: int | str = Field(description="id or name of the commanded joint")
@@ -64,7 +56,7 @@ class Mimic(_Declared):
     offset: float = Field(default=0.0, description="rad or m")
 
 
-class Tolerance(_Declared):
+class Tolerance(Declared):
     """Prior standard deviations of a row's geometry, from the drawing or the print."""
 
     a_m: Positive | None = None
@@ -73,7 +65,7 @@ class Tolerance(_Declared):
     theta_deg: Positive | None = None
 
 
-class Joint(_Declared):
+class Joint(Declared):
     """One row of the chain."""
 
     id: int = Field(ge=1)
@@ -93,22 +85,23 @@ class Joint(_Declared):
 
     @model_validator(mode="after")
     def _consistent(self) -> Joint:
-        if self.type == "fixed" and (self.limits_deg or self.limits_m or self.mimic):
-            raise ValueError("a fixed row takes no limits and no mimic")
+        given = {"limits_deg": self.limits_deg, "limits_m": self.limits_m}
+        key = {"revolute": "limits_deg", "prismatic": "limits_m"}.get(self.type)
+        if self.type == "fixed" and self.mimic:
+            raise Misdeclared("mimic", self.mimic, "none in a fixed row")
         if self.pose is not None and self.type != "fixed":
-            raise ValueError("pose is for fixed rows; use a_m, alpha_deg, d_m, theta_offset_deg")
-        if self.type == "revolute" and self.limits_m is not None:
-            raise ValueError("a revolute joint takes limits_deg, not limits_m")
-        if self.type == "prismatic" and self.limits_deg is not None:
-            raise ValueError("a prismatic joint takes limits_m, not limits_deg")
-        limits = self.limits_deg or self.limits_m
-        if limits is not None and not limits[0] < limits[1]:
-            raise ValueError(
-                f"limits must be [lower, upper] with lower < upper, got {list(limits)}"
-            )
-        if self.type in ("revolute", "prismatic") and not self.mimic and limits is None:
-            key = "limits_deg" if self.type == "revolute" else "limits_m"
-            raise ValueError(f"a commanded {self.type} joint needs {key}")
+            allowed = "in fixed rows only; use a_m, alpha_deg, d_m, theta_offset_deg"
+            raise Misdeclared("pose", f"given in a {self.type} row", allowed)
+        for name, limits in given.items():
+            if limits is None:
+                continue
+            if name != key:
+                allowed = f"{key} for a {self.type} joint" if key else "none in a fixed row"
+                raise Misdeclared(name, list(limits), allowed)
+            if not limits[0] < limits[1]:
+                raise Misdeclared(name, list(limits), "[lower, upper] with lower < upper")
+        if key is not None and not self.mimic and given[key] is None:
+            raise Misdeclared(key, "missing", f"[lower, upper] of a commanded {self.type} joint")
         return self
 
     @property
@@ -131,7 +124,7 @@ class Joint(_Declared):
         return self.limits_m if self.limits_m is not None else (-math.inf, math.inf)
 
 
-class Tube(_Declared):
+class Tube(Declared):
     """Round tube, or round bar with ``id_m: 0``."""
 
     type: Literal["tube"]
@@ -141,7 +134,7 @@ class Tube(_Declared):
     @model_validator(mode="after")
     def _hollow(self) -> Tube:
         if self.id_m >= self.od_m:
-            raise ValueError(f"id_m must be smaller than od_m {self.od_m}")
+            raise Misdeclared("id_m", self.id_m, f"less than od_m {self.od_m}")
         return self
 
     def second_moments(self) -> tuple[float, float, float]:
@@ -150,7 +143,7 @@ class Tube(_Declared):
         return i, i, 2 * i
 
 
-class Rect(_Declared):
+class Rect(Declared):
     """Solid or box rectangle; width along the first, height along the second transverse axis."""
 
     type: Literal["rect"]
@@ -161,7 +154,7 @@ class Rect(_Declared):
     @model_validator(mode="after")
     def _walled(self) -> Rect:
         if self.wall_m is not None and 2 * self.wall_m >= min(self.width_m, self.height_m):
-            raise ValueError("wall_m must be less than half of width_m and height_m")
+            raise Misdeclared("wall_m", self.wall_m, "less than half of width_m and of height_m")
         return self
 
     def second_moments(self) -> tuple[float, float, float]:
@@ -182,7 +175,7 @@ class Rect(_Declared):
         return about_first - bi * hi**3 / 12, about_second - hi * bi**3 / 12, j
 
 
-class Beam(_Declared):
+class Beam(Declared):
     """An elastic beam along ``z_i`` (role d) or ``x_{i-1}`` (role a) of a row, base to tip.
 
     ``length_m: rest`` is what is left of the row's ``d + q``; the body slides inside
@@ -206,15 +199,19 @@ class Beam(_Declared):
     @model_validator(mode="after")
     def _stiff(self) -> Beam:
         if (self.section is None) == (self.EI_nm2 is None):
-            raise ValueError("give either section with E_pa, or EI_nm2 with GJ_nm2")
+            state = "missing" if self.section is None else "given beside EI_nm2"
+            raise Misdeclared("section", state, "either section with E_pa, or EI_nm2 with GJ_nm2")
         if self.section is not None and self.E_pa is None:
-            raise ValueError("a section needs E_pa")
+            raise Misdeclared("E_pa", "missing", "Young's modulus of the section in Pa")
         if self.section is not None and (self.poisson is None) == (self.G_pa is None):
-            raise ValueError("a section needs poisson or G_pa")
+            state = "missing" if self.poisson is None else "given beside G_pa"
+            raise Misdeclared("poisson", state, "either poisson or G_pa")
         if self.EI_nm2 is not None and self.GJ_nm2 is None:
-            raise ValueError("EI_nm2 needs GJ_nm2")
+            raise Misdeclared("GJ_nm2", "missing", "torsional stiffness in N m^2, beside EI_nm2")
         if self.length_m == "rest" and self.body_length_m is None and self.mass_kg > 0:
-            raise ValueError("a beam of length rest with mass needs body_length_m")
+            raise Misdeclared(
+                "body_length_m", "missing", "needed by a beam of length rest with mass"
+            )
         return self
 
     @cached_property
@@ -229,7 +226,7 @@ class Beam(_Declared):
         return self.E_pa * first, self.E_pa * second, shear * torsion
 
 
-class PointMass(_Declared):
+class PointMass(Declared):
     """A lumped mass fixed to a frame (servo, gripper, a link given by its centre of mass)."""
 
     name: str
@@ -242,7 +239,7 @@ class PointMass(_Declared):
     )
 
 
-class Payload(_Declared):
+class Payload(Declared):
     """What the arm carries; a session's `payload_kg` column overrides the mass."""
 
     mass_kg: NonNegative = 0.0
@@ -250,21 +247,27 @@ class Payload(_Declared):
     position_m: Vec3 = (0.0, 0.0, 0.0)
 
 
-class Camera(_Declared):
+class Camera(Declared):
     """The stereo head, in the base frame."""
 
     position_m: Vec3
     optical_axis: Vec3 = (0.0, 1.0, 0.0)
 
+    @model_validator(mode="after")
+    def _looks(self) -> Camera:
+        if not any(self.optical_axis):
+            raise Misdeclared("optical_axis", list(self.optical_axis), "a direction, not zero")
+        return self
 
-class Marker(_Declared):
+
+class Marker(Declared):
     """One of several markers that a session's `marker` column names."""
 
     frame: int = Field(ge=0)
     position_m: Vec3 = (0.0, 0.0, 0.0)
 
 
-class Arm(_Declared):
+class Arm(Declared):
     """The declared arm."""
 
     name: str
@@ -284,36 +287,36 @@ class Arm(_Declared):
     def _chain(self) -> Arm:
         rows = len(self.joints)
         if [j.id for j in self.joints] != list(range(1, rows + 1)):
-            raise ValueError(f"joints: ids must be 1..{rows} in order, base to tip")
-        carried = [("tip", self.tip.frame), *((m.name, m.frame) for m in self.point_masses)]
-        carried += [(k, m.frame) for k, m in self.markers.items()]
+            ids = [j.id for j in self.joints]
+            raise Misdeclared("joints.id", ids, f"1..{rows} in order, base to tip")
+        carried = [("tip", self.tip.frame)]
+        carried += [(f"point_masses.{k}", m.frame) for k, m in enumerate(self.point_masses)]
+        carried += [(f"markers.{k}", m.frame) for k, m in self.markers.items()]
         carried += [("payload", self.payload.frame)] if self.payload else []
         for owner, frame in carried:
             if not 0 <= frame <= rows:
-                raise ValueError(f"{owner}.frame: {frame} is not a row; allowed 0..{rows}")
+                raise Misdeclared(f"{owner}.frame", frame, f"0..{rows}")
         if len(set(self.joint_names)) != self.n:
-            raise ValueError(f"joints: names must differ, got {self.joint_names}")
+            raise Misdeclared("joints.name", list(self.joint_names), "names that differ")
         for joint in self.joints:
             for mimic in joint.mimics:
                 if mimic.joint not in self.joint_names and not (
                     isinstance(mimic.joint, int) and mimic.joint in self.commanded
                 ):
-                    raise ValueError(
-                        f"joint {joint.id}.mimic.joint: {mimic.joint!r} is no commanded joint; "
-                        f"allowed {list(self.commanded)} or {self.joint_names}"
-                    )
+                    allowed = f"a commanded joint: {list(self.commanded)}, {list(self.joint_names)}"
+                    raise Misdeclared(f"joints.{joint.id - 1}.mimic.joint", mimic.joint, allowed)
         self._check_beams()
         return self
 
     def _check_beams(self) -> None:
         names = [beam.name for beam in self.links]
         if len(set(names)) != len(names):
-            raise ValueError(f"links: names must differ, got {names}")
-        for beam in self.links:
-            if not 1 <= beam.row <= len(self.joints):
-                raise ValueError(f"links.{beam.name}.row: allowed 1..{len(self.joints)}")
-            if self.joints[beam.row - 1].type == "fixed":
-                raise ValueError(f"links.{beam.name}.row: row {beam.row} is fixed and carries none")
+            raise Misdeclared("links.name", names, "names that differ")
+        movable = [j.id for j in self.joints if j.type != "fixed"]
+        for k, beam in enumerate(self.links):
+            if beam.row not in movable:
+                allowed = f"a row that is not fixed: {movable}"
+                raise Misdeclared(f"links.{k}.row", beam.row, allowed)
         for row, joint in enumerate(self.joints, 1):
             for role, size in (("d", joint.d_m), ("a", joint.a_m)):
                 beams = [b for b in self.links if b.row == row and b.role == role]
@@ -322,15 +325,12 @@ class Arm(_Declared):
                 lowest = size
                 if role == "d" and joint.type == "prismatic" and joint.commanded:
                     lowest += joint.limits[0]
+                field = f"links ({', '.join(b.name for b in beams)}).length_m"
                 if rests > 1:
-                    raise ValueError(
-                        f"links: row {row} role {role} has {rests} beams of length rest"
-                    )
+                    raise Misdeclared(field, f"{rests} times rest", f"one rest in row {row} {role}")
                 if beams and (fixed > abs(lowest) + 1e-9 or (rests and fixed >= abs(lowest))):
-                    raise ValueError(
-                        f"links: beams of row {row} role {role} are {fixed} m long, the row is "
-                        f"{lowest} m at its shortest"
-                    )
+                    allowed = f"less than {lowest} m, row {row} {role} at its shortest"
+                    raise Misdeclared(field, f"{fixed} m together", allowed)
 
     @cached_property
     def commanded(self) -> tuple[int, ...]:
@@ -397,63 +397,3 @@ class Arm(_Declared):
     def parse(cls, data: Any, where: str) -> Arm:
         """From parsed YAML; `where` names the source in errors."""
         return parse_declared(cls, data, where)
-
-
-def read_yaml(path: str | Path) -> Any:
-    """Parsed YAML of a file; `InputError` where it cannot be read."""
-    try:
-        return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(str(path), "file", type(error).__name__, "a readable file") from error
-    except yaml.YAMLError as error:
-        raise InputError(str(path), "YAML", " ".join(str(error).split()), "valid YAML") from error
-
-
-def parse_declared(cls: type[T], data: Any, where: str) -> T:
-    """Validate parsed YAML against a declared model; the first fault becomes an `InputError`."""
-    if not isinstance(data, dict):
-        raise InputError(where, "document", type(data).__name__, "a mapping of keys")
-    try:
-        return cls.model_validate(data)
-    except ValidationError as error:
-        fault = error.errors(include_url=False)[0]
-        field = ".".join(str(part) for part in fault["loc"]) or "document"
-        allowed = fault["msg"].removeprefix("Value error, ")
-        if fault["type"] == "extra_forbidden":
-            allowed = "known keys: " + ", ".join(_known_keys(cls, fault["loc"][:-1]))
-        value = "missing" if fault["type"] == "missing" else fault.get("input")
-        text = repr(value)
-        raise InputError(
-            where, field, text if len(text) < 120 else text[:117] + "...", allowed
-        ) from error
-
-
-def _known_keys(cls: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:
-    """Keys that the schema knows at `path`."""
-    schema = cls.model_json_schema()
-    node: Any = schema
-    for part in (*path, None):
-        while "$ref" in node or "anyOf" in node or "oneOf" in node:
-            if "$ref" in node:
-                node = schema["$defs"][node["$ref"].rsplit("/", 1)[1]]
-                continue
-            options = node.get("anyOf") or node["oneOf"]
-            tagged = node.get("discriminator", {}).get("mapping", {})
-            if part in tagged:
-                node = {"$ref": tagged[part]}
-                part = None
-                break
-            node = next(
-                (o for o in options if "$ref" in o or "oneOf" in o or "items" in o), options[0]
-            )
-        if part is None:
-            if "$ref" in node:
-                node = schema["$defs"][node["$ref"].rsplit("/", 1)[1]]
-            continue
-        if isinstance(part, int):
-            node = node.get("items", {})
-        else:
-            node = node.get("properties", {}).get(part, node.get("additionalProperties", {}))
-        if not isinstance(node, dict):
-            return []
-    return sorted(node.get("properties", {}))

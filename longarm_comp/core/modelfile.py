@@ -14,9 +14,10 @@ from typing import Any, Literal
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict
+from pydantic import Field
 
-from longarm_comp.core.arm import Arm, parse_declared, read_yaml
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.declared import Declared, parse_declared, read_yaml
 from longarm_comp.core.effects.catalogue import effect_class
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
@@ -24,11 +25,7 @@ from longarm_comp.core.files import write_text
 from longarm_comp.core.model import Model
 
 
-class _Entry(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class StoredValue(_Entry):
+class StoredValue(Declared):
     """One parameter: SI value, unit and 95 % interval."""
 
     value: float
@@ -36,24 +33,24 @@ class StoredValue(_Entry):
     ci95: tuple[float, float] | None = None
 
 
-class StoredTerm(_Entry):
+class StoredTerm(Declared):
     """One effect or bias: canonical name, where, its form, its values, where it came from."""
 
     effect: str
     where: str
-    form: dict[str, int | float | str] = {}
-    parameters: dict[str, StoredValue] = {}
+    form: dict[str, int | float | str] = Field(default_factory=dict)
+    parameters: dict[str, StoredValue] = Field(default_factory=dict)
     origin: str = ""
 
 
-class ArmReference(_Entry):
+class ArmReference(Declared):
     """The arm that a model belongs to."""
 
     name: str
     hash: str
 
 
-class StoredModel(_Entry):
+class StoredModel(Declared):
     """The whole file."""
 
     schema_: Literal["longarm/model/1"]
@@ -61,10 +58,10 @@ class StoredModel(_Entry):
     arm: ArmReference
     passes: int = 3
     elements_per_beam: int = 2
-    geometry: list[StoredTerm] = []
-    effects: list[StoredTerm] = []
-    camera: list[StoredTerm] = []
-    provenance: dict[str, str | int | float] = {}
+    geometry: list[StoredTerm] = Field(default_factory=list)
+    effects: list[StoredTerm] = Field(default_factory=list)
+    camera: list[StoredTerm] = Field(default_factory=list)
+    provenance: dict[str, str | int | float] = Field(default_factory=dict)
 
 
 def store(

@@ -27,8 +27,8 @@ class GearEccentricity(JointTerm):
     name: ClassVar[str] = "gear_eccentricity"
 
     order: int = 1
-    cosine: float = parameter("rad", "cosine amplitude", prior=5e-3)
-    sine: float = parameter("rad", "sine amplitude", prior=5e-3)
+    cosine: float = parameter("rad", "cosine amplitude", prior=2e-3)
+    sine: float = parameter("rad", "sine amplitude", prior=2e-3)
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:

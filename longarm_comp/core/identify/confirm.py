@@ -50,16 +50,18 @@ def confirm(traced: Traced, found: list[Finding], rng: np.random.Generator) -> C
     tests = {f.name: np.zeros(RESAMPLES) for f in found}
     index = {
         f.name: np.array(
-            [k for k, s in enumerate(fit.slots) if key(s.owner) in set(map(key, f.terms))]
+            [k for k, s in enumerate(fit.slots) if key(s.owner) in set(map(key, f.terms))],
+            dtype=int,
         )
         for f in found
     }
+    whole = {f.name: _block_gains(fit, f) for f in found if not len(index[f.name])}
     for b, count in enumerate(counts):
         g = np.tensordot(count, gram, axes=1)
         r = count @ right
         draws[b] = np.linalg.solve(g + np.eye(p), r)
         for name, own in index.items():
-            tests[name][b] = _evidence(g, r, own)
+            tests[name][b] = _evidence(g, r, own) if len(own) else count @ whole[name]
     prior = np.array([s.parameter.prior for s in fit.slots])
     spread = draws.std(axis=0) * prior
     se = np.maximum(spread, fit.standard_errors)
@@ -79,16 +81,28 @@ def confirm(traced: Traced, found: list[Finding], rng: np.random.Generator) -> C
 def _blocks(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     """Normal equations of successive blocks of rows: (B, p, p), (B, p)."""
     a, y = fit.design, fit.data
-    rows = len(a) // 3
-    cuts = np.linspace(0, rows, min(BLOCKS, rows) + 1).astype(int) * 3
-    parts = [slice(lo, hi) for lo, hi in pairwise(cuts)]
+    parts = _block_rows(len(a) // 3)
     return np.stack([a[s].T @ a[s] for s in parts]), np.stack([a[s].T @ y[s] for s in parts])
+
+
+def _block_gains(fit: Fit, found: Finding) -> np.ndarray:
+    """(B,) gain in log likelihood by block of an effect that has nothing to fit."""
+    q = [fit.session.q[:, j] for j in range(fit.session.n)]
+    posture = fit.model.posture(q, fit.session.context())
+    shift = np.sum([fit.model.shift(posture, term) for term in found.terms], axis=0)
+    white = fit.whitened(shift[..., None])[:, 0]
+    left = fit.whitened(fit.residual[..., None])[:, 0]
+    gain = left * white + 0.5 * white * white
+    return np.array([gain[s].sum() for s in _block_rows(len(gain) // 3)])
+
+
+def _block_rows(rows: int) -> list[slice]:
+    cuts = np.linspace(0, rows, min(BLOCKS, rows) + 1).astype(int) * 3
+    return [slice(lo, hi) for lo, hi in pairwise(cuts)]
 
 
 def _evidence(gram: np.ndarray, right: np.ndarray, own: np.ndarray) -> float:
     """Log Bayes factor of some columns on top of the others, from the normal equations."""
-    if not len(own):
-        return np.inf
     rest = np.setdiff1d(np.arange(len(right)), own)
     g = np.eye(len(rest)) + gram[np.ix_(rest, rest)]
     cross = gram[np.ix_(rest, own)]
@@ -105,6 +119,8 @@ def _doubts(fit: Fit, found: Finding, own: np.ndarray, stable: float) -> tuple[s
     said = []
     if stable < 0.95:
         said.append(f"its evidence holds in {100 * stable:.0f} % of resampled sessions only")
+    if not len(own):
+        return tuple(said)
     gram, right = fit.design.T @ fit.design, fit.design.T @ fit.data
     for factor, words in ((1 / 2.25, "1.5 times the noise"),):
         if _evidence(gram * factor, right * factor, own) < 3.0:

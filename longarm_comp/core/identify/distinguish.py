@@ -9,7 +9,7 @@ import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate, Columns, Term
 from longarm_comp.core.identify.linear import Marginal
-from longarm_comp.core.identify.trace import Score, Traced, key, score
+from longarm_comp.core.identify.trace import Score, Traced, key, marginal_without, score
 
 CLOSE = 3.0
 """Log evidence (or log likelihood) within which two explanations are not told apart."""
@@ -62,10 +62,8 @@ def findings(traced: Traced, candidates: Sequence[Candidate]) -> list[Finding]:
 
 
 def without(traced: Traced, places: set[tuple[str, str]]) -> Marginal:
-    """Evidence on top of all but the terms at some places."""
-    fit = traced.fit
-    kept = [k for k, s in enumerate(fit.slots) if key(s.owner) not in places]
-    return Marginal(fit.design[:, kept], fit.data)
+    """Evidence on top of the final fit, the terms at some places taken out of it."""
+    return marginal_without(traced.fit, _columns(traced), places)
 
 
 def _columns(traced: Traced) -> Columns:
@@ -88,7 +86,7 @@ def _finding(
     terms: tuple[Term, ...],
 ) -> Finding:
     places = {key(t) for t in terms}
-    marginal = without(traced, places)
+    marginal = marginal_without(traced.fit, columns, places)
     mine = Candidate(name, terms)
     own = score(traced.fit, marginal, mine, columns)
     limit = _likelihood(traced, marginal, columns, mine)

@@ -186,6 +186,26 @@ def fit(
     return _fit_parts([part], max_iterations)[0]
 
 
+def unfitted(model: Model, session: Session) -> Fit:
+    """A model held against a session as it is: residual and design, nothing fitted yet."""
+    part = _Part.of(model, session, None, None, False)
+    part.look()
+    part.weigh(settled=False)
+    prior = np.diag(priors(model.slots) ** 2)
+    return Fit(
+        model,
+        part.seen,
+        part.residual,
+        part.columns,
+        prior,
+        part.weights,
+        part.noise,
+        0.0,
+        0,
+        False,
+    )
+
+
 def fit_together(
     parts: Sequence[tuple[Model, Session]],
     own: Callable[[Slot], bool],

@@ -18,7 +18,7 @@ from longarm_comp.core.dataset import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify import noise as noise_step
 from longarm_comp.core.identify.candidates import Candidate, Columns, Term
-from longarm_comp.core.identify.fit import Fit, fit
+from longarm_comp.core.identify.fit import Fit, fit, unfitted
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.noise import Noise
 from longarm_comp.core.model import Model, Slot, slots_of
@@ -28,6 +28,7 @@ ODDS = math.log(20.0)
 LOCATED = 2.0
 """Within an effect, a place must be this much (log) more probable with it than without."""
 MOST_TERMS = 12
+ROUNDS = 4
 
 
 @dataclass(frozen=True)
@@ -105,15 +106,9 @@ def search(
     say("geometry")
     state.refit()
     first = state.scores()
-    for _ in range(MOST_TERMS):
-        best = state.best(threshold)
-        if best is None:
-            break
-        say(best.candidate.label)
-        state.accept(best)
-        state.prune(threshold)
-    for _ in range(3):
-        if not (state.swap() | state.prune(threshold)):
+    for _ in range(ROUNDS):
+        state.grow(threshold, say)
+        if not (state.swap(say) | state.prune(threshold)):
             break
     return Traced(
         state.fit,
@@ -142,14 +137,11 @@ class _State:
         self._start = base
 
     def refit(self) -> None:
-        """Fit geometry and chosen terms, judge the noise, weigh the rows."""
-        model = self._start
-        first = fit(model, self.session)
-        posture = first.model.posture(
-            [first.session.q[:, j] for j in range(first.session.n)], first.session.context()
+        """Judge the noise by all that the library could explain, then fit geometry and terms."""
+        first = (
+            unfitted(self._start, self.session) if self.chosen else fit(self._start, self.session)
         )
-        self.columns = Columns(first.model, posture)
-        every = self.columns.of(_distinct(self.candidates, self.chosen))
+        every = self._columns_of(first).of(_distinct(self.candidates, self.chosen))
         judged, weights = noise_step.from_residual(first, every)
         if self.known is not None:
             judged = Noise(self.known.sigma, "repeats", judged.rho, self.known.degrees)
@@ -158,27 +150,17 @@ class _State:
             first.model, self.session, sigma=judged.sigma, rho=judged.rho, weights=weights
         )
         self._start = self.fit.model
-        self.columns = Columns(
-            self.fit.model,
-            self.fit.model.posture(
-                [first.session.q[:, j] for j in range(first.session.n)], first.session.context()
-            ),
-        )
-        # what the candidates could explain is no outlier; what nothing explains stays out
+        self.columns = self._columns_of(self.fit)
 
-    def _index(self) -> tuple[np.ndarray, dict[tuple[str, str], np.ndarray]]:
-        """Columns of the fit that are geometry, and those of each chosen term."""
-        owner = [key(s.owner) if key(s.owner) in self.chosen else None for s in self.fit.slots]
-        geometry = np.array([k for k, o in enumerate(owner) if o is None], dtype=int)
-        return geometry, {
-            c: np.array([k for k, o in enumerate(owner) if o == c], dtype=int) for c in self.chosen
-        }
+    @staticmethod
+    def _columns_of(fitted: Fit) -> Columns:
+        rows = fitted.session
+        q = [rows.q[:, j] for j in range(rows.n)]
+        return Columns(fitted.model, fitted.model.posture(q, rows.context()))
 
     def marginal(self, without: Sequence[tuple[str, str]] = ()) -> Marginal:
         """Evidence on top of all but some chosen terms."""
-        geometry, own = self._index()
-        kept = np.concatenate([geometry, *(own[c] for c in self.chosen if c not in without)])
-        return Marginal(self.fit.design[:, np.sort(kept)], self.fit.data)
+        return marginal_without(self.fit, self.columns, set(without))
 
     def scores(self, without: Sequence[tuple[str, str]] = ()) -> tuple[Score, ...]:
         """Every candidate that is not in the model already, best first."""
@@ -206,6 +188,16 @@ class _State:
             if found.log_bayes_factor >= need and len(self.chosen) < 6 * MOST_TERMS:
                 return found
         return None
+
+    def grow(self, threshold: float, say: Callable[[str], None]) -> None:
+        """Add effects until none pays."""
+        for _ in range(MOST_TERMS):
+            best = self.best(threshold)
+            if best is None:
+                return
+            say(best.candidate.label)
+            self.accept(best)
+            self.prune(threshold)
 
     def accept(self, found: Score) -> None:
         """Add its terms, started at their estimates."""
@@ -239,24 +231,28 @@ class _State:
 
     def prune(self, threshold: float) -> bool:
         """Drop terms that the rest makes superfluous; whether anything went."""
-        dropped = False
-        while self.chosen:
+        gone: list[tuple[str, str]] = []
+        while len(gone) < len(self.chosen):
             worst, low = None, math.inf
             for place, term in self.chosen.items():
-                mates = sum(name == place[0] for name, _ in self.chosen)
+                if place in gone:
+                    continue
+                mates = sum(name == place[0] for name, _ in self.chosen if (name, _) not in gone)
                 need = LOCATED if mates > 1 else threshold
                 single = Candidate(term.name, (term,))
-                gain = self.score(self.marginal([place]), single).log_bayes_factor - need
+                gain = self.score(self.marginal([*gone, place]), single).log_bayes_factor - need
                 if gain < low:
                     worst, low = place, gain
             if worst is None or low >= 0:
-                return dropped
-            del self.chosen[worst]
-            dropped = True
+                break
+            gone.append(worst)
+        for place in gone:
+            del self.chosen[place]
+        if gone:
             self._rebuild()
-        return dropped
+        return bool(gone)
 
-    def swap(self) -> bool:
+    def swap(self, say: Callable[[str], None]) -> bool:
         """Exchange a family for a better one or a better form of it; whether any was."""
         changed = False
         for name in dict.fromkeys(name for name, _ in self.chosen):
@@ -272,11 +268,25 @@ class _State:
                 or s.candidate.form != Candidate(name, (self.chosen[places[0]],)).form
             ]
             if options and options[0].log_bayes_factor > now.log_bayes_factor + 1.0:
+                say(f"{options[0].candidate.label} instead of {name}")
                 for place in places:
                     del self.chosen[place]
                 self.accept(options[0])
                 changed = True
         return changed
+
+
+def marginal_without(fitted: Fit, columns: Columns, places: set[tuple[str, str]]) -> Marginal:
+    """Evidence on top of a fit, the terms at some places taken out of it.
+
+    A term with parameters leaves with its columns; one without gives its shift back to the data.
+    """
+    kept = [k for k, s in enumerate(fitted.slots) if key(s.owner) not in places]
+    data = fitted.data
+    for term in fitted.model.terms:
+        if key(term) in places and not slots_of(fitted.model.arm, [term]):
+            data = data + fitted.whitened(columns.shift(term)[..., None])[:, 0]
+    return Marginal(fitted.design[:, kept], data)
 
 
 def score(fitted: Fit, marginal: Marginal, candidate: Candidate, columns: Columns) -> Score:
