@@ -14,6 +14,7 @@ from longarm_comp.report.style import FLOOR, GRID, INK, LOOKS, SKY
 _MM = 1e3
 _LEVELS = 8
 """An input with no more distinct values than this is drawn level by level."""
+_FAINT = 0.1
 _MANY = 800
 """Above this many points, a cloud is drawn as pixels."""
 
@@ -119,7 +120,7 @@ def against_input(
         panels[2, column].set_xlabel(f"{entry.name}, {entry.unit}" if entry.unit else entry.name)
     levels = np.unique(values)
     if 1 < len(levels) <= _LEVELS:
-        panels[2, 0].set_xticks(levels, [f"{level:.4g}" for level in levels])
+        panels[2, 0].set_xticks(levels, [f"{level:.2g}" for level in levels])
     drawn.subplots_adjust(left=0.07, right=0.99, bottom=0.075, top=0.96, wspace=0.04, hspace=0.08)
     return drawn
 
@@ -189,23 +190,29 @@ def _cube(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def correlations(entry: Correlation) -> Figure:
-    """Accepted parameters against geometry as coloured cells; |r| of 0.3 and more is printed."""
-    rows, columns = len(entry.parameters), len(entry.geometry)
+    """Accepted parameters against geometry as coloured cells; |r| of 0.3 and more is printed.
+
+    Geometry below `_FAINT` with every parameter is left out, the strongest never.
+    """
+    peak = np.abs(entry.matrix).max(axis=0)
+    kept = np.flatnonzero((peak >= _FAINT) | (peak == peak.max()))
+    matrix, geometry = entry.matrix[:, kept], [entry.geometry[k] for k in kept]
+    rows, columns = len(entry.parameters), len(geometry)
     drawn = Figure(
         figsize=(min(14, max(6, 2.6 + 0.34 * columns)), 1.7 + 0.34 * rows + 0.6),
         layout="constrained",
     )
     axes = drawn.subplots()
     axes.grid(False)
-    image = axes.imshow(entry.matrix, cmap="PuOr_r", vmin=-1, vmax=1, aspect="auto")
-    axes.set_xticks(range(columns), entry.geometry, rotation=60, ha="right", fontsize=7)
+    image = axes.imshow(matrix, cmap="PuOr_r", vmin=-1, vmax=1, aspect="auto")
+    axes.set_xticks(range(columns), geometry, rotation=60, ha="right", fontsize=7)
     axes.set_yticks(range(rows), entry.parameters, fontsize=8)
-    for i, k in zip(*np.nonzero(np.abs(entry.matrix) >= 0.3), strict=True):
-        strong = abs(entry.matrix[i, k]) > 0.7
+    for i, k in zip(*np.nonzero(np.abs(matrix) >= 0.3), strict=True):
+        strong = abs(matrix[i, k]) > 0.7
         axes.text(
             k,
             i,
-            f"{entry.matrix[i, k]:.1f}".replace("0.", "."),
+            f"{matrix[i, k]:.1f}".replace("0.", "."),
             ha="center",
             va="center",
             fontsize=6.5,

@@ -15,6 +15,8 @@ from longarm_comp.report.style import FLOOR, LOOKS
 
 DASH = "–"
 _STRONGEST = 5
+_CERTAIN = 100
+"""Power of ten of odds beyond which no figure is given."""
 
 VERDICTS = {
     "noise": ("Noise", "Nothing beyond the noise was found; nothing was added."),
@@ -72,7 +74,9 @@ def number(value: float | None, digits: int = 4) -> str:
     """A number for reading, a dash for None."""
     if value is None:
         return DASH
-    if value and not 1e-3 <= abs(value) < 1e5:
+    if 1e4 <= abs(value) < 1e6:
+        return f"{value:.0f}".replace("-", "−")
+    if value and not 1e-3 <= abs(value) < 1e4:
         mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
         return f"{mantissa}·{_ten(int(exponent))}".replace("-", "−")
     return f"{value:.{digits}g}".replace("-", "−")
@@ -81,6 +85,12 @@ def number(value: float | None, digits: int = 4) -> str:
 def interval(pair: tuple[float, float] | None) -> str:
     """``lo to hi``, a dash for None."""
     return DASH if pair is None else f"{number(pair[0])} to {number(pair[1])}"
+
+
+def headline(report: Report) -> str:
+    """The verdict in a few words: its name and what was found."""
+    found = [" or ".join(finding.set or [finding.effect]) for finding in report.findings]
+    return ": ".join(filter(None, (VERDICTS[report.verdict][0], ", ".join(found))))
 
 
 def error_lines(report: Report, detail: Detail) -> list[ErrorLine]:
@@ -207,10 +217,14 @@ def strongest(entry: Correlation) -> list[tuple[str, str]]:
 
 def odds(log_bayes_factor: float) -> str:
     """A log Bayes factor as odds."""
-    power = log_bayes_factor / np.log(10)
-    if abs(power) < 4:
-        return f"{10**power:.3g} : 1" if power > 0 else f"1 : {10**-power:.3g}"
-    return f"{_ten(round(power))} : 1" if power > 0 else f"1 : {_ten(round(-power))}"
+    power = abs(log_bayes_factor) / np.log(10)
+    if power < 4:
+        larger = f"{10**power:.3g}"
+    elif power < _CERTAIN:
+        larger = _ten(round(power))
+    else:
+        larger = f"more than {_ten(_CERTAIN)}"
+    return f"{larger} : 1" if log_bayes_factor >= 0 else f"1 : {larger}"
 
 
 def _ten(power: int) -> str:
