@@ -23,8 +23,8 @@ ROS = (
 # Imports point only upward in this list; modules of the core that it does not name are checked
 # through whatever they import.
 CORE_ORDER = (
-    *("errors", "files", "spatial", "arm", "posture", "effects", "model", "ik", "compensate"),
-    *("dataset", "learn", "identify"),
+    *("errors", "files", "declared", "spatial", "arm", "posture", "effects", "model"),
+    *("ik", "compensate", "dataset", "learn", "identify"),
 )
 
 
