@@ -37,6 +37,7 @@ EXTRAS = {
         "dynamixel-sdk",
         "example-robot-data",
         "hypothesis",
+        "jsonschema",
         "mypy",
         "packaging",
         "pin",

@@ -328,7 +328,7 @@ class Arm(Declared):
                 field = f"links ({', '.join(b.name for b in beams)}).length_m"
                 if rests > 1:
                     raise Misdeclared(field, f"{rests} times rest", f"one rest in row {row} {role}")
-                if beams and (fixed > abs(lowest) + 1e-9 or (rests and fixed >= abs(lowest))):
+                if beams and (fixed > abs(lowest) + (-1e-9 if rests else 1e-9)):
                     allowed = f"less than {lowest} m, row {row} {role} at its shortest"
                     raise Misdeclared(field, f"{fixed} m together", allowed)
 
