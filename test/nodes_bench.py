@@ -68,7 +68,7 @@ class Bench:
         self.node.create_subscription(topic.type, name, got.append, topic.depth)
         return got
 
-    def spin(self, until: Callable[[], Any], within: float = 15.0) -> Any:
+    def spin(self, until: Callable[[], Any], within: float = 30.0) -> Any:
         """Spin until something is truthy; what it is. Fails after so many seconds."""
         end = time.monotonic() + within
         while not (found := until()):
@@ -81,7 +81,7 @@ class Bench:
         """Wait until somebody listens."""
         self.spin(lambda: publisher.get_subscription_count() > 0)
 
-    def call(self, client: Any, request: Any, within: float = 15.0) -> Any:
+    def call(self, client: Any, request: Any, within: float = 30.0) -> Any:
         """The answer of a service."""
         self.spin(client.service_is_ready, within)
         future = client.call_async(request)

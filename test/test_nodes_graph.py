@@ -17,8 +17,8 @@ from nodes_bench import Bench, bench, own_graph
 
 from longarm_comp.core import quaternion
 from longarm_comp.core.arm import Arm
+from longarm_comp.core.declared_model import declared_model
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import SIMULATED, BringUp, running
 from longarm_comp.nodes.health import WARN

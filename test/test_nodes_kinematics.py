@@ -21,9 +21,9 @@ from trajectory_msgs.msg import JointTrajectory
 from longarm_comp.core import quaternion
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.context import Context
+from longarm_comp.core.declared_model import declared_model
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
-from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.modelfile import save_model, store
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_message

@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 
 from longarm_comp.core import quaternion
 from longarm_comp.core.arm import Arm
-from longarm_comp.core.identify.calibrate import declared_model
+from longarm_comp.core.declared_model import declared_model
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.predictor import Predictor, Provenance
 from longarm_comp.nodes import interfaces as graph

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from longarm_comp.core.arm import Arm
+from longarm_comp.core.declared_model import declared_model
 from longarm_comp.core.errors import InputError, LongarmError
-from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.model import Model
 from longarm_comp.core.modelfile import load_model
 from longarm_comp.nodes.health import OK, WARN, Report

@@ -9,9 +9,9 @@ import numpy as np
 
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.dataset import Session
+from longarm_comp.core.declared_model import declared_model
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.joint_zero import JointZero
-from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.fit import Fit, align, fit, frames, geometry
 from longarm_comp.core.model import Model
@@ -63,11 +63,6 @@ def errors(model: Model, session: Session) -> np.ndarray:
     """(N, 3) measured - predicted over the seen rows, m."""
     seen = session.take(session.seen)
     return seen.xyz - model.measured(seen.q, seen.context())
-
-
-def declared_model(arm: Arm, *, deflection: bool = True) -> Model:
-    """The arm as declared: with its beams' sag, where it has beams."""
-    return Model(arm, (LinkDeflection(),) if deflection and arm.links else ())
 
 
 def ladder(
