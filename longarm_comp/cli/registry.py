@@ -27,6 +27,7 @@ COMMANDS = (
     Entry("bag info", "bag_info", "What is in a bag, and what a session is made from."),
     Entry("bag to-csv", "bag_to_csv", "A bag as samples.csv."),
     Entry("bag from-csv", "bag_from_csv", "A samples.csv as a bag."),
+    Entry("study table1", "study_table1", "The paper's Table I on simulated arms."),
     Entry("study real", "study_real", "Held-out errors on public data of real arms."),
     Entry("up", "up", "Bring up an arm's ROS graph, real or simulated."),
     Entry("study loop", "study_loop", "Benchmark the diagnosis on simulated arms."),
@@ -34,6 +35,7 @@ COMMANDS = (
     Entry("demo", "demo", "The whole loop over the ROS graph on a simulated arm."),
     Entry("collect", "collect", "Drive a pose plan over ROS and record the session."),
     Entry("record", "record", "Record an arm's topics as a rosbag2."),
+    Entry("soak", "soak", "Hours of targets on a simulated arm, with random faults."),
     Entry("schema", "schema", "JSON schema of arm.yaml, for editors."),
     Entry("undo", "undo", "Put the version of a model.yaml before the last change back."),
 )
