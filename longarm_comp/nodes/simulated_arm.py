@@ -39,6 +39,7 @@ PARAMS = (
     Param("speed_ticks_s", 3000.0, "no-load speed of the servos", 1.0, 1e6),
     Param("lag_s", 0.03, "time constant of a servo near its goal", 1e-4, 10.0),
     Param("dead_band_ticks", 0.0, "a servo rests within it", 0.0, 1000.0),
+    Param("wire_faults_hz", 0.0, "servo replies lost, cut or damaged a second", 0.0, 50.0),
     Param("temperature_c", 22.0, "at the start", -50.0, 100.0),
     Param("warming_k", 0.0, "rise over hours", -50.0, 50.0),
     Param("payload_kg", 0.25, "carried at the tool", 0.0, 1000.0),
@@ -122,6 +123,9 @@ class SimulatedArm(Node):
             self.create_timer(1.0 / p["frame_rate_hz"], self._expose)
         if p["context_rate_hz"]:
             self.create_timer(1.0 / p["context_rate_hz"], self._tell)
+        if p["wire_faults_hz"]:
+            self._chance = np.random.default_rng([p["seed"], 1])
+            self.create_timer(1.0 / p["wire_faults_hz"], self._spoil)
         self._health = Health(self, {"workshop": self._report}, p[PERIOD.name])
         self._workshop.start()
 
@@ -152,6 +156,13 @@ class SimulatedArm(Node):
             self._infos[k].publish(info_message(infos[k], ns, frame))
             self._images[k].publish(image_message(images[k], ns, frame))
         self._frames += 1
+
+    def _spoil(self) -> None:
+        """The next reply of one servo is lost, damaged or cut."""
+        faults = self._workshop.emulator.faults
+        ways = (faults.drop, faults.corrupt, faults.cut)
+        servos = [joint.servo_id for joint in self._workshop.room.servos.joints]
+        ways[int(self._chance.integers(len(ways)))](int(self._chance.choice(servos)))
 
     def _tell(self) -> None:
         now = self.get_clock().now().nanoseconds

@@ -66,6 +66,10 @@ class Supervisor:
         """Process id of a node now."""
         return self._children[name].process.pid
 
+    def deaths(self, name: str) -> int:
+        """How often a node has died and was started again."""
+        return self._children[name].deaths
+
     def look(self) -> None:
         """Start again what has died.
 
