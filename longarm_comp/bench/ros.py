@@ -22,14 +22,11 @@ import numpy as np
 
 from longarm_comp.bench.kinematics import demo_arm
 from longarm_comp.core.arm import Arm
-from longarm_comp.core.identify.calibrate import declared_model
-from longarm_comp.core.learn.ensemble import train
-from longarm_comp.core.learn.predictor import Provenance
+from longarm_comp.jobs.stand_in import train_stand_in
 
 PEER = "bare rclpy echo of the same messages"
 BLOCKS, PER_BLOCK = 8, 50
 BURST = 80  # below every queue on the way
-_TRAINING = 300
 
 
 @dataclass(frozen=True)
@@ -110,7 +107,8 @@ def figures(blocks: int = BLOCKS, per_block: int = PER_BLOCK) -> Figures:
                 side.append([1e3 * call(i) for i in rows])
         per_target = calls.predictions_per_target(per_block)
         rate, echo_rate = calls.rate(BURST), calls.echo_rate(BURST)
-    return Figures(*(np.array(side) for side in made), per_target, rate, echo_rate)
+    topic, topic_echo, service, service_echo, predictor = (np.array(side) for side in made)
+    return Figures(topic, topic_echo, service, service_echo, predictor, per_target, rate, echo_rate)
 
 
 @contextmanager
@@ -125,7 +123,7 @@ def _graph(arm: Arm) -> Iterator[Callable[[Any], Any]]:
     with tempfile.TemporaryDirectory(prefix="longarm_bench_") as scratch:
         os.environ.setdefault("ROS_LOG_DIR", scratch)
         predictor = Path(scratch) / "predictor.npz"
-        _train(arm, predictor)
+        train_stand_in(arm, predictor)
         module, ros = [sys.executable, "-m"], ["--ros-args", "-r", f"__ns:=/{space}"]
         file = ["-p", f"arm:='{arm_file}'"]
         commands = {
@@ -148,21 +146,3 @@ def _graph(arm: Arm) -> Iterator[Callable[[Any], Any]]:
             finally:
                 for calls in made:
                     calls.close()
-
-
-def _train(arm: Arm, path: Path) -> None:
-    """A predictor of the usual size, on a smooth residual of a few millimetres."""
-    rng = np.random.default_rng(0)
-    q = rng.uniform(arm.lower, arm.upper, (_TRAINING, arm.n))
-    share = (q - arm.mid) / (arm.upper - arm.lower)
-    error = 3e-3 * np.stack([np.sin(3 * share[:, k] + share[:, k + 1]) for k in range(3)], -1)
-    error += 1e-4 * rng.standard_normal(error.shape)
-    origin = Provenance(arm.hash, "", arm.joint_names, {"deflection": True})
-    train(q, error, hidden=12, iterations=10, provenance=origin).save(path)
-
-
-def reachable(arm: Arm, count: int) -> np.ndarray:
-    """(count, 4, 4) poses along a slow path, as a robot is asked for them."""
-    along = np.linspace(0.0, 20.0, count)[:, None] + np.arange(arm.n)
-    q = arm.mid + 0.3 * (arm.upper - arm.lower) * np.sin(along) / 2
-    return declared_model(arm).pose(q)

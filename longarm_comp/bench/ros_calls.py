@@ -11,10 +11,10 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.qos import QoSProfile
 from trajectory_msgs.msg import JointTrajectory
 
-from longarm_comp.bench.ros import reachable
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.errors import JobError
 from longarm_comp.jobs.client import ArmClient
+from longarm_comp.jobs.path import slow_path
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_message, pose_message
 from longarm_interfaces.srv import Compensate, PredictError
@@ -30,7 +30,7 @@ class Calls:
         self._client = ArmClient(arm, namespace, name="caller")
         node = self._client.node
         self._arm = arm
-        self._poses = [_stamped(matrix) for matrix in reachable(arm, _POSES)]
+        self._poses = [_stamped(matrix) for matrix in slow_path(arm, _POSES)]
         self._got = self._echoed = self._predicted = 0
         self._joints = graph.JOINT_STATES.publisher(node)
         self._target = graph.TARGET_POSE.publisher(node)
@@ -76,7 +76,7 @@ class Calls:
         for service in (self._compensate, self._echo_compensate, self._predict):
             self._until(service.service_is_ready, 60.0)
         for topic in (self._target, self._echo_target, self._joints):
-            self._until(lambda topic=topic: topic.get_subscription_count(), 60.0)
+            self._until(topic.get_subscription_count, 60.0)
         self._client.spin(0.5)
         for i in range(20):
             for call in (self.service, self.topic, self.topic_echo, self.service_echo):

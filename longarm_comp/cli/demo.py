@@ -17,10 +17,10 @@ from longarm_comp.cli.output import note, print_json, print_rows, progress
     required=True,
     help="New folder for the session, the model, the predictor and the report.",
 )
-@click.option("--poses", type=int, default=140, show_default=True, help="Poses to learn from.")
+@click.option("--poses", type=int, default=130, show_default=True, help="Poses to learn from.")
 @click.option("--targets", type=int, default=40, show_default=True, help="Fresh targets.")
 @click.option("--hidden", help="Undeclared effects of the arm: 'name=mm name=mm'.")
-@click.option("--speed", type=float, default=10.0, show_default=True, help="Times real motion.")
+@click.option("--speed", type=float, default=20.0, show_default=True, help="Times real motion.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
 @options.as_json
 def command(
@@ -44,6 +44,7 @@ def command(
       longarm demo --out build/demo
     """
     import json
+    from dataclasses import replace
 
     from longarm_comp.cli.signals import stop_on_signals
     from longarm_comp.core.errors import JobError
@@ -51,8 +52,9 @@ def command(
     from longarm_comp.jobs.demo.loop import demonstrate, report
     from longarm_comp.jobs.demo.setting import Setting
 
-    chosen = {} if hidden is None else {"hidden": hidden}
-    setting = Setting(out, poses, targets, speed=speed, seed=seed, **chosen)
+    setting = Setting(out, poses, targets, speed=speed, seed=seed)
+    if hidden is not None:
+        setting = replace(setting, hidden=hidden)
     with stop_on_signals() as stop, progress("demo") as show:
         outcome = demonstrate(setting, stop, show)
     made = report(setting, outcome)
@@ -62,6 +64,7 @@ def command(
     else:
         print_rows(f"{targets} fresh targets, 3-D errors; the paper's arm beside", made["rows"])
         seconds = made["seconds"]["total"]
+        note(f"the arm hides {setting.hidden}; diagnosis: {made['diagnosis']}")
         note(f"measured by the cameras; true_mean_mm is the simulation's own; {seconds:.0f} s")
     if not outcome.improved:
         raise JobError("compensation did not bring the arm nearer to its targets")

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from longarm_comp.core.admission import admit
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.dataset import Session
+from longarm_comp.core.errors import JobError
 from longarm_comp.core.holdout import blocked_split
 from longarm_comp.core.identify.calibrate import Rung, errors, ladder
+from longarm_comp.core.identify.diagnosis import diagnose
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.predictor import Provenance
@@ -24,22 +27,25 @@ Say = Callable[[str, float], None]
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """What the session gave: rows, the held-out ladder, the model and its predictor's inputs."""
+    """What the session gave: rows, the held-out ladder, what was found, the predictor's inputs."""
 
     session: Session
     rungs: list[Rung]
-    model: Model
+    finding: str
+    effects: tuple[str, ...]
     inputs: tuple[str, ...]
 
 
 def learn(setting: Setting, arm: Arm, say: Say = lambda text, share: None) -> Learned:
-    """Calibrate and train on the bag; writes both files."""
+    """Calibrate, look for the effect that nobody declared, train on the rest; writes both files."""
     session = admit(read_session(setting.bag, arm), arm).session
     training, held_out = blocked_split(session, rng=setting.seed)
-    rungs = ladder(arm, training, held_out, progress=lambda name: say(f"calibrate {name}", 0.2))
-    final = fit(rungs[-1].model, session)
+    rungs = ladder(arm, training, held_out, progress=lambda name: say(f"calibrate {name}", 0.1))
+    model, finding = _diagnosed(setting, arm, session, rungs[-1].model, say)
+    final = fit(model, session)
     provenance: dict[str, str | int | float] = {
         "session_hash": session.hash, "session": str(setting.bag), "rows": len(session),
+        "verdict": finding,
     }  # fmt: skip
     save_model(setting.model, store(final.model, final.standard_errors, provenance=provenance))
     seen = session.take(session.seen)
@@ -49,8 +55,27 @@ def learn(setting: Setting, arm: Arm, say: Say = lambda text, share: None) -> Le
         predictor_context(seen),
         seed=setting.seed,
         ensemble=setting.networks,
-        progress=lambda k, of: say("train", 0.3 + 0.7 * k / of),
+        progress=lambda k, of: say("train", 0.6 + 0.4 * k / of),
         provenance=Provenance(arm.hash, session.hash, arm.joint_names, {"deflection": True}),
     )
     made.save(setting.predictor)
-    return Learned(session, rungs, final.model, tuple(made.encoding.names))
+    effects = tuple(dict.fromkeys(e.name for e in final.model.effects if not e.geometry))
+    return Learned(session, rungs, finding, effects, tuple(made.encoding.names))
+
+
+def _diagnosed(
+    setting: Setting, arm: Arm, session: Session, calibrated: Model, say: Say
+) -> tuple[Model, str]:
+    """The model with what the diagnosis added, and its sentence; else the calibrated one."""
+    end = time.monotonic() + setting.diagnosis_s
+
+    def step(name: str) -> None:
+        say(f"diagnose: {name}", 0.3)
+        if time.monotonic() > end:
+            raise JobError(f"it took longer than {setting.diagnosis_s:g} s")
+
+    try:
+        found = diagnose(arm, session, seed=setting.seed, progress=step)
+    except JobError as error:
+        return calibrated, f"no diagnosis: {error}"
+    return found.model, f"{found.verdict}: {found.summary}"

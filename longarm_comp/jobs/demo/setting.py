@@ -29,17 +29,19 @@ class Setting:
         speed: motion so many times faster than the servos' file says.
         seed: of the hidden effects, the plan and the targets.
         networks: members of the predictor.
+        diagnosis_s: longest time for the diagnosis; the calibrated model serves without it.
         arm: file; the demonstration's own by default.
         parameters: of nodes, on top.
     """
 
     out: Path
-    poses: int = 140
+    poses: int = 130
     targets: int = 40
-    hidden: str = "joint_compliance=8.0 backlash=3.0 gear_eccentricity=2.0 tip_payload=4.0"
-    speed: float = 10.0
+    hidden: str = "joint_compliance=8.0 backlash=3.0"
+    speed: float = 20.0
     seed: int = 1
     networks: int = 5
+    diagnosis_s: float = 60.0
     arm: Path = field(default_factory=lambda: folder("config") / "arm_demo.yaml")
     parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
 
@@ -65,7 +67,8 @@ class Setting:
 
     def graph(self) -> BringUp:
         """The graph; model and predictor are taken up once they are there."""
-        given = {
+        given: dict[str, dict[str, Any]] = {
+            "servo_driver": {"follower.blend_s": 0.05},
             "simulated_arm": {
                 "hidden": self.hidden, "seed": self.seed, "frame_rate_hz": _FRAME_RATE_HZ,
             },

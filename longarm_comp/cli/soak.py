@@ -1,0 +1,73 @@
+"""``longarm soak``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from longarm_comp.cli import options
+from longarm_comp.cli.output import note, print_json, print_rows, print_table, progress
+
+
+@click.command()
+@click.option("--hours", default=1.0, show_default=True)
+@click.option("--rate", default=20.0, show_default=True, help="Targets a second.")
+@click.option("--fault-every", default=20.0, show_default=True, help="Mean time between, s.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder of its files; else temporary.")
+@options.seed
+@options.as_json
+def command(
+    hours: float, rate: float, fault_every: float, out: Path | None, seed: int, as_json: bool
+) -> None:
+    """Send targets to a simulated arm for hours while things break at random.
+
+    Nodes are killed, files overwritten, the emergency stop pressed, servo replies damaged,
+    targets malformed. Every target must be answered once, every command sent once, every
+    refusal explained, and no process may crash or grow. Exit code 3 where one of these fails.
+
+    \b
+    Examples:
+      longarm soak
+      longarm soak --hours 0.02 --fault-every 5 --json
+    """
+    import tempfile
+
+    from longarm_comp.cli.signals import stop_on_signals
+    from longarm_comp.core.errors import JobError
+    from longarm_comp.jobs.soak.run import soak
+    from longarm_comp.jobs.soak.setting import Setting
+
+    with (
+        tempfile.TemporaryDirectory(prefix="longarm_soak_") as scratch,
+        stop_on_signals() as stop,
+        progress("soak") as show,
+    ):
+        setting = Setting(out or Path(scratch), hours, rate, fault_every, seed=seed)
+        report = soak(setting, stop, show)
+    if as_json:
+        print_json(report)
+    else:
+        _show(report)
+    if not report["passed"]:
+        raise JobError("the soak found faults", **report["wrong"], **report["crashes"])
+
+
+def _show(report: dict[str, Any]) -> None:
+    for title in ("faults", "refusals", "wrong", "crashes"):
+        if report[title]:
+            print_table(title, ("what", "times"), list(report[title].items()))
+    rows = [
+        {
+            "process": g["name"],
+            "memory_mb": f"{g['memory_mb'][0]:.0f} -> {g['memory_mb'][1]:.0f}",
+            "handles": f"{g['handles'][0]} -> {g['handles'][1]}",
+            "leaks": "yes" if g["leaks"] else "no",
+        }
+        for g in report["growth"]
+    ]
+    if rows:
+        print_rows("processes, after the warm-up -> at the end", rows)
+    verdict = "passed" if report["passed"] else "failed"
+    note(f"{report['targets']} targets in {report['seconds']:.0f} s: {verdict}")

@@ -1,0 +1,66 @@
+"""Memory and open handles of processes over time, and whether they grow (Linux's /proc)."""
+
+from __future__ import annotations
+
+import os
+from collections import defaultdict
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+MEMORY_MB, HANDLES = 20.0, 8
+"""More growth than this after the warm-up is a leak."""
+_WARM_UP = 0.25  # share of a process's life that does not count
+_FEWEST = 8
+
+
+@dataclass
+class Growth:
+    """One process: samples, first and last level after the warm-up."""
+
+    name: str
+    samples: int
+    memory_mb: tuple[float, float]
+    handles: tuple[int, int]
+
+    @property
+    def leaks(self) -> bool:
+        """Whether it grew beyond what is allowed."""
+        more_mb = self.memory_mb[1] - self.memory_mb[0]
+        return more_mb > MEMORY_MB or self.handles[1] - self.handles[0] > HANDLES
+
+
+@dataclass
+class LeakWatch:
+    """Sampled now and then; processes by name and id, as a killed one comes back as another."""
+
+    _seen: dict[tuple[str, int], list[tuple[float, int]]] = field(
+        default_factory=lambda: defaultdict(list)
+    )
+
+    def sample(self, name: str, pid: int) -> None:
+        """Look at one process; one that is gone is passed over."""
+        try:
+            pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+            handles = len(os.listdir(f"/proc/{pid}/fd"))
+        except (OSError, IndexError):
+            return
+        self._seen[name, pid].append((pages * os.sysconf("SC_PAGE_SIZE") / 1e6, handles))
+
+    def growth(self) -> list[Growth]:
+        """Of the longest life of each process that was sampled often enough."""
+        made: dict[str, Growth] = {}
+        for (name, _), rows in self._seen.items():
+            if len(rows) < _FEWEST or (name in made and made[name].samples > len(rows)):
+                continue
+            steady = np.array(rows[int(_WARM_UP * len(rows)) :])
+            part = max(1, len(steady) // 5)
+            first, last = np.median(steady[:part], axis=0), np.median(steady[-part:], axis=0)
+            made[name] = Growth(
+                name,
+                len(rows),
+                (float(first[0]), float(last[0])),
+                (int(first[1]), int(last[1])),
+            )
+        return list(made.values())

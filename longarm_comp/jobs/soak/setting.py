@@ -1,0 +1,74 @@
+"""How long, how fast, how often something breaks, on which graph."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.nodes.bringup import BringUp, folder
+
+NAMESPACE = "longarm_soak"
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One soak.
+
+    Attributes:
+        out: folder for the files that the nodes read.
+        hours, rate_hz: of targets.
+        fault_s: mean time between two faults of the graph.
+        bad_share: of targets that must be refused.
+        wire_faults_hz: damaged, lost and cut servo replies.
+        seed: of every chance.
+    """
+
+    out: Path
+    hours: float = 1.0
+    rate_hz: float = 20.0
+    fault_s: float = 20.0
+    bad_share: float = 0.05
+    wire_faults_hz: float = 0.5
+    seed: int = 0
+    arm: Path = field(default_factory=lambda: folder("config") / "arm_demo.yaml")
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("hours", 1e-3, 1000.0),
+            ("rate_hz", 0.1, 200.0),
+            ("fault_s", 0.5, 1e6),
+            ("bad_share", 0.0, 1.0),
+            ("wire_faults_hz", 0.0, 20.0),
+        ):
+            if not low <= getattr(self, name) <= high:
+                raise InputError("soak", name, getattr(self, name), f"{low:g} to {high:g}")
+
+    @property
+    def model(self) -> Path:
+        """Model file, broken and mended on the way."""
+        return self.out / "model.yaml"
+
+    @property
+    def predictor(self) -> Path:
+        """Predictor file, broken and mended on the way."""
+        return self.out / "predictor.npz"
+
+    def graph(self) -> BringUp:
+        """The simulated arm with few images: they are not what is soaked."""
+        return BringUp(
+            arm=self.arm,
+            model=self.model,
+            predictor=self.predictor,
+            sim=True,
+            namespace=NAMESPACE,
+            speed=10.0,
+            set={
+                "simulated_arm": {
+                    "frame_rate_hz": 1.0,
+                    "seed": self.seed,
+                    "wire_faults_hz": self.wire_faults_hz,
+                },
+                "kinematics": {"move_time_s": 0.05},
+            },
+        )
