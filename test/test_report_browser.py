@@ -44,6 +44,8 @@ VISITOR = """<pre id="visit"></pre><script>
 const byId = (id) => document.getElementById(id);
 const shows = (id) => !!byId(id) && byId(id).checkVisibility();
 const rows = (id) => [...(byId(id)?.tBodies[0].rows ?? [])].map((r) => r.cells[0].textContent);
+const all = () => [...rows("best"), ...rows("rest")];
+const folded = () => ({ rows: all().length, open: byId("more")?.open });
 const wait = (ms) => new Promise((done) => setTimeout(done, ms));
 const eye = () => byId("plot")._fullLayout.scene._scene.getCamera().eye;
 const picture = () => Plotly.toImage(byId("plot"), { format: "png", width: 600, height: 400 });
@@ -55,7 +57,7 @@ const press = async (turn) => {
 const type = (id, text) => {
   byId(id).value = text;
   byId(id).dispatchEvent(new Event(id === "state" ? "change" : "input"));
-  return [...rows("best"), ...rows("rest")];
+  return all();
 };
 addEventListener("load", async () => {
   const seen = {};
@@ -71,11 +73,15 @@ addEventListener("load", async () => {
     if (byId("best")) {
       seen.sorted = { start: [rows("best").length, rows("rest").length] };
       document.querySelector("#best th[data-key=effect] button").click();
-      seen.sorted.effect = [...rows("best"), ...rows("rest")];
+      seen.sorted.effect = all();
       seen.sorted.says = document.querySelector("#best th[data-key=effect]").ariaSort;
       seen.filtered = { words: type("words", "session has no TIME") };
       type("words", "");
       seen.filtered.state = type("state", "accepted");
+      dispatchEvent(new Event("beforeprint"));
+      seen.printed = folded();
+      dispatchEvent(new Event("afterprint"));
+      seen.printed.then = folded();
       seen.filtered.none = type("state", "");
     }
     if (seen.scene) {
@@ -172,6 +178,7 @@ def test_full_page_shows_turns_sorts_and_filters(visit: Visit, tmp_path: Path) -
     assert seen["filtered"]["words"] == ["creep"]
     assert seen["filtered"]["state"] == ["backlash"]
     assert len(seen["filtered"]["none"]) == 52
+    assert seen["printed"] == {"rows": 52, "open": True, "then": {"rows": 1, "open": False}}
 
 
 def test_narrow_page_does_not_run_over(visit: Visit, tmp_path: Path) -> None:

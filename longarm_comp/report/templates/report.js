@@ -24,7 +24,8 @@
       const trace = traces.find((entry) => entry.meta && fits(entry));
       if (trace) byId("times").textContent = `arrows × ${trace.meta.times}`;
     };
-    const options = { responsive: true, displaylogo: false, displayModeBar: false };
+    // The wheel scrolls the page; the buttons bring the scene nearer.
+    const options = { responsive: true, displayModeBar: false, scrollZoom: false };
     Plotly.newPlot(plot, traces, layout, options).then(() => {
       document.documentElement.classList.add("alive");
     });
@@ -82,8 +83,8 @@
       const text = row.textContent.toLowerCase();
       return (!state || row.dataset.state === state) && words.every((word) => text.includes(word));
     };
-    const show = () => {
-      const kept = rows.filter(fits).sort(order);
+    const show = (all = false) => {
+      const kept = rows.filter((row) => all || fits(row)).sort(order);
       rows.forEach((row) => row.remove());
       kept.forEach((row, k) => bodies[k < shown || bodies.length === 1 ? 0 : 1].append(row));
       const direction = sorted.down ? "descending" : "ascending";
@@ -103,8 +104,10 @@
       });
       head.replaceChildren(button);
     });
-    byId("words").addEventListener("input", show);
-    byId("state").addEventListener("change", show);
+    byId("words").addEventListener("input", () => show());
+    byId("state").addEventListener("change", () => show());
+    addEventListener("beforeprint", () => show(true));
+    addEventListener("afterprint", () => show());
     byId("filter").hidden = false;
     show();
   }
