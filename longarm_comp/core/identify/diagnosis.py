@@ -177,6 +177,7 @@ def diagnose(
     rolled_back = bool(found) and not proof.better
     if rolled_back:
         models["with_effects"] = models["calibrated"]
+        structure = examine(calibrated, calibrated, rng)
     say("next poses")
     splits = tuple(
         next_poses(traced, f, f.alternatives[0], POSES_TO_SPLIT, seed)
@@ -265,8 +266,8 @@ def summary(
     """The verdict in one sentence."""
     if rolled_back:
         return (
-            "Effects were found in the fitted poses but did not help the held-out ones; "
-            "the model was left as it was."
+            "Effects were found in the fitted poses but their gain on the held-out ones is not "
+            "beyond chance; the model was left as it was."
         )
     left = (
         f"{1e3 * structure.size_m:.2f} mm of structure depends on {', '.join(structure.inputs)}"

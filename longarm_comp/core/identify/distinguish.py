@@ -89,7 +89,8 @@ def _finding(
     marginal = marginal_without(traced.fit, columns, places)
     mine = Candidate(name, terms)
     own = score(traced.fit, marginal, mine, columns)
-    limit = _likelihood(traced, marginal, columns, mine)
+    fixed = not _size(traced, mine)
+    limit = own.fit_gain if fixed else _likelihood(traced, marginal, columns, mine)
     held = {key(t) for t in traced.chosen}
     best: dict[str, Score] = {}
     close: dict[str, Score] = {}
