@@ -8,14 +8,12 @@ from typing import ClassVar
 
 from typing_extensions import Self
 
-from longarm_comp.core import spatial
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.effects.effect import Parameter, parameter
-from longarm_comp.core.effects.joint_term import JointTerm, typical_loads, with_prior
+from longarm_comp.core.effects.joint_term import JointTerm, with_prior
 from longarm_comp.core.posture import Posture
 from longarm_comp.core.spatial import Twist
 
-_RESTING = 1e-6  # N m: a vertical axis carries no torque but for rounding
 GATES = (0.0, 0.03, 0.075, 0.15, 0.3)
 
 
@@ -23,9 +21,7 @@ GATES = (0.0, 0.03, 0.075, 0.15, 0.3)
 class Backlash(JointTerm):
     """``+-width/2`` to the side of the gravity torque where that exceeds a threshold.
 
-    Below the threshold friction holds the joint where its motion left it: it lags behind,
-    on the side it came from.  Between the two the side changes over gradually, within a
-    sixth of the threshold, as a gear under a nearly balanced load does.
+    Below the threshold friction holds the joint on the side it came from (`JointTerm.side`).
 
     Attributes:
         gate: load under which the approach direction decides, as a share of the arm's
@@ -57,11 +53,4 @@ class Backlash(JointTerm):
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Half the width to the side that holds."""
-        load = self.load(posture)
-        force, torque = typical_loads(posture.arm)
-        sliding = posture.arm.joints[self.joint - 1].type == "prismatic"
-        threshold = self.gate * (force / 4 if sliding else torque)
-        settled = (abs(load) - threshold - _RESTING) / (threshold / 6 + 0.1 * _RESTING)
-        share = 0.5 + 0.5 * spatial.tanh(settled)
-        side = share * spatial.sign(load) - (1.0 - share) * self.direction(posture)
-        return self.motion(posture, (0.5 * self.width) * side)
+        return self.motion(posture, (0.5 * self.width) * self.side(posture, self.gate))

@@ -10,10 +10,13 @@ from functools import lru_cache
 import numpy as np
 from typing_extensions import Self
 
+from longarm_comp.core import spatial
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.effects.effect import Effect, Parameter
 from longarm_comp.core.posture import Posture
 from longarm_comp.core.spatial import Scalar, Twist
+
+_RESTING = 1e-6  # N m: a vertical axis carries no torque but for rounding
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,27 @@ class JointTerm(Effect):
             share = posture.force(station)[2] if sliding else posture.moment(station)[2]
             total = total + (share if weight == 1.0 else weight * share)
         return total
+
+    def side(self, posture: Posture, gate: float) -> Scalar:
+        """Where a joint with play or a deadband rests, -1 to +1.
+
+        On the side that its load pushes it to, where the load exceeds a threshold; below that
+        friction holds it where its motion left it: it lags, on the side it came from.  Between
+        the two the side changes over gradually, within a sixth of the threshold, as under a
+        nearly balanced load.
+
+        Args:
+            posture: the arm.
+            gate: the threshold, as a share of the arm's typical torque (`typical_loads`), or of
+                a quarter of its weight for a slide.
+        """
+        load = self.load(posture)
+        force, torque = typical_loads(posture.arm)
+        sliding = posture.arm.joints[self.joint - 1].type == "prismatic"
+        threshold = gate * (force / 4 if sliding else torque)
+        settled = (abs(load) - threshold - _RESTING) / (threshold / 6 + 0.1 * _RESTING)
+        share = 0.5 + 0.5 * spatial.tanh(settled)
+        return share * spatial.sign(load) - (1.0 - share) * self.direction(posture)
 
     def _coupled(self, arm: Arm) -> list[tuple[int, float]]:
         """(row, how far it moves per unit of this joint), this joint's own row first."""

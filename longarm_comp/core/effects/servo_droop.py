@@ -6,33 +6,53 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from longarm_comp.core import spatial
+from typing_extensions import Self
+
 from longarm_comp.core.arm import Arm
+from longarm_comp.core.context import Context
 from longarm_comp.core.effects.effect import Parameter, parameter
 from longarm_comp.core.effects.joint_term import JointTerm, typical_loads, with_prior
+from longarm_comp.core.errors import InputError
 from longarm_comp.core.posture import Posture
 from longarm_comp.core.spatial import Twist
+
+GATES = (0.0, 0.075, 0.3)
 
 
 @dataclass(frozen=True)
 class ServoDroop(JointTerm):
-    """Proportional sag plus deadband: ``sag * torque + deadband * sign(torque)``.
+    """Proportional sag plus deadband: ``sag * torque + deadband * side``.
 
     With no deadband it cannot be told from `joint_compliance`: report both.
+
+    Attributes:
+        gate: load under which friction decides the side of the deadband (`JointTerm.side`);
+            0 where the load always does.
     """
 
     name: ClassVar[str] = "servo_droop"
     loaded: ClassVar[bool] = True
 
+    gate: float = 0.0
     sag: float = parameter("rad/(N m)", "proportional droop per torque", prior=4e-3, lower=0.0)
     deadband: float = parameter("rad", "half-width of the deadband", prior=5e-3, lower=0.0)
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """Each revolute joint, with several gates."""
+        return [(cls(joint=row, gate=gate),) for row in cls.rows(arm) for gate in GATES]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Prior of the sag: 20 mrad under the arm's typical torque."""
         sag, deadband = self.declared()
         return (*with_prior((sag,), prior=0.02 / typical_loads(arm)[1]), deadband)
 
+    def require(self, context: Context) -> None:
+        """With a gate, the approach must be recorded."""
+        if self.gate > 0 and not context.has("approach"):
+            raise InputError(self.name, "approach", "missing", "a recorded column of the session")
+
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """The droop about the joint's axis."""
-        load = self.load(posture)
-        return self.motion(posture, self.sag * load + self.deadband * spatial.sign(load))
+        droop = self.sag * self.load(posture) + self.deadband * self.side(posture, self.gate)
+        return self.motion(posture, droop)
