@@ -42,10 +42,11 @@ def command(
     """
     import json
     import time
+    from typing import Any
 
     from longarm_comp.core.arm import Arm
-    from longarm_comp.nodes.bringup import folder
     from longarm_comp.core.files import write_text
+    from longarm_comp.nodes.bringup import folder
     from longarm_comp.studies import table1_summary as summary
     from longarm_comp.studies.table1 import study
 
@@ -57,7 +58,7 @@ def command(
             outcomes.append(made)
             show(f"{len(outcomes)} of {count} arms", len(outcomes) / count)
     table = summary.rows(outcomes)
-    facts = {
+    facts: dict[str, Any] = {
         "arms": count,
         "seed": seed,
         "targets_per_arm": summary.TARGETS,

@@ -14,7 +14,7 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.identify.candidates import Term, library
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.distinguish import Finding
+from longarm_comp.core.identify.distinguish import ALIASES, Finding
 from longarm_comp.core.identify.fit import Fit, fit, geometry
 from longarm_comp.core.identify.trace import Score
 from longarm_comp.core.model import Model
@@ -38,7 +38,8 @@ def score(setting: Setting, found: Diagnosis) -> dict[str, Any]:
     errors = _errors(setting, found, best)
     covered = all(any(t in n for n in names) for t in true)
     sets = [f for f in found.findings if f.alternatives]
-    named_wrong = [f.name for f in found.findings if not f.alternatives and f.name not in true]
+    meant = true.union(*(family for family in ALIASES if family & true))
+    named_wrong = [f.name for f in found.findings if not f.alternatives and f.name not in meant]
     made: dict[str, Any] = {
         "verdict": found.verdict,
         "visible": [round(v, 3) for v in setting.visible],

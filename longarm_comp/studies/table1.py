@@ -162,13 +162,13 @@ class Bench:
     temperature_c: float
 
     @classmethod
-    def draw(cls, base: Arm, seed: int, number: int) -> Bench:
+    def draw(cls, base: Arm, seed: int, number: int, poses: int = max(SAMPLES)) -> Bench:
         """Arm number `number` of a study: geometry, hidden effects, session, targets."""
         rng = np.random.default_rng([seed, number])
         arm = random_arm(rng, base)
         mix = paper_mix(rng, arm)
         true, camera = TrueArm(arm, mix.arm_side), Camera.of(arm, mix.camera_side)
-        measured = measure_session(true, camera, grid(arm, max(SAMPLES), rng).q, rng=rng).columns
+        measured = measure_session(true, camera, grid(arm, poses, rng).q, rng=rng).columns
         session = Session.record(
             np.stack([measured[f"q{j + 1}"] for j in range(arm.n)], axis=1),
             np.stack([measured[c] for c in "xyz"], axis=1),
@@ -232,7 +232,7 @@ def one_arm(
     base: Arm, seed: int, number: int, settings: tuple[Setting, ...] = SETTINGS
 ) -> list[Outcome]:
     """Every row on one arm; a model that two rows share is fitted once."""
-    bench = Bench.draw(base, seed, number)
+    bench = Bench.draw(base, seed, number, max(s.samples for s in settings) or 1)
     fitted: dict[int, Model] = {}
 
     def once(declared: Model, session: Session) -> Model:

@@ -1,0 +1,120 @@
+"""Table I: arms that are really commanded, and the table made of them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from longarm_comp.cli.study_table1 import command
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.compensate import Method
+from longarm_comp.core.identify.calibrate import Errors
+from longarm_comp.studies import table1, table1_summary
+
+FEW = 100
+SHORT = (
+    table1.Setting("Original error", Method.NONE, paper=(17.7, 223.94)),
+    table1.Setting("Deflection only", Method.DEFLECTION, paper=(15.39, 215.97)),
+    table1.Setting("learned", Method.BOTH, FEW, table1.gaussian_process),
+    table1.Setting("network", Method.BOTH, FEW, table1.ssa_bp, single_pass=True),
+)
+
+
+@pytest.fixture(scope="module")
+def arm(demo_arm_path: Path) -> Arm:
+    """The declared arm whose variants are built."""
+    return Arm.load(demo_arm_path)
+
+
+@pytest.fixture(scope="module")
+def outcomes(arm: Arm) -> list[table1.Outcome]:
+    """A short table on one arm."""
+    return table1.one_arm(arm, 3, 0, SHORT)
+
+
+def test_rows_of_the_paper_are_there_with_its_figures() -> None:
+    """Six rows as printed, then peer and best setting."""
+    printed = [s.paper for s in table1.SETTINGS if s.paper]
+    assert printed == [
+        (17.7, 223.94), (15.39, 215.97), (5.32, 52.83), (12.66, 214.37), (5.79, 57.15),
+        (9.98, 180.81),
+    ]  # fmt: skip
+    assert all(s.single_pass == (s.learner is table1.ssa_bp) for s in table1.SETTINGS)
+
+
+def test_commanding_improves_in_the_expected_order(outcomes: list[table1.Outcome]) -> None:
+    """Deflection takes a little, what is learned with the approach direction takes most."""
+    original, deflection, learned, network = (o.tip.mean_abs_z for o in outcomes)
+    assert 0.010 < original < 0.030
+    assert deflection < original
+    assert learned < 0.35 * original
+    assert network < deflection
+    assert all(o.tip.n == table1.TARGETS for o in outcomes)
+
+
+def test_error_is_where_the_true_arm_went(arm: Arm) -> None:
+    """A sound arm without hidden effects goes where the deflected model says."""
+    bench = table1.Bench.draw(arm, 3, 0, 1)
+    sound = table1.replace(
+        bench, true=table1.TrueArm(bench.declared.arm), camera=table1.Camera.of(bench.declared.arm)
+    )
+    stiff, sagging = (sound.run(s, 0) for s in SHORT[:2])
+    assert sagging.tip.max < 1e-4
+    assert stiff.tip.mean > 20 * sagging.tip.mean
+    assert sagging.seen.mean == pytest.approx(sagging.tip.mean)
+
+
+def test_same_seed_same_arm_and_other_number_other_arm(arm: Arm) -> None:
+    """Everything follows from the seed."""
+    one, again, other = (table1.Bench.draw(arm, 3, k, 5) for k in (0, 0, 1))
+    assert np.array_equal(one.targets, again.targets)
+    assert np.array_equal(one.session.xyz, again.session.xyz)
+    assert one.declared.arm.hash != other.declared.arm.hash
+
+
+def _arm(*z_mm: float) -> list[table1.Outcome]:
+    made = []
+    for setting, z in zip(SHORT, z_mm, strict=True):
+        error = 1e-3 * np.array([[0.0, 0.0, z], [0.0, 0.0, -z]])
+        made.append(table1.Outcome(setting.row, Errors.of(error), Errors.of(2 * error), 1))
+    return made
+
+
+def test_summary_by_hand() -> None:
+    """Means, spread, fallbacks, paired differences and their interval."""
+    arms = [_arm(10, 12, 3, 5), _arm(20, 24, 4, 5), _arm(30, 33, 5, 5)]
+    rows = table1_summary.rows(arms, SHORT)
+    assert rows[0]["mean_abs_z_mm"] == pytest.approx(20.0)
+    assert rows[0]["sd_over_arms_mm"] == pytest.approx(10.0)
+    assert rows[0]["seen_mean_abs_z_mm"] == pytest.approx(40.0)
+    assert rows[0]["variance_mm2"] == pytest.approx((100 + 400 + 900) / 9)
+    assert rows[0]["fallbacks"] == 3
+    (difference,) = table1_summary.differences(rows, [("Deflection only", "Original error")])
+    assert difference["mean_mm"] == pytest.approx(3.0)
+    assert difference["ci95_mm"] == pytest.approx([3 - 2.484, 3 + 2.484], abs=2e-3)
+    assert difference["better_arms"] == 0
+    (line,) = table1_summary.contradictions(rows)
+    assert "'Deflection only' below 'Original error' by 2.31 mm, here it is above by 3.00" in line
+
+
+def test_command_writes_table_and_figure(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """JSON on stdout, the same in the folder, and a picture."""
+
+    def measured(base: Arm, count: int, seed: int, jobs: int) -> list[list[table1.Outcome]]:
+        blank = Errors.of(np.zeros((2, 3)))
+        full = [_arm(10, 8, 3, 4), _arm(12, 9, 2, 4)][:count]
+        rest = [table1.Outcome(s.row, blank, blank, 0) for s in table1.SETTINGS[4:]]
+        return [made + rest for made in full]
+
+    monkeypatch.setattr(table1, "study", measured)
+    done = CliRunner().invoke(command, ["--arms", "2", "--json", "-o", str(tmp_path / "made")])
+    assert done.exit_code == 0, done.output
+    printed = json.loads(done.stdout)
+    assert [row["row"] for row in printed["rows"]] == [s.row for s in table1.SETTINGS]
+    assert printed["rows"][0]["arms_mm"] == pytest.approx([10, 12])
+    assert json.loads((tmp_path / "made" / "table1.json").read_text())["seed"] == 0
+    assert (tmp_path / "made" / "table1.png").read_bytes().startswith(b"\x89PNG")
