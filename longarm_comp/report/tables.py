@@ -21,7 +21,7 @@ _CERTAIN = 100
 VERDICTS = {
     "noise": ("Noise", "Nothing beyond the noise was found; nothing was added."),
     "named": ("Named", "One physical effect explains what the model lacked."),
-    "set": ("Set", "Several effects explain the data about equally well; more poses may split them."),
+    "set": ("Set", "Several effects explain the data about as well; more poses may split them."),
     "partly": ("Partly", "A named effect explains a part; structure is left over."),
     "unknown": ("Unknown", "There is structure, but no effect of the library explains it."),
     "bad_data": ("Bad data", "The data were refused; nothing was fitted, nothing was added."),
