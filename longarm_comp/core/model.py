@@ -45,7 +45,7 @@ class Model:
         arm: as declared.
         effects: arm side, in any order.
         biases: camera side, applied in order; they never reach a joint command.
-        passes: load passes (2 leave 0.02 mm at 18 mm of sag, 3 leave 0.00).
+        passes: load passes (1 leaves 0.14 mm at 18 mm of sag, 2 leave 0.001; docs/physics.md).
         elements_per_beam: pieces each beam is cut in.
     """
 
