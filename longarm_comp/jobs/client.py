@@ -59,8 +59,6 @@ class ArmClient:
         self.joints: np.ndarray | None = None
         self.sightings: list[tuple[int, np.ndarray, np.ndarray]] = []
         """(stamp ns, tip (3,) m or NaN, variance (3,)), newest last."""
-        self._moved_ns = 0
-        self._rest_at: np.ndarray | None = None
         self._trajectory = graph.JOINT_TRAJECTORY.publisher(self.node)
         graph.JOINT_STATES.subscription(self.node, self._on_joints)
         graph.TIP_MEASURED.subscription(self.node, self._on_tip)
@@ -143,8 +141,12 @@ class ArmClient:
         names = list(self.arm.joint_names)
         self._trajectory.publish(JointTrajectory(joint_names=names, points=points))
 
-    def arrive(self, q: np.ndarray, tolerance: np.ndarray, dwell_s: float, within_s: float) -> int:
-        """Wait until the joints stay within (n,) of q for a while.
+    def arrive(
+        self, path: np.ndarray, tolerance: np.ndarray, dwell_s: float, within_s: float
+    ) -> int:
+        """Wait until the joints stay within (n,) of the end of a path (k, n) for a while.
+
+        An arm that stands there already, and is to come back to it by way-points, must have left.
 
         Returns:
             The moment (ns, the graph's clock) from which the arm was at rest.
@@ -152,11 +154,14 @@ class ArmClient:
         Raises:
             JobError: it did not arrive. Interrupted.
         """
+        q = path[-1]
         inside_since: list[float] = []
+        away = [bool((np.abs(path - q) <= tolerance).all())]  # no way-point leads away
 
         def there() -> bool:
             inside = self.joints is not None and (np.abs(self.joints - q) <= tolerance).all()
-            if not inside:
+            away[0] |= not inside
+            if not inside or not away[0]:
                 inside_since.clear()
             elif not inside_since:
                 inside_since.append(time.monotonic())

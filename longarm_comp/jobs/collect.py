@@ -7,6 +7,7 @@ was; so a session that was broken off anywhere is readable, and `collect` goes o
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -95,10 +96,11 @@ def collect(
             recorder.drop()
             if visit.payload_kg is not None:
                 payload.publish(Float64(data=visit.payload_kg))
+            begun = time.time_ns()
             if not _visit(client, visit, pace):
                 unseen.append(visit.index)
             _tell(client, recorder, visit)
-            recorder.keep()
+            recorder.keep(since_ns=begun)
             if len(unseen) > max(5, len(left) // 2):
                 raise JobError("the marker is not seen at most poses", lost=len(unseen))
     return Collected(len(left), len(done), len(todo), tuple(unseen))
@@ -106,11 +108,11 @@ def collect(
 
 def _visit(client: ArmClient, visit: Visit, pace: Pace) -> int:
     """Drive to one pose and look; the number of sightings."""
-    way = [visit.q] if visit.via is None else [visit.via, visit.q]
-    client.send(np.array(way), pace.move_s)
+    path = np.array([visit.q] if visit.via is None else [visit.via, visit.q])
+    client.send(path, pace.move_s)
     client.spin(0.05)  # the driver has taken it up when its joints move
     tolerance = np.full(client.arm.n, pace.tolerance)
-    now = client.arrive(visit.q, tolerance, pace.dwell_s, pace.arrive_s)
+    now = client.arrive(path, tolerance, pace.dwell_s, pace.arrive_s)
     return len(client.look(now + int(_FRESH_S * 1e9), pace.sightings, pace.look_s))
 
 

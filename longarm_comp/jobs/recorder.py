@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 import time
 from collections.abc import Sequence
@@ -27,6 +28,7 @@ IMAGE_TOPICS = (graph.LEFT_IMAGE, graph.RIGHT_IMAGE, graph.LEFT_INFO, graph.RIGH
 
 _DEPTH = 2000
 _SEGMENT_S = 20.0
+_CLOCKS_APART_NS = 60 * 10**9
 
 
 class Recorder:
@@ -47,6 +49,7 @@ class Recorder:
     ) -> None:
         self._node, self._bag, self._segment_s = node, bag, segment_s
         self._waiting: list[tuple[str, str, int, bytes]] = []
+        self._stamped: set[str] = set()
         self._since = time.monotonic()
         self.counts: dict[str, int] = {}
         for topic in topics:
@@ -55,6 +58,8 @@ class Recorder:
     def _subscribe(self, topic: Topic) -> None:
         name = self._node.resolve_topic_name(topic.name)
         kind = _type_name(topic.type)
+        if "header" in topic.type.get_fields_and_field_types():
+            self._stamped.add(name)
         qos = QoSProfile(depth=_DEPTH, reliability=topic.listens)
         self._node.create_subscription(
             topic.type, topic.name, lambda raw: self.put(name, kind, bytes(raw)), qos, raw=True
@@ -64,15 +69,30 @@ class Recorder:
         """Take one serialised message that came just now; ``topic`` is its full name."""
         self._waiting.append((topic, kind, time.time_ns(), raw))
 
-    def keep(self, *, finish: bool = False) -> None:
-        """Write what waits; ``finish`` makes it part of the readable bag at once."""
-        for topic, kind, stamp, raw in self._waiting:
-            self._bag.write(topic, kind, stamp, raw)
+    def keep(self, *, since_ns: int = 0, finish: bool = False) -> None:
+        """Write what waits.
+
+        Args:
+            since_ns: leave out what tells of moments before, whenever it came.
+            finish: make it part of the readable bag at once.
+        """
+        for topic, kind, received, raw in self._waiting:
+            if self._moment(topic, received, raw) < since_ns:
+                continue
+            self._bag.write(topic, kind, received, raw)
             self.counts[topic] = self.counts.get(topic, 0) + 1
         self._waiting.clear()
         if finish or time.monotonic() - self._since > self._segment_s:
             self._bag.finish_segment()
             self._since = time.monotonic()
+
+    def _moment(self, topic: str, received: int, raw: bytes) -> int:
+        """What a message is about (ns): its header's stamp, where it has one of this clock."""
+        if topic not in self._stamped:
+            return received
+        seconds, rest = struct.unpack_from("<iI" if raw[1] & 1 else ">iI", raw, 4)
+        stamp = int(seconds) * 10**9 + int(rest)
+        return stamp if abs(stamp - received) < _CLOCKS_APART_NS else received
 
     def drop(self) -> None:
         """Forget what waits."""

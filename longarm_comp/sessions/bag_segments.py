@@ -24,7 +24,7 @@ _KEY = "rosbag2_bagfile_information"
 
 
 class SegmentedBag:
-    """Writer of a bag folder; use as a context manager.
+    """Writer of a bag folder; use as a context manager, within which it is readable.
 
     Args:
         path: the bag's folder.
@@ -69,6 +69,9 @@ class SegmentedBag:
         return dict(found)
 
     def __enter__(self) -> SegmentedBag:
+        if self._information is None:
+            self._open()  # a bag without a message is a bag
+            self.finish_segment()
         return self
 
     def __exit__(
@@ -77,8 +80,6 @@ class SegmentedBag:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if self._information is None:
-            self._open()  # a bag without a message is a bag
         self.finish_segment()
 
     def write(self, topic: str, kind: str, stamp_ns: int, data: bytes) -> None:
@@ -98,8 +99,9 @@ class SegmentedBag:
 
     @property
     def _segment(self) -> Path:
-        files = [] if self._information is None else self._information["relative_file_paths"]
-        return self._partial / f"{self._path.name}_{len(files)}"
+        known = self._information
+        place = len(known["relative_file_paths"]) if known and known["message_count"] else 0
+        return self._partial / f"{self._path.name}_{place}"
 
     def finish_segment(self) -> None:
         """Make everything written so far part of the bag."""
@@ -119,7 +121,7 @@ class SegmentedBag:
 
 def _joined(one: dict[str, Any] | None, two: dict[str, Any]) -> dict[str, Any]:
     """Metadata of both: files in order, counts added, the time of both."""
-    if one is None:
+    if one is None or not one["message_count"]:
         return two
     first, second = (part["starting_time"]["nanoseconds_since_epoch"] for part in (one, two))
     end = max(first + one["duration"]["nanoseconds"], second + two["duration"]["nanoseconds"])

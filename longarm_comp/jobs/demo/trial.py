@@ -107,7 +107,7 @@ class Course:
         q = joints_of(answer.command, client.arm, "compensate")
         client.spin(0.05)
         tolerance = np.full(client.arm.n, pace.tolerance)
-        rest = client.arrive(q, tolerance, pace.dwell_s, pace.arrive_s) + _FRESH_NS
+        rest = client.arrive(q[None], tolerance, pace.dwell_s, pace.arrive_s) + _FRESH_NS
         looks = client.look(rest, pace.sightings, pace.look_s)
         self._truth_since(rest)
         seen = np.mean(looks, axis=0) if looks else np.full(3, np.nan)

@@ -1,0 +1,246 @@
+"""`longarm collect` and `longarm record`: what they leave, also when they are broken off."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from nodes_bench import Bench, bench
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.calibrate import declared_model, errors
+from longarm_comp.core.plan import Plan, sobol
+from longarm_comp.jobs.visits import RUN_UP, Visit, visits
+from longarm_comp.nodes.bringup import BringUp, running
+from longarm_comp.nodes.messages import joints_message
+from longarm_comp.sessions.bag import open_bag
+from longarm_comp.sessions.bag_info import bag_info
+from longarm_comp.sessions.bag_segments import SegmentedBag
+from longarm_comp.sessions.message_types import message_types
+from longarm_comp.sessions.poses import write_poses
+from longarm_comp.sessions.read import read_session
+
+POSES = 5
+TEXT = "std_msgs/msg/String"
+
+
+@pytest.fixture(scope="module")
+def arm(demo_arm_path: Path) -> Arm:
+    return Arm.load(demo_arm_path)
+
+
+def word(text: str) -> bytes:
+    types = message_types()
+    return bytes(types.serialize_cdr(types.types[TEXT](data=text), TEXT))
+
+
+# ------------------------------------------------------------------ visits
+
+
+def test_visits_are_the_plan_from_both_sides_in_random_order(arm: Arm) -> None:
+    plan = sobol(arm, 8, 3)
+    made = visits(plan, arm, both_sides=True, repeats=2, seed=4)
+    assert [visit.index for visit in made] == list(range(8 * 2 + 2 * 2))
+    again = visits(plan, arm, both_sides=True, repeats=2, seed=4)
+    assert all((a.q == b.q).all() for a, b in zip(made, again, strict=True))
+    other = visits(plan, arm, both_sides=True, repeats=2, seed=5)
+    assert any((a.q != b.q).any() for a, b in zip(made, other, strict=True))
+    for q in plan.q:
+        mine = [visit for visit in made if (visit.q == q).all()]
+        assert len(mine) in (2, 4)
+        assert len({visit.repeat_id for visit in mine}) == 1
+        sides = {tuple(np.sign(v.q - v.via)) for v in mine if v.via is not None}
+        assert len(sides) == 2
+
+
+def test_a_run_up_stays_in_the_box_and_comes_from_the_planned_side(arm: Arm) -> None:
+    plan = Plan(np.stack([arm.lower, arm.mid]), np.array([1, -1]))
+    low, middle = visits(plan, arm, shuffle=False)
+    assert low.via is not None and middle.via is not None
+    np.testing.assert_array_equal(low.via, arm.lower)
+    np.testing.assert_allclose(middle.via - middle.q, RUN_UP * (arm.upper - arm.lower))
+    straight = visits(Plan(plan.q, np.zeros(2, int)), arm)
+    assert all(visit.via is None for visit in straight)
+
+
+def test_more_repeats_than_poses_are_refused(arm: Arm) -> None:
+    with pytest.raises(InputError, match="--repeats"):
+        visits(sobol(arm, 3), arm, repeats=4)
+
+
+# ------------------------------------------------------------------ bags that grow
+
+
+def test_a_growing_bag_is_readable_after_every_segment(tmp_path: Path) -> None:
+    path = tmp_path / "bag"
+    with SegmentedBag(path) as bag:
+        for k in range(30):
+            bag.write("/word", TEXT, 10**18 + k, word(f"w{k}"))
+            if k % 10 == 9:
+                bag.finish_segment()
+                with open_bag(path) as reader:
+                    assert reader.message_count == k + 1
+        bag.write("/other", TEXT, 10**18 + 99, word("last"))
+    with open_bag(path) as reader:
+        stamps = [stamp for _, stamp, _ in reader.messages()]
+    assert stamps == [*range(10**18, 10**18 + 30), 10**18 + 99]
+    with pytest.raises(InputError, match="--resume"):
+        SegmentedBag(path)
+    with SegmentedBag(path, resume=True) as bag:
+        bag.write("/word", TEXT, 10**18 + 200, word("more"))
+    assert {t.topic: t.count for t in bag_info(path).topics} == {"/word": 31, "/other": 1}
+
+
+def test_a_bag_of_nothing_is_a_bag_and_rubbish_is_not_resumed(tmp_path: Path) -> None:
+    with SegmentedBag(tmp_path / "empty"):
+        pass
+    assert bag_info(tmp_path / "empty").messages == 0
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "thesis.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"thesis\.txt"):
+        SegmentedBag(tmp_path / "other", resume=True)
+
+
+def test_a_killed_writer_leaves_all_but_its_last_segment(tmp_path: Path) -> None:
+    program = f"""
+import os, signal
+from longarm_comp.sessions.bag_segments import SegmentedBag
+bag = SegmentedBag({str(tmp_path / "bag")!r}).__enter__()
+for k in range(25):
+    bag.write("/word", {TEXT!r}, 10**18 + k, {word("x")!r})
+    if k % 10 == 9:
+        bag.finish_segment()
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+    done = subprocess.run([sys.executable, "-c", program], check=False)
+    assert done.returncode == -signal.SIGKILL
+    assert bag_info(tmp_path / "bag").messages == 20
+    with SegmentedBag(tmp_path / "bag", resume=True) as bag:
+        bag.write("/word", TEXT, 10**18 + 30, word("y"))
+    assert bag_info(tmp_path / "bag").messages == 21
+
+
+# ------------------------------------------------------------------ on the graph
+
+
+@contextlib.contextmanager
+def simulated(demo_arm_path: Path) -> Iterator[None]:
+    graph = BringUp(
+        arm=demo_arm_path,
+        sim=True,
+        speed=20.0,
+        set={
+            "simulated_arm": {"hidden": "backlash=3.0", "frame_rate_hz": 10.0},
+            "servo_driver": {"follower.blend_s": 0.05},
+        },
+        without=("kinematics", "error_predictor"),
+    )
+    with running(graph):
+        yield
+
+
+def longarm(*words: object) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "longarm_comp", *map(str, words)],
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    )
+
+
+def begun(bag: Path) -> bool:
+    """Whether the bag is there, with a segment at hand."""
+    return (bag / "metadata.yaml").exists() and (bag / ".recording").exists()
+
+
+def wait_for_a_visit(bag: Path, process: subprocess.Popen[str], but: int = 0) -> int:
+    """Until a visit is in the segment at hand: its number, which is not ``but``."""
+    segment, end = bag / ".recording", time.monotonic() + 120.0
+    while not (begun(bag) and segment.stat().st_ino != but):
+        assert process.poll() is None, process.communicate()[0]
+        assert time.monotonic() < end, f"nothing in {segment}"
+        time.sleep(0.02)
+    return segment.stat().st_ino
+
+
+def test_a_session_survives_interruptions_and_is_resumed(
+    ros_domain: int, arm: Arm, demo_arm_path: Path, tmp_path: Path
+) -> None:
+    plan = sobol(arm, POSES, 2)
+    write_poses(plan, tmp_path / "poses.csv")
+    bag = tmp_path / "bag"
+    words = ("collect", demo_arm_path, tmp_path / "poses.csv", "-o", bag, "--sightings", 2)
+    words += ("--dwell", 0.1, "--move", 0.05, "--seed", 3, "--resume")
+    with simulated(demo_arm_path):
+        first = longarm(*words)
+        killed = wait_for_a_visit(bag, first)
+        os.kill(first.pid, signal.SIGKILL)
+        first.communicate()
+        assert bag_info(bag).messages == 0
+
+        second = longarm(*words)
+        wait_for_a_visit(bag, second, killed)
+        second.send_signal(signal.SIGINT)
+        said = second.communicate(timeout=60)[0]
+        assert "Traceback" not in said
+        half = read_session(bag, arm)
+        assert 1 <= len(half) <= POSES
+
+        other = longarm(*words[:-2], 4, "--resume")  # another seed: another order
+        said = other.communicate(timeout=60)[0]
+        assert other.returncode == 2, said
+        assert "seed" in said
+
+        third = longarm(*words)
+        said = third.communicate(timeout=200)[0]
+        assert third.returncode == 0, said
+    session = read_session(bag, arm)
+    todo: list[Visit] = visits(plan, arm, seed=3)
+    assert session.index.tolist() == list(range(POSES))
+    np.testing.assert_allclose(session.q, [visit.q for visit in todo], atol=1e-9)
+    sides = np.array([np.sign(visit.q - visit.via) for visit in todo])
+    np.testing.assert_array_equal(session.approach, sides)
+    assert session.sigma is not None
+    assert np.abs(errors(declared_model(arm), session)).max() < 0.02
+    assert session.temperature_c is not None
+
+
+def spin_for(stage: Bench, seconds: float) -> None:
+    end = time.monotonic() + seconds
+    stage.spin(lambda: time.monotonic() > end)
+
+
+def test_record_keeps_every_message_and_resumes(ros_domain: int, arm: Arm, tmp_path: Path) -> None:
+    from longarm_comp.nodes import interfaces as graph
+
+    bag, sent = tmp_path / "bag", 0
+    with bench() as stage:
+        commands = graph.JOINT_TRAJECTORY.publisher(stage.node)
+        joints = graph.JOINT_STATES.publisher(stage.node)
+        for _ in range(2):
+            process = longarm("record", "-o", bag, "--segment", 0.5, "--resume")
+            stage.connected(commands)
+            stage.connected(joints)
+            spin_for(stage, 0.5)
+            for _ in range(400):
+                joints.publish(joints_message(arm, arm.mid))
+                time.sleep(0.001)
+            sent += 400
+            spin_for(stage, 1.0)
+            process.send_signal(signal.SIGINT)
+            said = process.communicate(timeout=30)[0]
+            assert process.returncode == 0, said
+            stage.spin(lambda: commands.get_subscription_count() == 0)
+    assert {t.topic: t.count for t in bag_info(bag).topics} == {"/joint_states": sent}
