@@ -21,7 +21,7 @@ from longarm_comp.core.declared import Declared, parse_declared, read_yaml
 from longarm_comp.core.effects.catalogue import effect_class
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import write_text
+from longarm_comp.core.files import atomic_path, write_text
 from longarm_comp.core.model import Model
 
 
@@ -51,17 +51,17 @@ class ArmReference(Declared):
 
 
 class StoredModel(Declared):
-    """The whole file."""
+    """The whole file; every key is there, so that a file cut short is seen."""
 
-    schema_: Literal["longarm/model/1"]
-    version: int
+    schema_: Literal["longarm/model/1"] = Field(alias="schema")
+    version: int = Field(ge=1)
     arm: ArmReference
-    passes: int = 3
-    elements_per_beam: int = 2
-    geometry: list[StoredTerm] = Field(default_factory=list)
-    effects: list[StoredTerm] = Field(default_factory=list)
-    camera: list[StoredTerm] = Field(default_factory=list)
-    provenance: dict[str, str | int | float] = Field(default_factory=dict)
+    passes: int = Field(ge=1)
+    elements_per_beam: int = Field(ge=1)
+    geometry: list[StoredTerm]
+    effects: list[StoredTerm]
+    camera: list[StoredTerm]
+    provenance: dict[str, str | int | float]
 
 
 def store(
@@ -108,7 +108,7 @@ def store(
             )
         )
     return StoredModel(
-        schema_="longarm/model/1",
+        schema="longarm/model/1",
         version=version,
         arm=ArmReference(name=model.arm.name, hash=model.arm.hash),
         passes=model.passes,
@@ -124,15 +124,15 @@ def save_model(path: str | Path, stored: StoredModel) -> None:
     Raises:
         InputError: the folder cannot be written.
     """
-    data = stored.model_dump(mode="json", exclude_defaults=False)
-    data = {"schema": data.pop("schema_"), **data}
+    data = stored.model_dump(mode="json", by_alias=True)
     text = (
         "# Written by longarm; values in SI units. Geometry, effects and camera-side biases.\n"
         + yaml.safe_dump(data, sort_keys=False, width=100)
     )
     path = Path(path)
     if path.is_file():
-        write_text(previous(path), path.read_text(encoding="utf-8"))
+        with atomic_path(previous(path)) as partial:
+            partial.write_bytes(path.read_bytes())
     write_text(path, text)
 
 
@@ -160,10 +160,7 @@ def read_stored(path: str | Path) -> StoredModel:
     Raises:
         InputError: unreadable, unknown key, value not allowed.
     """
-    data = read_yaml(path)
-    if isinstance(data, dict) and "schema" in data:
-        data = {"schema_": data["schema"], **{k: v for k, v in data.items() if k != "schema"}}
-    return parse_declared(StoredModel, data, str(path))
+    return parse_declared(StoredModel, read_yaml(path), str(path))
 
 
 def load_model(path: str | Path, arm: Arm) -> Model:
@@ -195,15 +192,18 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
                     where, f"{entry.effect}.{name}", "unknown", ", ".join(sorted(known))
                 )
         values = {name: stored_value.value for name, stored_value in entry.parameters.items()}
-        for p in kind.declared():
-            value = values.get(p.name, 0.0)
-            if not p.lower <= value <= p.upper:
-                raise InputError(where, f"{entry.effect}.{p.name}", value, f"{p.lower}..{p.upper}")
         try:
             term = kind(**entry.form, **values)
         except TypeError as error:
             raise InputError(where, entry.effect, entry.form, str(error)) from error
-        terms.append(_placed(term, arm, where))
+        _check_place(term, arm, where)
+        for p in term.parameters(arm):
+            field, value = f"{entry.effect}.{p.name}", getattr(term, p.name)
+            if p.name in values and entry.parameters[p.name].unit != p.unit:
+                raise InputError(where, field, entry.parameters[p.name].unit, p.unit)
+            if not p.lower <= value <= p.upper:
+                raise InputError(where, field, value, f"{p.lower}..{p.upper}")
+        terms.append(term)
     return Model(
         arm,
         tuple(t for t in terms if isinstance(t, Effect)),
@@ -213,7 +213,7 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
     )
 
 
-def _placed(term: Effect | Bias, arm: Arm, where: str) -> Effect | Bias:
+def _check_place(term: Effect | Bias, arm: Arm, where: str) -> None:
     """Check that the place named in the file exists on this arm."""
     rows = range(len(arm.joints) + 1)
     places: dict[str, Any] = {
@@ -221,8 +221,8 @@ def _placed(term: Effect | Bias, arm: Arm, where: str) -> Effect | Bias:
         "row": rows[1:],
         "frame": rows,
         "beam": [b.name for b in arm.links],
+        "marker": ["", *arm.markers],
     }
     for name, allowed in places.items():
         if name in term.placement and term.placement[name] not in allowed:
             raise InputError(where, f"{term.name}.{name}", term.placement[name], list(allowed))
-    return term
