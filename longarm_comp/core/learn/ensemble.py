@@ -32,7 +32,7 @@ INITS: dict[str, Start] = {
     "ssa": sparrow_start,
     "xavier": lambda shape, fitness, rng, search: xavier_start(shape, rng),
 }
-HIDDEN_CHOICES = (8, 12, 17, 24)  # tried in turn until the evidence falls by _UNLIKELY
+HIDDEN_CHOICES = (8, 12, 17, 24, 34)  # tried in turn until the evidence falls by _UNLIKELY
 _UNLIKELY = 30.0
 _FEWEST_ROWS = 20
 _Z90 = 1.6449

@@ -1,0 +1,127 @@
+"""Acceptance on the twin: calibrate and learn on its samples, judge on noise-free test poses."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.dataset import Session
+from longarm_comp.core.effects.backlash import Backlash
+from longarm_comp.core.effects.camera_radial import CameraRadial
+from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
+from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.prismatic_pitch import PrismaticPitch
+from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
+from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
+from longarm_comp.core.identify.calibrate import declared_model, errors, ladder
+from longarm_comp.core.identify.fit import fit, geometry
+from longarm_comp.core.learn.ensemble import train
+from longarm_comp.core.model import Model
+from longarm_comp.sessions.csv import read_csv
+from longarm_comp.sessions.residual_inputs import predictor_context
+
+GATE = 0.075  # of the arm's typical torque: 0.36 N m, where the twin's backlash changes side
+
+
+@dataclass(frozen=True)
+class Twin:
+    """A case: what was measured, and what is true of its test rows."""
+
+    arm: Arm
+    samples: Session
+    test: Session
+    true: np.ndarray  # (N, 3) m, noise-free
+    rigid: np.ndarray  # (N, 3) m, where the rigid declared arm puts the tip
+
+    @classmethod
+    def load(cls, folder: Path, case: str) -> Twin:
+        arm = Arm.load(str(folder / "twin" / "arm.yaml"))
+        at = folder / "twin" / case
+        with (at / "answer" / "noise_free.csv").open(newline="", encoding="utf-8") as handle:
+            rows = [row for row in csv.DictReader(handle) if row["set"] == "test"]
+        test = read_csv(at / "test.csv", arm)
+        assert [int(row["index"]) for row in rows] == test.index.tolist()
+
+        def points(prefix: str) -> np.ndarray:
+            return np.array([[float(row[prefix + axis]) for axis in "xyz"] for row in rows])
+
+        return cls(arm, read_csv(at / "samples.csv", arm), test, points(""), points("rigid_"))
+
+    def share(self, model: Model, expected: np.ndarray | float = 0.0) -> float:
+        """Mean |z| that is left of the uncompensated one, noise-free."""
+        predicted = model.measured(self.test.q, self.test.context()) + expected
+        before = np.abs(self.true - self.rigid)[:, 2].mean()
+        return float(np.abs(self.true - predicted)[:, 2].mean() / before)
+
+    def calibrated(self) -> Model:
+        """Geometry only, on top of the declared sag."""
+        return fit(
+            declared_model(self.arm).plus(*geometry(self.arm, self.samples)), self.samples
+        ).model
+
+    def with_network(self, model: Model) -> float:
+        """The share left with a default network on what the model leaves."""
+        seen = self.samples.take(self.samples.seen)
+        predictor = train(seen.q, errors(model, seen), predictor_context(seen))
+        found = predictor.predict(self.test.q, predictor_context(self.test))
+        assert found.in_domain.all()
+        return self.share(model, found.error)
+
+
+@pytest.mark.parametrize(("samples", "allowed"), [(300, 0.22), (900, 0.15)])
+def test_calibrated_and_network(data_dir: Path, samples: int, allowed: float) -> None:
+    """The paper leaves 0.56 and 0.30; a Gaussian process told the approach 0.20 and 0.14."""
+    twin = Twin.load(data_dir, f"paper_twin_{samples}")
+    model = twin.calibrated()
+    assert twin.share(declared_model(twin.arm)) > 0.75
+    assert twin.share(model) > 2 * allowed
+    assert twin.with_network(model) <= allowed
+
+
+@pytest.mark.parametrize("samples", [300, 900])
+def test_the_right_effects_leave_a_twentieth(data_dir: Path, samples: int) -> None:
+    """Calibrated with the effects that are in the twin, started from nothing."""
+    twin = Twin.load(data_dir, f"paper_twin_{samples}")
+    base = declared_model(twin.arm).plus(*geometry(twin.arm, twin.samples))
+    rows = [1, 2, 4, 5, 6]
+    first = base.plus(
+        *JointGain.for_arm(twin.arm),
+        *PrismaticPitch.for_arm(twin.arm),
+        *FrictionHysteresis.for_arm(twin.arm),
+        *(Backlash(joint=row, gate=GATE) for row in rows),
+        CameraRadial(),
+        *TelescopeClearance.for_arm(twin.arm),
+    )
+    smooth = fit(first, twin.samples).model
+    steps = ServoQuantisation.for_arm(twin.arm)
+    coarse = [s for s in steps if s.steps_per_turn == 1000]
+    full = fit(smooth.plus(*coarse), twin.samples).model
+    assert twin.share(smooth) < 0.15
+    assert twin.share(full) <= 0.05
+
+
+def test_one_joint_compliance(data_dir: Path) -> None:
+    """The ladder ends at the noise where the missing effect is declared, and not before."""
+    twin = Twin.load(data_dir, "one_joint_compliance_300")
+    rungs = ladder(
+        twin.arm,
+        twin.samples,
+        twin.test,
+        [("joint_compliance", JointCompliance.for_arm(twin.arm))],
+    )
+    left = {
+        rung.name: 1e3
+        * np.linalg.norm(
+            twin.true - rung.model.measured(twin.test.q, twin.test.context()), axis=1
+        ).mean()
+        for rung in rungs
+    }
+    assert left["joint_compliance"] < 0.1
+    assert left["geometry"] > 2 * left["joint_compliance"]
+    assert left["nominal"] > left["geometry"]
