@@ -21,6 +21,7 @@ from longarm_comp.cli.output import note, print_json, print_rows, progress
 @click.option("--targets", type=int, default=40, show_default=True, help="Fresh targets.")
 @click.option("--hidden", help="Undeclared effects of the arm: 'name=mm name=mm'.")
 @click.option("--speed", type=float, default=20.0, show_default=True, help="Times real motion.")
+@click.option("--no-diagnosis", is_flag=True, help="Calibrate and train only.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
 @options.as_json
 def command(
@@ -29,6 +30,7 @@ def command(
     targets: int,
     hidden: str | None,
     speed: float,
+    no_diagnosis: bool,
     seed: int,
     as_json: bool,
 ) -> None:
@@ -53,6 +55,8 @@ def command(
     from longarm_comp.jobs.demo.setting import Setting
 
     setting = Setting(out, poses, targets, speed=speed, seed=seed)
+    if no_diagnosis:
+        setting = replace(setting, diagnosis_s=0.0)
     if hidden is not None:
         setting = replace(setting, hidden=hidden)
     with stop_on_signals() as stop, progress("demo") as show:

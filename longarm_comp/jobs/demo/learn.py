@@ -67,6 +67,8 @@ def _diagnosed(
     setting: Setting, arm: Arm, session: Session, calibrated: Model, say: Say
 ) -> tuple[Model, str]:
     """The model with what the diagnosis added, and its sentence; else the calibrated one."""
+    if not setting.diagnosis_s:
+        return calibrated, "no diagnosis was asked for"
     end = time.monotonic() + setting.diagnosis_s
 
     def step(name: str) -> None:

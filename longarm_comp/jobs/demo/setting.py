@@ -29,7 +29,7 @@ class Setting:
         speed: motion so many times faster than the servos' file says.
         seed: of the hidden effects, the plan and the targets.
         networks: members of the predictor.
-        diagnosis_s: longest time for the diagnosis; the calibrated model serves without it.
+        diagnosis_s: longest time for the diagnosis, 0 for none: the calibrated model serves then.
         arm: file; the demonstration's own by default.
         parameters: of nodes, on top.
     """

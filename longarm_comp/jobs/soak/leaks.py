@@ -12,7 +12,7 @@ import numpy as np
 MEMORY_MB, HANDLES = 20.0, 8
 """More growth than this after the warm-up is a leak."""
 _WARM_UP = 0.25  # share of a process's life that does not count
-_FEWEST = 8
+_FEWEST = 5
 
 
 @dataclass
@@ -23,17 +23,27 @@ class Growth:
     samples: int
     memory_mb: tuple[float, float]
     handles: tuple[int, int]
+    judged: bool
+    """Sampled for so long that growth is not the warm-up any more."""
 
     @property
     def leaks(self) -> bool:
         """Whether it grew beyond what is allowed."""
+        if not self.judged:
+            return False
         more_mb = self.memory_mb[1] - self.memory_mb[0]
         return more_mb > MEMORY_MB or self.handles[1] - self.handles[0] > HANDLES
 
 
 @dataclass
 class LeakWatch:
-    """Sampled now and then; processes by name and id, as a killed one comes back as another."""
+    """Sampled now and then; processes by name and id, as a killed one comes back as another.
+
+    Args:
+        least: samples of one process from which on its growth is judged.
+    """
+
+    least: int = 300
 
     _seen: dict[tuple[str, int], list[tuple[float, int]]] = field(
         default_factory=lambda: defaultdict(list)
@@ -62,5 +72,6 @@ class LeakWatch:
                 len(rows),
                 (float(first[0]), float(last[0])),
                 (int(first[1]), int(last[1])),
+                len(rows) >= self.least,
             )
         return list(made.values())

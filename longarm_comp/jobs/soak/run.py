@@ -57,7 +57,7 @@ class Scene:
     _driver_rose: bool = False
     _driver_at: tuple[int, int] | None = None
     _probing: bool = False
-    _probes: int = 0
+    _probed: int = 0
     _next: float = 0.0
     _sampled: float = 0.0
 
@@ -72,7 +72,7 @@ class Scene:
 
     def _on_story(self, message: Compensation) -> None:
         if self._probing:
-            self._probes += 1
+            self._probed = stamp_ns(message.target.header.stamp)
             return
         self.books.answer(
             stamp_ns(message.target.header.stamp),
@@ -105,15 +105,17 @@ class Scene:
         """
         client = self.client
         client.ready(_PATIENCE_S)
-        self._probing, self._probes, self._driver_rose = True, 0, False
+        self._probing, self._probed, self._driver_rose = True, 0, False
 
         def through() -> bool:
-            if not (self._probes and self._driver_rose):
+            if not (self._probed and self._driver_rose):
                 self._publish(good=True)
                 client.spin(0.2)
-            return bool(self._probes and self._driver_rose)
+            return bool(self._probed and self._driver_rose)
 
         client.until(through, _PATIENCE_S, "no target gets through to the servos")
+        last = self._publish(good=True)  # answered in their order: then all are
+        client.until(lambda: self._probed == last, _PATIENCE_S, "a target has no answer")
         client.spin(1.0)
         self._rested()
         self._probing = False

@@ -1,0 +1,117 @@
+"""`longarm soak` in small, and its books: what must never happen is noticed."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.jobs.soak.books import Books
+from longarm_comp.jobs.soak.leaks import LeakWatch
+from longarm_comp.jobs.soak.setting import Setting
+
+Q = (0.1, 0.2)
+
+
+def books() -> Books:
+    made = Books()
+    made.target(1, 0.0, good=True)
+    made.target(2, 0.1, good=False)
+    return made
+
+
+def test_good_books_balance() -> None:
+    made = books()
+    made.trajectory(Q)  # may come before its story
+    made.answer(1, 0, False, "", Q)
+    made.answer(2, 4, True, "position [nan, 0] is not finite", ())
+    made.close()
+    assert not made.wrong
+    assert dict(made.reasons) == {"position": 1}
+    assert not made.waiting
+
+
+def test_everything_that_must_not_happen_is_noticed() -> None:
+    made = books()
+    made.answer(1, 0, False, "", Q)
+    made.answer(1, 0, False, "", Q)
+    made.answer(9, 0, False, "", Q)
+    made.answer(2, 4, True, "", Q)
+    made.close()
+    assert dict(made.wrong) == {
+        "answered twice": 1,
+        "answer to no target": 1,
+        "refused without a reason": 1,
+        "refused but executed": 1,
+        "executed but no trajectory": 2,
+    }
+    made = books()
+    made.answer(2, 0, False, "", Q)
+    made.trajectory(Q)
+    made.trajectory(Q)
+    made.close()
+    assert dict(made.wrong) == {
+        "a bad target was accepted": 1,
+        "target without an answer": 1,
+        "trajectory that no target asked for": 1,
+    }
+    made = books()
+    assert made.late(20.0, 10.0) == 2
+    made.answer(1, 0, False, "", ())
+    assert dict(made.wrong) == {"accepted but not executed": 1}
+
+
+def test_a_process_that_grows_is_a_leak() -> None:
+    watch = LeakWatch(least=10)
+    held: list[bytes] = []
+    files = []
+    try:
+        for _ in range(20):
+            held.append(os.urandom(4_000_000))
+            files.append(Path(os.devnull).open())  # noqa: SIM115
+            watch.sample("greedy", os.getpid())
+        greedy = watch.growth()
+    finally:
+        for file in files:
+            file.close()
+    assert greedy[0].leaks
+    assert greedy[0].memory_mb[1] - greedy[0].memory_mb[0] > 20
+    still = LeakWatch(least=10)
+    for _ in range(20):
+        still.sample("still", os.getpid())
+    assert not still.growth()[0].leaks
+    assert not any(g.judged for g in LeakWatch(still.least + 20, still._seen).growth())
+    still.sample("gone", 2**22 + 1)
+    assert len(still.growth()) == 1
+
+
+def test_settings_are_checked(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="rate_hz"):
+        Setting(tmp_path, rate_hz=0.0)
+
+
+def test_half_a_minute_of_faults(ros_domain: int, tmp_path: Path) -> None:
+    words = ["soak", "--hours", "0.008", "--fault-every", "2", "--seed", "2", "--json"]
+    done = subprocess.run(
+        [sys.executable, "-m", "longarm_comp", *words, "--out", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        timeout=400,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    report = json.loads(done.stdout)
+    assert report["passed"]
+    assert not report["wrong"] and not report["crashes"]
+    assert report["targets"] > 20
+    assert report["faults"]
+    refused = sum(n for status, n in report["answers_by_status"].items() if int(status) > 2)
+    assert refused == sum(report["refusals"].values())
+    assert {g["name"] for g in report["growth"]} & {"simulated_arm", "kinematics"}
