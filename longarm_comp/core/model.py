@@ -32,9 +32,14 @@ class Slot:
     parameter: Parameter
 
     @property
+    def identity(self) -> tuple[object, ...]:
+        """What makes it one parameter: effect, place, form and name."""
+        return (self.owner.name, *self.owner.placement.items(), self.parameter.name)
+
+    @property
     def label(self) -> str:
         """``joint_compliance / joint 2 / compliance``."""
-        return f"{self.owner.name} / {self.owner.where} / {self.parameter.name}"
+        return f"{self.owner.name} / {self.owner.place} / {self.parameter.name}"
 
 
 @dataclass(frozen=True)

@@ -89,6 +89,11 @@ class _Term:
         return "arm"
 
     @property
+    def place(self) -> str:
+        """What only one instance can occupy in a model: where it is, and what else may coexist."""
+        return self.where
+
+    @property
     def placement(self) -> dict[str, Any]:
         """The fields that are not parameters: they say where and in which form."""
         fields = dataclasses.fields(self)

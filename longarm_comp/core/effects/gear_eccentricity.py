@@ -30,6 +30,11 @@ class GearEccentricity(JointTerm):
     cosine: float = parameter("rad", "cosine amplitude", prior=2e-3)
     sine: float = parameter("rad", "sine amplitude", prior=2e-3)
 
+    @property
+    def place(self) -> str:
+        """Each order of a joint on its own: real gears have several."""
+        return f"{self.where}, order {self.order}"
+
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
         """Each revolute joint, orders 1 and 2."""

@@ -112,11 +112,8 @@ def ladder(
 
 def warm(model: Model, known: Model) -> Model:
     """A model started from another's values, where they share a parameter."""
-    held = {
-        (s.owner.name, *s.owner.placement.values(), s.parameter.name): v
-        for s, v in zip(known.slots, known.values, strict=True)
-    }
-    keys = [(s.owner.name, *s.owner.placement.values(), s.parameter.name) for s in model.slots]
+    held = {s.identity: v for s, v in zip(known.slots, known.values, strict=True)}
+    keys = [s.identity for s in model.slots]
     return model.with_values(
         np.array([held.get(k, v) for k, v in zip(keys, model.values, strict=True)])
     )

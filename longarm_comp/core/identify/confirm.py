@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from scipy.stats import norm
 
+from longarm_comp.core.identify.candidates import Candidate, Columns, Term
 from longarm_comp.core.identify.distinguish import Finding
 from longarm_comp.core.identify.fit import Fit
 from longarm_comp.core.identify.trace import Traced, key
@@ -40,11 +42,21 @@ class Confirmed:
     notes: dict[str, tuple[str, ...]]
 
 
-def confirm(traced: Traced, found: list[Finding], rng: np.random.Generator) -> Confirmed:
-    """Block bootstrap of the final linear problem, and its stability under doubt."""
+def confirm(
+    traced: Traced,
+    found: list[Finding],
+    candidates: Sequence[Candidate],
+    rng: np.random.Generator,
+) -> Confirmed:
+    """Block bootstrap of the final linear problem, and its stability under doubt.
+
+    For the intervals, the places of a found effect that were dropped as undetermined are
+    put back with their priors: a place that is left out is not a place that is zero.
+    """
     fit = traced.fit
-    gram, right = _blocks(fit)
-    p = len(fit.slots)
+    design = np.concatenate([fit.design, _dropped(fit, found, candidates)], axis=1)
+    gram, right = _blocks(design, fit.data)
+    p = design.shape[1]
     draws = np.zeros((RESAMPLES, p))
     counts = rng.multinomial(len(gram), np.full(len(gram), 1 / len(gram)), size=RESAMPLES)
     tests = {f.name: np.zeros(RESAMPLES) for f in found}
@@ -63,24 +75,40 @@ def confirm(traced: Traced, found: list[Finding], rng: np.random.Generator) -> C
         for name, own in index.items():
             tests[name][b] = _evidence(g, r, own) if len(own) else count @ whole[name]
     prior = np.array([s.parameter.prior for s in fit.slots])
-    spread = draws.std(axis=0) * prior
-    se = np.maximum(spread, fit.standard_errors)
+    kept = slice(len(fit.slots))
+    inverse = np.linalg.inv(gram.sum(0) + np.eye(p))
+    centre = (inverse @ right.sum(0))[kept] * prior
+    laplace = np.sqrt(np.diag(inverse))[kept] * prior
+    half = norm.ppf(0.975) * np.maximum(draws.std(axis=0)[kept] * prior, laplace)
     intervals = {}
     for k, slot in enumerate(fit.slots):
-        value, half = float(fit.model.values[k]), float(norm.ppf(0.975) * se[k])
+        value = float(fit.model.values[k])
+        low, high = min(centre[k] - half[k], value), max(centre[k] + half[k], value)
+        bounds = slot.parameter
         intervals[k] = Interval(
-            value,
-            max(value - half, slot.parameter.lower),
-            min(value + half, slot.parameter.upper),
+            value, max(float(low), bounds.lower), min(float(high), bounds.upper)
         )
     stable = {name: float((values > 3.0).mean()) for name, values in tests.items()}
     notes = {f.name: _doubts(fit, f, index[f.name], stable[f.name]) for f in found}
     return Confirmed(intervals, stable, notes)
 
 
-def _blocks(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+def _dropped(fit: Fit, found: Sequence[Finding], candidates: Sequence[Candidate]) -> np.ndarray:
+    """(3M, k) whitened, prior-scaled columns of a found effect's other places."""
+    held = {key(t) for t in fit.model.terms}
+    missing: dict[tuple[str, str], Term] = {}
+    for finding in found:
+        form = Candidate(finding.name, finding.terms).form
+        for candidate in candidates:
+            if candidate.name == finding.name and candidate.form == form:
+                missing |= {key(t): t for t in candidate.terms if key(t) not in held}
+    q = [fit.session.q[:, j] for j in range(fit.session.n)]
+    columns = Columns(fit.model, fit.model.posture(q, fit.session.context()))
+    return fit.whitened(columns.of(tuple(missing.values())))
+
+
+def _blocks(a: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Normal equations of successive blocks of rows: (B, p, p), (B, p)."""
-    a, y = fit.design, fit.data
     parts = _block_rows(len(a) // 3)
     return np.stack([a[s].T @ a[s] for s in parts]), np.stack([a[s].T @ y[s] for s in parts])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -156,7 +157,7 @@ def diagnose(
     structure = examine(traced.fit, calibrated, rng)
     say("look-alikes")
     found = findings(traced, candidates.testable)
-    confirmed = confirm(traced, found, rng)
+    confirmed = confirm(traced, found, candidates.testable, rng)
     models = {
         "nominal": nominal,
         "frames_only": placed.model,
@@ -172,12 +173,16 @@ def diagnose(
     sealed.release(f"{len(traced.chosen)} terms, seed {seed}")
     held_out = sealed.open("proof")
     held_out = held_out.take(held_out.seen)
-    proof = _prove(models, network, held_out, rng)
+    proof = _prove(models, network, held_out, traced.noise.sigma, rng)
     network = network if _helps(proof) else None
     rolled_back = bool(found) and not proof.better
     if rolled_back:
         models["with_effects"] = models["calibrated"]
         structure = examine(calibrated, calibrated, rng)
+    if proof.off and not structure.flag:
+        structure = dataclasses.replace(
+            structure, flag=True, size_m=proof.excess_m, inputs=("unseen poses",)
+        )
     say("next poses")
     splits = tuple(
         next_poses(traced, f, f.alternatives[0], POSES_TO_SPLIT, seed)
@@ -231,6 +236,7 @@ def _prove(
     models: Mapping[str, Model],
     network: Residual | None,
     held_out: Session,
+    sigma: np.ndarray,
     rng: np.random.Generator,
 ) -> Proof:
     made = {name: errors(m, held_out) for name, m in models.items()}
@@ -238,7 +244,7 @@ def _prove(
         predicted = network.predict(held_out.q, held_out.context())
         learned = np.where(predicted.in_domain[:, None], predicted.error, 0.0)
         made["with_network"] = made["with_effects"] - learned
-    return prove(made, rng)
+    return prove(made, sigma, rng)
 
 
 def _helps(proof: Proof) -> bool:

@@ -276,6 +276,7 @@ class _Part:
             noise,
             empty,
             empty,
+            rho=rho,
         )
 
     def look(self) -> None:
@@ -310,7 +311,7 @@ def _fit_parts(
     for number, part in enumerate(parts):
         places = []
         for slot in part.model.slots:
-            key = (slot.label, number if own is not None and own(slot) else -1)
+            key = (*slot.identity, number if own is not None and own(slot) else -1)
             if key not in place:
                 place[key] = len(place)
                 chosen.append(slot)
@@ -378,7 +379,7 @@ def whiten(columns: np.ndarray, weights: np.ndarray, sigma: np.ndarray, rho: flo
     if rho != 0.0 and len(rows) > 1:
         free = (rows[1:] - rho * rows[:-1]) / np.sqrt(1.0 - rho * rho)
         rows = np.concatenate([rows[:1], free])
-    return rows.reshape(-1, columns.shape[-1])
+    return rows.reshape(3 * len(rows), columns.shape[-1])
 
 
 def inliers(residual: np.ndarray, sigma: np.ndarray | None = None) -> np.ndarray:

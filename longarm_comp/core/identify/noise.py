@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import f
 
 from longarm_comp.core.dataset import Session
 from longarm_comp.core.identify import linear
@@ -94,6 +95,21 @@ def from_residual(fit: Fit, extra: np.ndarray, steps: int = 12) -> tuple[Noise, 
             break
     rho = lag_correlation(residual / sigma, weights)
     return Noise(sigma, "residual", rho, degrees), weights
+
+
+def agreed(repeats: Noise, residual: Noise) -> Noise:
+    """The residual's figure, but the repeats' on axes where they are significantly smaller.
+
+    A few dozen repeats give sigma to a factor of 1.5 only, too rough to weigh evidence with;
+    the rich fit knows it to a few percent, unless it lacks something: then it is too large,
+    which the F test shows (1 %).  Repeats that scatter more (temperature, time) count for
+    nothing.
+    """
+    limit = np.sqrt(f.ppf(0.01, repeats.degrees, max(residual.degrees, 1.0)))
+    lack = repeats.sigma < limit * residual.sigma
+    sigma = np.where(lack, repeats.sigma, residual.sigma)
+    source = "repeats" if lack.any() else "residual"
+    return Noise(sigma, source, residual.rho, residual.degrees)
 
 
 def lag_correlation(white: np.ndarray, weights: np.ndarray) -> float:

@@ -6,9 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi
 
 from longarm_comp.core.identify.calibrate import Errors
 
+OFF = 1.5
+"""Held-out errors of more than this many times the noise are not noise."""
 RESAMPLES = 2000
 BLOCKS = 20
 
@@ -23,19 +26,29 @@ class Proof:
         gain_ci95: of the mean 3-D error, calibrated minus with effects, m; None without both.
         better: whether the effects lowered the held-out squared error beyond chance (95 %,
             one-sided); a model may not grow on a gain that the hold-out does not support.
+        misfit: median held-out error of the final model over what the noise alone would give.
+        excess_m: its RMS beyond the noise, outliers clipped, m.
     """
 
     errors: Mapping[str, np.ndarray]
     rows: Mapping[str, Errors]
     gain_ci95: tuple[float, float] | None
     better: bool
+    misfit: float = 1.0
+    excess_m: float = 0.0
+
+    @property
+    def off(self) -> bool:
+        """Whether held-out poses err by much more than the noise, whatever the fit says."""
+        return self.misfit > OFF
 
 
-def prove(errors: Mapping[str, np.ndarray], rng: np.random.Generator) -> Proof:
-    """Figures and a paired block bootstrap of the difference.
+def prove(errors: Mapping[str, np.ndarray], sigma: np.ndarray, rng: np.random.Generator) -> Proof:
+    """Figures, a paired block bootstrap of the difference, and the hold-out against the noise.
 
     Args:
         errors: by model name, in the order of the ladder, (N, 3) in m, rows in time order.
+        sigma: (3,) noise, m.
         rng: for the bootstrap.
     """
     rows = {name: Errors.of(e) for name, e in errors.items()}
@@ -47,7 +60,16 @@ def prove(errors: Mapping[str, np.ndarray], rng: np.random.Generator) -> Proof:
     low, high = np.percentile(means, [2.5, 97.5])
     squared = _resampled(before**2 - after**2, rng)
     better = bool(np.percentile(squared, 5.0) > 0)
-    return Proof(errors, rows, (float(low), float(high)), better)
+    final = errors["with_effects"] if better else errors["calibrated"]
+    return Proof(errors, rows, (float(low), float(high)), better, *_misfit(final, sigma))
+
+
+def _misfit(error: np.ndarray, sigma: np.ndarray) -> tuple[float, float]:
+    """Median error over the noise's (chi with 3 degrees), and the clipped RMS beyond it (m)."""
+    ratio = float(np.median(np.linalg.norm(error / sigma, axis=1)) / chi.median(3))
+    limit = 3.0 * np.median(np.linalg.norm(error, axis=1))
+    clipped = np.minimum(np.linalg.norm(error, axis=1), limit)
+    return ratio, float(np.sqrt(max((clipped**2).mean() - (sigma**2).sum(), 0.0)))
 
 
 def _resampled(gain: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -77,7 +77,7 @@ class Traced:
 
 def key(term: Term) -> tuple[str, str]:
     """An effect at a place: it can be there in one form only."""
-    return term.name, term.where
+    return term.name, term.place
 
 
 def search(
@@ -144,7 +144,7 @@ class _State:
         every = self._columns_of(first).of(_distinct(self.candidates, self.chosen))
         judged, weights = noise_step.from_residual(first, every)
         if self.known is not None:
-            judged = Noise(self.known.sigma, "repeats", judged.rho, self.known.degrees)
+            judged = noise_step.agreed(self.known, judged)
         self.noise = judged
         self.fit = fit(
             first.model, self.session, sigma=judged.sigma, rho=judged.rho, weights=weights
@@ -238,7 +238,7 @@ class _State:
                 if place in gone:
                     continue
                 mates = sum(name == place[0] for name, _ in self.chosen if (name, _) not in gone)
-                need = LOCATED if mates > 1 else threshold
+                need = threshold if mates == 1 else self._located(term)
                 single = Candidate(term.name, (term,))
                 gain = self.score(self.marginal([*gone, place]), single).log_bayes_factor - need
                 if gain < low:
@@ -251,6 +251,10 @@ class _State:
         if gone:
             self._rebuild()
         return bool(gone)
+
+    def _located(self, term: Term) -> float:
+        """What a place must gain to stay; with nothing to fit, it must only not contradict."""
+        return LOCATED if slots_of(self.base.arm, [term]) else -1.0
 
     def swap(self, say: Callable[[str], None]) -> bool:
         """Exchange a family for a better one or a better form of it; whether any was."""
