@@ -1,0 +1,286 @@
+"""The robust joint fit: what was planted is recovered, and the stated uncertainty is true."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+from small_arm import ARM as SMALL
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.dataset import Session
+from longarm_comp.core.effects.backlash import Backlash
+from longarm_comp.core.effects.base_pose import BasePose
+from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.effects.tip_offset import TipOffset
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify import linear
+from longarm_comp.core.identify.fit import align, fit, fit_together, frames, geometry, whiten
+from longarm_comp.core.identify.noise import from_repeats, lag_correlation
+from longarm_comp.core.model import Model
+
+SIGMA = 4e-4
+
+
+@pytest.fixture(scope="module")
+def arm(demo_arm_path: Path) -> Arm:
+    return Arm.load(demo_arm_path)
+
+
+def box(arm: Arm, n: int, rng: np.random.Generator) -> np.ndarray:
+    return rng.uniform(arm.lower, arm.upper, (n, arm.n))
+
+
+def empty(arm: Arm) -> Session:
+    return Session.record(np.tile(arm.mid, (4, 1)), np.zeros((4, 3)))
+
+
+def planted(arm: Arm, rng: np.random.Generator, elastic: bool = True) -> Model:
+    """Sag, every geometry error drawn from its prior, and a compliance in every joint."""
+    terms = (LinkDeflection(), *geometry(arm, empty(arm)))
+    model = Model(arm, (*terms, *(JointCompliance.for_arm(arm) if elastic else ())))
+    drawn = []
+    for slot in model.slots:
+        p = slot.parameter
+        bounded = p.lower == 0.0
+        drawn.append(p.prior * (rng.uniform(0.5, 1.5) if bounded else rng.standard_normal()))
+    return model.with_values(np.array(drawn))
+
+
+def blank(model: Model) -> Model:
+    """The same model before anything is known."""
+    return model.with_values(0.0 * model.values)
+
+
+def measured(
+    truth: Model, q: np.ndarray, rng: np.random.Generator, sigma: float = SIGMA, **more: Any
+) -> Session:
+    session = Session.record(q, np.zeros((len(q), 3)), **more)
+    xyz = truth.measured(q, session.context()) + sigma * rng.standard_normal((len(q), 3))
+    return Session.record(q, xyz, **more)
+
+
+def test_geometry_and_compliance_are_recovered_through_outliers(
+    arm: Arm, rng: np.random.Generator
+) -> None:
+    truth = planted(arm, rng)
+    session = measured(truth, box(arm, 150, rng), rng)
+    bad = rng.choice(150, 3, replace=False)
+    xyz = session.xyz.copy()
+    xyz[bad] += 0.05 * rng.standard_normal((3, 3))
+    found = fit(blank(truth), dataclasses.replace(session, xyz=xyz))
+    assert found.converged
+    assert set(found.outliers) == set(bad)
+    np.testing.assert_allclose(found.sigma, SIGMA, rtol=0.25)
+    q = box(arm, 100, rng)
+    before = np.linalg.norm(blank(truth).tip(q) - truth.tip(q), axis=1).mean()
+    after = np.linalg.norm(found.model.tip(q) - truth.tip(q), axis=1).mean()
+    assert before > 0.02
+    assert after < 0.8 * SIGMA  # off the data, and after 51 parameters
+    for slot, got, want, se in zip(
+        found.slots, found.model.values, truth.values, found.standard_errors, strict=True
+    ):
+        assert abs(got - want) < 4.5 * se, slot.label
+
+
+def test_covariance_is_calibrated(arm: Arm) -> None:
+    """Errors over stated standard errors, pooled over parameters and seeds: unit normal."""
+    scores, tips = [], []
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        truth = planted(arm, rng, elastic=False)
+        found = fit(blank(truth), measured(truth, box(arm, 80, rng), rng))
+        error = found.model.values - truth.values
+        scores.append(error / found.standard_errors)
+        g = found.columns.reshape(-1, len(error))
+        spread = np.sqrt(np.einsum("ij,jk,ik->i", g, found.covariance, g))
+        tips.append((g @ error) / spread)
+    z = np.concatenate(scores)
+    assert 0.85 < z.std() < 1.15
+    assert 0.9 < (np.abs(z) < 1.96).mean() <= 1.0
+    assert 0.85 < np.concatenate(tips).std() < 1.15  # and so of what they predict
+
+
+def test_several_base_placements(arm: Arm, rng: np.random.Generator) -> None:
+    group = np.repeat(["a", "b"], 40)
+    bases = (BasePose("a", x=0.02, rz=0.03), BasePose("b", y=-0.04, rx=-0.02))
+    truth = Model(arm, (LinkDeflection(), *bases, JointZero(2, offset=5e-3)))
+    session = measured(truth, box(arm, 80, rng), rng, sigma=1e-4, labels={"group": group})
+    assert [f.group for f in frames(arm, session) if isinstance(f, BasePose)] == ["a", "b"]
+    model = Model(arm, (LinkDeflection(), *frames(arm, session), *JointZero.for_arm(arm)))
+    found = fit(model, session)
+    q = box(arm, 30, rng)
+    for name in ("a", "b"):
+        there = Session.record(q, np.zeros((30, 3)), labels={"group": np.full(30, name)}).context()
+        apart = found.model.measured(q, there) - truth.measured(q, there)
+        assert np.linalg.norm(apart, axis=1).max() < 2e-4
+    unknown = Session.record(q, np.zeros((30, 3)), labels={"group": np.full(30, "c")}).context()
+    np.testing.assert_allclose(  # a placement that nobody has seen stays as declared
+        found.model.measured(q, unknown)[:, 2],
+        Model(arm, tuple(e for e in found.model.effects if not isinstance(e, BasePose))).tip(q)[
+            :, 2
+        ],
+        atol=1e-12,
+    )
+
+
+def test_several_markers(rng: np.random.Generator) -> None:
+    data = SMALL.model_dump(mode="json", exclude_none=True)
+    data["markers"] = {
+        "tip": {"frame": 4, "position_m": [0, 0.02, 0.05]},
+        "elbow": {"frame": 3, "position_m": [0.03, 0, 0]},
+    }
+    arm = Arm.parse(data, "test")
+    truth = Model(arm, (TipOffset("tip", x=2e-3, z=-1e-3), TipOffset("elbow", y=3e-3)))
+    marker = np.where(rng.random(60) < 0.5, "tip", "elbow")
+    session = measured(truth, box(arm, 60, rng), rng, sigma=2e-5, labels={"marker": marker})
+    found = fit(Model(arm, TipOffset.for_arm(arm)), session)
+    got = {t.marker: (t.x, t.y, t.z) for t in found.model.effects if isinstance(t, TipOffset)}
+    np.testing.assert_allclose(got["tip"], (2e-3, 0, -1e-3), atol=2e-5)
+    np.testing.assert_allclose(got["elbow"], (0, 3e-3, 0), atol=2e-5)
+
+
+def test_stiffness_is_never_negative(arm: Arm, rng: np.random.Generator) -> None:
+    """Data that ask for a joint that bends against its load get a stiff one."""
+    against = JointCompliance(2, compliance=-2e-3)
+    truth = Model(arm, (LinkDeflection(), against, JointCompliance(5, compliance=6e-3)))
+    session = measured(truth, box(arm, 60, rng), rng)
+    terms = (LinkDeflection(), *JointZero.for_arm(arm), *JointCompliance.for_arm(arm))
+    found = fit(Model(arm, terms), session)
+    values = {t.joint: t.compliance for t in found.model.effects if isinstance(t, JointCompliance)}
+    assert values[2] == 0.0
+    assert min(values.values()) == 0.0
+    assert values[5] == pytest.approx(6e-3, rel=0.2)
+
+
+def test_a_base_that_stands_elsewhere_is_found(arm: Arm, rng: np.random.Generator) -> None:
+    """A tracker two metres off, turned by 90 degrees and more."""
+    for turn in (math.pi / 2, -2.8):
+        base = BasePose(x=2.0, y=-1.5, z=0.4, rx=0.1, rz=turn)
+        truth = Model(arm, (LinkDeflection(), base))
+        session = measured(truth, box(arm, 40, rng), rng)
+        start = align(Model(arm, (LinkDeflection(), *frames(arm, session))), session)
+        left = np.linalg.norm(start.tip(session.q) - session.xyz, axis=1)
+        assert np.median(left) < 0.05  # sag in the wrong direction of gravity is not seen here
+        found = fit(start, session)
+        q = box(arm, 30, rng)
+        apart = np.linalg.norm(found.model.tip(q) - truth.tip(q), axis=1)
+        assert apart.max() < 1e-3
+        near = measured(Model(arm, (LinkDeflection(),)), session.q, rng)
+        kept = Model(arm, (BasePose(),))
+        assert align(kept, near) == kept  # a base that is nearly right is left to the fit
+
+
+def test_arms_on_one_torso_share_it(rng: np.random.Generator) -> None:
+    """Two sessions, one chain; the marker is each arm's own."""
+    parts, model = [], Model(SMALL, (*JointZero.for_arm(SMALL), TipOffset()))
+    for offset in (2e-3, -3e-3):
+        truth = Model(SMALL, (JointZero(1, offset=6e-3), JointZero(4, -4e-3), TipOffset(x=offset)))
+        parts.append((model, measured(truth, box(SMALL, 30, rng), rng)))
+    made = fit_together(parts, own=lambda slot: slot.owner.name == "tip_offset")
+    left, right = (dict(zip([s.label for s in f.slots], f.model.values, strict=True)) for f in made)
+    shared = [name for name in left if name.startswith("joint_zero")]
+    assert len(shared) == 4
+    assert all(left[name] == right[name] for name in shared)
+    assert left["joint_zero / joint 1 / offset"] == pytest.approx(6e-3, abs=5e-4)
+    assert left["tip_offset / tip / x"] - right["tip_offset / tip / x"] == pytest.approx(
+        5e-3, abs=6e-4
+    )
+    alone = fit(*parts[0])
+    assert made[0].standard_errors[0] < 0.85 * alone.standard_errors[0]
+
+
+def test_missing_inputs_are_named(arm: Arm, rng: np.random.Generator) -> None:
+    session = measured(Model(arm), box(arm, 10, rng), rng)
+    with pytest.raises(InputError, match=r"thermal_growth: temperature_c: 'missing'"):
+        fit(Model(arm, (ThermalGrowth(),)), session)
+    still = dataclasses.replace(session, approach=np.zeros_like(session.approach))
+    with pytest.raises(InputError, match=r"backlash: approach: 'missing'"):
+        fit(Model(arm, (Backlash(joint=1),)), still)
+    lost = session.xyz.copy()
+    lost[3:] = np.nan
+    with pytest.raises(InputError, match="at least 4"):
+        fit(Model(arm, (JointZero(1),)), dataclasses.replace(session, xyz=lost))
+
+
+def ar1(n: int, rho: float, rng: np.random.Generator) -> np.ndarray:
+    """Unit noise, (n, 3), correlated by rho from row to row."""
+    e = rng.standard_normal((n, 3))
+    for k in range(1, n):
+        e[k] = rho * e[k - 1] + math.sqrt(1 - rho * rho) * e[k]
+    return e
+
+
+def test_correlated_noise_is_whitened(rng: np.random.Generator) -> None:
+    noise = ar1(4000, 0.8, rng)
+    sigma = np.array([1e-4, 2e-4, 3e-4])
+    white = whiten((noise * sigma)[..., None], np.ones(4000), sigma, 0.8).reshape(-1, 3)
+    assert white.std(axis=0) == pytest.approx(1.0, abs=0.05)
+    assert abs((white[1:] * white[:-1]).mean()) < 0.05
+    assert lag_correlation(noise, np.ones(4000)) == pytest.approx(0.8, abs=0.03)
+    assert lag_correlation(rng.standard_normal((4000, 3)), np.ones(4000)) == 0.0
+
+
+def test_correlated_noise_widens_the_intervals(rng: np.random.Generator) -> None:
+    """A marker's place under AR(1) noise: honest with rho, three times too sure without."""
+    honest, naive = [], []
+    for _ in range(25):
+        q = box(SMALL, 60, rng)
+        xyz = Model(SMALL).tip(q) + SIGMA * ar1(60, 0.8, rng)
+        model, session = Model(SMALL, (BasePose(),)), Session.record(q, xyz)
+        for rho, into in ((0.8, honest), (0.0, naive)):
+            found = fit(model, session, sigma=np.full(3, SIGMA), rho=rho)
+            g = found.columns[0]
+            spread = np.sqrt(np.diag(g @ found.covariance @ g.T))
+            into.append(g @ found.model.values / spread)
+    assert 0.8 < np.std(honest) < 1.2
+    assert np.std(naive) > 1.6
+
+
+def test_bounded_solution_is_the_constrained_minimum(rng: np.random.Generator) -> None:
+    a, y = rng.normal(size=(30, 4)), rng.normal(size=30)
+    free = linear.solve(a, y)
+    np.testing.assert_allclose(free.u, np.linalg.solve(a.T @ a + np.eye(4), a.T @ y), atol=1e-12)
+    lower = np.full(4, -np.inf)
+    lower[np.argmin(free.u)] = 0.0
+    held = linear.solve(a, y, lower, np.full(4, np.inf)).u
+    slope = a.T @ (a @ held - y) + held
+    k = int(np.argmin(free.u))
+    assert held[k] == 0.0
+    assert slope[k] > 0
+    np.testing.assert_allclose(np.delete(slope, k), 0, atol=1e-10)
+
+
+def test_evidence_is_that_of_the_gaussian(rng: np.random.Generator) -> None:
+    """The log Bayes factor against two multivariate normal densities written out."""
+    a, b, y = rng.normal(size=(25, 5)), rng.normal(size=(25, 2)), 2 * rng.normal(size=25)
+    added = linear.Marginal(a, y).added(b)
+
+    def log_density(*blocks: np.ndarray) -> float:
+        cover = np.eye(25) + sum(m @ m.T for m in blocks)
+        return float(multivariate_normal(np.zeros(25), cover).logpdf(y))
+
+    assert added.log_bayes_factor == pytest.approx(log_density(a, b) - log_density(a), abs=1e-9)
+    both = linear.solve(np.concatenate([a, b], axis=1), y)
+    np.testing.assert_allclose(added.mean, both.u[5:], atol=1e-10)
+    np.testing.assert_allclose(added.covariance, both.covariance[5:, 5:], atol=1e-10)
+
+
+def test_noise_of_repeats_leaves_out_the_side(rng: np.random.Generator) -> None:
+    """Eight poses, each from two sides three times; the sides differ by 2 mm, noise is 0.1 mm."""
+    q = np.repeat(box(SMALL, 8, rng), 6, axis=0)
+    side = np.tile([1, 1, 1, -1, -1, -1], 8)
+    xyz = Model(SMALL).tip(q) + 1e-3 * side[:, None] + 1e-4 * rng.standard_normal((48, 3))
+    xyz[7] += 0.03
+    noise = from_repeats(Session.record(q, xyz, approach=side))
+    assert noise is not None
+    assert noise.sigma == pytest.approx(1e-4, rel=0.35)
+    assert from_repeats(Session.record(q[:6], xyz[:6], approach=side[:6])) is None  # too few
