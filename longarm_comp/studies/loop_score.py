@@ -109,10 +109,13 @@ def _misfit(fitted: Fit) -> float:
 
 
 def _forms(setting: Setting, name: str) -> list[tuple[Term, ...]]:
-    """Each form of an effect, at all of its places."""
+    """Each form of an effect, at all of its places; and all forms, where they go together."""
     known = library(setting.arm, setting.train.context(), (BY_NAME[name],))
     most = max(len(c.terms) for c in known.testable)
-    return [c.terms for c in known.testable if len(c.terms) == most]
+    forms = [c.terms for c in known.testable if len(c.terms) == most]
+    every = tuple(t for form in forms for t in form)
+    together = len(forms) > 1 and len({t.place for t in every}) == len(every)
+    return [*forms, every] if together else forms
 
 
 def _knowable(setting: Setting) -> bool:
