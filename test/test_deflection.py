@@ -194,20 +194,23 @@ def test_simulated_arm_without_fitting(arm: Arm, softer: float, allowed_mm: floa
     tip = Model(soft, (LinkDeflection(),)).tip(q)
     sag = 1e3 * np.linalg.norm(tip - Model(soft).tip(q), axis=1).mean()
     assert sag == pytest.approx(SOFTER[softer], rel=0.01)
-    assert far(tip, TrueArm(soft).tip(q)) < allowed_mm
+    apart = far(tip, TrueArm(soft).tip(q))
+    print(f"{sag:.1f} mm of sag: {apart:.4f} mm at most from exact rods")
+    assert apart < allowed_mm
 
 
 # softer: mm allowed for Eq. (5) alone and 1, 2, 3 load passes; for 1, 2, 4 elements a beam
 LADDER = {
     0.4: ((0.03, 0.02, 1e-4, 1e-6), (0.001, 0.0004, 0.0002)),
     1.4: ((0.43, 0.2, 0.002, 2e-5), (0.012, 0.005, 0.002)),
+    3.0: ((1.5, 0.7, 0.015, 3e-4), (0.05, 0.02, 0.008)),
     4.0: ((3.5, 1.5, 0.05, 1e-3), (0.09, 0.04, 0.015)),
 }
 
 
 @pytest.mark.parametrize("softer", LADDER)
 def test_what_passes_and_elements_leave(arm: Arm, softer: float) -> None:
-    """The table of docs/physics.md: what each is worth, in mm at 5, 18 and 53 mm of sag."""
+    """The table of docs/physics.md: what each is worth, in mm at 5, 18, 40 and 53 mm of sag."""
     soft = stiffened(arm, 1 / softer)
     q = postures(arm, 30)
     rigid = Model(soft)
@@ -221,6 +224,8 @@ def test_what_passes_and_elements_leave(arm: Arm, softer: float) -> None:
         far(Model(soft, (LinkDeflection(),), passes=8, elements_per_beam=n).tip(q), fine)
         for n in (1, 2, 4)
     ]
+    print("Eq. (5), 1, 2, 3 passes:", *(f"{mm:.2g}" for mm in by_pass), "mm;", end=" ")
+    print("1, 2, 4 elements:", *(f"{mm:.2g}" for mm in by_element), "mm")
     for got, allowed in zip((by_pass, by_element), LADDER[softer], strict=True):
         assert got == sorted(got, reverse=True)
         assert (np.array(got) <= allowed).all(), got

@@ -36,6 +36,7 @@ COMMANDS = (
     Entry("collect", "collect", "Drive a pose plan over ROS and record the session."),
     Entry("record", "record", "Record an arm's topics as a rosbag2."),
     Entry("soak", "soak", "Hours of targets on a simulated arm, with random faults."),
+    Entry("effects", "effects", "The library of effects: parameters, units, priors, inputs."),
     Entry("schema", "schema", "JSON schema of arm.yaml, for editors."),
     Entry("undo", "undo", "Put the version of a model.yaml before the last change back."),
 )

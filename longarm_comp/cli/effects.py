@@ -1,0 +1,74 @@
+"""``longarm effects``."""
+
+from __future__ import annotations
+
+import math
+
+import click
+
+from longarm_comp.cli.output import print_json
+
+
+@click.command()
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def command(as_json: bool) -> None:
+    """Print the library of effects: parameters, units, priors, bounds, needed inputs.
+
+    \b
+    Example:
+      longarm effects
+      longarm effects --json
+    """
+    rows = catalogue()
+    if as_json:
+        print_json(rows)
+        return
+    print(markdown(rows))
+
+
+def catalogue() -> list[dict[str, object]]:
+    """One row per effect, read from the effects themselves."""
+    from longarm_comp.core.effects.catalogue import BY_NAME
+    from longarm_comp.core.effects.effect import Bias
+
+    return [
+        {
+            "effect": name,
+            "side": "camera" if issubclass(kind, Bias) else "arm",
+            "geometry": kind.geometry,
+            "meaning": " ".join((kind.__doc__ or "").split("\n\n")[0].split()),
+            "needs": list(kind.needs),
+            "parameters": [
+                {
+                    "name": p.name,
+                    "unit": p.unit,
+                    "prior": p.prior,
+                    "lower": p.lower if math.isfinite(p.lower) else None,
+                    "upper": p.upper if math.isfinite(p.upper) else None,
+                }
+                for p in kind.declared()
+            ],
+        }
+        for name, kind in BY_NAME.items()
+    ]
+
+
+def markdown(rows: list[dict[str, object]]) -> str:
+    """The table of docs/physics.md."""
+    lines = ["| effect | what | parameters (unit, prior, bounds) | needs |", "|---|---|---|---|"]
+    for row in rows:
+        parameters: list[dict[str, object]] = row["parameters"]  # type: ignore[assignment]
+        needs: list[str] = row["needs"]  # type: ignore[assignment]
+        told = "; ".join(map(_parameter, parameters)) or "none"
+        lines.append(f"| `{row['effect']}` | {row['meaning']} | {told} | {', '.join(needs)} |")
+    return "\n".join(lines)
+
+
+def _parameter(p: dict[str, object]) -> str:
+    bounds = [
+        f"{sign} {p[end]:g}"
+        for end, sign in (("lower", ">="), ("upper", "<="))
+        if p[end] is not None
+    ]
+    facts = [str(p["unit"]), f"{p['prior']:g}", *bounds]
+    return f"{p['name']} ({', '.join(facts)})"
