@@ -15,7 +15,7 @@ NAMESPACE = "longarm_demo"
 """Apart from any real arm on the same network."""
 
 PACE = Pace(sightings=3, dwell_s=0.06, move_s=0.05, arrive_s=20.0, look_s=3.0, tolerance=5e-4)
-_FRAME_RATE_HZ = 20.0
+_FRAME_RATE_HZ = 15.0
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Setting:
     speed: float = 20.0
     seed: int = 1
     networks: int = 5
-    diagnosis_s: float = 60.0
+    diagnosis_s: float = 90.0
     arm: Path = field(default_factory=lambda: folder("config") / "arm_demo.yaml")
     parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
 
