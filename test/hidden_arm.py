@@ -1,0 +1,51 @@
+"""The small arm as it really stands, with hidden effects, measured as a session."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from small_arm import ARM
+
+from longarm_comp.core.dataset import Session
+from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.context import Context
+from longarm_comp.sim.hidden.base import HiddenEffect
+
+Draw = Callable[[np.random.Generator, int], np.ndarray]
+SIGMA = 2e-4
+
+
+def white(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Independent noise (n, 3), m."""
+    return SIGMA * rng.standard_normal((n, 3))
+
+
+def session(
+    hidden: Sequence[HiddenEffect] = (),
+    n: int = 120,
+    seed: int = 1,
+    levels: int = 0,
+    noise: Draw = white,
+    directions: bool = True,
+) -> Session:
+    """Random poses (of so many levels per joint, if given), each from a random side."""
+    rng = np.random.default_rng(seed)
+    share = rng.integers(levels, size=(n, ARM.n)) / (levels - 1) if levels else rng.random((n, 4))
+    q = ARM.lower + share * (ARM.upper - ARM.lower)
+    side = rng.choice([-1.0, 1.0], n)
+    xyz = tip(hidden, q, side) + noise(rng, n)
+    return Session.record(q, xyz, approach=side if directions else None)
+
+
+def tip(hidden: Sequence[HiddenEffect], q: np.ndarray, side: np.ndarray) -> np.ndarray:
+    """Where the tip really is, (n, 3) m."""
+    sides = np.repeat(side[:, None], ARM.n, axis=1)
+    return TrueArm(ARM, hidden).tip(q, Context(approach=sides))
+
+
+def at(joint: int, value: float) -> np.ndarray:
+    """Zeros but for one joint (counted from 1)."""
+    made = np.zeros(ARM.n)
+    made[joint - 1] = value
+    return made

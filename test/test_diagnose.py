@@ -1,0 +1,174 @@
+"""``longarm diagnose``: files in, files out, the same bytes, and figures that can be recomputed."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hidden_arm import at, session
+from small_arm import ARM
+
+from longarm_comp.cli.run import run
+from longarm_comp.core.arm import Arm
+from longarm_comp.core.context import Context
+from longarm_comp.core.modelfile import load_model, undo
+from longarm_comp.report.record import checked
+from longarm_comp.sessions.csv import write_csv
+from longarm_comp.sim.hidden import drives
+
+GAIN = (drives.JointGain(at(2, 0.02)),)
+
+
+def diagnosed(*words: object) -> int:
+    return run(["diagnose", *map(str, words)])
+
+
+def report(folder: Path) -> dict[str, Any]:
+    made: dict[str, Any] = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    checked(made)
+    return made
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A declared arm, a session with a wrong joint gain, a diagnosis of it."""
+    folder = tmp_path_factory.mktemp("diagnose")
+    data = ARM.model_dump(mode="json", exclude_defaults=True)
+    (folder / "arm.yaml").write_text(yaml.safe_dump(data))
+    write_csv(session(GAIN), folder / "samples.csv")
+    write_csv(session(GAIN, n=40, seed=2), folder / "test.csv")
+    arm, samples, test = (folder / name for name in ("arm.yaml", "samples.csv", "test.csv"))
+    assert diagnosed(arm, samples, "--test", test, "--no-network", "-o", folder / "out") == 0
+    return folder
+
+
+def test_the_report_names_the_effect_and_every_candidate(work: Path) -> None:
+    found = report(work / "out")
+    assert found["verdict"] in ("named", "set")
+    finding = found["findings"][0]
+    assert finding["effect"] == "joint_gain"
+    assert finding["where"] == ["joint 2"]
+    assert finding["compensated"]
+    parameter = finding["parameters"][0]
+    assert parameter["ci95"][0] < parameter["value"] < parameter["ci95"][1]
+    assert parameter["value"] == pytest.approx(0.02, abs=3e-3)
+    states = {(c["effect"], c["where"]): c["state"] for c in found["candidates"]}
+    assert len(states) == len(found["candidates"])
+    assert states["joint_gain", "joint 2"] == "accepted"
+    assert list(states.values()).count("accepted") == 1
+    assert "not_testable" in states.values()
+    assert all(c["why"] for c in found["candidates"])
+    assert found["provenance"]["holdout_uses"] == 1
+    assert found["held_out"]["n"] == 40
+    assert (work / "out" / "report.html").stat().st_size > 10_000
+
+
+def test_before_and_after_can_be_recomputed_from_the_files(work: Path) -> None:
+    with (work / "test.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    q = np.array([[float(row[f"q{k + 1}"]) for k in range(ARM.n)] for row in rows])
+    xyz = np.array([[float(row[axis]) for axis in "xyz"] for row in rows])
+    side = np.array([float(row["approach"]) for row in rows])
+    arm = Arm.load(work / "arm.yaml")
+    model = load_model(work / "out" / "model.yaml", arm)
+    context = Context(tuple(side for _ in range(arm.n)))
+    length = 1e3 * np.linalg.norm(xyz - model.measured(q, context), axis=1)
+    shown = {row["model"]: row for row in report(work / "out")["held_out"]["rows"]}
+    assert shown["with_effects"]["mean_mm"] == pytest.approx(length.mean(), abs=1e-9)
+    assert shown["with_effects"]["max_mm"] == pytest.approx(length.max(), abs=1e-9)
+    rms = np.sqrt((length**2).mean())
+    assert shown["with_effects"]["rms_mm"] == pytest.approx(rms, abs=1e-9)
+    floor = np.square(report(work / "out")["noise"]["sigma_mm"]).sum()
+    excess = np.sqrt(max(0.0, rms**2 - floor))
+    assert shown["with_effects"]["excess_mm"] == pytest.approx(excess, abs=1e-6)
+    assert shown["with_effects"]["mean_mm"] < shown["calibrated"]["mean_mm"]
+
+
+def test_the_same_seed_gives_the_same_bytes(work: Path) -> None:
+    arm, samples, test = (work / name for name in ("arm.yaml", "samples.csv", "test.csv"))
+    assert diagnosed(arm, samples, "--test", test, "--no-network", "-o", work / "again") == 0
+    for name in ("report.json", "report.html", "model.yaml"):
+        assert (work / "again" / name).read_bytes() == (work / "out" / name).read_bytes()
+
+
+def test_a_second_diagnosis_adds_nothing_and_undo_restores_every_byte(work: Path) -> None:
+    write_csv(session(GAIN, seed=5), work / "new.csv")
+    before = work / "out" / "model.yaml"
+    folder = work / "second"
+    words = (work / "arm.yaml", work / "new.csv", "--model", before, "--no-network", "-o", folder)
+    assert diagnosed(*words) == 0
+    found = report(folder)
+    assert (found["verdict"], found["findings"]) == ("noise", [])
+    stored = yaml.safe_load((folder / "model.yaml").read_text(encoding="utf-8"))
+    assert stored["version"] == 2
+    origin = next(e["origin"] for e in stored["effects"] if e["effect"] == "joint_gain")
+    assert origin.startswith(("set, session", "named, session"))
+    undo(folder / "model.yaml")
+    assert (folder / "model.yaml").read_bytes() == before.read_bytes()
+
+
+def test_millimetres_are_bad_data(work: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    whole = session(GAIN)
+    wrong = type(whole).record(whole.q, 1e3 * whole.xyz)
+    write_csv(wrong, work / "mm.csv")
+    assert diagnosed(work / "arm.yaml", work / "mm.csv", "-o", work / "bad") == 2
+    assert report(work / "bad")["verdict"] == "bad_data"
+    said = capsys.readouterr().err.strip().splitlines()
+    assert len(said) == 1
+    assert "millimetres" in said[0]
+    assert not (work / "bad" / "model.yaml").exists()
+
+
+def test_a_missing_file_is_no_diagnosis(work: Path) -> None:
+    assert diagnosed(work / "arm.yaml", work / "none.csv", "-o", work / "absent") == 2
+    assert not (work / "absent").exists()
+
+
+# ------------------------------------------------------------------ the shared twin
+
+
+def twin(data_dir: Path, case: str, folder: Path) -> tuple[dict[str, Any], np.ndarray]:
+    """Its report, and the errors (40, 3) m of the new model at the noise-free test positions."""
+    source = data_dir / "twin"
+    samples, test = (source / case / name for name in ("samples.csv", "test.csv"))
+    words = (source / "arm.yaml", samples, "--test", test, "--no-network", "-o", folder)
+    assert diagnosed(*words) == 0
+    model = load_model(folder / "model.yaml", Arm.load(source / "arm.yaml"))
+    from longarm_comp.sessions.read import read_session
+
+    rows = read_session(test, model.arm)
+    with (source / case / "answer" / "noise_free.csv").open(encoding="utf-8") as file:
+        clean = {int(r["index"]): r for r in csv.DictReader(file) if r["set"] == "test"}
+    truth = np.array([[float(clean[int(k)][axis]) for axis in "xyz"] for k in rows.index])
+    return report(folder), truth - model.tip(rows.q, rows.context())
+
+
+def test_nothing_is_found_where_nothing_is(data_dir: Path, tmp_path: Path) -> None:
+    found, left = twin(data_dir, "none_mid_300", tmp_path)
+    assert (found["verdict"], found["findings"]) == ("noise", [])
+    assert np.linalg.norm(left, axis=1).mean() < 3e-4
+
+
+def test_compliance_is_a_set_with_servo_droop(data_dir: Path, tmp_path: Path) -> None:
+    found, left = twin(data_dir, "one_joint_compliance_300", tmp_path)
+    assert found["verdict"] == "set"
+    assert [set(f["set"]) for f in found["findings"]] == [{"joint_compliance", "servo_droop"}]
+    assert np.linalg.norm(left, axis=1).mean() < 3e-4
+
+
+def test_backlash_is_named(data_dir: Path, tmp_path: Path) -> None:
+    found, left = twin(data_dir, "one_backlash_300", tmp_path)
+    assert found["verdict"] == "named"
+    assert [f["effect"] for f in found["findings"]] == ["backlash"]
+    assert np.linalg.norm(left, axis=1).mean() < 1e-3
+
+
+def test_the_mixed_twin_is_traced_to_three_millimetres(data_dir: Path, tmp_path: Path) -> None:
+    found, left = twin(data_dir, "paper_twin_900", tmp_path)
+    assert {f["effect"] for f in found["findings"]} & {"joint_compliance", "backlash"}
+    assert np.linalg.norm(left, axis=1).mean() < 3e-3
