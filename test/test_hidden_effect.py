@@ -112,7 +112,7 @@ def test_without_the_true_family_no_wrong_name_is_sure() -> None:
 
 
 # 6
-HELD = pytest.mark.xfail(reason="geometry priors shrink the set", strict=False)
+HELD = pytest.mark.xfail(reason="geometry priors shrink the set", strict=True)
 
 
 @pytest.mark.parametrize("n", [pytest.param(90, marks=HELD), 180])
