@@ -53,6 +53,12 @@ def rigid(model: Model) -> Model:
     return dataclasses.replace(model, effects=tuple(e for e in model.effects if e.geometry))
 
 
+def commandable(model: Model) -> Model:
+    """The model without what no command can undo: a servo's rounding (it stays in the residual)."""
+    kept = tuple(e for e in model.effects if e.continuous)
+    return model if len(kept) == len(model.effects) else dataclasses.replace(model, effects=kept)
+
+
 def compensate(
     model: Model,
     predictor: Predictor | None,
@@ -114,7 +120,7 @@ def compensate_many(
         raise InputError("compensate", "max_passes", max_passes, "1 or more")
     targets = np.asarray(targets, dtype=float)
     work = _Work(
-        model if method.physics else rigid(model),
+        commandable(model) if method.physics else rigid(model),
         predictor if method.learned else None,
         targets,
         (context or Context.empty()),

@@ -25,7 +25,9 @@ from longarm_comp.core.compensate import Method, compensate_many, rigid
 from longarm_comp.core.context import Context
 from longarm_comp.core.dataset import Session
 from longarm_comp.core.identify.calibrate import Errors, declared_model, errors
-from longarm_comp.core.identify.fit import Fit, fit, geometry
+from longarm_comp.core.identify.candidates import library
+from longarm_comp.core.identify.fit import geometry
+from longarm_comp.core.identify.trace import search
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.model import Model
 from longarm_comp.core.plan import grid, random_joints
@@ -35,7 +37,6 @@ from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.measure import Camera, measure_session
 from longarm_comp.sim.variety import paper_mix, random_arm
 from longarm_comp.studies.peers import train_gaussian_process
-from longarm_comp.studies.selection import select
 
 TARGETS = 40
 SAMPLES = (900, 300)
@@ -101,15 +102,10 @@ def gaussian_process(
 
 
 def with_effects(declared: Model, session: Session) -> Model:
-    """Calibrated, with the families of effects that (at most 300 of) the training rows support."""
-    few = session.take(slice(0, min(SAMPLES)))
-    first = fit(declared.plus(*geometry(declared.arm, session)), few)
-
-    def refit(added: Any) -> list[Fit]:
-        return [fit(first.model.plus(*added[0]), few)]
-
-    found = select([first], refit)[1][0]
-    return found.model if len(session) == len(few) else fit(found.model, session).model
+    """Calibrated, with the effects that the training rows ask for (`identify.trace`)."""
+    base = declared.plus(*geometry(declared.arm, session))
+    hypotheses = library(declared.arm, session.context(), declared=base.terms).testable
+    return search(base, session, hypotheses).fit.model
 
 
 SETTINGS = (

@@ -57,6 +57,7 @@ class _Term:
         needs: recorded inputs without which it cannot be tested.
         geometry: always fitted and never "named" by a diagnosis.
         seen_only: moves the frame that the arm is seen in, and gravity with it.
+        continuous: a small motion of the joints changes it by little; no command undoes others.
         loaded: depends on the loads, so that it must be reconverged as the arm sags.
     """
 
@@ -65,6 +66,7 @@ class _Term:
     geometry: ClassVar[bool] = False
     seen_only: ClassVar[bool] = False
     loaded: ClassVar[bool] = False
+    continuous: ClassVar[bool] = True
 
     @classmethod
     def declared(cls) -> tuple[Parameter, ...]:

@@ -33,6 +33,7 @@ class ServoQuantisation(JointTerm):
     """
 
     name: ClassVar[str] = "servo_quantisation"
+    continuous: ClassVar[bool] = False
 
     steps_per_turn: int = 1000
 
