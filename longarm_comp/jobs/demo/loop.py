@@ -26,7 +26,9 @@ from longarm_comp.jobs.demo.trial import Course, Trial
 from longarm_comp.jobs.visits import visits
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import running
+from longarm_comp.nodes.simulated_arm import sizes
 from longarm_comp.sessions.poses import write_poses
+from longarm_comp.sim.workshop import hidden_effects
 
 Say = Callable[[str, float], None]
 
@@ -55,6 +57,7 @@ def demonstrate(
         JobError: a step could not be done. Interrupted: ``stop`` was set.
     """
     arm = declared(setting)
+    hidden_effects(arm, sizes(setting.hidden), np.random.default_rng(setting.seed))  # or a refusal
     _prepare(setting)
     clock = _Clock()
     with ExitStack() as stack:
