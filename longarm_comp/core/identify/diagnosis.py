@@ -28,6 +28,8 @@ from longarm_comp.core.identify.trace import Traced, search
 from longarm_comp.core.model import Model
 
 POSES_TO_SPLIT = 12
+MOST_OUTLIERS = 0.125
+"""More rejected rows than this are not outliers but something that the model lacks."""
 
 
 class Residual(Protocol):
@@ -179,6 +181,12 @@ def diagnose(
     if rolled_back:
         models["with_effects"] = models["calibrated"]
         structure = examine(calibrated, calibrated, rng)
+        network = None  # it was trained on what the effects left
+    rejected = float((traced.fit.weights == 0).mean())
+    if rejected > MOST_OUTLIERS and not structure.flag:
+        gone = traced.fit.residual[traced.fit.weights == 0]
+        size = float(np.sqrt(rejected * (gone**2).sum(1).mean()))
+        structure = dataclasses.replace(structure, flag=True, size_m=size, inputs=("outliers",))
     if proof.off and not structure.flag:
         structure = dataclasses.replace(
             structure, flag=True, size_m=proof.excess_m, inputs=("unseen poses",)

@@ -16,6 +16,7 @@ from scipy.stats import norm
 
 from longarm_comp.core.dataset import Session
 from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify import noise as noise_step
 from longarm_comp.core.identify.candidates import Candidate, Columns, Term
 from longarm_comp.core.identify.fit import Fit, fit, unfitted
@@ -135,6 +136,7 @@ class _State:
         self.base, self.session, self.candidates = base, session, candidates
         self.known, self.chosen = known, chosen
         self._start = base
+        self.refused: set[str] = set()
 
     def refit(self) -> None:
         """Judge the noise by all that the library could explain, then fit geometry and terms."""
@@ -181,6 +183,8 @@ class _State:
         """The candidate to accept, if any pays for the choice."""
         names = {name for name, _ in self.chosen}
         for found in self.scores():
+            if found.candidate.label in self.refused:
+                continue
             need = threshold
             if found.candidate.name in names:
                 siblings = sum(c.name == found.candidate.name for c in self.candidates)
@@ -190,14 +194,20 @@ class _State:
         return None
 
     def grow(self, threshold: float, say: Callable[[str], None]) -> None:
-        """Add effects until none pays."""
+        """Add effects until none pays; one that did not last is not tried again."""
         for _ in range(MOST_TERMS):
             best = self.best(threshold)
             if best is None:
                 return
             say(best.candidate.label)
-            self.accept(best)
-            self.prune(threshold)
+            before = dict(self.chosen), self._start, self.fit, self.columns, self.noise
+            try:
+                self.accept(best)
+                self.prune(threshold)
+            except JobError:
+                self.chosen, self._start, self.fit, self.columns, self.noise = before
+            if not any(key(t) in self.chosen for t in best.candidate.terms):
+                self.refused.add(best.candidate.label)
 
     def accept(self, found: Score) -> None:
         """Add its terms, started at their estimates."""
