@@ -28,6 +28,8 @@ from longarm_comp.core.identify.trace import Traced, search
 from longarm_comp.core.model import Model
 
 POSES_TO_SPLIT = 12
+MOST_NAMES = 7
+"""A set of more names than this names nothing."""
 MOST_OUTLIERS = 0.125
 """More rejected rows than this are not outliers but something that the model lacks."""
 
@@ -263,7 +265,7 @@ def _helps(proof: Proof) -> bool:
 def _verdict(found: tuple[Finding, ...], structure: Structure, rolled_back: bool) -> str:
     if not found:
         return "unknown" if structure.flag or rolled_back else "noise"
-    if structure.flag:
+    if structure.flag or any(len(f.names) > MOST_NAMES for f in found):
         return "partly"
     return "set" if any(f.alternatives for f in found) else "named"
 

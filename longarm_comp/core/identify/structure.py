@@ -17,6 +17,8 @@ from longarm_comp.core.identify.linear import Marginal
 
 PERMUTATIONS = 400
 SIGNIFICANT = 0.005
+WORTH = 0.25
+"""Structure below this share of the noise is not worth a verdict."""
 
 
 @dataclass(frozen=True)
@@ -140,13 +142,13 @@ def examine(fit: Fit, base: Fit, rng: np.random.Generator) -> Structure:
     highest = np.max(nulls, axis=0)
     top = max(s for _, s, _ in statistics)
     p = float((1 + (highest >= top).sum()) / (1 + len(highest)))
-    flag = p < SIGNIFICANT
     limit = float(np.quantile(highest, 0.99))
     significant = sorted((s for s in statistics if s[1] > limit), key=lambda s: -s[1])
     inputs = tuple(dict.fromkeys(name for g, _, _ in significant for name in g.inputs))
     size, rss_rich = _smooth(
         fit, marginal, [b for b, s in zip(smooth, statistics, strict=True) if s[1] > limit]
     )
+    flag = p < SIGNIFICANT and size > WORTH * float(np.linalg.norm(fit.sigma))
     rss_named = float(residual @ residual)
     white_base = whiten(base.residual[..., None], fit.weights, fit.sigma, fit.rho)[:, 0]
     rss_base = float(white_base @ white_base)
