@@ -177,7 +177,11 @@ def diagnose(
     sealed.release(f"{len(traced.chosen)} terms, seed {seed}")
     held_out = sealed.open("proof")
     held_out = held_out.take(held_out.seen)
-    proof = _prove(models, network, held_out, traced.noise.sigma, rng)
+    spread = {
+        "calibrated": expected_spread(calibrated, held_out),
+        "with_effects": expected_spread(traced.fit, held_out),
+    }
+    proof = _prove(models, network, held_out, spread, rng)
     network = network if _helps(proof) else None
     rolled_back = bool(found) and not proof.better
     if rolled_back:
@@ -242,11 +246,19 @@ def _split(session: Session, test: Session | None, seed: int) -> tuple[Session, 
     return blocked_split(session, rng=seed)
 
 
+def expected_spread(fitted: Fit, rows: Session) -> np.ndarray:
+    """(N, 3) standard deviation of unseen errors: noise and parameter uncertainty, m."""
+    posture = fitted.model.posture([rows.q[:, j] for j in range(rows.n)], rows.context())
+    columns = fitted.model.columns(posture)[1]
+    own = np.einsum("nip,pq,niq->ni", columns, fitted.covariance, columns, optimize=True)
+    return np.sqrt(fitted.sigma**2 + own)
+
+
 def _prove(
     models: Mapping[str, Model],
     network: Residual | None,
     held_out: Session,
-    sigma: np.ndarray,
+    spread: Mapping[str, np.ndarray],
     rng: np.random.Generator,
 ) -> Proof:
     made = {name: errors(m, held_out) for name, m in models.items()}
@@ -254,7 +266,7 @@ def _prove(
         predicted = network.predict(held_out.q, held_out.context())
         learned = np.where(predicted.in_domain[:, None], predicted.error, 0.0)
         made["with_network"] = made["with_effects"] - learned
-    return prove(made, sigma, rng)
+    return prove(made, spread, rng)
 
 
 def _helps(proof: Proof) -> bool:

@@ -26,7 +26,8 @@ class Proof:
         gain_ci95: of the mean 3-D error, calibrated minus with effects, m; None without both.
         better: whether the effects lowered the held-out squared error beyond chance (95 %,
             one-sided); a model may not grow on a gain that the hold-out does not support.
-        misfit: median held-out error of the final model over what the noise alone would give.
+        misfit: median held-out error of the final model over what noise and the fit's own
+            uncertainty would give.
         excess_m: its RMS beyond the noise, outliers clipped, m.
     """
 
@@ -43,12 +44,15 @@ class Proof:
         return self.misfit > OFF
 
 
-def prove(errors: Mapping[str, np.ndarray], sigma: np.ndarray, rng: np.random.Generator) -> Proof:
+def prove(
+    errors: Mapping[str, np.ndarray], spread: Mapping[str, np.ndarray], rng: np.random.Generator
+) -> Proof:
     """Figures, a paired block bootstrap of the difference, and the hold-out against the noise.
 
     Args:
         errors: by model name, in the order of the ladder, (N, 3) in m, rows in time order.
-        sigma: (3,) noise, m.
+        spread: for `calibrated` and `with_effects`, (N, 3) what the errors should scatter by:
+            noise and the uncertainty of the fitted parameters, m.
         rng: for the bootstrap.
     """
     rows = {name: Errors.of(e) for name, e in errors.items()}
@@ -60,16 +64,17 @@ def prove(errors: Mapping[str, np.ndarray], sigma: np.ndarray, rng: np.random.Ge
     low, high = np.percentile(means, [2.5, 97.5])
     squared = _resampled(before**2 - after**2, rng)
     better = bool(np.percentile(squared, 5.0) > 0)
-    final = errors["with_effects"] if better else errors["calibrated"]
-    return Proof(errors, rows, (float(low), float(high)), better, *_misfit(final, sigma))
+    name = "with_effects" if better else "calibrated"
+    misfit = _misfit(errors[name], spread[name])
+    return Proof(errors, rows, (float(low), float(high)), better, *misfit)
 
 
-def _misfit(error: np.ndarray, sigma: np.ndarray) -> tuple[float, float]:
-    """Median error over the noise's (chi with 3 degrees), and the clipped RMS beyond it (m)."""
-    ratio = float(np.median(np.linalg.norm(error / sigma, axis=1)) / chi.median(3))
+def _misfit(error: np.ndarray, spread: np.ndarray) -> tuple[float, float]:
+    """Median error over the expected (chi with 3 degrees), and the clipped RMS beyond it (m)."""
+    ratio = float(np.median(np.linalg.norm(error / spread, axis=1)) / chi.median(3))
     limit = 3.0 * np.median(np.linalg.norm(error, axis=1))
     clipped = np.minimum(np.linalg.norm(error, axis=1), limit)
-    return ratio, float(np.sqrt(max((clipped**2).mean() - (sigma**2).sum(), 0.0)))
+    return ratio, float(np.sqrt(max((clipped**2).mean() - (spread**2).sum(1).mean(), 0.0)))
 
 
 def _resampled(gain: np.ndarray, rng: np.random.Generator) -> np.ndarray:
