@@ -34,6 +34,7 @@ EXTRAS = {
     "fast": ["llvmlite>=0.42", "numba>=0.59"],
     "dev": [
         "PyNiteFEA",
+        "dask[distributed]>=2024.1",
         "colcon-common-extensions",
         "dynamixel-sdk",
         "example-robot-data",

@@ -37,6 +37,19 @@ def demo_arm_path() -> Path:
     return Path(__file__).parents[1] / "config" / "arm_demo.yaml"
 
 
+@contextmanager
+def unprivileged() -> Iterator[None]:
+    """Without root's right to write anywhere, where the tests run as root."""
+    root = os.geteuid() == 0
+    if root:
+        os.seteuid(65534)
+    try:
+        yield
+    finally:
+        if root:
+            os.seteuid(0)
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     """A generator with a fixed seed, new for every test."""

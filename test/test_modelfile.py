@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from conftest import unprivileged
 from small_arm import ARM as SMALL
 
 from longarm_comp.core import files
@@ -202,10 +202,9 @@ def test_truncated_anywhere_is_an_input_error(simple: Model, tmp_path: Path) -> 
             load_model(path, simple.arm)
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
 def test_read_only_folder(simple: Model, tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
-    with pytest.raises(InputError, match="output folder"):
+    with unprivileged(), pytest.raises(InputError, match="output folder"):
         save_model(tmp_path / "model.yaml", store(simple))
     tmp_path.chmod(0o700)
 

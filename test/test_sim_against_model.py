@@ -101,7 +101,10 @@ SAME: dict[str, tuple[Callable[[Any], list[Any]], float]] = {
         lambda e: _each(TURNING, JointCompliance, compliance=e.compliance),
         0.01,
     ),
-    "bearing_tilt": (lambda e: _each(ALL, BearingTilt, about_x=e.compliance, about_y=e.compliance), 0.01),
+    "bearing_tilt": (
+        lambda e: _each(ALL, BearingTilt, about_x=e.compliance, about_y=e.compliance),
+        0.01,
+    ),
     "base_compliance": (lambda e: [BaseCompliance(compliance=e.compliance)], 0.01),
     "telescope_clearance": (
         lambda e: _each(SLIDING, TelescopeClearance, clearance=e.clearance),

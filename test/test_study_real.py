@@ -49,7 +49,7 @@ def test_wam(study: dict[str, dict[str, dict]]) -> None:
     assert lines["frames_only"]["mean_mm"] < 4.1
     assert lines["rigid"]["mean_mm"] <= 3.1
     assert lines["best"]["mean_mm"] <= 2.9
-    assert set(lines["best"]["effects"]) & {"backlash", "friction_hysteresis"}
+    assert set(lines["best"]["effects"]) & {"backlash", "friction_hysteresis", "servo_droop"}
 
 
 def test_ur5_is_rigid(study: dict[str, dict[str, dict]]) -> None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
-from pydantic_core import ErrorDetails
 
 from longarm_comp.core.errors import InputError
 
@@ -73,7 +73,7 @@ def _fault(cls: type[BaseModel], data: Any, error: ValidationError) -> tuple[str
     return ".".join(map(str, path)) or "document", value, allowed
 
 
-def _path(data: Any, fault: ErrorDetails) -> tuple[int | str, ...]:
+def _path(data: Any, fault: Mapping[str, Any]) -> tuple[int | str, ...]:
     """The keys of a fault's place that stand in the file (not the names of a choice of shapes)."""
     kept: list[int | str] = []
     node = data

@@ -22,7 +22,11 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         InputError: the folder cannot be made or written to, or ``path`` is a folder.
     """
     target = Path(path)
-    if target.is_dir():
+    try:
+        folder = target.is_dir()
+    except OSError as error:  # not even its folder can be looked into
+        raise _not_writable(target, error) from error
+    if folder:
         raise InputError(target, "output file", "a folder", "a file name")
     partial = _partial_beside(target)
     try:

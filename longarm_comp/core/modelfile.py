@@ -130,7 +130,7 @@ def save_model(path: str | Path, stored: StoredModel) -> None:
         + yaml.safe_dump(data, sort_keys=False, width=100)
     )
     path = Path(path)
-    if path.is_file():
+    if os.path.isfile(path):  # False where it cannot be looked into: then writing says so
         with atomic_path(previous(path)) as partial:
             partial.write_bytes(path.read_bytes())
     write_text(path, text)

@@ -6,6 +6,7 @@ import struct
 import threading
 import time
 from collections.abc import Sequence
+from typing import Any
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -58,7 +59,8 @@ class Recorder:
     def _subscribe(self, topic: Topic) -> None:
         name = self._node.resolve_topic_name(topic.name)
         kind = _type_name(topic.type)
-        if "header" in topic.type.get_fields_and_field_types():
+        message: Any = topic.type
+        if "header" in message.get_fields_and_field_types():
             self._stamped.add(name)
         qos = QoSProfile(depth=_DEPTH, reliability=topic.listens)
         self._node.create_subscription(
