@@ -23,8 +23,9 @@ from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.effects.tip_offset import TipOffset
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify import linear
-from longarm_comp.core.identify.fit import align, fit, fit_together, frames, geometry, whiten
+from longarm_comp.core.identify.fit import align, fit, fit_together, frames, geometry
 from longarm_comp.core.identify.noise import from_repeats, lag_correlation
+from longarm_comp.core.identify.weights import whiten
 from longarm_comp.core.model import Model
 
 SIGMA = 4e-4

@@ -14,7 +14,8 @@ import numpy as np
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify import linear
 from longarm_comp.core.identify.candidates import Candidate, Columns, library
-from longarm_comp.core.identify.fit import Fit, priors, whiten
+from longarm_comp.core.identify.fit import Fit, priors
+from longarm_comp.core.identify.weights import whiten
 
 Term = Effect | Bias
 

@@ -9,7 +9,8 @@ from scipy.stats import f
 
 from longarm_comp.core.dataset import Session
 from longarm_comp.core.identify import linear
-from longarm_comp.core.identify.fit import OUTLIER, Fit, whiten
+from longarm_comp.core.identify.fit import Fit
+from longarm_comp.core.identify.weights import OUTLIER, whiten
 
 ENOUGH_REPEATS = 15
 """Degrees of freedom that repeats must have to be trusted."""

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.dataset import Session
-from longarm_comp.core.identify.fit import Fit, whiten
+from longarm_comp.core.identify.fit import Fit
 from longarm_comp.core.identify.linear import Marginal
+from longarm_comp.core.identify.weights import whiten
 
 PERMUTATIONS = 400
 SIGNIFICANT = 0.005
