@@ -20,8 +20,8 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path
 from longarm_comp.core.identify.calibrate import errors
 from longarm_comp.core.identify.diagnosis import Diagnosis, diagnose
+from longarm_comp.core.identify.evidence import key
 from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.trace import key
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.inputs import CONTEXT_NAMES
 from longarm_comp.core.learn.predictor import Prediction, Predictor, Provenance

@@ -13,7 +13,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.distinguish import Finding
-from longarm_comp.core.identify.trace import key
+from longarm_comp.core.identify.evidence import key
 from longarm_comp.report.candidate_states import candidate_rows, sizes
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.drawing import SPLITS, detail

@@ -11,8 +11,8 @@ from longarm_comp.core.identify.candidates import Term
 from longarm_comp.core.identify.confirm import RESAMPLES
 from longarm_comp.core.identify.detectable import Smallest
 from longarm_comp.core.identify.diagnosis import Diagnosis
+from longarm_comp.core.identify.evidence import key
 from longarm_comp.core.identify.next_poses import NextPoses
-from longarm_comp.core.identify.trace import key
 from longarm_comp.core.outline import outline
 from longarm_comp.report.candidate_states import best_forms
 from longarm_comp.report.detail import (

@@ -10,11 +10,9 @@ from typing_extensions import Self
 
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.effects.effect import Parameter, parameter
-from longarm_comp.core.effects.joint_term import JointTerm, with_prior
+from longarm_comp.core.effects.joint_term import GATES, JointTerm, with_prior
 from longarm_comp.core.posture import Posture
 from longarm_comp.core.spatial import Twist
-
-GATES = (0.0, 0.03, 0.075, 0.15, 0.3)
 
 
 @dataclass(frozen=True)
@@ -31,6 +29,7 @@ class Backlash(JointTerm):
     name: ClassVar[str] = "backlash"
     needs: ClassVar[tuple[str, ...]] = ("approach",)
     loaded: ClassVar[bool] = True
+    tunable: ClassVar[str] = "gate"
 
     gate: float = 0.0
     width: float = parameter("rad", "full width of the play", prior=0.02, lower=0.0)

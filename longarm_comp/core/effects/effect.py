@@ -59,6 +59,8 @@ class _Term:
         seen_only: moves the frame that the arm is seen in, and gravity with it.
         continuous: a small motion of the joints changes it by little; no command undoes others.
         loaded: depends on the loads, so that it must be reconverged as the arm sags.
+        tunable: a placement field that may have any value; the candidates try a few of them and
+            the search looks between.
     """
 
     name: ClassVar[str]
@@ -67,6 +69,7 @@ class _Term:
     seen_only: ClassVar[bool] = False
     loaded: ClassVar[bool] = False
     continuous: ClassVar[bool] = True
+    tunable: ClassVar[str] = ""
 
     @classmethod
     def declared(cls) -> tuple[Parameter, ...]:

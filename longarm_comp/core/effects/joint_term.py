@@ -16,6 +16,8 @@ from longarm_comp.core.effects.effect import Effect, Parameter
 from longarm_comp.core.posture import Posture
 from longarm_comp.core.spatial import Scalar, Twist
 
+GATES = (0.0, 0.03, 0.075, 0.15, 0.3)
+"""Loads below which friction may hold a joint (`JointTerm.side`), of the arm's typical ones."""
 _RESTING = 1e-6  # N m: a vertical axis carries no torque but for rounding
 
 

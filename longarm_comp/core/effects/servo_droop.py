@@ -11,12 +11,10 @@ from typing_extensions import Self
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.context import Context
 from longarm_comp.core.effects.effect import Parameter, parameter
-from longarm_comp.core.effects.joint_term import JointTerm, typical_loads, with_prior
+from longarm_comp.core.effects.joint_term import GATES, JointTerm, typical_loads, with_prior
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.posture import Posture
 from longarm_comp.core.spatial import Twist
-
-GATES = (0.0, 0.075, 0.3)
 
 
 @dataclass(frozen=True)
@@ -32,6 +30,7 @@ class ServoDroop(JointTerm):
 
     name: ClassVar[str] = "servo_droop"
     loaded: ClassVar[bool] = True
+    tunable: ClassVar[str] = "gate"
 
     gate: float = 0.0
     sag: float = parameter("rad/(N m)", "proportional droop per torque", prior=4e-3, lower=0.0)

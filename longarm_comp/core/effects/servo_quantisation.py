@@ -16,7 +16,7 @@ from longarm_comp.core.posture import Posture
 from longarm_comp.core.spatial import Twist
 
 STEPS_PER_TURN = (
-    *(200, 256, 300, 360, 400, 500, 512, 600, 720, 800, 900, 1000, 1024, 1080),
+    *(180, 200, 256, 300, 360, 400, 500, 512, 600, 720, 800, 900, 1000, 1024, 1080),
     *(1200, 1440, 1800, 2000, 2048, 3600, 4096),
 )
 

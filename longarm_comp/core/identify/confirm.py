@@ -11,8 +11,9 @@ from scipy.stats import norm
 
 from longarm_comp.core.identify.candidates import Candidate, Columns, Term
 from longarm_comp.core.identify.distinguish import Finding
+from longarm_comp.core.identify.evidence import key
 from longarm_comp.core.identify.fit import Fit
-from longarm_comp.core.identify.trace import Traced, key
+from longarm_comp.core.identify.trace import Traced
 
 RESAMPLES = 300
 BLOCKS = 30
@@ -99,9 +100,9 @@ def _dropped(fit: Fit, found: Sequence[Finding], candidates: Sequence[Candidate]
     missing: dict[tuple[str, str], Term] = {}
     for finding in found:
         form = Candidate(finding.name, finding.terms).form
-        for candidate in candidates:
-            if candidate.name == finding.name and candidate.form == form:
-                missing |= {key(t): t for t in candidate.terms if key(t) not in held}
+        mine = [c for c in candidates if c.name == finding.name]
+        for candidate in sorted(mine, key=lambda c: c.form != form):
+            missing = {key(t): t for t in candidate.terms if key(t) not in held} | missing
     q = [fit.session.q[:, j] for j in range(fit.session.n)]
     columns = Columns(fit.model, fit.model.posture(q, fit.session.context()))
     return fit.whitened(columns.of(tuple(missing.values())))

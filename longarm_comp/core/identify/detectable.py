@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate, Columns
+from longarm_comp.core.identify.evidence import score
 from longarm_comp.core.identify.fit import Fit
 from longarm_comp.core.identify.linear import Marginal
-from longarm_comp.core.identify.trace import Traced, score
+from longarm_comp.core.identify.trace import Traced
 
 IMPLAUSIBLE = 5.0
 """Prior standard deviations beyond which nobody believes a size."""

@@ -17,14 +17,15 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.holdout import Sealed, blocked_split
 from longarm_comp.core.identify import noise as noise_step
 from longarm_comp.core.identify.calibrate import declared_model, errors
-from longarm_comp.core.identify.candidates import library
+from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.confirm import Confirmed, confirm
 from longarm_comp.core.identify.distinguish import Finding, findings
+from longarm_comp.core.identify.evidence import key
 from longarm_comp.core.identify.fit import Fit, align, fit, frames, geometry
 from longarm_comp.core.identify.next_poses import NextPoses, next_poses
 from longarm_comp.core.identify.proof import Proof, prove
 from longarm_comp.core.identify.structure import Structure, examine
-from longarm_comp.core.identify.trace import Traced, search
+from longarm_comp.core.identify.trace import Traced, dropped, search
 from longarm_comp.core.model import Model
 
 POSES_TO_SPLIT = 12
@@ -150,6 +151,8 @@ def diagnose(
         known_noise=noise_step.from_repeats(train),
         progress=say,
     )
+    say("look-alikes")
+    traced, found = _told_apart(traced, candidates.testable)
     say("structure")
     calibrated = fit(
         start,
@@ -159,9 +162,7 @@ def diagnose(
         weights=traced.fit.weights,
     )
     structure = examine(traced.fit, calibrated, rng)
-    say("look-alikes")
-    found = findings(traced, candidates.testable)
-    confirmed = confirm(traced, found, candidates.testable, rng)
+    confirmed = confirm(traced, list(found), candidates.testable, rng)
     models = {
         "nominal": nominal,
         "frames_only": placed.model,
@@ -224,6 +225,22 @@ def diagnose(
         sealed.uses,
         seed,
     )
+
+
+def _told_apart(
+    traced: Traced, candidates: Sequence[Candidate]
+) -> tuple[Traced, tuple[Finding, ...]]:
+    """Findings with their look-alikes; what could be anything, one found already too, is dropped.
+
+    Such a finding is the remainder of a stronger one whose form is not quite the library's: it
+    stays in the residual, as structure, and gets no name.
+    """
+    found = findings(traced, candidates)
+    for k, finding in enumerate(found):
+        stronger = {f.name for f in found[:k]}
+        if len(finding.names) > MOST_NAMES and stronger & set(finding.names):
+            return _told_apart(dropped(traced, {key(t) for t in finding.terms}), candidates)
+    return traced, tuple(found)
 
 
 def nominal_frames(nominal: Model, arm: Arm, session: Session) -> Model:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate, Columns, Term
+from longarm_comp.core.identify.evidence import Score, key, marginal_without, score
 from longarm_comp.core.identify.linear import Marginal
-from longarm_comp.core.identify.trace import Score, Traced, key, marginal_without, score
+from longarm_comp.core.identify.trace import Traced
 
 CLOSE = 3.0
 """Log evidence (or log likelihood) within which two explanations are not told apart."""

@@ -10,8 +10,9 @@ from scipy.stats import qmc
 from longarm_comp.core.context import Context
 from longarm_comp.core.identify.candidates import Columns
 from longarm_comp.core.identify.distinguish import Finding
+from longarm_comp.core.identify.evidence import Score, key
 from longarm_comp.core.identify.fit import Fit
-from longarm_comp.core.identify.trace import Score, Traced, key
+from longarm_comp.core.identify.trace import Traced
 
 POOL = 512
 

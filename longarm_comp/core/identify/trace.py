@@ -2,55 +2,41 @@
 
 Forward by the largest Bayes factor, the geometry refitted jointly each time and never
 frozen; outliers and noise are judged anew after every accepted effect, so that structure is
-not thrown out as noise; then swaps, then a backward pass that drops what no longer pays.
+not thrown out as noise; then forms are sharpened, two effects at one place that one effect
+explains are merged, families swapped, and a backward pass drops what no longer pays.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
 
 from longarm_comp.core.dataset import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify import noise as noise_step
 from longarm_comp.core.identify.candidates import Candidate, Columns, Term
+from longarm_comp.core.identify.evidence import Score, key, marginal_without, score
 from longarm_comp.core.identify.fit import Fit, fit, unfitted
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.noise import Noise
-from longarm_comp.core.model import Model, Slot, slots_of
+from longarm_comp.core.identify.sharpen import sharpened
+from longarm_comp.core.model import Model, slots_of
 
 ODDS = math.log(20.0)
 """An effect must be this much (log) more probable than none after paying for the choice."""
 LOCATED = 2.0
 """Within an effect, a place must be this much (log) more probable with it than without."""
+SWAP = 1.0
+"""A new name must be this much (log) more probable than the one it replaces."""
+COARSE = 50.0
+"""A form this much (log) worse than the best may still win once its scale is sharpened."""
 MOST_TERMS = 12
 ROUNDS = 4
-
-
-@dataclass(frozen=True)
-class Score:
-    """One candidate against the model without it.
-
-    Attributes:
-        candidate: the hypothesis.
-        log_bayes_factor: evidence gained, sign bounds counted.
-        fit_gain: gain in penalised log likelihood.
-        mean: (k,) parameter estimates (SI).
-        sd: (k,) their posterior standard deviations.
-        effect_m: RMS tip shift that it stands for, m.
-    """
-
-    candidate: Candidate
-    log_bayes_factor: float
-    fit_gain: float
-    mean: np.ndarray
-    sd: np.ndarray
-    effect_m: float
 
 
 @dataclass(frozen=True)
@@ -76,11 +62,6 @@ class Traced:
     threshold: float
 
 
-def key(term: Term) -> tuple[str, str]:
-    """An effect at a place: it can be there in one form only."""
-    return term.name, term.place
-
-
 def search(
     base: Model,
     session: Session,
@@ -102,14 +83,14 @@ def search(
         InputError, JobError: as `fit`.
     """
     say = progress or (lambda _: None)
-    threshold = math.log(max(len(candidates), 1)) + ODDS
-    state = _State(base, session, candidates, known_noise, {})
+    state = _State(base, session, candidates, known_noise)
     say("geometry")
     state.refit()
     first = state.scores()
     for _ in range(ROUNDS):
-        state.grow(threshold, say)
-        if not (state.swap(say) | state.prune(threshold)):
+        state.grow(say)
+        state.sharpen(say)
+        if not (state.merge(say) | state.swap(say) | state.prune()):
             break
     return Traced(
         state.fit,
@@ -118,8 +99,26 @@ def search(
         state.noise,
         first,
         state.scores(),
-        threshold,
+        state.threshold,
     )
+
+
+def dropped(traced: Traced, places: set[tuple[str, str]]) -> Traced:
+    """The same search with some of the found terms taken out again, the rest refitted."""
+    was = traced.fit
+    kept = fit(
+        dataclasses.replace(
+            was.model,
+            effects=tuple(t for t in was.model.effects if key(t) not in places),
+            biases=tuple(t for t in was.model.biases if key(t) not in places),
+        ),
+        was.session,
+        sigma=was.sigma,
+        rho=was.rho,
+        weights=was.weights,
+    )
+    chosen = tuple(t for t in traced.chosen if key(t) not in places)
+    return dataclasses.replace(traced, fit=kept, chosen=chosen)
 
 
 class _State:
@@ -131,10 +130,11 @@ class _State:
         session: Session,
         candidates: Sequence[Candidate],
         known: Noise | None,
-        chosen: dict[tuple[str, str], Term],
     ) -> None:
         self.base, self.session, self.candidates = base, session, candidates
-        self.known, self.chosen = known, chosen
+        self.known = known
+        self.chosen: dict[tuple[str, str], Term] = {}
+        self.threshold = math.log(max(len(candidates), 1)) + ODDS
         self._start = base
         self.refused: set[str] = set()
 
@@ -179,38 +179,44 @@ class _State:
         """One candidate on top of a marginal."""
         return score(self.fit, marginal, candidate, self.columns)
 
-    def best(self, threshold: float) -> Score | None:
+    def need(self, name: str, without: Sequence[tuple[str, str]] = ()) -> float:
+        """Evidence that pays for the choice: among all, or among the forms of a known effect."""
+        if any(k[0] == name for k in self.chosen if k not in without):
+            return math.log(sum(c.name == name for c in self.candidates)) + ODDS
+        return self.threshold
+
+    def best(self) -> Score | None:
         """The candidate to accept, if any pays for the choice."""
-        names = {name for name, _ in self.chosen}
         for found in self.scores():
             if found.candidate.label in self.refused:
                 continue
-            need = threshold
-            if found.candidate.name in names:
-                siblings = sum(c.name == found.candidate.name for c in self.candidates)
-                need = math.log(siblings) + ODDS
-            if found.log_bayes_factor >= need and len(self.chosen) < 6 * MOST_TERMS:
+            enough = found.log_bayes_factor >= self.need(found.candidate.name)
+            if enough and len(self.chosen) < 6 * MOST_TERMS:
                 return found
         return None
 
-    def grow(self, threshold: float, say: Callable[[str], None]) -> None:
+    def grow(self, say: Callable[[str], None]) -> None:
         """Add effects until none pays; one that did not last is not tried again."""
         for _ in range(MOST_TERMS):
-            best = self.best(threshold)
+            best = self.best()
             if best is None:
                 return
             say(best.candidate.label)
             before = dict(self.chosen), self._start, self.fit, self.columns, self.noise
             try:
                 self.accept(best)
-                self.prune(threshold)
+                self.prune()
             except JobError:
                 self.chosen, self._start, self.fit, self.columns, self.noise = before
             if not any(key(t) in self.chosen for t in best.candidate.terms):
                 self.refused.add(best.candidate.label)
 
     def accept(self, found: Score) -> None:
-        """Add its terms, started at their estimates."""
+        """Add its terms, started at their estimates, and fit."""
+        self._put(found)
+        self._rebuild()
+
+    def _put(self, found: Score) -> None:
         start = 0
         for term in found.candidate.terms:
             slots = slots_of(self.base.arm, [term])
@@ -222,7 +228,6 @@ class _State:
             }
             start += len(slots)
             self.chosen[key(term)] = term.with_values(values)
-        self._rebuild()
 
     def _rebuild(self) -> None:
         known = {(key(t), repr(t.placement)): t for t in self._start.terms}
@@ -239,7 +244,52 @@ class _State:
         )
         self.refit()
 
-    def prune(self, threshold: float) -> bool:
+    def sharpen(self, say: Callable[[str], None]) -> None:
+        """Move every found form that lies on a scale to where the evidence is highest."""
+        better: list[Score] = []
+        for place, term in self.chosen.items():
+            if term.tunable:
+                best = self._sharpened(term, [place])
+                if best.candidate.terms != (term,):
+                    better.append(best)
+        for best in better:
+            say(best.candidate.label)
+            self._put(best)
+        if better:
+            self._rebuild()
+
+    def _sharpened(self, term: Term, without: Sequence[tuple[str, str]]) -> Score:
+        marginal = self.marginal(without)
+        return sharpened(self.fit, marginal, self.columns, term, self.candidates)
+
+    def merge(self, say: Callable[[str], None]) -> bool:
+        """Where two effects sit at one place, let one of them do, in another form if need be."""
+        merged = False
+        for where in dict.fromkeys(t.where for t in self.chosen.values()):
+            places = [k for k, t in self.chosen.items() if t.where == where]
+            if len(places) < 2:
+                continue
+            now = self.score(
+                self.marginal(places), Candidate("", tuple(self.chosen[p] for p in places))
+            )
+            names = {name for name, _ in places}
+            options = [
+                self._sharpened(s.candidate.terms[0], places)
+                for s in self.scores(places)
+                if s.candidate.name in names
+                and s.candidate.where == (where,)
+                and s.log_bayes_factor > now.log_bayes_factor - COARSE
+            ]
+            best = max(options, key=lambda s: s.log_bayes_factor, default=None)
+            if best is not None and best.log_bayes_factor >= now.log_bayes_factor:
+                say(f"{best.candidate.label} alone")
+                for place in places:
+                    del self.chosen[place]
+                self.accept(best)
+                merged = True
+        return merged
+
+    def prune(self) -> bool:
         """Drop terms that the rest makes superfluous; whether anything went."""
         gone: list[tuple[str, str]] = []
         while len(gone) < len(self.chosen):
@@ -248,7 +298,7 @@ class _State:
                 if place in gone:
                     continue
                 mates = sum(name == place[0] for name, _ in self.chosen if (name, _) not in gone)
-                need = threshold if mates == 1 else self._located(term)
+                need = self.threshold if mates == 1 else self._located(term)
                 single = Candidate(term.name, (term,))
                 gain = self.score(self.marginal([*gone, place]), single).log_bayes_factor - need
                 if gain < low:
@@ -267,84 +317,33 @@ class _State:
         return LOCATED if slots_of(self.base.arm, [term]) else -1.0
 
     def swap(self, say: Callable[[str], None]) -> bool:
-        """Exchange a family for a better one or a better form of it; whether any was."""
+        """Exchange a family for a better one, a better form, or more of what is there anyhow."""
         changed = False
         for name in dict.fromkeys(name for name, _ in self.chosen):
             places = [c for c in self.chosen if c[0] == name]
             if not places:
                 continue
-            marginal = self.marginal(places)
-            now = self.score(marginal, Candidate(name, tuple(self.chosen[p] for p in places)))
-            options = [
-                s
-                for s in self.scores(places)
-                if set(_keys(s.candidate)) != set(places)
-                or s.candidate.form != Candidate(name, (self.chosen[places[0]],)).form
-            ]
-            if options and options[0].log_bayes_factor > now.log_bayes_factor + 1.0:
-                say(f"{options[0].candidate.label} instead of {name}")
-                for place in places:
-                    del self.chosen[place]
-                self.accept(options[0])
-                changed = True
+            now = self.score(
+                self.marginal(places), Candidate(name, tuple(self.chosen[p] for p in places))
+            )
+            surplus = now.log_bayes_factor - self.threshold
+            for option in self.scores(places):
+                other = option.candidate
+                same = set(_keys(other)) == set(places)
+                if same and other.form == Candidate(name, (self.chosen[places[0]],)).form:
+                    continue
+                margin = 0.0 if other.name in self._names(places) else SWAP
+                if option.log_bayes_factor - self.need(other.name, places) > surplus + margin:
+                    say(f"{other.label} instead of {name}")
+                    for place in places:
+                        del self.chosen[place]
+                    self.accept(option)
+                    changed = True
+                    break
         return changed
 
-
-def marginal_without(fitted: Fit, columns: Columns, places: set[tuple[str, str]]) -> Marginal:
-    """Evidence on top of a fit, the terms at some places taken out of it.
-
-    A term with parameters leaves with its columns; one without gives its shift back to the data.
-    """
-    kept = [k for k, s in enumerate(fitted.slots) if key(s.owner) not in places]
-    data = fitted.data
-    for term in fitted.model.terms:
-        if key(term) in places and not slots_of(fitted.model.arm, [term]):
-            data = data + fitted.whitened(columns.shift(term)[..., None])[:, 0]
-    return Marginal(fitted.design[:, kept], data)
-
-
-def score(fitted: Fit, marginal: Marginal, candidate: Candidate, columns: Columns) -> Score:
-    """Evidence of a candidate on top of a marginal."""
-    slots = candidate.slots(fitted.model.arm)
-    if not slots:
-        return _fixed(fitted, marginal, candidate, columns)
-    scaled = columns.of(candidate.terms)
-    white = fitted.whitened(scaled)
-    if not np.isfinite(white).all() or not white.any():
-        zero = np.zeros(len(slots))
-        return Score(candidate, 0.0, 0.0, zero, zero, 0.0)
-    added = marginal.added(white)
-    sd = np.sqrt(np.diag(added.covariance))
-    bounded = np.array([s.parameter.lower == 0.0 for s in slots])
-    sided = (math.log(2.0) + norm.logcdf(added.mean / sd))[bounded].sum()
-    mean = np.where(bounded, np.maximum(added.mean, 0.0), added.mean)
-    scale = _prior(slots)
-    return Score(
-        candidate,
-        added.log_bayes_factor + float(sided),
-        added.fit_gain,
-        mean * scale,
-        sd * scale,
-        _rms(scaled @ mean),
-    )
-
-
-def _fixed(fitted: Fit, marginal: Marginal, candidate: Candidate, columns: Columns) -> Score:
-    """An effect without parameters: it is there, whole, or it is not."""
-    shift = np.sum([columns.shift(term) for term in candidate.terms], axis=0)
-    white = fitted.whitened(shift[..., None])[:, 0]
-    projected = marginal.project(white)
-    gain = float(projected @ marginal.y - 0.5 * projected @ white)
-    empty = np.zeros(0)
-    return Score(candidate, gain, gain, empty, empty, _rms(shift))
-
-
-def _rms(shift: np.ndarray) -> float:
-    return float(np.sqrt((shift**2).sum(-1).mean()))
-
-
-def _prior(slots: Sequence[Slot]) -> np.ndarray:
-    return np.array([s.parameter.prior for s in slots])
+    def _names(self, without: Sequence[tuple[str, str]]) -> set[str]:
+        return {name for name, _ in self.chosen if (name, _) not in without}
 
 
 def _keys(candidate: Candidate) -> list[tuple[str, str]]:
