@@ -112,10 +112,7 @@ def test_without_the_true_family_no_wrong_name_is_sure() -> None:
 
 
 # 6
-HELD = pytest.mark.xfail(reason="geometry priors shrink the set", strict=True)
-
-
-@pytest.mark.parametrize("n", [pytest.param(90, marks=HELD), 180])
+@pytest.mark.parametrize("n", [90, 180])
 def test_aliases_on_three_levels_stay_a_set(n: int) -> None:
     found = diagnose(ARM, session(GAIN, n=n, levels=3))
     assert found.verdict == "set"

@@ -222,18 +222,23 @@ class Model:
         columns = [np.stack([np.broadcast_to(c, shape) for c in v], -1) for v in made]
         return stack(point), np.stack(columns, axis=-1)
 
-    def shift(self, posture: Posture, term: Effect | Bias) -> np.ndarray:
-        """What a term that the model does not hold would add to the seen tip, (N, 3) in m.
+    def shifts(self, posture: Posture, terms: Sequence[Effect | Bias]) -> list[np.ndarray]:
+        """What terms that the model does not hold would each add to the seen tip, (N, 3) in m.
 
         To first order, by Eq. (5): for terms with nothing to fit.
         """
         tip = self.tip_frame(posture).p
         point = self.seen(tip, posture.context)
-        if isinstance(term, Bias):
-            return stack(spatial.sub(term.seen(point, posture.context, self.arm), point))
-        moved = self._tip_shift(posture, tip, self.twists(posture), term.twists(posture), {}, 1.0)
-        seen = self._seen_shift(tip, moved, posture.context)
-        return np.broadcast_to(stack(seen), np.shape(stack(point)))
+        total = self.twists(posture)
+        made = []
+        for term in terms:
+            if isinstance(term, Bias):
+                seen = spatial.sub(term.seen(point, posture.context, self.arm), point)
+            else:
+                moved = self._tip_shift(posture, tip, total, term.twists(posture), {}, 1.0)
+                seen = self._seen_shift(tip, moved, posture.context)
+            made.append(np.broadcast_to(stack(seen), np.shape(stack(point))))
+        return made
 
     def _moved(self, slot: Slot, by: float) -> Effect | Bias:
         name = slot.parameter.name

@@ -145,7 +145,7 @@ def _rms(clean: np.ndarray, model: Model, session: Session) -> float:
 
 
 def _minimal(setting: Setting, sets: Sequence[Finding], best: Fit | None) -> bool:
-    """Whether no member of any set could be told from the truth with these rows."""
+    """Whether no member of any set could be told from the truth with these rows, or with any."""
     if not sets or best is None:
         return best is not None
     clean = _clean(setting)
@@ -157,7 +157,7 @@ def _minimal(setting: Setting, sets: Sequence[Finding], best: Fit | None) -> boo
             return False
         rest = [_forms(setting, t) for t in true if t != own]
         for name in found.names:
-            if name != own:
+            if name != own and not any({name, own} <= family for family in ALIASES):
                 other = _best(setting, [*rest, _forms(setting, name)], clean)
                 if _misfit(other) - least > ALIKE:
                     return False

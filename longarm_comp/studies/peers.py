@@ -43,7 +43,7 @@ class PeerPredictor:
         else:
             mean, sigma = self.regressor.predict(x), np.broadcast_to(self.sigma, (len(x), 3))
         error = self.offset + self.scale * mean
-        return Prediction(error, sigma, np.ones(len(q), bool), [""] * len(q))
+        return Prediction(error, sigma, np.ones(len(q), bool), [""] * len(q), np.zeros(len(q)))
 
 
 def train_gaussian_process(

@@ -133,21 +133,25 @@ class Columns:
 
     def of(self, terms: Sequence[Term]) -> np.ndarray:
         """(N, 3, k) columns of some terms, each times its prior standard deviation."""
-        made = []
-        for slot in slots_of(self.model.arm, terms):
-            key = (slot.owner.name, *slot.owner.placement.values(), slot.parameter.name)
-            if key not in self._known:
-                column = self.model.columns(self.posture, [slot])[1][..., 0]
-                self._known[key] = column * slot.parameter.prior
-            made.append(self._known[key])
-        return np.stack(made, axis=-1) if made else np.zeros((*self.shape, 0))
+        slots = slots_of(self.model.arm, terms)
+        keys = [(s.owner.name, *s.owner.placement.values(), s.parameter.name) for s in slots]
+        new = {k: s for k, s in zip(keys, slots, strict=True) if k not in self._known}
+        if new:
+            columns = self.model.columns(self.posture, list(new.values()))[1]
+            for n, (key, slot) in enumerate(new.items()):
+                self._known[key] = columns[..., n] * slot.parameter.prior
+        if not keys:
+            return np.zeros((*self.shape, 0))
+        return np.stack([self._known[key] for key in keys], axis=-1)
 
-    def shift(self, term: Term) -> np.ndarray:
-        """(N, 3) what a term without parameters adds, m."""
-        key = (term.name, *term.placement.values())
-        if key not in self._shifts:
-            self._shifts[key] = self.model.shift(self.posture, term)
-        return self._shifts[key]
+    def shift(self, terms: Sequence[Term]) -> np.ndarray:
+        """(N, 3) what terms without parameters add together, m."""
+        keys = [(t.name, *t.placement.values()) for t in terms]
+        new = {k: t for k, t in zip(keys, terms, strict=True) if k not in self._shifts}
+        if new:
+            found = self.model.shifts(self.posture, list(new.values()))
+            self._shifts.update(zip(new, found, strict=True))
+        return np.sum([self._shifts[key] for key in keys], axis=0)
 
     @property
     def shape(self) -> tuple[int, int]:

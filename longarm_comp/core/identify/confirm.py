@@ -118,7 +118,7 @@ def _block_gains(fit: Fit, found: Finding) -> np.ndarray:
     """(B,) gain in log likelihood by block of an effect that has nothing to fit."""
     q = [fit.session.q[:, j] for j in range(fit.session.n)]
     posture = fit.model.posture(q, fit.session.context())
-    shift = np.sum([fit.model.shift(posture, term) for term in found.terms], axis=0)
+    shift = np.sum(fit.model.shifts(posture, found.terms), axis=0)
     white = fit.whitened(shift[..., None])[:, 0]
     left = fit.whitened(fit.residual[..., None])[:, 0]
     gain = left * white + 0.5 * white * white

@@ -61,7 +61,7 @@ def smallest(
     if candidate.slots(fit.model.arm):
         raw = columns.of(candidate.terms)
     else:
-        raw = np.sum([columns.shift(term) for term in candidate.terms], axis=0)[..., None]
+        raw = columns.shift(candidate.terms)[..., None]
     b = fit.whitened(raw)
     s = b.T @ marginal.project(b)
     values = np.clip(np.linalg.eigvalsh((s + s.T) / 2), 0.0, None)

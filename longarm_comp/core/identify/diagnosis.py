@@ -19,7 +19,7 @@ from longarm_comp.core.identify import noise as noise_step
 from longarm_comp.core.identify.calibrate import declared_model, errors
 from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.confirm import Confirmed, confirm
-from longarm_comp.core.identify.distinguish import Finding, findings
+from longarm_comp.core.identify.distinguish import Finding, findings, on_few_levels
 from longarm_comp.core.identify.evidence import key
 from longarm_comp.core.identify.fit import Fit, align, fit, frames, geometry
 from longarm_comp.core.identify.next_poses import NextPoses, next_poses
@@ -189,6 +189,8 @@ def diagnose(
         models["with_effects"] = models["calibrated"]
         structure = examine(calibrated, calibrated, rng)
         network = None  # it was trained on what the effects left
+    levels = _levels(np.concatenate([train.q, held_out.q]))
+    found = tuple(on_few_levels(traced, candidates.testable, f, levels) for f in found)
     rejected = float((traced.fit.weights == 0).mean())
     if rejected > MOST_OUTLIERS and not structure.flag:
         gone = traced.fit.residual[traced.fit.weights == 0]
@@ -252,6 +254,12 @@ def nominal_frames(nominal: Model, arm: Arm, session: Session) -> Model:
 def _with_geometry(nominal: Model, arm: Arm, session: Session) -> Model:
     known = {(t.name, t.where) for t in nominal.terms}
     return nominal.plus(*(t for t in geometry(arm, session) if (t.name, t.where) not in known))
+
+
+def _levels(q: np.ndarray) -> np.ndarray:
+    """(n,) distinct values of every joint, to a hundredth of its range."""
+    span = np.maximum(np.ptp(q, axis=0), 1e-9)
+    return np.array([len(np.unique(np.round(c, 2))) for c in (q / span).T])
 
 
 def _split(session: Session, test: Session | None, seed: int) -> tuple[Session, Session]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,6 +20,13 @@ ALIASES: tuple[frozenset[str], ...] = (
     frozenset({"joint_compliance", "servo_droop"}),  # proportional sag is a compliance
 )
 """Effects that no pose can tell apart, whatever is measured."""
+
+
+FEW = 3
+"""On so few levels of a joint, any function of it is an offset and two numbers."""
+ANY_FUNCTION = ("gear_eccentricity", "servo_quantisation")
+"""Effects that can take any values at three levels of a joint (of steps of an unknown size)."""
+OF_ONE_JOINT = (*ANY_FUNCTION, "joint_gain")
 
 
 @dataclass(frozen=True)
@@ -60,6 +68,33 @@ def findings(traced: Traced, candidates: Sequence[Candidate]) -> list[Finding]:
         terms = tuple(_fitted(traced, t) for t in traced.chosen if t.name == name)
         made.append(_finding(traced, candidates, columns, name, terms))
     return sorted(made, key=lambda f: -f.log_bayes_factor)
+
+
+def on_few_levels(
+    traced: Traced, candidates: Sequence[Candidate], found: Finding, levels: np.ndarray
+) -> Finding:
+    """A finding with what nobody could tell from it on a coarse grid, whatever the evidence says.
+
+    Args:
+        traced: the search.
+        candidates: the library.
+        found: the finding.
+        levels: (n,) distinct values of every commanded joint in all rows that were looked at.
+    """
+    commanded = traced.fit.model.arm.commanded
+    joints = [t.placement.get("joint") for t in found.terms]
+    if found.name not in OF_ONE_JOINT or any(levels[commanded.index(j)] > FEW for j in joints):
+        return found
+    columns = _columns(traced)
+    marginal = marginal_without(traced.fit, columns, {key(t) for t in found.terms})
+    added = []
+    for name in ANY_FUNCTION:
+        if name in found.names:
+            continue
+        options = [c for c in candidates if c.name == name]
+        scores = [score(traced.fit, marginal, c, columns) for c in options]
+        added += sorted(scores, key=lambda s: -s.log_bayes_factor)[:1]
+    return dataclasses.replace(found, alternatives=(*found.alternatives, *added))
 
 
 def without(traced: Traced, places: set[tuple[str, str]]) -> Marginal:

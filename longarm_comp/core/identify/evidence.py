@@ -50,7 +50,7 @@ def marginal_without(fitted: Fit, columns: Columns, places: set[tuple[str, str]]
     data = fitted.data
     for term in fitted.model.terms:
         if key(term) in places and not slots_of(fitted.model.arm, [term]):
-            data = data + fitted.whitened(columns.shift(term)[..., None])[:, 0]
+            data = data + fitted.whitened(columns.shift([term])[..., None])[:, 0]
     return Marginal(fitted.design[:, kept], data)
 
 
@@ -82,7 +82,7 @@ def score(fitted: Fit, marginal: Marginal, candidate: Candidate, columns: Column
 
 def _fixed(fitted: Fit, marginal: Marginal, candidate: Candidate, columns: Columns) -> Score:
     """An effect without parameters: it is there, whole, or it is not."""
-    shift = np.sum([columns.shift(term) for term in candidate.terms], axis=0)
+    shift = columns.shift(candidate.terms)
     white = fitted.whitened(shift[..., None])[:, 0]
     projected = marginal.project(white)
     gain = float(projected @ marginal.y - 0.5 * projected @ white)

@@ -35,6 +35,7 @@ class Prediction:
     sigma: Array  # (N, 3) m, sd of a measurement around ``error``
     in_domain: NDArray[np.bool_]  # (N,)
     reason: list[str]  # (N,) empty where in domain
+    doubt: Array  # (N,) epistemic variance as a share of the largest that is trusted
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,18 @@ class Predictor:
         shape: Shape = self._shape  # type: ignore[attr-defined]
         return shape
 
+    @property
+    def members(self) -> tuple[Array, Array, Array]:
+        """Weights of the ensemble: hidden (M, d+1, H), output (M, H, 3) and its bias (M, 1, 3)."""
+        members: tuple[Array, Array, Array] = self._members  # type: ignore[attr-defined]
+        return members
+
+    @property
+    def box(self) -> tuple[Array, Array]:
+        """Lower and upper (columns,) of the training region, margins included."""
+        box: tuple[Array, Array] = self._box  # type: ignore[attr-defined]
+        return box
+
     def predict(self, q: Array, context: Context | None = None) -> Prediction:
         """Expected residual at joints (N, n), rad and m.
 
@@ -99,12 +112,13 @@ class Predictor:
         if np.isnan(raw).any():
             epistemic = epistemic + self._unknown_context(raw, x)
         sigma = self.widen * np.sqrt(epistemic + self.noise**2)
-        inside, reason = self._domain(raw, epistemic.max(axis=1))
-        return Prediction(error, sigma, inside, reason)
+        largest = epistemic.max(axis=1)
+        inside, reason = self._domain(raw, largest)
+        return Prediction(error, sigma, inside, reason, largest / self.variance_limit)
 
     def _outputs(self, x: Array) -> Array:
         """Standardised outputs (M, N, 3) of the members for standardised inputs (N, d)."""
-        v, w, b = self._members  # type: ignore[attr-defined]
+        v, w, b = self.members
         outputs: Array = np.tanh(with_ones(x) @ v) @ w + b
         return outputs
 
@@ -136,7 +150,7 @@ class Predictor:
         return variance
 
     def _domain(self, raw: Array, variance: Array) -> tuple[NDArray[np.bool_], list[str]]:
-        low, high = self._box  # type: ignore[attr-defined]
+        low, high = self.box
         outside = (raw < low) | (raw > high)  # NaN, not known, is neither
         unsure = variance > self.variance_limit
         bad = unsure | outside.any(axis=1)

@@ -1,0 +1,116 @@
+"""A prediction that also holds nearby: its slope, and how far slope and domain can be relied on.
+
+A compensation asks for the error at joints a few millirad apart.  With the slope one question is
+enough, which matters where each is a round trip to another process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from longarm_comp.core.learn.network import with_ones
+from longarm_comp.core.learn.predictor import Prediction, Predictor
+
+LINEAR_M = 5e-6
+"""Within its reach an expansion is true to this."""
+_FARTHEST = 0.05  # of a column's training sd; epistemic variance grows by a quarter at the most
+_VARIANCE_GROWS = 1.5  # so much is allowed for, before the domain's limit
+_CURVATURE = 0.77  # largest |tanh''|
+
+
+@dataclass(frozen=True)
+class Expansion:
+    """Expected residual at joints (n,) and around them.
+
+    Attributes:
+        error, sigma: (3,) m; in_domain, reason, doubt: as in `Prediction`.
+        jacobian: (3, n), m per rad or m of each joint.
+        reach: (n,) rad or m: joints that each move no farther stay inside the training data, and
+            ``error + jacobian @ step`` is true to `LINEAR_M`; zero: ask again.
+    """
+
+    error: np.ndarray
+    sigma: np.ndarray
+    in_domain: bool
+    reason: str
+    jacobian: np.ndarray
+    reach: np.ndarray
+    doubt: float = 0.0
+
+
+def expand(
+    predictor: Predictor, q: np.ndarray, context: Mapping[str, Any] | None = None
+) -> Expansion:
+    """Predict at joints (n,) and around them.
+
+    Raises:
+        InputError: as `Predictor.predict`.
+    """
+    found = predictor.predict(q[None], context)
+    encoding, n = predictor.encoding, len(q)
+    joints = encoding.kept < n  # columns that are a joint of their own
+    moved = encoding.kept[joints]
+    v, w, _ = predictor.members
+    x = encoding.standardise(encoding.raw(q[None], context or {}))
+    z = np.tanh(with_ones(x) @ v)[:, 0]  # (M, H)
+    bend = 1.0 - z * z
+    share = predictor.scale / len(z)
+    jacobian = np.zeros((3, n))
+    rates = v[:, :-1][:, joints]  # (M, d, H)
+    jacobian[:, moved] = share * np.einsum("mdh,mhk->kd", rates * bend[:, None], w)
+    jacobian[:, moved] /= encoding.scale[joints]
+    reach = np.zeros(n)
+    if found.in_domain[0] and found.doubt[0] * _VARIANCE_GROWS <= 1.0:
+        # |second derivative| along steps of size 1 in every column, summed without cancellation
+        steep = np.abs(rates).sum(axis=1) ** 2 * np.minimum(2.0 * np.abs(z) * bend, _CURVATURE)
+        curvature = share * float(np.einsum("mh,mhk->k", steep, np.abs(w)).max())
+        step = min(_FARTHEST, np.sqrt(2.0 * LINEAR_M / max(curvature, 1e-12)))
+        low, high = predictor.box
+        reach[:] = np.minimum(q - low[:n], high[:n] - q)
+        reach[moved] = np.minimum(reach[moved], step * encoding.scale[joints])
+    return Expansion(
+        found.error[0],
+        found.sigma[0],
+        bool(found.in_domain[0]),
+        found.reason[0],
+        jacobian,
+        reach,
+        float(found.doubt[0]),
+    )
+
+
+class Nearby:
+    """A predictor for one target: it answers near its last answer without asking again.
+
+    Args:
+        ask: the expansion at joints (n,) in a context.
+    """
+
+    def __init__(self, ask: Callable[[np.ndarray, Mapping[str, Any] | None], Expansion]) -> None:
+        self._ask = ask
+        self._held: tuple[np.ndarray, Mapping[str, Any], Expansion] | None = None
+
+    def predict(self, q: np.ndarray, context: Mapping[str, Any] | None = None) -> Prediction:
+        """Expected residual at joints (1, n); as `Predictor.predict`."""
+        joints, given = q[0], context or {}
+        held = self._held
+        if held is None or not (
+            (np.abs(joints - held[0]) <= held[2].reach).all() and _same(given, held[1])
+        ):
+            held = self._held = joints.copy(), given, self._ask(joints, given)
+        at, _, found = held
+        return Prediction(
+            (found.error + found.jacobian @ (joints - at))[None],
+            found.sigma[None],
+            np.array([found.in_domain]),
+            [found.reason],
+            np.array([found.doubt]),
+        )
+
+
+def _same(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
+    return a.keys() == b.keys() and all(np.array_equal(a[k], b[k], equal_nan=True) for k in a)
