@@ -24,20 +24,18 @@ class Sighting(NamedTuple):
     variance: np.ndarray
 
 
-class State(NamedTuple):
-    """Measured joints: time (s), positions (n,) rad and m."""
-
-    t: float
-    q: np.ndarray
-
-
 def settled(
-    sightings: Sequence[Sighting], states: Sequence[State], begin: float
+    sightings: Sequence[Sighting], times: np.ndarray, joints: np.ndarray, begin: float
 ) -> Sighting | None:
     """The mean of the settled sightings between a command at `begin` (s) and the next one.
 
     The arm is at rest from when the measured joints stay where they end (`JOINT_REST`), and
     the sightings stay where they end (`TIP_REST_M` about the median of the last five).
+
+    Args:
+        sightings: in the order of time.
+        times, joints: (m,) s and (m, n) measured joints, rad and m; m may be 0.
+        begin: time of the command, s.
 
     Returns:
         Mean time and position, and the variance of the mean; at NaN when the marker was only
@@ -49,11 +47,11 @@ def settled(
     if not seen:
         return sightings[-1]
     rest = begin
-    for state in states:
-        if np.abs(state.q - states[-1].q).max() > JOINT_REST:
-            rest = state.t
-    if states and max(states[-1].t, sightings[-1].t) - rest < REST_S:
-        return None
+    if len(times):
+        moving = np.flatnonzero((np.abs(joints - joints[-1]) > JOINT_REST).any(axis=1))
+        rest = float(times[moving[-1]]) if len(moving) else begin
+        if max(times[-1], sightings[-1].t) - rest < REST_S:
+            return None
     seen = [s for s in seen if s.t >= rest] or seen[-1:]
     last = np.median([s.xyz for s in seen[-_LAST:]], axis=0)
     kept: list[Sighting] = []

@@ -1,0 +1,100 @@
+"""Rows of a session, each made as soon as nothing that is read later can change it."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from longarm_comp.core.dataset import Session, derive_approach
+from longarm_comp.core.errors import InputError
+from longarm_comp.sessions.settled import Sighting, settled
+from longarm_comp.sessions.tape import CLOCKS_APART, Row, Tape
+
+
+class Rows:
+    """What the arm did, command by command, taken off a tape."""
+
+    def __init__(self, tape: Tape) -> None:
+        self._tape = tape
+        self._path = array("d")  # every point passed, rows and vias
+        self._count = array("q")  # its place; a step of two is a gap
+        self._at_row: list[int] = []
+        self._made: list[Sighting] = []
+        self._told: list[Row] = []
+        self._index: list[int] = []
+        self._held: list[dict[str, float]] = []
+        self._place, self._passed = 0, False
+
+    def close(self, *, everything: bool = False) -> None:
+        """Finish every command whose time is over, so that the tape can forget it.
+
+        A sighting may be recorded up to `CLOCKS_APART` after it was taken.
+        """
+        commands = self._tape.commands
+        while len(commands) > 1 and (
+            everything or commands[-1][0] >= commands[1][0] + CLOCKS_APART
+        ):
+            self._finish(commands[1][0])
+        if everything and commands:
+            self._finish(math.inf)
+
+    def _finish(self, end: float) -> None:
+        """The oldest command, which the next one followed at `end` (s)."""
+        tape = self._tape
+        begin, points = tape.commands.popleft()
+        sightings, rows = tape.sightings_between(begin, end), tape.rows_between(begin, end)
+        seen = settled(sightings, *tape.states_between(begin, end), begin)
+        row = rows[0][1] if rows else Row()
+        last = self._index[-1] if self._index else -1
+        number = row.index if row.index is not None else last + 1
+        gap = seen and self._index and not self._passed and not 0 <= number - last <= 1
+        for k, q in enumerate(points):
+            self._place += 2 if gap and k == 0 else 1
+            self._path.extend(q)
+            self._count.append(self._place)
+        self._passed = seen is None
+        if seen is not None:
+            self._at_row.append(len(self._count) - 1)
+            self._made.append(seen)
+            self._told.append(row)
+            self._index.append(number)
+            self._held.append({name: held.at(seen.t) for name, held in tape.columns.items()})
+        tape.forget(end)
+
+    def session(self) -> Session:
+        """All rows.
+
+        Raises:
+            InputError: there is none.
+        """
+        tape = self._tape
+        if not self._made:
+            allowed = "a sighting per command"
+            raise InputError(tape.where, "tip_measured", "none after a command", allowed)
+        q = np.array(self._path).reshape(-1, tape.arm.n)
+        variance = np.array([seen.variance for seen in self._made])
+        columns = {"t_s": np.array([seen.t for seen in self._made])}
+        for name, held in tape.columns.items():
+            columns[name] = np.array([row.get(name, held.first) for row in self._held])
+        columns |= _told([row.columns for row in self._told])
+        return Session(
+            index=np.array(self._index),
+            q=q[self._at_row],
+            xyz=np.array([seen.xyz for seen in self._made]),
+            approach=derive_approach(q, np.array(self._count))[self._at_row],
+            repeat_id=np.array([row.repeat_id for row in self._told]),
+            sigma=np.sqrt(variance) if (variance > 0).all() else None,
+            columns=columns,
+            labels=_told([row.labels for row in self._told]),
+            source=tape.where,
+        )
+
+
+def _told(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
+    """Columns of what every row's `session_row` tells."""
+    names = [name for name in rows[0] if all(name in row for row in rows)]
+    return {name: np.array([row[name] for row in rows]) for name in names}
