@@ -10,21 +10,29 @@ repeated until the expected error at the new joints is the one that was correcte
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from longarm_comp.core import ik
+from longarm_comp.core.compensate_one import NEARBY_STARTS, Task, compensate_one
 from longarm_comp.core.compensation import (
+    NO_PREDICTOR,
     Compensation,
     Compensations,
     Method,
     Prediction,
     Predictor,
+    Settling,
     Status,
+    missed,
+    outside,
+    predictor_context,
+    shifted,
 )
 from longarm_comp.core.context import Context
+from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model import Model
 from longarm_comp.core.spatial import Frame
@@ -35,37 +43,48 @@ __all__ = [
     "Method",
     "Prediction",
     "Predictor",
+    "Settling",
     "Status",
     "compensate",
     "compensate_many",
     "rigid",
 ]
 
-TOLERANCE_M = 1e-5
-MAX_PASSES = 10
-MAX_CORRECTION_M = 0.1
-_NEARBY_STARTS = 3  # a pseudo-target lies next to its target: look near its joints only
-_PREDICTOR_COLUMNS = ("temperature_c", "payload_kg", "t_s")
-
 
 def rigid(model: Model) -> Model:
     """The model without deflection: its calibrated geometry alone."""
-    return dataclasses.replace(model, effects=tuple(e for e in model.effects if e.geometry))
+    return _part(model, "_rigid", lambda effect: effect.geometry)
 
 
 def commandable(model: Model) -> Model:
     """The model without what no command can undo: a servo's rounding (it stays in the residual)."""
-    kept = tuple(e for e in model.effects if e.continuous)
-    return model if len(kept) == len(model.effects) else dataclasses.replace(model, effects=kept)
+    return _part(model, "_commandable", lambda effect: effect.continuous)
+
+
+def _part(model: Model, name: str, wanted: Callable[[Effect], bool]) -> Model:
+    """The model with some of its effects; made once, so that what was compiled for it lasts."""
+    kept = tuple(e for e in model.effects if wanted(e))
+    if len(kept) == len(model.effects):
+        return model
+    made: Model | None = model.__dict__.get(name)
+    if made is None:
+        made = model.__dict__[name] = dataclasses.replace(model, effects=kept)
+    return made
 
 
 def compensate(
     model: Model,
     predictor: Predictor | None,
     target: np.ndarray | Frame,
-    **options: Any,
+    *,
+    context: Context | None = None,
+    seed: np.ndarray | None = None,
+    method: Method = Method.BOTH,
+    position_only: bool = False,
+    locked: Sequence[int | str] = (),
+    **settling: Any,
 ) -> Compensation:
-    """Joints that bring the *real* tip to one target; options as in `compensate_many`.
+    """Joints that bring the *real* tip to one target; arguments as in `compensate_many`.
 
     Raises:
         InputError: the target is neither (3,) nor (4, 4); an option is not allowed.
@@ -73,7 +92,16 @@ def compensate(
     given = target.matrix() if isinstance(target, Frame) else np.asarray(target, dtype=float)
     if given.shape not in ((3,), (4, 4)):
         raise InputError("compensate", "target", f"shape {given.shape}", "shape (3,) or (4, 4)")
-    return compensate_many(model, predictor, given[None], **options)[0]
+    task = Task(
+        commandable(model) if method.physics else rigid(model),
+        predictor if method.learned else None,
+        method.learned,
+        (context or Context.empty()).take(0),
+        position_only or given.ndim == 1,
+        tuple(locked),
+        Settling(**settling),
+    )
+    return compensate_one(task, given, seed)
 
 
 def compensate_many(
@@ -86,10 +114,7 @@ def compensate_many(
     method: Method = Method.BOTH,
     position_only: bool = False,
     locked: Sequence[int | str] = (),
-    single_pass: bool = False,
-    tol_m: float = TOLERANCE_M,
-    max_passes: int = MAX_PASSES,
-    max_correction_m: float = MAX_CORRECTION_M,
+    **settling: Any,
 ) -> Compensations:
     """Joints that bring the real tip to each of N targets.
 
@@ -101,10 +126,7 @@ def compensate_many(
         seed: (n,) or (N, n) current joints; default mid-range.
         position_only: leave the orientation free.
         locked: joints that stay at their seed, as in `ik.solve_many`.
-        single_pass: correct once, as in the paper.
-        tol_m: the expected error may change by so much between passes at the end.
-        max_passes: pseudo-target passes permitted.
-        max_correction_m: length of the expected error that may be corrected.
+        settling: fields of `Settling`: when the passes end.
 
     Returns:
         One story a target; a target that is no place (NaN, no rotation) or that cannot be
@@ -113,11 +135,7 @@ def compensate_many(
     Raises:
         InputError: wrong shapes or options.
     """
-    for field, value in (("tol_m", tol_m), ("max_correction_m", max_correction_m)):
-        if not (np.isfinite(value) and value > 0):
-            raise InputError("compensate", field, value, "a length above 0 m")
-    if max_passes < 1:
-        raise InputError("compensate", "max_passes", max_passes, "1 or more")
+    rule = Settling(**settling)
     targets = np.asarray(targets, dtype=float)
     work = _Work(
         commandable(model) if method.physics else rigid(model),
@@ -129,24 +147,19 @@ def compensate_many(
     )
     work.reach_ideal(seed)
     if method.learned and predictor is None:
-        work.end(work.open, Status.NO_PREDICTOR, "no predictor: compensated with physics only")
+        work.end(work.open, Status.NO_PREDICTOR, NO_PREDICTOR)
     elif not method.learned:
         work.end(work.open, Status.SUCCESS, "")
-    work.expect(tol_m, max_correction_m, first=True)
-    for _ in range(1 if single_pass else max_passes):
+    work.expect(rule, first=True)
+    for _ in range(1 if rule.single_pass else rule.max_passes):
         work.correct()
-        if single_pass:
+        if rule.single_pass:
             work.end(work.open, Status.SUCCESS, "")
         else:
-            work.expect(tol_m, max_correction_m)
+            work.expect(rule)
         if not work.open.any():
             break
-    work.end(
-        work.open,
-        Status.NOT_CONVERGED,
-        f"the expected error still changes by more than {1e3 * tol_m:g} mm "
-        f"after {max_passes} passes",
-    )
+    work.end(work.open, Status.NOT_CONVERGED, rule.unsettled)
     return work.story()
 
 
@@ -184,7 +197,7 @@ class _Work:
         self.open[rows] = False
         if status is not Status.SUCCESS:
             self.command[rows] = self.ideal[rows]
-            if status in (Status.OUT_OF_DOMAIN, Status.NO_PREDICTOR):
+            if status.physics_only:
                 self.error[rows] = 0.0
 
     def reach_ideal(self, seed: np.ndarray | None) -> None:
@@ -197,86 +210,51 @@ class _Work:
         self._solve(np.flatnonzero(self.open), start, self.targets, ik.MAX_STARTS)
         self.ideal[:] = self.command
 
-    def expect(self, tol_m: float, max_correction_m: float, first: bool = False) -> None:
+    def expect(self, rule: Settling, first: bool = False) -> None:
         """The error expected at the present joints; decides what has settled."""
         rows = np.flatnonzero(self.open)
         if not rows.size or self.predictor is None:
             return
-        found = self.predictor.predict(self.command[rows], self._predictor_context(rows))
+        columns = predictor_context(self.context.take(rows), len(rows))
+        found = self.predictor.predict(self.command[rows], columns)
         error = np.asarray(found.error, float)
         inside = np.asarray(found.in_domain, bool) & np.isfinite(error).all(axis=1)
         change = np.linalg.norm(error - self.error[rows], axis=1)
         self.error[rows], self.sigma[rows] = error, found.sigma
         self.in_domain[rows] = inside
-        large = np.linalg.norm(error, axis=1) > max_correction_m
+        size = np.linalg.norm(error, axis=1)
+        large = inside & (size > rule.max_correction_m)
         texts = getattr(found, "reason", None) or [""] * len(rows)
-        outside = [
-            "outside the predictor's training data, compensated with physics only"
-            + (f": {text}" if text else "")
-            for text, ok in zip(texts, inside, strict=True)
-            if not ok
-        ]
-        mask = np.zeros_like(self.open)
-        mask[rows[~inside]] = True
-        self.end(mask, Status.OUT_OF_DOMAIN, outside)
-        mask[:] = False
-        mask[rows[inside & large]] = True
-        self.end(
-            mask,
-            Status.CORRECTION_TOO_LARGE,
-            [
-                f"expected error {1e3 * np.linalg.norm(self.error[r]):.2f} mm is above the "
-                f"permitted correction of {1e3 * max_correction_m:g} mm"
-                for r in np.flatnonzero(mask)
-            ],
+        self._end_some(
+            rows, ~inside, Status.OUT_OF_DOMAIN,
+            [outside(text) for text, ok in zip(texts, inside, strict=True) if not ok],
+        )  # fmt: skip
+        self._end_some(
+            rows, large, Status.CORRECTION_TOO_LARGE, [rule.too_large(s) for s in size[large]]
         )
         if not first:
-            mask[:] = False
-            mask[rows[inside & ~large & (change <= tol_m)]] = True
-            self.end(mask, Status.SUCCESS, "")
+            settled = inside & ~large & (change <= rule.tol_m)
+            self._end_some(rows, settled, Status.SUCCESS, "")
+
+    def _end_some(
+        self, rows: np.ndarray, which: np.ndarray, status: Status, reason: str | Sequence[str]
+    ) -> None:
+        """Decide some of the given rows."""
+        mask = np.zeros_like(self.open)
+        mask[rows[which]] = True
+        self.end(mask, status, reason)
 
     def correct(self) -> None:
         """One pass: joints of the pseudo-target, started from the joints before."""
         rows = np.flatnonzero(self.open)
         if rows.size:
             self.passes[rows] += 1
-            self._solve(rows, self.command, self._pseudo_targets(), _NEARBY_STARTS)
+            self._solve(rows, self.command, shifted(self.targets, self.error), NEARBY_STARTS)
 
     def _solve(self, rows: np.ndarray, seed: np.ndarray, to: np.ndarray, starts: int) -> None:
         if not rows.size:
             return
-        q, ok, misses = self._search(rows, seed, to, starts)
-        self.command[rows] = q
-        failed = rows[~ok]
-        mask = np.zeros_like(self.open)
-        mask[failed] = True
-        what = "pseudo-target" if self.passes[rows].any() else "target"
-        texts = [
-            f"{what} missed by {1e3 * miss.position_residual_m:.3f} mm, "
-            f"{np.degrees(miss.angle_residual_rad):.4f} deg: {miss.reason.value}"
-            for miss in misses
-        ]
-        if what == "target":
-            self.ideal[failed] = q[~ok]
-        self.end(mask, Status.UNREACHABLE, texts)
-
-    def _search(
-        self, rows: np.ndarray, seed: np.ndarray, to: np.ndarray, starts: int
-    ) -> tuple[np.ndarray, np.ndarray, list[ik.Solution]]:
-        """Joints (M, n), whether each hits (M,), and those that miss; one target goes alone."""
-        if len(rows) == 1:
-            row = int(rows[0])
-            one = ik.solve(
-                self.model,
-                to[row],
-                seed=seed[row],
-                context=self.context.take(row),
-                position_only=self.position_only,
-                locked=self.locked,
-                max_starts=starts,
-            )
-            return one.q[None], np.array([one.ok]), [] if one.ok else [one]
-        many = ik.solve_many(
+        found = ik.solve_many(
             self.model,
             to[rows],
             seed=seed[rows],
@@ -285,24 +263,13 @@ class _Work:
             locked=self.locked,
             max_starts=starts,
         )
-        return many.q, many.ok, [many[int(k)] for k in np.flatnonzero(~many.ok)]
-
-    def _predictor_context(self, rows: np.ndarray) -> dict[str, Any]:
-        context = self.context.take(rows)
-        made = {k: context.columns[k] for k in _PREDICTOR_COLUMNS if k in context.columns}
-        if context.approach:
-            made["approach"] = np.stack(
-                [np.broadcast_to(np.asarray(a, float), rows.shape) for a in context.approach], 1
-            )
-        return made
-
-    def _pseudo_targets(self) -> np.ndarray:
-        pseudo = self.targets.copy()
-        if pseudo.ndim == 2:
-            pseudo -= self.error
-        else:
-            pseudo[:, :3, 3] -= self.error
-        return pseudo
+        self.command[rows] = found.q
+        failed = np.flatnonzero(~found.ok)
+        what = "pseudo-target" if self.passes[rows].any() else "target"
+        if what == "target":
+            self.ideal[rows[failed]] = found.q[failed]
+        texts = [missed(what, found[int(k)]) for k in failed]
+        self._end_some(rows, ~found.ok, Status.UNREACHABLE, texts)
 
     def story(self) -> Compensations:
         """What came of it."""
@@ -312,7 +279,7 @@ class _Work:
             self.error,
             self.sigma,
             self.in_domain,
-            self._pseudo_targets(),
+            shifted(self.targets, self.error),
             self.command,
             self.passes,
             self.status,

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import Any, Protocol
 
 import numpy as np
+
+from longarm_comp.core.context import Context
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.ik import Solution
 
 
 class Method(Enum):
@@ -48,6 +53,51 @@ class Status(IntEnum):
     def success(self) -> bool:
         """Whether the command is fit to be sent."""
         return self <= Status.OUT_OF_DOMAIN
+
+    @property
+    def physics_only(self) -> bool:
+        """Whether the learned error was wanted and is left out."""
+        return self in (Status.NO_PREDICTOR, Status.OUT_OF_DOMAIN)
+
+
+@dataclass(frozen=True)
+class Settling:
+    """When the passes of the pseudo-target end.
+
+    Attributes:
+        single_pass: correct once, as in the paper.
+        tol_m: the expected error may change by so much between passes at the end.
+        max_passes: pseudo-target passes permitted.
+        max_correction_m: length of the expected error that may be corrected.
+    """
+
+    single_pass: bool = False
+    tol_m: float = 1e-5
+    max_passes: int = 10
+    max_correction_m: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name in ("tol_m", "max_correction_m"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise InputError("compensate", name, value, "a length above 0 m")
+        if self.max_passes < 1:
+            raise InputError("compensate", "max_passes", self.max_passes, "1 or more")
+
+    def too_large(self, size_m: float) -> str:
+        """Why an expected error is not corrected."""
+        return (
+            f"expected error {1e3 * size_m:.2f} mm is above the permitted correction of "
+            f"{1e3 * self.max_correction_m:g} mm"
+        )
+
+    @property
+    def unsettled(self) -> str:
+        """Why it is given up."""
+        return (
+            f"the expected error still changes by more than {1e3 * self.tol_m:g} mm "
+            f"after {self.max_passes} passes"
+        )
 
 
 class Prediction(Protocol):
@@ -144,3 +194,42 @@ class Compensations:
             Status(int(self.status[i])),
             self.reason[i],
         )
+
+
+NO_PREDICTOR = "no predictor: compensated with physics only"
+_PREDICTOR_COLUMNS = ("temperature_c", "payload_kg", "t_s")
+
+
+def outside(reason: str) -> str:
+    """Why the learned error is left out."""
+    text = "outside the predictor's training data, compensated with physics only"
+    return f"{text}: {reason}" if reason else text
+
+
+def missed(what: str, found: Solution) -> str:
+    """How far a target or pseudo-target is missed, and why."""
+    return (
+        f"{what} missed by {1e3 * found.position_residual_m:.3f} mm, "
+        f"{np.degrees(found.angle_residual_rad):.4f} deg: {found.reason.value}"
+    )
+
+
+def shifted(targets: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Pseudo-targets: positions (..., 3) or poses (..., 4, 4) less an error (..., 3)."""
+    pseudo = targets.copy()
+    if pseudo.shape[-2:] == (4, 4):
+        pseudo[..., :3, 3] -= error
+    else:
+        pseudo -= error
+    return pseudo
+
+
+def predictor_context(context: Context, count: int) -> dict[str, Any]:
+    """What a predictor is told of N postures: approach (N, n), and columns as they are."""
+    made = {k: context.columns[k] for k in _PREDICTOR_COLUMNS if k in context.columns}
+    if context.approach:
+        sides = np.empty((count, len(context.approach)))
+        for joint, side in enumerate(context.approach):
+            sides[:, joint] = side
+        made["approach"] = sides
+    return made

@@ -5,6 +5,7 @@ Pure: time and readings are handed in.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -12,12 +13,10 @@ import numpy as np
 
 from longarm_comp.core import ik
 from longarm_comp.core.compensate import (
-    MAX_CORRECTION_M,
-    MAX_PASSES,
-    TOLERANCE_M,
     Compensation,
     Method,
     Predictor,
+    Settling,
     compensate,
     rigid,
 )
@@ -95,10 +94,7 @@ class Limits:
     """How far compensation may go; as in `compensate`."""
 
     method: Method = Method.BOTH
-    single_pass: bool = False
-    tol_m: float = TOLERANCE_M
-    max_passes: int = MAX_PASSES
-    max_correction_m: float = MAX_CORRECTION_M
+    settling: Settling = field(default_factory=Settling)
     locked: tuple[int, ...] = ()
 
 
@@ -163,9 +159,6 @@ def compensate_now(
         position_only=position_only,
         method=limits.method,
         locked=limits.locked,
-        single_pass=limits.single_pass,
-        tol_m=limits.tol_m,
-        max_passes=limits.max_passes,
-        max_correction_m=limits.max_correction_m,
+        **dataclasses.asdict(limits.settling),
     )
     return made, context

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 from scipy.stats import norm
@@ -17,6 +17,8 @@ from longarm_comp.core.identify.trace import Traced
 
 RESAMPLES = 300
 BLOCKS = 30
+SHARED = 0.5
+"""Two findings that lose more of their evidence beside each other than this overlap."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,19 @@ class Interval:
 
 
 @dataclass(frozen=True)
+class Overlap:
+    """Two findings of which either alone would take most of what is the other's.
+
+    Attributes:
+        names: the two effects.
+        shares: of each one's evidence without the other, what is lost beside the other.
+    """
+
+    names: tuple[str, str]
+    shares: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class Confirmed:
     """What resampling says.
 
@@ -36,11 +51,13 @@ class Confirmed:
         intervals: by position in the fit's slots.
         stable: by effect, share of resamples in which its evidence stays above `ODDS`-like 3.
         notes: by effect, what to doubt, in words.
+        overlaps: pairs of effects that explain much of the same.
     """
 
     intervals: dict[int, Interval]
     stable: dict[str, float]
     notes: dict[str, tuple[str, ...]]
+    overlaps: tuple[Overlap, ...] = ()
 
 
 def confirm(
@@ -91,7 +108,23 @@ def confirm(
         )
     stable = {name: float((values > 3.0).mean()) for name, values in tests.items()}
     notes = {f.name: _doubts(fit, f, index[f.name], stable[f.name]) for f in found}
-    return Confirmed(intervals, stable, notes)
+    return Confirmed(intervals, stable, notes, _overlaps(fit, index))
+
+
+def _overlaps(fit: Fit, index: dict[str, np.ndarray]) -> tuple[Overlap, ...]:
+    """Pairs whose evidence beside each other is less than `SHARED` of what each has alone."""
+    gram, right = fit.design.T @ fit.design, fit.design.T @ fit.data
+    made = []
+    for one, two in combinations([name for name, own in index.items() if len(own)], 2):
+        shares = []
+        for name, other in ((one, two), (two, one)):
+            kept = np.setdiff1d(np.arange(len(right)), index[other])
+            own = np.searchsorted(kept, index[name])
+            alone = _evidence(gram[np.ix_(kept, kept)], right[kept], own)
+            shares.append(1.0 - _evidence(gram, right, index[name]) / max(alone, 1e-9))
+        if min(shares) > SHARED:
+            made.append(Overlap((one, two), (shares[0], shares[1])))
+    return tuple(made)
 
 
 def _dropped(fit: Fit, found: Sequence[Finding], candidates: Sequence[Candidate]) -> np.ndarray:

@@ -334,6 +334,9 @@ def summary(
     parts = [_sentence(f, confirmed, traced) for f in found]
     before, after = (proof.rows[k].mean for k in ("calibrated", "with_effects"))
     text = "; ".join(parts)
+    for overlap in confirmed.overlaps:
+        text += f"; {overlap.names[0]} and {overlap.names[1]} overlap"
+        text += ", either alone explains most of what both do"
     text += f". Held-out mean error {1e3 * before:.2f} -> {1e3 * after:.2f} mm"
     return f"{text}; {left} and has no name." if left else f"{text}."
 

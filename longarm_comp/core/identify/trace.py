@@ -330,9 +330,9 @@ class _State:
             surplus = now.log_bayes_factor - self.threshold
             for option in self.scores(places):
                 other = option.candidate
-                same = set(_keys(other)) == set(places)
-                if same and other.form == Candidate(name, (self.chosen[places[0]],)).form:
-                    continue
+                form = Candidate(name, (self.chosen[places[0]],)).form
+                if (other.name, other.form) == (name, form):
+                    continue  # more places of the same are for `grow`, fewer for `prune`
                 margin = 0.0 if other.name in self._names(places) else SWAP
                 if option.log_bayes_factor - self.need(other.name, places) > surplus + margin:
                     say(f"{other.label} instead of {name}")
@@ -345,10 +345,6 @@ class _State:
 
     def _names(self, without: Sequence[tuple[str, str]]) -> set[str]:
         return {name for name, _ in self.chosen if (name, _) not in without}
-
-
-def _keys(candidate: Candidate) -> list[tuple[str, str]]:
-    return [key(t) for t in candidate.terms]
 
 
 def _distinct(

@@ -6,6 +6,7 @@ enough, which matters where each is a round trip to another process.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +20,7 @@ LINEAR_M = 5e-6
 """Within its reach an expansion is true to this."""
 _FARTHEST = 0.05  # of a column's training sd; epistemic variance grows by a quarter at the most
 _VARIANCE_GROWS = 1.5  # so much is allowed for, before the domain's limit
-_CURVATURE = 0.77  # largest |tanh''|
+_CURVATURE = 0.77  # largest |tanh''|, hence of a bound on it that a step may not leave
 
 
 @dataclass(frozen=True)
@@ -42,45 +43,50 @@ class Expansion:
     doubt: float = 0.0
 
 
-def expand(
-    predictor: Predictor, q: np.ndarray, context: Mapping[str, Any] | None = None
-) -> Expansion:
-    """Predict at joints (n,) and around them.
+class Expander:
+    """Expansions of one predictor; what its weights alone say is worked out once."""
 
-    Raises:
-        InputError: as `Predictor.predict`.
-    """
-    found = predictor.predict(q[None], context)
-    encoding, n = predictor.encoding, len(q)
-    joints = encoding.kept < n  # columns that are a joint of their own
-    moved = encoding.kept[joints]
-    v, w, _ = predictor.members
-    x = encoding.standardise(encoding.raw(q[None], context or {}))
-    z = np.tanh(with_ones(x) @ v)[:, 0]  # (M, H)
-    bend = 1.0 - z * z
-    share = predictor.scale / len(z)
-    jacobian = np.zeros((3, n))
-    rates = v[:, :-1][:, joints]  # (M, d, H)
-    jacobian[:, moved] = share * np.einsum("mdh,mhk->kd", rates * bend[:, None], w)
-    jacobian[:, moved] /= encoding.scale[joints]
-    reach = np.zeros(n)
-    if found.in_domain[0] and found.doubt[0] * _VARIANCE_GROWS <= 1.0:
-        # |second derivative| along steps of size 1 in every column, summed without cancellation
-        steep = np.abs(rates).sum(axis=1) ** 2 * np.minimum(2.0 * np.abs(z) * bend, _CURVATURE)
-        curvature = share * float(np.einsum("mh,mhk->k", steep, np.abs(w)).max())
-        step = min(_FARTHEST, np.sqrt(2.0 * LINEAR_M / max(curvature, 1e-12)))
-        low, high = predictor.box
-        reach[:] = np.minimum(q - low[:n], high[:n] - q)
-        reach[moved] = np.minimum(reach[moved], step * encoding.scale[joints])
-    return Expansion(
-        found.error[0],
-        found.sigma[0],
-        bool(found.in_domain[0]),
-        found.reason[0],
-        jacobian,
-        reach,
-        float(found.doubt[0]),
-    )
+    def __init__(self, predictor: Predictor) -> None:
+        self._predictor = predictor
+        encoding, (v, w, _) = predictor.encoding, predictor.members
+        joint = encoding.kept < encoding.joints  # columns that are a joint
+        self._moved = encoding.kept[joint]
+        self._width = encoding.scale[joint]
+        self._share = predictor.scale / len(w)
+        self._hidden, self._output = v, w
+        self._rates = v[:, :-1][:, joint]  # (M, d, H)
+        # second derivatives along steps of at most 1 in every column, summed without cancelling
+        steep = np.abs(self._rates).sum(axis=1) ** 2  # (M, H)
+        self._steep = self._share * steep[:, :, None] * np.abs(w)
+
+    def __call__(self, q: np.ndarray, context: Mapping[str, Any] | None = None) -> Expansion:
+        """Predict at joints (n,) and around them.
+
+        Raises:
+            InputError: as `Predictor.predict`.
+        """
+        predictor, n = self._predictor, len(q)
+        found = predictor.predict(q[None], context)
+        x = predictor.encoding.standardise(predictor.encoding.raw(q[None], context or {}))
+        z = np.tanh(with_ones(x) @ self._hidden)  # (M, 1, H)
+        bend = 1.0 - z * z
+        jacobian, reach = np.zeros((3, n)), np.zeros(n)
+        slope = ((self._rates * bend) @ self._output).sum(axis=0)  # (d, 3)
+        jacobian[:, self._moved] = (self._share / self._width) * slope.T
+        if found.in_domain[0] and found.doubt[0] * _VARIANCE_GROWS <= 1.0:
+            bent = np.minimum(2.0 * np.abs(z) * bend, _CURVATURE)[:, 0, :, None]
+            curvature = float((self._steep * bent).sum(axis=(0, 1)).max())
+            step = min(_FARTHEST, math.sqrt(2.0 * LINEAR_M / max(curvature, 1e-12)))
+            low, high = predictor.box
+            reach = np.minimum(q - low[:n], high[:n] - q)
+            reach[self._moved] = np.minimum(reach[self._moved], step * self._width)
+        return Expansion(
+            found.error[0], found.sigma[0], bool(found.in_domain[0]), found.reason[0],
+            jacobian, reach, float(found.doubt[0]),
+        )  # fmt: skip
+
+
+Ask = Callable[[np.ndarray, Mapping[str, Any] | None], Expansion]
 
 
 class Nearby:
