@@ -22,7 +22,9 @@ from longarm_comp.cli import registry, run
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.dataset import Session
 from longarm_comp.core.model import Model
+from longarm_comp.core.plan import Plan
 from longarm_comp.sessions.csv import read_csv, write_csv
+from longarm_comp.sessions.poses import write_poses
 
 HEAVY = ("torch", "numpy", "scipy", "matplotlib", "rclpy", "rich", "pydantic", "sklearn")
 
@@ -313,12 +315,13 @@ def test_plan(kind: str, work: Path, shell: Shell) -> None:
 
 
 def test_plan_what_a_diagnosis_asks_for(work: Path, shell: Shell) -> None:
-    report = {"next_poses": [list(ARM.lower), list(ARM.mid), list(ARM.upper)]}
     Path("diagnosis").mkdir()
-    Path("diagnosis/report.json").write_text(json.dumps(report))
+    wanted = np.array([ARM.lower, ARM.mid, ARM.upper])
+    write_poses(Plan(wanted, np.array([1, -1, -1])), "diagnosis/next_poses.csv")
     plan = ("plan", work / "arm.yaml", "--kind", "next", "--report", "diagnosis", "-n")
     made = shell.json(*plan, 2)
     assert np.allclose(made["poses"], [ARM.lower, ARM.mid])
+    assert made["approach"] == [1, -1]
     assert "1 to 3" in shell.refused(*plan, 4)
     assert "--report" in shell.refused("plan", work / "arm.yaml", "--kind", "next", "-n", 2)
 

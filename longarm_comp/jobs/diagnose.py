@@ -31,13 +31,14 @@ from longarm_comp.core.plan import Plan
 from longarm_comp.report.assemble import assemble, refused
 from longarm_comp.report.drawing import SPLITS
 from longarm_comp.report.write import write_report
+from longarm_comp.sessions.next_poses import FILE
 from longarm_comp.sessions.poses import write_poses
 from longarm_comp.sessions.read import read_session
 from longarm_comp.sessions.residual_inputs import predictor_context
 
 Say = Callable[[str], None]
 
-MODEL, PREDICTOR, POSES = "model.yaml", "predictor.npz", "next_poses.csv"
+MODEL, PREDICTOR = "model.yaml", "predictor.npz"
 
 
 @dataclass(frozen=True)
@@ -211,13 +212,14 @@ def _write_predictor(found: Diagnosis, session_hash: str, folder: Path) -> None:
 def _write_next(found: Diagnosis, folder: Path) -> None:
     """Every splitting pose with its side, for ``longarm collect``; no file where there is none."""
     splits = [s for s in found.split_by if s.log_bayes_factor >= SPLITS]
-    path = folder / POSES
+    path = folder / FILE
     if not splits:
         path.unlink(missing_ok=True)
         return
     q = np.concatenate([s.q for s in splits])
     side = np.concatenate([s.approach for s in splits])
-    write_poses(Plan(q, side.astype(int)), path)
+    loads = [s.payload_kg for s in splits if s.payload_kg is not None]
+    write_poses(Plan(q, side.astype(int), np.concatenate(loads) if loads else None), path)
 
 
 def _file_hash(path: Path) -> str:

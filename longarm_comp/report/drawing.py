@@ -148,6 +148,9 @@ def split(diagnosis: Diagnosis, by: NextPoses) -> SetSplit:
     pair = f"{by.between[0]} and {by.between[1]}"
     if by.log_bayes_factor < SPLITS:
         reason = f"No pose tells {pair} apart: expected log odds {by.log_bayes_factor:.1f}."
+        others = [a.candidate.terms[0] for a in found.alternatives[:1]]
+        if any({"temperature_c", "t_s"} & set(t.needs) for t in (*found.terms, *others)):
+            reason += " Measure again after a pause, at another temperature."
         return SetSplit(found.names, reason, (), by.log_bayes_factor)
     poses = tuple(
         SplitPose(tuple(map(float, q)), int(side))

@@ -24,6 +24,7 @@ class NextPoses:
     Attributes:
         q: (M, n) commanded joints.
         approach: (M,) side to arrive from.
+        payload_kg: (M,) mass to carry, none or the session's largest; None where none was recorded.
         between: the two effects.
         log_bayes_factor: expected log odds between them once these are measured too.
     """
@@ -32,6 +33,7 @@ class NextPoses:
     approach: np.ndarray
     between: tuple[str, str]
     log_bayes_factor: float
+    payload_kg: np.ndarray | None = None
 
 
 def next_poses(
@@ -50,6 +52,9 @@ def next_poses(
     side = np.where(np.arange(POOL) % 2 == 0, 1.0, -1.0)
     recorded = fit.session.columns
     typical = {k: np.full(POOL, float(np.median(v))) for k, v in recorded.items()}
+    heaviest = float(np.max(recorded["payload_kg"], initial=0.0)) if "payload_kg" in recorded else 0
+    if heaviest > 0:
+        typical["payload_kg"] = np.where(np.arange(POOL) // 2 % 2 == 0, heaviest, 0.0)
     pool = Context(tuple(side for _ in range(arm.n)), typical)
     theirs, mine = _designs(fit, found, other, _rows(fit))
     far, shift = _designs(fit, found, other, (q, pool))
@@ -67,7 +72,9 @@ def next_poses(
         right = right + far[best].T @ shift[best]
     u = np.linalg.solve(gram, right)
     total = ((mine - theirs @ u) ** 2).sum() + ((shift[chosen] - far[chosen] @ u) ** 2).sum()
-    return NextPoses(q[chosen], side[chosen], (found.name, other.candidate.name), float(total) / 2)
+    payload = typical["payload_kg"][chosen] if heaviest > 0 else None
+    between = (found.name, other.candidate.name)
+    return NextPoses(q[chosen], side[chosen], between, float(total) / 2, payload)
 
 
 def _rows(fit: Fit) -> tuple[np.ndarray, Context]:

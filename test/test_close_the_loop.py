@@ -1,0 +1,91 @@
+"""From file to file and round again: measure what splits a set, learn what has no name."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hidden_arm import at, session, tip, white
+from small_arm import ARM
+
+from longarm_comp.cli.run import run
+from longarm_comp.core.dataset import Session
+from longarm_comp.core.learn.predictor_file import load
+from longarm_comp.core.modelfile import load_model
+from longarm_comp.sessions.csv import read_csv, write_csv
+from longarm_comp.sessions.poses import read_poses
+from longarm_comp.sim.hidden import drives
+
+
+def longarm(*words: object) -> int:
+    return run([str(word) for word in words])
+
+
+def report(folder: Path) -> dict[str, Any]:
+    made: dict[str, Any] = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    return made
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Path:
+    path = tmp_path / "arm.yaml"
+    path.write_text(yaml.safe_dump(ARM.model_dump(mode="json", exclude_defaults=True)))
+    return path
+
+
+def test_the_poses_that_are_asked_for_split_the_set(arm: Path, tmp_path: Path) -> None:
+    hidden = [drives.JointGain(at(2, 0.02))]
+    samples, plan, out = tmp_path / "samples.csv", tmp_path / "poses.csv", tmp_path / "diagnosis"
+    write_csv(session(hidden, n=180, levels=3), samples)
+    assert longarm("diagnose", arm, samples, "--no-network", "-o", out) == 0
+    first = report(out)
+    assert first["verdict"] == "set"
+    assert {"joint_gain", "gear_eccentricity"} <= set(first["findings"][0]["set"])
+
+    assert longarm("plan", arm, "--kind", "next", "-n", 12, "--report", out, "-o", plan) == 0
+    asked = read_poses(plan, ARM)
+    assert np.array_equal(asked.q, read_poses(out / "next_poses.csv", ARM).q[:12])
+    assert set(asked.approach) <= {-1, 1}
+    side = asked.approach.astype(float)
+    reached = tip(hidden, asked.q, side) + white(np.random.default_rng(3), len(asked))
+    known = read_csv(samples, ARM)
+    sides = np.repeat(side[:, None], ARM.n, axis=1)
+    write_csv(
+        Session.record(
+            np.concatenate([known.q, asked.q]),
+            np.concatenate([known.xyz, reached]),
+            approach=np.concatenate([known.approach, sides]),
+        ),
+        samples,
+    )
+    assert longarm("diagnose", arm, samples, "--no-network", "-o", out) == 0
+    second = report(out)
+    assert second["verdict"] == "named"
+    assert [f["effect"] for f in second["findings"]] == ["joint_gain"]
+
+
+def test_what_has_no_name_is_left_to_a_network_that_must_help(arm: Path, tmp_path: Path) -> None:
+    span = float(ARM.upper[0] - ARM.lower[0])
+    bump = [drives.CoggingBump(0, float(ARM.mid[0]), 0.12 * span, 8e-3)]
+    samples, test, out = (tmp_path / n for n in ("samples.csv", "test.csv", "diagnosis"))
+    write_csv(session(bump, n=240), samples)
+    write_csv(session(bump, n=60, seed=5), test)
+    assert longarm("diagnose", arm, samples, "--test", test, "-o", out) == 0
+    made = report(out)
+    assert made["verdict"] in ("unknown", "partly")
+    assert "q1" in made["structure_left"]["inputs"]
+    rows = {row["model"]: row for row in made["held_out"]["rows"]}
+    assert rows["with_network"]["mean_mm"] < 0.7 * rows["with_effects"]["mean_mm"]
+
+    predictor = load(out / "predictor.npz", arm_hash=ARM.hash, joint_names=ARM.joint_names)
+    model, held = load_model(out / "model.yaml", ARM), read_csv(test, ARM)
+    left = held.xyz - model.measured(held.q, held.context())
+    found = predictor.predict(held.q, {"approach": held.approach})
+    inside = found.in_domain
+    assert inside.mean() > 0.8
+    before, after = (np.linalg.norm(e[inside], axis=1).mean() for e in (left, left - found.error))
+    assert after < 0.7 * before
