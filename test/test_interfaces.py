@@ -52,7 +52,7 @@ SPEC = {
     },
     PredictError.Request: {
         "joints": "sensor_msgs/JointState",
-        "approach": "int8",
+        "approach": "sequence<int8>",
         "temperature_c": "double",
         "payload_kg": "double",
     },
@@ -62,6 +62,8 @@ SPEC = {
         "error": "geometry_msgs/Vector3",
         "sigma": "double",
         "in_domain": "boolean",
+        "jacobian": "sequence<double>",
+        "reach": "sequence<double>",
     },
 }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -118,6 +119,15 @@ def test_the_learned_error_is_predicted_taken_off_and_replaced(
     answer = stage.call(reload, Trigger.Request())
     assert not answer.success and str(path) in answer.message
     assert stage.call(ask, question(arm, arm.mid)).success  # the last good one is kept
+
+    # a predictor that hangs: the first target waits for it, the others do not, and it comes back
+    predictor.send_signal(signal.SIGSTOP)
+    told = [stage.call(compensate, request) for _ in range(5)]
+    predictor.send_signal(signal.SIGCONT)
+    assert {answer.status for answer in told} == {Compensate.Response.NO_PREDICTOR}
+    assert "did not answer within" in told[0].message
+    assert all("does not answer" in answer.message for answer in told[1:])
+    stage.spin(lambda: stage.call(compensate, request).status == Compensate.Response.SUCCESS)
 
     predictor.kill()
     predictor.wait(timeout=10)

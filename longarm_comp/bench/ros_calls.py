@@ -20,6 +20,7 @@ from longarm_comp.nodes.messages import joints_message, pose_message
 from longarm_interfaces.srv import Compensate, PredictError
 
 _POSES = 400
+_DEPTH = QoSProfile(depth=100)  # above the bursts: a queue on the way that overflows loses targets
 _PATIENCE_S = 10.0
 
 
@@ -34,18 +35,16 @@ class Calls:
         self._got = self._echoed = self._predicted = 0
         self._joints = graph.JOINT_STATES.publisher(node)
         self._target = graph.TARGET_POSE.publisher(node)
-        self._echo_target = node.create_publisher(PoseStamped, "echo_target", QoSProfile(depth=100))
-        graph.JOINT_TRAJECTORY.subscription(node, self._on_trajectory)
+        self._echo_target = node.create_publisher(PoseStamped, "echo_target", _DEPTH)
         node.create_subscription(
-            JointTrajectory, "echo_trajectory", self._on_echo, QoSProfile(depth=50)
+            JointTrajectory, graph.JOINT_TRAJECTORY.name, self._on_trajectory, _DEPTH
         )
-        graph.PREDICTED_ERROR.subscription(node, self._on_prediction)
+        node.create_subscription(JointTrajectory, "echo_trajectory", self._on_echo, _DEPTH)
         self._compensate = graph.COMPENSATE.client(node)
         self._echo_compensate = node.create_client(Compensate, "echo_compensate")
         self._predict = graph.PREDICT_ERROR.client(node)
         self._stand = arm.mid
         node.create_timer(0.05, self._tell_joints)
-        graph.COMPENSATION.subscription(node, self._on_story)
 
     def close(self) -> None:
         """Leave the graph."""
@@ -57,10 +56,6 @@ class Calls:
 
     def _tell_joints(self) -> None:
         self._joints.publish(joints_message(self._arm, self._stand))
-
-    def _on_story(self, message: Any) -> None:
-        if not message.executed.position and message.status > Compensate.Response.OUT_OF_DOMAIN:
-            raise JobError(f"a target of the benchmark was refused: {message.message}")
 
     def _on_echo(self, message: JointTrajectory) -> None:
         self._echoed += 1
@@ -100,28 +95,33 @@ class Calls:
 
     def service(self, i: int) -> float:
         """`compensate`, from the last joint states."""
-        return self._call(self._compensate, Compensate.Request(target=self._poses[i % _POSES]))
+        request = Compensate.Request(target=self._poses[i % _POSES])
+        seconds, answer = self._call(self._compensate, request)
+        if answer.status != Compensate.Response.SUCCESS:
+            raise JobError(f"a target of the benchmark was refused: {answer.message}")
+        return seconds
 
     def service_echo(self, i: int) -> float:
         """The same through the echo."""
         request = Compensate.Request(target=self._poses[i % _POSES])
-        return self._call(self._echo_compensate, request)
+        return self._call(self._echo_compensate, request)[0]
 
     def predict(self, i: int) -> float:
         """`predict_error` alone."""
         spread = 0.3 * (self._arm.upper - self._arm.lower) * np.sin(i + np.arange(self._arm.n))
         joints = joints_message(self._arm, self._arm.mid + spread)
-        return self._call(self._predict, PredictError.Request(joints=joints))
+        return self._call(self._predict, PredictError.Request(joints=joints))[0]
 
-    def _call(self, service: Any, request: Any) -> float:
+    def _call(self, service: Any, request: Any) -> tuple[float, Any]:
         begin = time.perf_counter()
         future = service.call_async(request)
         self._until(future.done)
-        return time.perf_counter() - begin
+        return time.perf_counter() - begin, future.result()
 
     def predictions_per_target(self, count: int) -> float:
         """How often the predictor is asked for one target."""
-        self._client.spin(0.2)
+        graph.PREDICTED_ERROR.subscription(self._client.node, self._on_prediction)
+        self._client.spin(1.0)
         before = self._predicted
         for i in range(count):
             self.topic(i)

@@ -26,7 +26,7 @@ class Echo(Node):
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__("echo")
-        self._out = self.create_publisher(JointTrajectory, "echo_trajectory", QoSProfile(depth=50))
+        self._out = self.create_publisher(JointTrajectory, "echo_trajectory", QoSProfile(depth=100))
         self.create_subscription(PoseStamped, "echo_target", self._on_target, QoSProfile(depth=100))
         self.create_service(Compensate, "echo_compensate", self._on_compensate)
 

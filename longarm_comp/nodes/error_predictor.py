@@ -15,11 +15,12 @@ from std_srvs.srv import Trigger
 
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.core.learn.expansion import Expander
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.learn.predictor_file import load
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
-from longarm_comp.nodes.messages import joints_of, vector_message
+from longarm_comp.nodes.messages import joints_of, sides_of, vector_message
 from longarm_comp.nodes.model_files import file_hash
 from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.runner import run
@@ -41,6 +42,7 @@ class Loaded:
     """A predictor and its file's SHA-256."""
 
     predictor: Predictor
+    expand: Expander
     hash: str
 
 
@@ -105,17 +107,19 @@ class ErrorPredictor(Node):
         context: dict[str, np.ndarray] = {
             name: np.array([value]) for name, value in given.items() if name in known
         }
-        if request.approach and "approach" in known:
-            context["approach"] = np.full((1, len(q)), float(request.approach))
-        found = loaded.predictor.predict(q[None], context)
-        response.in_domain = bool(found.in_domain[0])
-        response.success = response.in_domain
-        response.error = vector_message(found.error[0])
-        response.sigma = float(np.max(found.sigma[0]))
-        response.message = loaded.hash if response.success else found.reason[0]
+        side = sides_of(request.approach, request.joints.name, self._arm, "predict_error")
+        if side.any() and "approach" in known:
+            context["approach"] = side[None]
+        found = loaded.expand(q, context)
+        response.success = response.in_domain = found.in_domain
+        response.error = vector_message(found.error)
+        response.sigma = float(found.sigma.max())
+        response.message = loaded.hash if found.in_domain else found.reason
+        response.jacobian = found.jacobian.ravel()
+        response.reach = found.reach
         if not response.success:
             self._outside += 1
-            self._last = found.reason[0]
+            self._last = found.reason
             return
         self._answered += 1
         message = Vector3Stamped(vector=response.error)
@@ -129,7 +133,7 @@ class ErrorPredictor(Node):
             return False, "no predictor file is configured"
         try:
             predictor = load(self._path, arm_hash=self._arm.hash, joint_names=self._arm.joint_names)
-            self._loaded = Loaded(predictor, file_hash(self._path))
+            self._loaded = Loaded(predictor, Expander(predictor), file_hash(self._path))
         except LongarmError as error:
             self._fault = str(error)
             return False, self._fault

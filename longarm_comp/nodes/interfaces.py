@@ -14,6 +14,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Vector3Stamped
 from rclpy.callback_groups import CallbackGroup
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, Image, Imu, JointState, Temperature
@@ -27,6 +28,11 @@ from longarm_interfaces.srv import Compensate, PredictError
 
 RELIABLE = ReliabilityPolicy.RELIABLE
 BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
+
+_UNHEARD_PUBLISHER = PublisherEventCallbacks(use_default_callbacks=False)
+_UNHEARD_SUBSCRIPTION = SubscriptionEventCallbacks(use_default_callbacks=False)
+"""rclpy's default events (two a topic, they log a QoS that does not fit; the other side logs it
+too) are looked at before every callback and cost more than all else that its executor does."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +56,9 @@ class Topic:
 
     def publisher(self, node: Node) -> Any:
         """A publisher on a node."""
-        return node.create_publisher(self.type, self.name, QoSProfile(depth=self.depth))
+        return node.create_publisher(
+            self.type, self.name, QoSProfile(depth=self.depth), event_callbacks=_UNHEARD_PUBLISHER
+        )
 
     def subscription(
         self,
@@ -61,7 +69,10 @@ class Topic:
     ) -> Any:
         """A subscription on a node; ``listens`` instead of the topic's own reliability."""
         qos = QoSProfile(depth=self.depth, reliability=listens or self.listens)
-        return node.create_subscription(self.type, self.name, callback, qos, callback_group=group)
+        return node.create_subscription(
+            self.type, self.name, callback, qos,
+            callback_group=group, event_callbacks=_UNHEARD_SUBSCRIPTION,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -16,9 +17,10 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from longarm_comp.core import ik
-from longarm_comp.core.compensate import Method, Status
+from longarm_comp.core.compensate import Method, Settling, Status
 from longarm_comp.core.context import Context
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.learn.expansion import Nearby
 from longarm_comp.core.online import Limits, StaleContext, compensate_now
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes import markers, monitoring
@@ -80,7 +82,7 @@ class Kinematics(Node):
         self._base_frame = p["base_frame"]
         self._max_age_s, self._joints_age_s = p["context_max_age_s"], p["joints_max_age_s"]
         self._move_time_s = p["move_time_s"]
-        self._fixed = Limits(
+        self._settling = Settling(
             tol_m=p["tolerance_m"], max_passes=p["max_passes"],
             max_correction_m=p["max_correction_m"],
         )  # fmt: skip
@@ -119,6 +121,7 @@ class Kinematics(Node):
     def close(self) -> None:
         """Stop the worker."""
         self._worker.close()
+        self._predictor.close()
 
     def survived(self, error: Exception) -> None:
         """Count what a callback let through."""
@@ -178,7 +181,8 @@ class Kinematics(Node):
         if client is not None and not client.present:
             client, why = None, ": no error_predictor is running"
         try:
-            outcome, context = compensate_now(loaded.model, client, target, **options)
+            near = None if client is None else Nearby(client.ask)  # mostly one call a target
+            outcome, context = compensate_now(loaded.model, near, target, **options)
         except NoAnswer as absent:
             client, why = None, f": {absent.reason}"
             outcome, context = compensate_now(loaded.model, None, target, **options)
@@ -196,12 +200,10 @@ class Kinematics(Node):
         )
 
     def _limits(self) -> Limits:
+        once = bool(self.get_parameter("single_pass").value)
         return Limits(
             Method(self.get_parameter("method").value),
-            self.get_parameter("single_pass").value,
-            self._fixed.tol_m,
-            self._fixed.max_passes,
-            self._fixed.max_correction_m,
+            replace(self._settling, single_pass=once) if once else self._settling,
         )
 
     def _start(self, request: Compensate.Request) -> np.ndarray:

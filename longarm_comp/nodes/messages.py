@@ -109,6 +109,24 @@ def joints_of(message: JointState, arm: Arm, where: str) -> np.ndarray:
     return _in_order(at, list(message.name), arm, where)
 
 
+def sides_of(approach: Sequence[int], names: Sequence[str], arm: Arm, where: str) -> np.ndarray:
+    """Side (n,) of -1, 0, +1 that each joint arrives from, in the order of the arm.
+
+    Raises:
+        InputError: neither none, nor one, nor one a name; another number.
+    """
+    sides = [float(side) for side in approach]
+    if any(side not in (-1.0, 0.0, 1.0) for side in sides):
+        raise InputError(where, "approach", sides, "-1, 0 or +1")
+    if len(sides) <= 1:
+        return np.full(arm.n, sides[0] if sides else 0.0)
+    if len(sides) != len(names):
+        found = f"{len(names)} joints, {len(sides)} sides"
+        raise InputError(where, "approach", found, "one side a joint, one for all, or none")
+    at = dict(zip(names, sides, strict=True))
+    return np.array([at[name] for name in arm.joint_names])
+
+
 def path_of(message: JointTrajectory, arm: Arm) -> np.ndarray:
     """The points of a trajectory, (k, n).
 

@@ -85,15 +85,12 @@ class TipMonitor:
         if not self._client.present:
             return Promise(tip, fallback)
         try:
-            columns = dict(context.columns)
-            if context.approach:
-                columns["approach"] = np.array([context.approach])
-            found = self._client.predict(rest.q[None], columns)
+            found = self._client.ask(rest.q, {**context.columns, "approach": context.approach})
         except NoAnswer:
             return Promise(tip, fallback)
-        if not found.in_domain[0]:
+        if not found.in_domain:
             return None
-        return Promise(tip + found.error[0], found.sigma[0])
+        return Promise(tip + found.error, found.sigma)
 
     def report(self) -> Report:
         """For diagnostics."""

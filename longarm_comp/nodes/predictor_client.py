@@ -1,18 +1,20 @@
-"""The learned residual of another process: `predict_error` with the face of a core predictor."""
+"""The learned residual of another process, asked through `predict_error`."""
 
 from __future__ import annotations
 
 import math
-import threading
+import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.task import Future
 
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.errors import JobError
+from longarm_comp.core.learn.expansion import Expansion
 from longarm_comp.nodes.interfaces import PREDICT_ERROR
 from longarm_comp.nodes.messages import joints_message
 from longarm_interfaces.srv import PredictError
@@ -22,27 +24,35 @@ class NoAnswer(JobError):  # noqa: N818
     """No predictor answered in time, or it has no file loaded."""
 
 
-@dataclass(frozen=True)
-class Answered:
-    """Expected error at N postures, as `core.compensate.Prediction`."""
-
-    error: np.ndarray
-    sigma: np.ndarray
-    in_domain: np.ndarray
-    reason: list[str]
+_PROBE_S = 1.0
+"""A silent predictor is asked so often, without waiting, whether it is back."""
 
 
 class PredictorClient:
-    """Asks `predict_error` from a worker thread while the executor spins in its own.
+    """Asks `predict_error` in the thread that wants to know.
+
+    The client has a hidden node and an executor of its own, with nothing else to look at: an answer
+    costs neither a switch of threads nor a round of the main executor.
 
     Args:
+        node: whose namespace and remappings hold.
         timeout_s: no answer within it counts as no predictor.
     """
 
     def __init__(self, node: Node, arm: Arm, timeout_s: float) -> None:
-        self._client = PREDICT_ERROR.client(node)
+        self._node = Node(
+            f"_{node.get_name()}_asks", namespace=node.get_namespace(), context=node.context,
+            use_global_arguments=False, enable_rosout=False, start_parameter_services=False,
+        )  # fmt: skip
+        self._client = self._node.create_client(
+            PredictError, node.resolve_service_name(PREDICT_ERROR.name)
+        )
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(self._node)
         self._arm = arm
         self._timeout_s = timeout_s
+        self._probe: Future | None = None
+        self._asked_s = 0.0
         self.file_hash = ""
 
     @property
@@ -50,43 +60,72 @@ class PredictorClient:
         """Whether a predictor is on the graph."""
         return bool(self._client.service_is_ready())
 
-    def predict(self, q: np.ndarray, context: Mapping[str, Any] | None = None) -> Answered:
-        """Expected error at joints (N, n).
+    def ask(self, q: np.ndarray, context: Mapping[str, Any] | None = None) -> Expansion:
+        """Expected error at joints (n,) and around them; context of one posture.
 
         Raises:
             NoAnswer: why.
         """
-        rows = [self._one(row, _at(context or {}, i)) for i, row in enumerate(q)]
-        error, sigma = np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
-        for i, row in enumerate(rows):
-            error[i] = row.error.x, row.error.y, row.error.z
-            sigma[i] = row.sigma
-        inside = np.array([row.success and row.in_domain for row in rows])
-        return Answered(error, sigma, inside, ["" if r.success else r.message for r in rows])
-
-    def _one(self, q: np.ndarray, context: Mapping[str, Any]) -> PredictError.Response:
-        sides = {float(side) for side in np.ravel(context.get("approach", 0.0))}
+        given = context or {}
         request = PredictError.Request(
             joints=joints_message(self._arm, q),
-            approach=int(sides.pop()) if len(sides) == 1 else 0,
-            temperature_c=float(context.get("temperature_c", math.nan)),
-            payload_kg=float(context.get("payload_kg", math.nan)),
+            approach=np.ravel(given.get("approach", ())).astype(np.int8),
+            temperature_c=_number(given, "temperature_c"),
+            payload_kg=_number(given, "payload_kg"),
         )
-        if not self.present:
-            raise NoAnswer("no error_predictor is running")
-        done = threading.Event()
-        future = self._client.call_async(request)
-        future.add_done_callback(lambda _: done.set())
-        if not done.wait(self._timeout_s):
-            self._client.remove_pending_request(future)
-            raise NoAnswer(f"error_predictor did not answer within {self._timeout_s:g} s")
-        answer = future.result()
+        answer = self._call(request)
         if not answer.success and math.isnan(answer.sigma):
             raise NoAnswer(answer.message)
         self.file_hash = answer.message if answer.success else self.file_hash
-        return answer
+        n, e = self._arm.n, answer.error
+        told = len(answer.jacobian) == 3 * n and len(answer.reach) == n
+        return Expansion(
+            error=np.array([e.x, e.y, e.z]),
+            sigma=np.full(3, answer.sigma),
+            in_domain=bool(answer.success and answer.in_domain),
+            reason="" if answer.success else answer.message,
+            jacobian=np.reshape(answer.jacobian, (3, n)) if told else np.zeros((3, n)),
+            reach=np.array(answer.reach) if told else np.zeros(n),
+        )
+
+    def _call(self, request: PredictError.Request) -> PredictError.Response:
+        if not self.present:
+            raise NoAnswer("no error_predictor is running")
+        if self._silent(request):
+            raise NoAnswer("error_predictor does not answer, physics only until it does")
+        future = self._send(request)
+        end = self._asked_s + self._timeout_s
+        while not future.done() and (left := end - time.monotonic()) > 0.0:
+            self._executor.spin_once(left)
+        if not future.done():
+            self._probe = future
+            raise NoAnswer(f"error_predictor did not answer within {self._timeout_s:g} s")
+        return future.result()
+
+    def _send(self, request: PredictError.Request) -> Future:
+        self._asked_s = time.monotonic()
+        return self._client.call_async(request)
+
+    def _silent(self, request: PredictError.Request) -> bool:
+        """Whether the last question is still open: only the first target waits for nothing."""
+        if self._probe is None:
+            return False
+        self._executor.spin_once(0.0)
+        if self._probe.done():
+            self._probe = None
+            return False
+        if time.monotonic() - self._asked_s >= _PROBE_S:
+            self._client.remove_pending_request(self._probe)
+            self._probe = self._send(request)
+        return True
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown(timeout_sec=1.0)
+        self._node.destroy_node()
 
 
-def _at(context: Mapping[str, Any], row: int) -> dict[str, Any]:
-    """One row's context; what is one number for all stays so."""
-    return {name: v[row] if np.ndim(v) else v for name, v in context.items()}
+def _number(context: Mapping[str, Any], name: str) -> float:
+    """One quantity of one posture; NaN where it is not known."""
+    value = context.get(name)
+    return math.nan if value is None else float(np.ravel(value)[0])
