@@ -31,7 +31,7 @@ RUNTIME = [
 EXTRAS = {
     "test": ["pytest"],  # by this name colcon test finds that pytest runs the tests
     "cluster": ["dask[distributed]>=2024.1"],
-    "fast": ["llvmlite>=0.42", "numba>=0.59"],
+    "fast": ["llvmlite>=0.43"],
     "dev": [
         "PyNiteFEA",
         "dask[distributed]>=2024.1",

@@ -8,17 +8,15 @@ import math
 import numpy as np
 import pytest
 
-from longarm_comp.core import emit, spatial
+from longarm_comp.core import angles, emit, emit_llvm, newton, spatial
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.context import Context
 from longarm_comp.core.effects.catalogue import BY_NAME
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
-from longarm_comp.core.ik_engines import TracedArrays, _ModelMachine
-from longarm_comp.core.kernel import Kernel, Layout, kernel_of
+from longarm_comp.core.kernel import Kernel, Layout, kernel_of, tip_and_jacobian
 from longarm_comp.core.model import Model
-from longarm_comp.core.newton import full
 from longarm_comp.core.trace import Symbol, Tape
 
 N = 12
@@ -65,24 +63,51 @@ def everything(arm: Arm) -> Model:
     return Model(arm, tuple(e for name in sorted(BY_NAME) for e in effects(arm, name)))
 
 
-def by_every_program(model: Model, q: np.ndarray, context: Context) -> dict[str, np.ndarray]:
-    """Tip, axes and Jacobian (12 + 6 n, N) by the model and by each program."""
-    layout = Layout.of(context)
-    kernel = Kernel(model, layout)
-    rows, ids = layout.pack(context, len(q)), np.arange(len(q))
-    made = {
-        "model": _ModelMachine(model, context).full(np.ascontiguousarray(q.T), ids)[0],
-        "arrays": TracedArrays(kernel, np.ascontiguousarray(rows.T)).full(
-            np.ascontiguousarray(q.T), ids
-        )[0],
-    }
-    size = 12 + 6 * model.arm.n
-    floats = []
-    for k in range(len(q)):
-        out = [0.0] * size
-        full(kernel.floats, q[k].tolist(), rows[k].tolist(), [0.0] * kernel.nx, out)
-        floats.append(out)
-    made["floats"] = np.array(floats).T
+def evaluated(kernel: Kernel, call, q: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Tip, axes and Jacobian (12 + 6 n, N) after all load passes; call runs a program by name."""
+    s = np.zeros((kernel.size, len(q)))
+    s[kernel.slice("trial")], s[kernel.slice("c")] = q.T, rows.T
+    for name in newton.evaluation(newton.LEVELS[-1], kernel.passes, anew=True):
+        call(name, s)
+    return s[kernel.slice("out")]
+
+
+def on_arrays(kernel: Kernel):
+    return lambda name, s: kernel.arrays[name](s)
+
+
+def on_floats(kernel: Kernel):
+    def call(name, s):
+        for column in range(s.shape[1]):
+            numbers = s[:, column].tolist()
+            kernel.floats[name](numbers)
+            s[:, column] = numbers
+
+    return call
+
+
+def in_lanes(kernel: Kernel):
+    """Machine code, the columns in blocks of lanes; the last block is not full."""
+
+    def call(name, s):
+        width, count = kernel.code.width, s.shape[1]
+        blocks = np.zeros((-(-count // width), kernel.size, width))
+        for k in range(count):
+            blocks[k // width, :, k % width] = s[:, k]
+        kernel.code.function(f"many_{name}")(blocks.ctypes.data, len(blocks))
+        for k in range(count):
+            s[:, k] = blocks[k // width, :, k % width]
+
+    return call
+
+
+def by_the_model(model: Model, q: np.ndarray, context: Context) -> np.ndarray:
+    """The same by the model's own code."""
+    made = np.empty((12 + 6 * model.arm.n, len(q)))
+    for row, value in zip(
+        made, tip_and_jacobian(model, model.posture(tuple(q.T), context)), strict=True
+    ):
+        row[:] = value
     return made
 
 
@@ -94,34 +119,49 @@ def test_each_effect_traced_is_the_effect(arm, name):
         assert not any(isinstance(t, Effect) for t in BY_NAME[name].for_arm(arm))
         return
     load = (LinkDeflection(),) if name != "link_deflection" else ()
-    made = by_every_program(Model(arm, own + load), q, context)
-    for program in ("arrays", "floats"):
-        np.testing.assert_allclose(made[program], made["model"], rtol=0, atol=1e-12)
+    model, layout = Model(arm, own + load), Layout.of(context)
+    kernel, rows = Kernel(model, layout), layout.pack(context, N)
+    want = by_the_model(model, q, context)
+    for way in (on_arrays, on_floats):
+        made = evaluated(kernel, way(kernel), q, rows)
+        np.testing.assert_allclose(made, want, rtol=0, atol=1e-12)
 
 
 def test_machine_code_gives_the_same_numbers(arm):
-    """All effects at once, through LLVM, called by address."""
+    """All effects at once, through LLVM, in lanes."""
     pytest.importorskip("llvmlite")
-    import ctypes
-
     q, context = situation(arm)
-    model = everything(arm)
-    layout = Layout.of(context)
-    kernel = Kernel(model, layout)
-    rows = layout.pack(context, N)
-    kind = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 5)
-    first, step, last = (kind(address) for address in kernel.machine[:3])
+    model, layout = everything(arm), Layout.of(context)
+    kernel, rows = Kernel(model, layout), layout.pack(context, N)
+    want = by_the_model(model, q, context)
+    for way in (on_floats, in_lanes):
+        made = evaluated(kernel, way(kernel), q, rows)
+        np.testing.assert_allclose(made, want, rtol=0, atol=1e-12)
 
-    def machine(function):
-        return lambda *buffers: function(*(b.ctypes.data for b in buffers))
 
-    calls = (machine(first), machine(step), machine(last), None, None, kernel.passes)
-    made = by_every_program(model, q, context)
-    np.testing.assert_allclose(made["floats"], made["model"], rtol=0, atol=1e-12)
-    for k in range(N):
-        out, x = np.zeros(12 + 6 * arm.n), np.zeros(kernel.nx)
-        full(calls, q[k].copy(), rows[k].copy(), x, out)
-        np.testing.assert_allclose(out, made["model"][:, k], rtol=0, atol=1e-12)
+def test_every_program_of_the_search_in_every_language(arm):
+    """From states in the midst of a search."""
+    pytest.importorskip("llvmlite")
+    model = Model(arm, (LinkDeflection(),))
+    kernel = Kernel(model, Layout.of(Context.empty()))
+    rng = np.random.default_rng(5)
+    q = rng.uniform(arm.lower, arm.upper, (N, arm.n))
+    s = np.zeros((kernel.size, N))
+    for name, value in (("lower", arm.lower), ("upper", arm.upper)):
+        s[kernel.slice(name)] = value[:, None]
+    for name, value in (("tol", 1e-9), ("permitted", 60.0), ("live", 1.0)):
+        s[kernel.slice(name)] = value
+    s[kernel.slice("given")] = model.pose(q).reshape(N, 16).T
+    s[kernel.slice("seed")] = rng.uniform(arm.lower, arm.upper, (N, arm.n)).T
+    step = ("round6", "round6", "first", "step", "judge6")
+    for name in ("accept6", "open_rigid", "rigid", "judge6", *step, "open_full", *step, *step):
+        made = []
+        for way in (on_arrays, on_floats, in_lanes):
+            made.append(s.copy())
+            way(kernel)(name, made[-1])
+        for other in made[1:]:
+            np.testing.assert_allclose(other, made[0], rtol=1e-10, atol=1e-12, err_msg=name)
+        s = made[0]
 
 
 def test_context_is_an_input_not_a_constant(arm):
@@ -135,15 +175,10 @@ def test_context_is_an_input_not_a_constant(arm):
     )
     assert kernel_of(model, Layout.of(other)) is kernel
     assert kernel_of(model, Layout.of(Context.empty().take(slice(None)))) is not kernel
-    ids, columns = np.arange(N), np.ascontiguousarray(q.T)
     for some in (context, other):
-        rows = np.ascontiguousarray(kernel.layout.pack(some, N).T)
-        np.testing.assert_allclose(
-            TracedArrays(kernel, rows).full(columns, ids)[0],
-            _ModelMachine(model, some).full(columns, ids)[0],
-            rtol=0,
-            atol=1e-12,
-        )
+        rows = kernel.layout.pack(some, N)
+        made = evaluated(kernel, on_arrays(kernel), q, rows)
+        np.testing.assert_allclose(made, by_the_model(model, q, some), rtol=0, atol=1e-12)
 
 
 def test_a_kernel_is_kept_by_content(arm):
@@ -165,37 +200,48 @@ def test_every_operation_in_every_language():
         return smooth + steps + s.where(a > b, a, -b) + s.where(a <= 0.1, 2.0, b) + s.atan2(a, b)
 
     tape = Tape()
-    a, b = tape.input("q[0]"), tape.input("q[1]")
-    outputs = {"out[0]": work(a, b), "out[1]": a - a, "out[2]": 0.0 * b + 1.0}
-    text = emit.python("f", tape, outputs)
+    a, b = tape.input("0"), tape.input("1")
+    outputs = {2: work(a, b), 3: a - a, 4: 0.0 * b + 1.0}
     on_floats, on_arrays = dict(emit.FLOATS), dict(emit.ARRAYS)
-    exec(text, on_floats)
-    exec(text, on_arrays)
-    points = np.random.default_rng(2).normal(size=(2, 50))
-    out = np.zeros((3, 50))
-    on_arrays["f"](points, None, None, out, None)
-    for k, (x, y) in enumerate(points.T.tolist()):
-        made = [0.0] * 3
-        on_floats["f"]([x, y], None, None, made, None)
-        assert made == pytest.approx([work(x, y), 0.0, 1.0], abs=1e-14)
-        assert out[:, k] == pytest.approx(made, abs=1e-13)
-    llvmlite = pytest.importorskip("llvmlite")
-    assert llvmlite
-    import ctypes
-
+    exec(emit.python("f", tape, outputs), on_floats)
+    exec(emit.python("f", tape, outputs, arrays=True), on_arrays)
+    s = np.zeros((5, 50))
+    s[:2] = np.random.default_rng(2).normal(size=(2, 50))
+    on_arrays["f"](s)
+    for column in s.T.tolist():
+        x, y = column[:2]
+        made = [x, y, 0.0, 0.0, 0.0]
+        on_floats["f"](made)
+        assert made[2:] == pytest.approx([work(x, y), 0.0, 1.0], abs=1e-14)
+        assert column == pytest.approx(made, abs=1e-13)
+    pytest.importorskip("llvmlite")
     from longarm_comp.core.machine_code import compile_module
 
-    code = compile_module(emit.llvm({"f": (tape, outputs)}))
-    call = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 5)(code.address("f"))
-    for x, y in points.T:
-        given, made = np.array([x, y]), np.zeros(3)
-        call(given.ctypes.data, None, None, made.ctypes.data, None)
-        assert made == pytest.approx([work(float(x), float(y)), 0.0, 1.0], abs=1e-13)
+    for width in (1, 2, 4, 8):
+        text = emit_llvm.module({"f": (tape, outputs)}, {}, {"s": range(5)}, width)
+        blocks = np.zeros((-(-50 // width), 5, width))
+        for k in range(50):
+            blocks[k // width, :2, k % width] = s[:2, k]
+        compile_module(text, width).function("many_f")(blocks.ctypes.data, len(blocks))
+        for k in range(50):
+            assert blocks[k // width, :, k % width] == pytest.approx(s[:, k], abs=1e-13)
+
+
+def test_angles_in_arithmetic():
+    """Sine, cosine and arc tangent to two units in the last place, quadrants and axes included."""
+    rng = np.random.default_rng(1)
+    for size in (1e-9, 1e-3, 1.0, 100.0, 1e4):
+        x, y = rng.normal(size=(2, 2000)) * size
+        assert np.abs(angles.sine(x) - np.sin(x)).max() <= 2.5e-16
+        assert np.abs(angles.cosine(x) - np.cos(x)).max() <= 2.5e-16
+        assert np.abs(angles.arc_tangent2(y, x) - np.arctan2(y, x)).max() <= 9e-16
+    y, x = np.array([(0, 0), (0, 1), (0, -1), (1, 0), (-1, 0), (-1, -1), (1e-300, -1)], float).T
+    np.testing.assert_allclose(angles.arc_tangent2(y, x), np.arctan2(y, x), rtol=0, atol=1e-15)
 
 
 def test_constants_fold_and_common_work_is_shared():
     tape = Tape()
-    a = tape.input("q[0]")
+    a = tape.input("0")
     assert 0.0 * a == 0.0
     assert (a + 0.0) is a
     assert 1.0 * a is a
@@ -207,8 +253,17 @@ def test_constants_fold_and_common_work_is_shared():
     assert isinstance(np.float64(2.0) * a, Symbol)
 
 
+def test_a_number_is_not_taken_for_a_node():
+    """Node 1 and the constant 1.0 are equal and hash alike, but are not the same operand."""
+    tape = Tape()
+    a, b = tape.input("0"), tape.input("1")
+    assert (a < b) is not (a < 1.0)
+    assert tape.operation((a - b).node) == ("sub", (a.node, b.node))
+    assert type(tape.operation((a - 1.0).node)[1][1]) is float
+
+
 def test_a_branch_on_a_traced_number_is_refused():
-    a = Tape().input("q[0]")
+    a = Tape().input("0")
     with pytest.raises(TypeError, match="where"):
         bool(a > 0)
     with pytest.raises(TypeError):

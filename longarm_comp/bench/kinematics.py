@@ -26,7 +26,6 @@ from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.ik import Engine
 from longarm_comp.core.kernel import Layout, kernel_of
 from longarm_comp.core.model import Model
-from longarm_comp.core.newton_batch import TracedArrays
 
 Result = dict[str, object]
 
@@ -205,7 +204,7 @@ def ik_without_numba() -> list[Result]:
         range(40),
     )
     rows = [_row("ik_single_python", 1e6 * np.median(one), "us", "goal", 400.0, 400e-6 / one)]
-    for engine in (Engine.ARRAYS, Engine.MIXED):
+    for engine in (Engine.ARRAYS,):
         rates = []
         for _ in range(3):
             begin = time.perf_counter()
@@ -222,8 +221,13 @@ def fk_vs_peers() -> list[Result]:
     model = soft_model(arm)
     q = _random(arm, 2048, 4)
     kernel = kernel_of(model, Layout.of(ik.Context.empty()))
-    traced, ids = TracedArrays(kernel, np.zeros((1, len(q)))), np.arange(len(q))
-    columns = np.ascontiguousarray(q.T)
+    state = np.zeros((kernel.size, len(q)))
+    state[kernel.slice("trial")] = q.T
+
+    def traced() -> None:
+        for name in ("first", *["step"] * (kernel.passes - 1), "last"):
+            kernel.arrays[name](state)
+
     made = []
     sides: list[tuple[str, Callable[[], Any], int]] = []
     try:
@@ -233,7 +237,7 @@ def fk_vs_peers() -> list[Result]:
         made.append(_missing("fk_batch_vs_rtb", "roboticstoolbox-python"))
     ours: dict[str, tuple[Callable[[], Any], int]] = {
         "fk_batch_model": (lambda: model.tip(q), len(q)),
-        "fk_batch_traced_with_jacobian": (lambda: traced.full(columns, ids), len(q)),
+        "fk_batch_traced_with_jacobian": (traced, len(q)),
         "fk_single_model": (lambda: model.tip(q[0]), 1),
     }
     for name, (work, count) in ours.items():

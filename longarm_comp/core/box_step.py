@@ -1,7 +1,7 @@
 """One damped least-squares step inside a box: the linear algebra of the inverse kinematics.
 
-Written on flat buffers, without a branch on data in `solve_damped`, so that the same lines
-serve Python lists of floats, numba, and arrays whose entries are (N,) slices.
+Written on flat buffers, without a branch on data, so that the same lines serve floats, arrays
+whose entries are (N,) slices, and traced numbers.
 """
 
 from __future__ import annotations

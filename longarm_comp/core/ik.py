@@ -15,21 +15,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from longarm_comp.core import ik_single as single
 from longarm_comp.core.box_step import skewness
 from longarm_comp.core.context import Context
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik_engines import (
     Engine,
     Problem,
-    characteristic_length,
-    compiled_at_hand,
     restart_points,
     run,
     warm_up,
     with_radii,
 )
+from longarm_comp.core.ik_single import solve_compiled
+from longarm_comp.core.kernel import characteristic_length
 from longarm_comp.core.model import Model
+from longarm_comp.core.newton import ROTATION_TOLERANCE
 from longarm_comp.core.spatial import Frame
 
 __all__ = ["Engine", "Reason", "Solution", "Solutions", "solve", "solve_many", "warm_up"]
@@ -37,6 +37,7 @@ __all__ = ["Engine", "Reason", "Solution", "Solutions", "solve", "solve_many", "
 TOLERANCE = 1e-9
 MAX_ITERATIONS = 60
 MAX_STARTS = 16
+_MACHINE = (Engine.AUTO, Engine.COMPILED)
 
 
 class Reason(Enum):
@@ -127,11 +128,13 @@ def solve(
     target = np.asarray(target, dtype=float)
     if target.shape not in ((3,), (4, 4)):
         raise InputError("ik.solve", "target", f"shape {target.shape}", "shape (3,) or (4, 4)")
-    if rng is None and not locked and compiled_at_hand(engine):
-        options = (position_only, tol, max_iterations, max_starts)
-        found = single.solve_compiled(model, target, seed, context, options)
+    if rng is None and not locked and engine in _MACHINE:
+        m = 3 if position_only or target.size == 3 else 6
+        found = solve_compiled(model, target, seed, context, (m, tol, max_iterations), engine)
         if found is not None:
-            return _solution(found, tol, max_iterations)
+            one = _solution(model, *found, tol, max_iterations)
+            if one.ok or max_starts <= 1:
+                return one
     many = solve_many(
         model,
         target[None],
@@ -201,7 +204,6 @@ def solve_many(
         start,
         lower,
         upper,
-        arm.upper - arm.lower,
         points,
         characteristic_length(model),
         float(tol),
@@ -224,7 +226,7 @@ def target_faults(targets: np.ndarray, position_only: bool, where: str) -> list[
     turned = np.ones(len(targets), bool)
     if targets.ndim == 3 and not position_only:
         T = np.where(finite[:, None, None], targets, 0.0)
-        turned = skewness(_axes(T).T, 0) < single.ROTATION_TOLERANCE**2
+        turned = skewness(_axes(T).T, 0) < ROTATION_TOLERANCE**2
         turned &= (T[:, 3] == [0, 0, 0, 1]).all(axis=1)
     if finite.all() and turned.all():
         return [""] * len(targets)
@@ -283,13 +285,18 @@ def locked_joints(model: Model, locked: Sequence[int | str]) -> list[int]:
     return made
 
 
-def _solution(found: single.Found, tol: float, max_iterations: int) -> Solution:
-    q, report, limits = found
-    position, angle, iterations, starts, _ = report[-5:]
-    at = tuple([name for v, (name, low, high) in zip(report, limits) if v <= low or v >= high])  # noqa: B905 - report goes on
+def _solution(
+    model: Model, q: np.ndarray, report: list[float], tol: float, max_iterations: int
+) -> Solution:
+    position, angle, iterations, stuck, _ = report[-5:]
+    limits: tuple[str, ...] = ()
+    if stuck:
+        arm = model.arm
+        at = ((q <= arm.lower) | (q >= arm.upper)).tolist()
+        limits = tuple(name for name, there in zip(arm.joint_names, at, strict=True) if there)
     ok = position <= tol and angle <= tol
-    reason = _reason(ok, iterations >= starts * max_iterations, bool(at))
-    return Solution(q, ok, reason, position, angle, int(iterations), at, int(starts))
+    reason = _reason(ok, iterations >= max_iterations, stuck > 0)
+    return Solution(q, ok, reason, position, angle, int(iterations), limits, 1)
 
 
 def _reason(ok: bool, exhausted: bool, at_limit: bool) -> Reason:
@@ -305,9 +312,10 @@ def _collect(model: Model, q: np.ndarray, report: np.ndarray, problem: Problem) 
     iterations, starts = report[:, 2].astype(int), report[:, 3].astype(int)
     at_limit = (q <= model.arm.lower) | (q >= model.arm.upper)
     ok = (position <= problem.tol) & (angle <= problem.tol)
-    exhausted = iterations >= starts * problem.max_iterations
-    blocked = np.asarray(at_limit.any(axis=1))
-    reasons = tuple(map(_reason, ok.tolist(), exhausted.tolist(), blocked.tolist()))
+    reasons = [Reason.CONVERGED] * len(q)
+    for i in np.flatnonzero(~ok):
+        exhausted = iterations[i] >= starts[i] * problem.max_iterations
+        reasons[i] = _reason(False, bool(exhausted), bool(at_limit[i].any()))
     return Solutions(
-        q, ok, reasons, position, angle, iterations, at_limit, starts, model.arm.joint_names
+        q, ok, tuple(reasons), position, angle, iterations, at_limit, starts, model.arm.joint_names
     )

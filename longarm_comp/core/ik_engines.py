@@ -1,4 +1,4 @@
-"""The ways to run the search: machine code, plain Python, arrays, and the model itself.
+"""The ways to run a search: machine code, plain Python, arrays, and the model's own code.
 
 All take a `Problem` and give joints (N, n) and a report (N, 4): position residual (m), angle
 residual (rad), iterations, starts.
@@ -7,7 +7,7 @@ residual (rad), iterations, starts.
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from functools import cache
@@ -16,16 +16,15 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core import newton
-from longarm_comp.core.box_step import solve_damped
 from longarm_comp.core.context import Context
-from longarm_comp.core.jacobian import geometric
-from longarm_comp.core.kernel import Layout, kernel_of
+from longarm_comp.core.kernel import Kernel, Layout, kernel_of, tip_and_jacobian
 from longarm_comp.core.model import Model
-from longarm_comp.core.newton_batch import Machine, Task, TracedArrays, search
 
 _CHUNK = 1024  # targets whose arrays stay in the processor's cache
 _FEW = 4  # targets up to which plain Python is ahead of arrays
-_COMPILE_AFTER = 500  # targets solved without, before the compiled loop is fetched unasked
+_COMPILE_AFTER = 50  # targets solved for a model without, before it is compiled unasked
+_NOTHING = Layout.of(Context.empty())
+_THIN = 0.7  # share of the columns still at work below which the others are put aside
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,6 @@ class Problem:
         targets: position (m) and axes n, o, a, (N, 12).
         m: 3 for position tasks, 6 for poses.
         starts, lower, upper: (N, n); a locked joint has both limits at its start.
-        span: range of each joint (n,).
         points: restarts (S, n + 1): a point in the unit box and how far to go to it (0 to 1).
         length: metres that a radian of tool angle counts for.
         tol: on position (m) and angle (rad).
@@ -48,7 +46,6 @@ class Problem:
     starts: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
-    span: np.ndarray
     points: np.ndarray
     length: float
     tol: float
@@ -59,201 +56,230 @@ class Engine(Enum):
     """How to run the search; they differ in speed only."""
 
     AUTO = "the fastest at hand for so many targets"
-    COMPILED = "machine code (needs numba)"
+    COMPILED = "machine code (needs llvmlite)"
     PYTHON = "the traced model in plain Python, target after target"
     ARRAYS = "the traced model on arrays of targets"
-    MIXED = "machine code for the model, arrays for the search (needs llvmlite)"
     MODEL = "the model's own code on arrays of targets: what the others are checked against"
 
 
-class _Compiled:
-    """The compiled loop, once it is here."""
+class _LongLived:
+    """Whether `warm_up` was called: then every model is compiled when it is first used."""
 
-    loop: Any = None
-    solved = 0
+    now = False
 
 
-def numba_at_hand() -> bool:
+@cache
+def compiler_at_hand() -> bool:
     """Whether the optional compiler is installed."""
-    return importlib.util.find_spec("numba") is not None
+    return importlib.util.find_spec("llvmlite") is not None
 
 
-def warm_up() -> bool:
-    """Fetch the compiled search now, not at the first target; False where numba is missing.
+def warm_up(model: Model | None = None, context: Context | None = None) -> bool:
+    """Have models compiled from now on when they are first used; False without the compiler.
 
-    Call it when a node starts: it takes some seconds the first time on a machine, and well
-    under one from then on.
+    For a process that lives long: a model takes about a second. Given here, it takes it now.
     """
-    if _Compiled.loop is None and numba_at_hand():
-        from longarm_comp.core.newton_numba import search_all
-
-        _Compiled.loop = search_all
-    return _Compiled.loop is not None
-
-
-def characteristic_length(model: Model) -> float:
-    """Metres that a radian of tool angle counts for: a quarter of the stretched arm."""
-    size = sum(abs(j.a_m) + abs(j.d_m) for j in model.arm.joints)
-    return max(0.25 * size, 0.01)
+    if compiler_at_hand():
+        _LongLived.now = True
+        if model is not None:
+            kernel_of(model, Layout.of(context or Context.empty())).code  # noqa: B018 - is kept
+    return compiler_at_hand()
 
 
-def compiled_at_hand(engine: Engine) -> bool:
-    """Whether one target would be solved by the compiled loop, as far as the engine goes."""
+def is_compiled(kernel: Kernel, engine: Engine) -> bool:
+    """Whether one target would be solved by machine code."""
     if engine is Engine.AUTO:
-        return _Compiled.loop is not None
-    return engine is Engine.COMPILED and warm_up()
+        return "code" in kernel.__dict__
+    return engine is Engine.COMPILED and compiler_at_hand()
 
 
 def run(
     model: Model, context: Context, problem: Problem, engine: Engine
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Search with an engine."""
-    count = len(problem.targets)
-    layout = Layout.of(context)
+    """Search from the starts, then from elsewhere for those that failed."""
+    p, count = problem, len(problem.targets)
     if engine is Engine.AUTO:
-        engine = _chosen(layout, count)
-    return _RUN[engine](model, context, layout, problem)
+        engine = _chosen(model, Layout.of(context), count)
+    search = _SEARCH[engine]
+    chunk = count if engine is Engine.COMPILED else _CHUNK
+    q, report = np.empty_like(p.starts), np.zeros((count, 4))
+    report[:, :2] = 1e300
+    for first in range(0, count, max(chunk, 1)):
+        ids = np.arange(first, min(first + chunk, count))
+        for s in range(1 + len(p.points)):
+            start = p.starts[ids]
+            if s > 0:
+                low, high = p.lower[ids], p.upper[ids]
+                point, radius = p.points[s - 1, :-1], p.points[s - 1, -1]
+                start = start + radius * (low + point * (high - low) - start)
+                start = np.clip(start, low, high)
+            here = context.take(ids)
+            given = _given(here, p, ids, start)
+            found, left, used = search(model, here, p, given, ids.size)
+            report[ids, 2] += used
+            report[ids, 3] += 1
+            won = left @ (1.0, p.length) < report[ids, :2] @ (1.0, p.length)
+            q[ids[won]], report[ids[won], :2] = found[won], left[won]
+            ids = ids[~(left <= p.tol).all(axis=1)]
+            if not ids.size:
+                break
+    return q, report
 
 
-def _chosen(layout: Layout, count: int) -> Engine:
+def _chosen(model: Model, layout: Layout, count: int) -> Engine:
     if not layout.traceable:
         return Engine.MODEL
-    _Compiled.solved += count
-    if _Compiled.loop is not None or (_Compiled.solved > _COMPILE_AFTER and warm_up()):
+    kernel = kernel_of(model, layout)
+    kernel.asked += count
+    pays = _LongLived.now or kernel.asked > _COMPILE_AFTER
+    if compiler_at_hand() and (pays or is_compiled(kernel, Engine.AUTO)):
         return Engine.COMPILED
-    if importlib.util.find_spec("llvmlite") is not None:
-        return Engine.MIXED
     return Engine.PYTHON if count <= _FEW else Engine.ARRAYS
 
 
-def _compiled(
-    model: Model, context: Context, layout: Layout, p: Problem
-) -> tuple[np.ndarray, np.ndarray]:
-    if not warm_up():
-        raise RuntimeError("the compiled search needs numba: pip install longarm_comp[fast]")
-    kernel, count = kernel_of(model, layout), len(p.targets)
-    q, report = np.empty((count, model.arm.n)), np.zeros((count, 4))
-    _Compiled.loop(
-        kernel.machine, p.m, kernel.nx, p.targets, layout.pack(context, count), p.starts, p.lower,
-        p.upper, p.span, p.points, p.length, p.tol, p.max_iterations, q, report,
-    )  # fmt: skip
-    return q, report
+Programs = Mapping[str, Callable[[Any], None]]
+Given = dict[str, np.ndarray]
+Found = tuple[np.ndarray, np.ndarray, np.ndarray]  # joints (K, n), residuals (K, 2), iterations
 
 
-def _python(
-    model: Model, context: Context, layout: Layout, p: Problem
-) -> tuple[np.ndarray, np.ndarray]:
-    kernel, count = kernel_of(model, layout), len(p.targets)
-    q = [[0.0] * model.arm.n for _ in range(count)]
-    report = [[0.0] * 4 for _ in range(count)]
-    newton.search_all(
-        kernel.floats, p.m, kernel.nx, p.targets.tolist(), layout.pack(context, count).tolist(),
-        p.starts.tolist(), p.lower.tolist(), p.upper.tolist(), p.span.tolist(),
-        p.points.tolist(), p.length, p.tol, p.max_iterations, q, report,
-    )  # fmt: skip
-    return np.array(q), np.array(report)
+def _given(context: Context, p: Problem, ids: np.ndarray, start: np.ndarray) -> Given:
+    """What a search starts from, by name: (K, k) or one row for all."""
+    return {
+        "target": p.targets[ids],
+        "lower": p.lower[ids],
+        "upper": p.upper[ids],
+        "q": start,
+        "live": np.ones((ids.size, 1)),
+        "tol": np.array([p.tol]),
+        "permitted": np.array([p.max_iterations]),
+        "c": Layout.of(context).pack(context, ids.size),
+    }
 
 
-def _arrays(
-    model: Model, context: Context, layout: Layout, p: Problem
-) -> tuple[np.ndarray, np.ndarray]:
-    rows = np.ascontiguousarray(layout.pack(context, len(p.targets)).T)
-    return _in_chunks(TracedArrays(kernel_of(model, layout), rows), p)
+def _filled(given: dict[str, np.ndarray], kernel: Kernel, count: int) -> np.ndarray:
+    """Columns of state, (size, K)."""
+    s = np.zeros((kernel.size, count))
+    for name, values in given.items():
+        s[kernel.slice(name)] = values.T if values.ndim == 2 else values[:, None]
+    return s
 
 
-def _mixed(
-    model: Model, context: Context, layout: Layout, p: Problem
-) -> tuple[np.ndarray, np.ndarray]:
-    from longarm_comp.core.machine_rows import MachineRows
-
-    rows = layout.pack(context, len(p.targets))
-    return _in_chunks(MachineRows(kernel_of(model, layout), rows), p)
+def _read(s: np.ndarray, kernel: Kernel) -> Found:
+    q, size, used = (s[kernel.slice(name)] for name in ("q", "size", "used"))
+    return q.T, size.T, used[0]
 
 
-def _model(
-    model: Model, context: Context, layout: Layout, p: Problem
-) -> tuple[np.ndarray, np.ndarray]:
-    return _in_chunks(_ModelMachine(model, context), p)
+class Column:
+    """A list of state, and programs on it."""
+
+    def __init__(self, programs: Programs, place: dict[str, range], s: list[float]) -> None:
+        self.programs, self.place, self.s = programs, place, s
+
+    def call(self, name: str) -> None:
+        """Run a program."""
+        self.programs[name](self.s)
+
+    def repeat(self, row: str, body: newton.Flow) -> None:
+        """Run until the row is 0."""
+        at = self.place[row][0]
+        while self.s[at]:
+            newton.run(body, self.call, self.repeat)
 
 
-_RUN: dict[Engine, Callable[..., tuple[np.ndarray, np.ndarray]]] = {
+class Columns:
+    """Rows (size, K) of state, and programs on them."""
+
+    def __init__(
+        self, programs: Programs, place: dict[str, range], s: np.ndarray, thin: float = _THIN
+    ) -> None:
+        self.programs, self.place, self.s, self.thin = programs, place, s, thin
+
+    def repeat(self, row: str, body: newton.Flow) -> None:
+        """Run until the row is 0 everywhere; columns that are done are put aside."""
+        aside: list[tuple[np.ndarray, np.ndarray]] = []
+        at = self.place[row][0]
+        while (todo := self.s[at] != 0.0).any():
+            if todo.mean() < self.thin:
+                aside.append((self.s, todo))
+                self.s = self.s[:, todo]
+            newton.run(body, self.call, self.repeat)
+        for whole, which in reversed(aside):
+            whole[:, which] = self.s
+            self.s = whole
+
+    def call(self, name: str) -> None:
+        """Run a program."""
+        self.programs[name](self.s)
+
+
+def _arrays(model: Model, context: Context, p: Problem, given: Given, count: int) -> Found:
+    kernel = kernel_of(model, Layout.of(context))
+    columns = Columns(kernel.arrays, kernel.place, _filled(given, kernel, count))
+    newton.run(kernel.flows[f"search{p.m}"], columns.call, columns.repeat)
+    return _read(columns.s, kernel)
+
+
+def _python(model: Model, context: Context, p: Problem, given: Given, count: int) -> Found:
+    kernel = kernel_of(model, Layout.of(context))
+    made = []
+    for s in _filled(given, kernel, count).T.tolist():
+        column = Column(kernel.floats, kernel.place, s)
+        newton.run(kernel.flows[f"search{p.m}"], column.call, column.repeat)
+        made.append(s)
+    return _read(np.array(made).T, kernel)
+
+
+def _compiled(model: Model, context: Context, p: Problem, given: Given, count: int) -> Found:
+    if not compiler_at_hand():
+        raise RuntimeError("machine code needs llvmlite: pip install longarm_comp[fast]")
+    kernel = kernel_of(model, Layout.of(context))
+    width = kernel.code.width
+    number, rest = -(-count // width), count % width
+    blocks = np.empty((number, kernel.size, width))
+    blocks[-1] = 0.0  # the last need not be full
+    for name, values in given.items():
+        part = blocks[:, kernel.slice(name)]
+        if values.ndim == 1:
+            part[:] = values[:, None]
+        else:
+            even = values[: count - rest].reshape(count // width, width, part.shape[1])
+            part[: count // width] = even.swapaxes(1, 2)
+            part[count // width :, :, :rest] = values[count - rest :].T
+    kernel.code.function(f"many_search{p.m}")(blocks.ctypes.data, number)
+    q, size, used = (
+        blocks[:, kernel.slice(name)].swapaxes(1, 2).reshape(number * width, -1)[:count]
+        for name in ("q", "size", "used")
+    )
+    return q, size, used[:, 0]
+
+
+def _model(model: Model, context: Context, p: Problem, given: Given, count: int) -> Found:
+    """The search on arrays, the model by its own code with all load passes at every step."""
+    kernel = kernel_of(Model(model.arm), _NOTHING)
+    out = kernel.slice("out")
+
+    def evaluate(s: np.ndarray) -> None:
+        posture = model.posture(tuple(s[kernel.slice("trial")]), context)
+        for row, value in zip(s[out], tip_and_jacobian(model, posture), strict=True):
+            row[:] = value
+
+    own = dict.fromkeys(("rigid", "step", "last"), evaluate)
+    s = _filled({**given, "c": np.zeros(0)}, kernel, count)
+    columns = Columns({**kernel.arrays, "first": _nothing, **own}, kernel.place, s, thin=0.0)
+    newton.run(kernel.flows[f"search{p.m}"], columns.call, columns.repeat)
+    return _read(s, kernel)
+
+
+def _nothing(s: np.ndarray) -> None:
+    """No twists are carried."""
+
+
+_SEARCH: dict[Engine, Callable[[Model, Context, Problem, Given, int], Found]] = {
     Engine.COMPILED: _compiled,
     Engine.PYTHON: _python,
     Engine.ARRAYS: _arrays,
-    Engine.MIXED: _mixed,
     Engine.MODEL: _model,
 }
-
-
-class _ModelMachine:
-    """The model's own code, all load passes at every step."""
-
-    def __init__(self, model: Model, context: Context) -> None:
-        self.model, self.context = model, context
-
-    def step(self, q: np.ndarray, ids: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """See `Machine`."""
-        return self.full(q, ids)[0], x
-
-    def full(self, q: np.ndarray, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """See `Machine`; no twists are carried."""
-        posture = self.model.posture(tuple(q), self.context.take(ids))
-        tip = self.model.tip_frame(posture)
-        columns = geometric(posture, tip.p)
-        values = [*tip.p, *tip.n, *tip.o, *tip.a]
-        values += [column[i // 3][i % 3] for i in range(6) for column in columns]
-        out = np.empty((len(values), ids.size))
-        for k, value in enumerate(values):
-            out[k] = value
-        return out, np.empty((0, ids.size))
-
-    def solve(self, m: int, J: np.ndarray, e: np.ndarray, free: np.ndarray) -> np.ndarray:
-        """See `Machine`."""
-        n, count = len(free) - 1, e.shape[1]
-        A, y, u = np.empty((m * m, count)), np.empty((m, count)), np.empty((n, count))
-        solve_damped(J, e, free, free[n], m, n, A, y, u)
-        return u
-
-
-def _in_chunks(machine: Machine, p: Problem) -> tuple[np.ndarray, np.ndarray]:
-    task = Task(
-        np.ascontiguousarray(p.targets.T),
-        p.m,
-        np.ascontiguousarray(p.lower.T),
-        np.ascontiguousarray(p.upper.T),
-        p.span,
-        p.length,
-        p.tol,
-    )
-    q, report = np.empty_like(p.starts), np.zeros((len(p.targets), 4))
-    for first in range(0, len(q), _CHUNK):
-        ids = np.arange(first, min(first + _CHUNK, len(q)))
-        _restarted(machine, task, p, ids, q, report)
-    return q, report
-
-
-def _restarted(
-    machine: Machine, task: Task, p: Problem, ids: np.ndarray, q: np.ndarray, report: np.ndarray
-) -> None:
-    """Search from the starts, then from elsewhere for those that failed."""
-    report[ids, :2] = 1e300
-    for s in range(1 + len(p.points)):
-        start, low, high = p.starts[ids], p.lower[ids], p.upper[ids]
-        if s > 0:
-            point, radius = p.points[s - 1, :-1], p.points[s - 1, -1]
-            start = start + radius * (low + point * (high - low) - start)
-            start = np.clip(start, low, high)
-        found, left, used = search(
-            machine, task, ids, np.ascontiguousarray(start.T), p.max_iterations
-        )
-        report[ids, 2] += used
-        report[ids, 3] += 1
-        held = report[ids, 0] + p.length * report[ids, 1]
-        won = left[0] + p.length * left[1] < held
-        q[ids[won]], report[ids[won], :2] = found[:, won].T, left[:, won].T
-        ids = ids[(left > p.tol).any(axis=0)]
-        if not ids.size:
-            break
 
 
 @cache

@@ -1,114 +1,98 @@
-"""One target by the compiled search, with next to nothing around it.
+"""One target by machine code, with next to nothing around it.
 
 What does not change from target to target is made once per model and task.
 """
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
 import numpy as np
 
 from longarm_comp.core.context import Context
-from longarm_comp.core.ik_engines import characteristic_length, restart_points
-from longarm_comp.core.kernel import Layout, kernel_of
+from longarm_comp.core.ik_engines import Engine, is_compiled
+from longarm_comp.core.kernel import Kernel, Layout, kernel_of
 from longarm_comp.core.model import Model
 
-ROTATION_TOLERANCE = 1e-6
-Limits = tuple[tuple[str, float, float], ...]  # name, lower, upper of every joint
-# joints (n,); the same and position residual, angle residual, iterations, starts, 0; limits
-Found = tuple[np.ndarray, list[float], Limits]
-Options = tuple[bool, float, int, int]  # position_only, tol, max_iterations, max_starts
-Key = tuple[Layout | None, int, float, int, int]  # layout, equations, the last three of the options
+Key = tuple[Layout | None, int, float, int]  # layout, equations, tolerance, iterations
+# joints (n,); the same and position (m), angle (rad), iterations, joints at limits, fault
+Found = tuple[np.ndarray, list[float]]
 
 _NOTHING = Layout.of(Context.empty())
 
 
-class _Task:
-    """A task's constants, as the compiled search takes them (see `newton_numba.search_one`)."""
+class _Desk:
+    """A block of columns of which the first is at work, and views of what goes in and out."""
 
-    def __init__(self, model: Model, key: Key) -> None:
-        given, m, tol, max_iterations, max_starts = key
-        layout = given or _NOTHING
-        arm, kernel = model.arm, kernel_of(model, layout)
-        points = restart_points(arm.n, max(max_starts - 1, 0))
-        self.kernel = kernel  # keeps the machine code
-        self.columns = layout.approach + len(layout.columns)
-        self.n, self.layout, self.mid = arm.n, layout, arm.mid
-        self.numbers = np.array(
-            [
-                *kernel.machine,
-                *(m, kernel.nx, arm.n, max(1, self.columns), len(points), max_iterations),
-            ],
-            dtype=np.intp,
-        )
-        self.constants = np.array(
-            [
-                *(characteristic_length(model), tol, ROTATION_TOLERANCE**2),
-                *(*arm.lower, *arm.upper, *(arm.upper - arm.lower), *points.ravel()),
-            ]
-        )
-        self.size = 16 + 2 * arm.n + max(1, self.columns) + 5
-        self.fixed = self.numbers.ctypes.data, self.constants.ctypes.data
-        self.call = _search()
-        self.limits = tuple(
-            zip(arm.joint_names, arm.lower.tolist(), arm.upper.tolist(), strict=True)
-        )
-        self.spare: list[tuple[np.ndarray, int]] = []  # working memory and its address
+    def __init__(self, kernel: Kernel, key: Key) -> None:
+        _, m, tol, max_iterations = key
+        block = np.zeros((kernel.size, kernel.code.width))
+        column = block[:, 0]
+        column[kernel.slice("live")] = 1.0
+        column[kernel.slice("tol")], column[kernel.slice("permitted")] = tol, max_iterations
+        for name in ("lower", "upper"):
+            block[kernel.slice(name)] = getattr(kernel, name)[:, None]
+        self.given = column[kernel.slice("given")].reshape(4, 4)
+        self.position = self.given[:3, 3]
+        self.seed, self.q = column[kernel.slice("seed")], column[kernel.slice("q")]
+        self.context = column[kernel.slice("c")]
+        self.answer = column[kernel.place["q"].start : kernel.place["fault"].stop]
+        self.block = block  # what the views show
+        self.address = block.ctypes.data
+        self.search = kernel.code.function(f"solve{m}")
 
-    def run(self, target: np.ndarray, seed: Any, context: Context | None) -> Found | None:
-        """See `solve_compiled`."""
-        n = self.n
-        try:
-            data, address = self.spare.pop()
-        except IndexError:  # the first, or another thread holds it
-            data = np.empty(self.size)
-            address = data.ctypes.data
-        if target.size == 3:
-            data[:16] = 0.0
-            data[3:12:4] = target
-        else:
-            data[:16] = target.ravel()
-        start = self.mid if seed is None else np.asarray(seed)
-        if start.shape != (n,):
+
+class Task:
+    """Single searches that differ in target, seed and numbers of context alone."""
+
+    def __init__(self, kernel: Kernel, key: Key) -> None:
+        self.kernel, self.key = kernel, key
+        self.spare = [_Desk(kernel, key)]
+
+    def run(self, target: np.ndarray, seed: np.ndarray, context: Context | None) -> Found | None:
+        """Search from the seed alone; None where the target or the seed is wrong."""
+        if seed.shape != self.kernel.mid.shape:
             return None
-        data[16 : 16 + n] = start
-        if self.columns:
-            assert context is not None
-            data[16 + n : -5 - n] = self.layout.pack(context, 1)[0]
-        self.call(*self.fixed, address)
-        report = data[-5 - n :].tolist()
-        q = data[-5 - n : -5].copy()
-        self.spare.append((data, address))
-        return None if report[-1] else (q, report, self.limits)
-
-
-@cache
-def _search() -> Any:
-    from longarm_comp.core.newton_numba import by_address
-
-    return by_address()
+        try:
+            desk = self.spare.pop()
+        except IndexError:  # another thread holds it
+            desk = _Desk(self.kernel, self.key)
+        if target.size == 3:
+            desk.given[...] = 0.0
+            desk.position[...] = target
+        else:
+            desk.given[...] = target
+        desk.seed[...] = seed
+        if context is not None:
+            desk.context[...] = self.kernel.layout.pack(context, 1)[0]
+        desk.search(desk.address)
+        report, q = desk.answer.tolist(), desk.q.copy()
+        self.spare.append(desk)
+        return None if report[-1] else (q, report)
 
 
 def solve_compiled(
-    model: Model, target: np.ndarray, seed: Any, context: Context | None, options: Options
+    model: Model,
+    target: np.ndarray,
+    seed: np.ndarray | None,
+    context: Context | None,
+    options: tuple[int, float, int],
+    engine: Engine,
 ) -> Found | None:
-    """Solve by the compiled search.
+    """Search from a seed (default mid-range) in machine code; options: m, tolerance, iterations.
 
-    None where the request needs the long way: text columns, or input that is wrong and has to
-    be named.
+    None where the request needs the long way: not compiled by now, text columns, input that is
+    wrong and has to be named.
     """
-    position_only, tol, max_iterations, max_starts = options
-    layout = None if context is None else Layout.of(context)
-    m = 3 if position_only or target.size == 3 else 6
-    key = (layout, m, tol, max_iterations, max_starts)
-    tasks: dict[Key, _Task] | None = model.__dict__.get("_tasks")
-    if tasks is None:
-        tasks = model.__dict__["_tasks"] = {}
+    key = (None if context is None else Layout.of(context), *options)
+    tasks: dict[Any, Task] = model.__dict__.setdefault("_tasks", {})
     task = tasks.get(key)
     if task is None:
-        if (layout and not layout.traceable) or not tol > 0:
+        layout = key[0] or _NOTHING
+        if not layout.traceable or not options[1] > 0:
             return None
-        task = tasks[key] = _Task(model, key)
-    return task.run(target, seed, context)
+        kernel = kernel_of(model, layout)
+        if not is_compiled(kernel, engine):
+            return None
+        task = tasks[key] = Task(kernel, key)
+    return task.run(target, task.kernel.mid if seed is None else np.asarray(seed), context)

@@ -1,31 +1,32 @@
 """The model as small programs, for the inverse kinematics.
 
-`first` gives the twists under the rigid arm's loads, `step` the tip, its Jacobian and the
-next twists at given ones, `last` the tip and its Jacobian alone; `solve3` and `solve6` are
-the damped least-squares step, unrolled.  All are traced from the package's own Python, so
-they give its numbers; parameters are constants in them, joints and context are inputs.  They
-run on floats, on arrays, or (with llvmlite, which numba brings) as machine code, compiled in
-a fraction of a second.
+At the trial joints, `rigid` gives the tip and its Jacobian without what loads and context do,
+`first` the twists under the rigid arm's loads, `step` the tip, its Jacobian and the next
+twists at given ones, `last` the tip and its Jacobian alone; the others are the search of
+`newton`.  All are traced from the package's own Python, so they give its numbers; parameters
+are constants in them, joints and context are inputs.  They run on floats, on arrays, or (with
+llvmlite) as machine code, compiled in about a second.
 """
 
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 
-from longarm_comp.core import emit
-from longarm_comp.core.box_step import solve_damped
+from longarm_comp.core import emit, newton
 from longarm_comp.core.context import Context
 from longarm_comp.core.jacobian import geometric
 from longarm_comp.core.model import Model
+from longarm_comp.core.posture import Posture
 from longarm_comp.core.trace import Symbol, Tape
 
-NAMES = ("first", "step", "last", "solve3", "solve6")
+Fixed = dict[tuple[int, int], float]
+Slots = dict[tuple[int, int], int]
 _KEPT = 32  # kernels held, the latest used
 
 
@@ -48,117 +49,171 @@ class Layout:
         """Whether one kernel serves all rows: no text column changes from row to row."""
         return all(isinstance(value, str) for _, value in self.labels)
 
-    def symbols(self, tape: Tape) -> Context:
-        """The context as inputs of a kernel."""
-        made = [tape.input(f"c[{k}]") for k in range(self.approach + len(self.columns))]
+    @property
+    def count(self) -> int:
+        """Numbers of context a target."""
+        return self.approach + len(self.columns)
+
+    def symbols(self, made: Sequence[Any]) -> Context:
+        """The context whose `count` numbers are inputs of a kernel."""
         named = dict(zip(self.columns, made[self.approach :], strict=True))
         return Context(tuple(made[: self.approach]), named, dict(self.labels))
 
     def pack(self, context: Context, count: int) -> np.ndarray:
         """Context of N targets as rows, (N, columns)."""
         values = [*context.approach, *(context.columns[name] for name in self.columns)]
-        rows = np.empty((count, max(1, len(values))))
+        rows = np.empty((count, len(values)))
         for k, value in enumerate(values):
             rows[:, k] = value
         return rows
 
 
 class Kernel:
-    """The traced programs of one model.
+    """The traced programs of one arm and, where it is traceable, of one model.
 
     Attributes:
-        n: commanded joints; nx: numbers that the twists take; passes: load passes.
-        layout: the context it reads.
+        place: where a search keeps what (`newton.rows`); size: how many numbers that is.
+        passes: load passes of the model.
+        layout: the context it reads; lower, upper, mid: the joint box.
+        asked: targets that were solved for it so far, other than one by one in machine code.
+        flows: `search3` and `search6` from joints q, `solve3` and `solve6` from a seed and a
+            matrix.
     """
 
     def __init__(self, model: Model, layout: Layout) -> None:
+        self.layout, self.n = layout, model.arm.n
+        self.lower, self.upper, self.mid = model.arm.lower, model.arm.upper, model.arm.mid
+        fixed, slot = _twist_slots(model, layout)
+        self.place = newton.rows(self.n, layout.count, len(slot))
+        self.size = 1 + max(r[-1] for r in self.place.values() if r)
+        self.passes, self.asked = model.load_passes, 0
+        self.flows: dict[str, newton.Flow] = {}
+        for m in (3, 6):
+            search = newton.flow(self.passes, m)
+            self.flows |= {f"search{m}": search, f"solve{m}": (f"accept{m}", *search)}
+        self.programs: dict[str, tuple[Tape, emit.Outputs]] = {}
+        self._trace_model(model, fixed, slot)
+        self._trace_search(model)
+
+    def slice(self, name: str) -> slice:
+        """Where a search keeps a thing."""
+        return slice(self.place[name].start, self.place[name].stop)
+
+    def _trace(self, name: str, work: Callable[[newton.State], newton.Outcome]) -> None:
         tape = Tape()
-        self.n, self.layout, self.passes = model.arm.n, layout, model.load_passes
-        q = tuple(tape.input(f"q[{i}]") for i in range(self.n))
-        context = layout.symbols(tape)
-        start = model.twists(model.loaded(q, context, {}))
-        fixed = _fixed_twists(model, layout)
-        slot: dict[tuple[int, int], int] = {}
-        for s in sorted(start):
-            for i in range(6):
-                if (s, i) not in fixed:
-                    slot[s, i] = len(slot)
-        self.nx = len(slot)
-        twists = {
-            s: tuple(
-                fixed[s, i] if (s, i) in fixed else tape.input(f"x[{slot[s, i]}]") for i in range(6)
-            )
-            for s in start
-        }
-        posture = model.loaded(q, context, twists)  # type: ignore[arg-type]
-        again = model.twists(posture)
-        tip = model.tip_frame(posture)
-        seen = [*tip.p, *tip.n, *tip.o, *tip.a]
-        columns = geometric(posture, tip.p)
-        seen += [column[i // 3][i % 3] for i in range(6) for column in columns]
-        out: emit.Outputs = {f"out[{k}]": value for k, value in enumerate(seen)}
-        self.programs: dict[str, tuple[Tape, emit.Outputs]] = {
-            "first": (tape, {f"y[{k}]": start[s][i] for (s, i), k in slot.items()}),
-            "step": (tape, {**out, **{f"y[{k}]": again[s][i] for (s, i), k in slot.items()}}),
-            "last": (tape, out),
-            "solve3": _solver(3, self.n),
-            "solve6": _solver(6, self.n),
+        state = {k: [tape.input(str(i)) for i in r] for k, r in self.place.items()}
+        self.programs[name] = tape, self._outputs(work(state))
+
+    def _outputs(self, outcome: newton.Outcome) -> emit.Outputs:
+        """What goes where; numbers that stay where they are left out."""
+        return {
+            self.place[name][k]: value
+            for name, values in outcome.items()
+            for k, value in enumerate(values)
         }
 
-    def _python(self, functions: Mapping[str, Any]) -> tuple[Any, ...]:
-        text = "\n".join(emit.python(name, *self.programs[name]) for name in NAMES)
+    def _trace_search(self, model: Model) -> None:
+        span = [float(v) for v in model.arm.upper - model.arm.lower]
+        length = characteristic_length(model)
+        self._trace("begin", lambda s: newton.begin(self.n))
+        for level in newton.LEVELS:
+            self._trace(f"open_{level.evaluate}", partial(newton.opening, level=level))
+        for m in (3, 6):
+            self._trace(f"accept{m}", partial(newton.accept, m=m))
+            self._trace(f"judge{m}", partial(newton.judge, span=span, length=length, m=m))
+            self._trace(f"round{m}", partial(newton.step_in_box, span=span, m=m))
+
+    def _trace_model(self, model: Model, fixed: Fixed, slot: Slots) -> None:
+        def seen(posture: Posture) -> newton.Outcome:
+            return {"out": tip_and_jacobian(model, posture)}
+
+        def at(s: newton.State, x: Sequence[Any] | None) -> Posture:
+            context = self.layout.symbols(s["c"])
+            if x is None:
+                return model.loaded(tuple(s["trial"]), context, {})
+            stations = {station for station, _ in (*fixed, *slot)}
+            twists = {
+                station: tuple(
+                    fixed[station, i] if (station, i) in fixed else x[slot[station, i]]
+                    for i in range(6)
+                )
+                for station in stations
+            }
+            return model.loaded(tuple(s["trial"]), context, twists)  # type: ignore[arg-type]
+
+        def carried(posture: Posture) -> newton.Outcome:
+            twists = model.twists(posture)
+            return {"x": [twists[station][i] for station, i in slot]}
+
+        def step(s: newton.State) -> newton.Outcome:
+            posture = at(s, s["x"])
+            return seen(posture) | carried(posture)
+
+        self._trace("rigid", lambda s: seen(at(s, [0.0] * len(slot))))
+        self._trace("first", lambda s: carried(at(s, None)))
+        self._trace("step", step)
+        self._trace("last", lambda s: seen(at(s, s["x"])))
+
+    def _python(self, functions: Mapping[str, Any], arrays: bool) -> dict[str, Any]:
+        text = "\n".join(emit.python(name, *self.programs[name], arrays) for name in self.programs)
         space = dict(functions)
         exec(compile(text, "<traced model>", "exec"), space)
-        return (*(space[name] for name in NAMES), self.passes)
+        return {name: space[name] for name in self.programs}
 
     @cached_property
-    def floats(self) -> tuple[Any, ...]:
-        """The programs on lists of floats, in the order of `NAMES`, then the passes."""
-        return self._python(emit.FLOATS)
+    def floats(self) -> dict[str, Any]:
+        """The programs by name, on a list of floats."""
+        return self._python(emit.FLOATS, arrays=False)
 
     @cached_property
-    def arrays(self) -> tuple[Any, ...]:
-        """As `floats`, on (k, N) arrays; x and y must not be the same."""
-        return self._python(emit.ARRAYS)
-
-    @cached_property
-    def machine(self) -> tuple[int, ...]:
-        """As `floats`, addresses of machine code on arrays of doubles."""
-        return (*(self.code.address(name) for name in NAMES), self.passes)
+    def arrays(self) -> dict[str, Any]:
+        """The programs by name, on rows (size, N)."""
+        return self._python(emit.ARRAYS, arrays=True)
 
     @cached_property
     def code(self) -> Any:
-        """The machine code, kept as long as the kernel."""
-        from longarm_comp.core import machine_code
+        """The programs and flows as machine code: see `machine_code`."""
+        from longarm_comp.core import emit_llvm, machine_code
 
-        return machine_code.compile_module(emit.llvm(self.programs))
+        width = machine_code.lanes()
+        text = emit_llvm.module(self.programs, self.flows, self.place, width)
+        return machine_code.compile_module(text, width)
 
 
-def _solver(m: int, n: int) -> tuple[Tape, emit.Outputs]:
-    """`solve_damped` for m equations and n unknowns: q = J, c = e, x = free and damping, y = u."""
+def tip_and_jacobian(model: Model, posture: Posture) -> list[Any]:
+    """Tip, its axes n, o, a, and the Jacobian row after row, 12 + 6 n."""
+    tip = model.tip_frame(posture)
+    columns = geometric(posture, tip.p)
+    axes = [*tip.p, *tip.n, *tip.o, *tip.a]
+    return axes + [column[i // 3][i % 3] for i in range(6) for column in columns]
+
+
+def characteristic_length(model: Model) -> float:
+    """Metres that a radian of tool angle counts for: a quarter of the stretched arm."""
+    size = sum(abs(j.a_m) + abs(j.d_m) for j in model.arm.joints)
+    return max(0.25 * size, 0.01)
+
+
+def _twist_slots(model: Model, layout: Layout) -> tuple[Fixed, Slots]:
+    """Components of twists (station, number): those that nothing moves, and places of the rest.
+
+    Neither joints nor context nor loads move the fixed ones.
+    """
     tape = Tape()
-    J = [tape.input(f"q[{k}]") for k in range(m * n)]
-    e = [tape.input(f"c[{k}]") for k in range(m)]
-    free = [tape.input(f"x[{k}]") for k in range(n + 1)]
-    u: list[Any] = [0.0] * n
-    solve_damped(J, e, free, free[n], m, n, [0.0] * (m * m), [0.0] * m, u)
-    return tape, {f"y[{k}]": value for k, value in enumerate(u)}
-
-
-def _fixed_twists(model: Model, layout: Layout) -> dict[tuple[int, int], float]:
-    """Components of twists (station, number) that neither joints, context nor loads move."""
-    tape = Tape()
-    q = tuple(tape.input(f"q[{i}]") for i in range(model.arm.n))
-    context = layout.symbols(tape)
+    q = tuple(tape.input(f"q{i}") for i in range(model.arm.n))
+    context = layout.symbols([tape.input(f"c{k}") for k in range(layout.count)])
     start = model.twists(model.loaded(q, context, {}))
-    free = {s: tuple(tape.input(f"x[{s}, {i}]") for i in range(6)) for s in start}
+    free = {s: tuple(tape.input(f"x{s}, {i}") for i in range(6)) for s in start}
     again = model.twists(model.loaded(q, context, free))  # type: ignore[arg-type]
-    return {
-        (s, i): float(start[s][i])
-        for s in start
-        for i in range(6)
-        if not isinstance(again[s][i], Symbol) and again[s][i] == start[s][i]
-    }
+    fixed: Fixed = {}
+    slot: Slots = {}
+    for s in sorted(start):
+        for i in range(6):
+            if not isinstance(again[s][i], Symbol) and again[s][i] == start[s][i]:
+                fixed[s, i] = float(start[s][i])
+            else:
+                slot[s, i] = len(slot)
+    return fixed, slot
 
 
 _kernels: OrderedDict[tuple[Any, ...], Kernel] = OrderedDict()

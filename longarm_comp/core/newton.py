@@ -1,328 +1,244 @@
-"""Newton-Raphson in the joint box, one target: the loop that is also compiled.
+"""Newton-Raphson in the joint box: one search, written once, run by every engine.
 
-Written in what plain Python and numba share: numbers, loops, flat buffers.  The five
-functions under "the machine" are all that differs: as they stand they call a kernel of
-Python functions on lists; `newton_numba` swaps in calls of machine code on arrays.
+What a search knows stands in a column of numbers (`Rows`).  The functions here read and write
+it without a branch on data, so that they can be traced like the model itself; what is traced
+serves one target in plain Python, many in NumPy, and lanes of a processor in machine code.
+`flow` is the order in which these programs run.
 
-Far from the target a step costs one load pass, for the twists are carried from one iterate to
-the next; near it every residual is the model's own, with all its passes.  The Jacobian there
-is corrected by Broyden's rule, or by differences where a step gained little.
+Three levels of truth bring the tip home: the rigid arm while it is far; then the deflected
+arm with the twists carried from one iterate to the next, a load pass a step; near the target
+the model itself with all its passes.  There Broyden's rule corrects the Jacobian, which
+otherwise holds the sag.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
-from longarm_comp.core.box_step import Buffer, rotation_error
+from longarm_comp.core.box_step import rotation_error, skewness, solve_damped
+from longarm_comp.core.spatial import absolute, maximum, minimum, sqrt, where
 
-# The same figures drive the batch in `newton_batch`.
-DIFFERENCE = 1e-6  # step of the differences, in ranges
-RENEW = 3  # iterations for which differences serve
-POOR = 0.1  # of the squared residual left after a step: then the Jacobian is made exact
+Scalars = Sequence[Any]
+State = Mapping[str, Scalars]
+Outcome = dict[str, Scalars]
+
+UNKNOWN = 1e300  # energy (m^2) before anything was evaluated
+POOR = 0.1  # of the squared residual left after a step: too much where twists are carried
 FLOOR = 1e-13  # least damping, in (m per joint range)^2
-STALL_AFTER = 6  # iterations without a fifth of progress that end a start
+STALL_AFTER = 6  # iterations without a fifth of progress that end a level
 FIRST_DAMPING = 0.05
-NEAR = 1e-6  # squared residual (m^2) from which on all load passes are made
-
-# ------------------------------------------------------------------ the machine
+ROTATION_TOLERANCE = 1e-6
 
 
-def buffer(size: int) -> Buffer:
-    """Working memory."""
-    return [0.0] * size
+class Level(NamedTuple):
+    """How the tip is evaluated, down to which residual.
+
+    Attributes:
+        evaluate: "rigid", "carried" or "full".
+        near: position (m) and angle (rad) at which the level has done its work; None: `tol`.
+        hasty: a step that gains little ends it too.
+        learns: Broyden's rule holds, as the residual is a function of the joints alone.
+    """
+
+    evaluate: str
+    near: float | None
+    hasty: bool
+    learns: bool
 
 
-def first(k: Any, q: Buffer, c: Buffer, x: Buffer, out: Buffer, y: Buffer) -> None:
-    """y = twists of the rigid arm's loads."""
-    k[0](q, c, x, out, y)
+LEVELS = (
+    Level("rigid", 0.1, False, False),
+    Level("carried", 1e-3, True, False),
+    Level("full", None, False, True),
+)
 
 
-def step(k: Any, q: Buffer, c: Buffer, x: Buffer, out: Buffer, y: Buffer) -> None:
-    """out = tip and Jacobian with twists x; y = twists of the loads there."""
-    k[1](q, c, x, out, y)
+def rows(n: int, context: int, twists: int) -> dict[str, range]:
+    """Where a search keeps what: n joints, numbers of context and of twists.
+
+    First what is given, then what is answered, then work.  `live` is 0 in a column that is
+    there but has nothing to do.
+    """
+    sizes = {
+        "given": 16, "seed": n, "live": 1, "tol": 1, "permitted": 1, "lower": n, "upper": n,
+        "c": context, "q": n, "size": 2, "used": 1, "stuck": 1, "fault": 1, "target": 12,
+        "trial": n, "x": twists, "out": 12 + 6 * n, "e": 6, "J": 6 * n, "sag": 6 * n, "left": 6,
+        "free": n, "energy": 1, "mu": 1, "marked": 1, "since": 1, "near": 1, "hasty": 1,
+        "learns": 1, "open": 1, "more": 1,
+    }  # fmt: skip
+    made, at = {}, 0
+    for name, size in sizes.items():
+        made[name] = range(at, at + size)
+        at += size
+    return made
 
 
-def last(k: Any, q: Buffer, c: Buffer, x: Buffer, out: Buffer, y: Buffer) -> None:
-    """out = tip and Jacobian with twists x."""
-    k[2](q, c, x, out, y)
+# ------------------------------------------------------------------ what is traced
 
 
-def least_squares(k: Any, m: int, J: Buffer, e: Buffer, free: Buffer, u: Buffer) -> None:
-    """u = the damped step of `box_step.solve_damped`; the damping follows the n flags in free."""
+def accept(s: State, m: int) -> Outcome:
+    """Take a target (4 x 4, row after row) and a seed; fault: 1 not finite, 2 no rotation."""
+    T = s["given"]
+    axes = [T[4 * i + j] for j in range(3) for i in range(3)]
+    size: Any = 0.0
+    for v in (*T, *s["seed"]):
+        size = size + absolute(v)
+    fault: Any = where(size < UNKNOWN, 0.0, 1.0)
     if m == 6:
-        k[4](J, e, free, u, u)
-    else:
-        k[3](J, e, free, u, u)
+        bottom = absolute(T[12]) + absolute(T[13]) + absolute(T[14]) + absolute(T[15] - 1.0)
+        whole = (skewness(axes, 0) < ROTATION_TOLERANCE**2) * (bottom <= 0.0)
+        fault = fault + where(whole, 0.0, 2.0)
+    q = [
+        minimum(maximum(v, low), high)
+        for v, low, high in zip(s["seed"], s["lower"], s["upper"], strict=True)
+    ]
+    return {"target": [T[3], T[7], T[11], *axes], "q": q, "fault": [fault]}
 
 
-# ------------------------------------------------------------------ the loop
+def begin(n: int) -> Outcome:
+    """A search that has seen nothing yet."""
+    return {
+        "e": [0.0] * 6, "J": [0.0] * (6 * n), "sag": [0.0] * (6 * n), "used": [0.0],
+        "mu": [FIRST_DAMPING], "size": [UNKNOWN, UNKNOWN],
+    }  # fmt: skip
 
 
-def full(k: Any, q: Buffer, c: Buffer, x: Buffer, out: Buffer) -> None:
-    """out = tip and Jacobian after all of the model's load passes; x = twists, work."""
-    for i in range(k[5]):
-        if i == 0:
-            first(k, q, c, x, out, x)
-        else:
-            step(k, q, c, x, out, x)
-    last(k, q, c, x, out, x)
+def opening(s: State, level: Level) -> Outcome:
+    """Enter a level: the joints have to be evaluated anew."""
+    return {
+        "trial": s["q"], "energy": [UNKNOWN], "marked": [UNKNOWN], "since": [0.0],
+        "open": s["live"], "near": [s["tol"][0] if level.near is None else level.near],
+        "hasty": [float(level.hasty)], "learns": [float(level.learns)],
+    }  # fmt: skip
 
 
-def residual(out: Buffer, target: Buffer, length: float, m: int, e: Buffer, size: Buffer) -> None:
-    """e = target less tip, rotations times `length`; size = position (m) and angle (rad)."""
-    for i in range(3):
-        e[i] = target[i] - out[i]
-    size[0] = (e[0] * e[0] + e[1] * e[1] + e[2] * e[2]) ** 0.5
-    size[1] = 0.0
+def judge(s: State, span: Sequence[float], length: float, m: int) -> Outcome:
+    """Accept or refuse the trial after its evaluation (Levenberg-Marquardt); set up the next."""
+    n, out, J, sag = len(span), s["out"], s["J"], s["sag"]
+    e: list[Any] = [s["target"][i] - out[i] for i in range(3)] + [0.0] * 3
+    size: list[Any] = [sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]), 0.0]
     if m == 6:
-        size[1] = rotation_error(out, 3, target, 3, e, 3)
-        for i in range(3, 6):
-            e[i] = e[i] * length
-
-
-def weighted(out: Buffer, span: Buffer, length: float, m: int, n: int, J: Buffer) -> None:
-    """J (m, n) = change of -e per range of each joint."""
+        size[1] = rotation_error(out, 3, s["target"], 3, e, 3)
+        e[3:] = [length * v for v in e[3:]]
+    energy: Any = 0.0
     for i in range(m):
-        w = length if i >= 3 else 1.0
-        for j in range(n):
-            J[i * n + j] = out[12 + i * n + j] * span[j] * w
+        energy = energy + e[i] * e[i]
+    was, is_open = s["energy"][0], s["open"][0]
+    fresh, better = was >= UNKNOWN, energy < was
+    take = better * is_open
+    go_on = is_open * (1.0 - fresh)
 
-
-def squared(e: Buffer, m: int) -> Any:
-    """e . e."""
-    s = e[0] * e[0]
-    for i in range(1, m):
-        s = s + e[i] * e[i]
-    return s
-
-
-def differences(
-    k: Any,
-    n: int,
-    m: int,
-    q: Buffer,
-    c: Buffer,
-    target: Buffer,
-    upper: Buffer,
-    span: Buffer,
-    length: float,
-    e: Buffer,
-    x: Buffer,
-    out: Buffer,
-    e2: Buffer,
-    size: Buffer,
-    J: Buffer,
-) -> None:
-    """J (m, n) by forward differences inside the box: how the sag moves is in it."""
-    for j in range(n):
-        held = q[j]
-        h = DIFFERENCE
-        if held + h * span[j] > upper[j]:
-            h = -h
-        q[j] = held + h * span[j]
-        full(k, q, c, x, out)
-        residual(out, target, length, m, e2, size)
-        for i in range(m):
-            J[i * n + j] = (e[i] - e2[i]) / h
-        q[j] = held
-
-
-def broyden(J: Buffer, e: Buffer, e2: Buffer, u: Buffer, m: int, n: int, sag: Buffer) -> None:
-    """Correct sag so that J + sag explains what the step u did: e -> e2."""
-    uu = 1e-300  # a step of nothing corrects nothing
-    for j in range(n):
-        uu = uu + u[j] * u[j]
+    u = [(t - q) / w for t, q, w in zip(s["trial"], s["q"], span, strict=True)]
+    square: Any = 1e-300  # a step of nothing corrects nothing
+    for v in u:
+        square = square + v * v
+    gain = go_on * s["learns"][0] / square
+    learnt = []
     for i in range(m):
-        miss = e[i] - e2[i]
+        miss = s["e"][i] - e[i]
         for j in range(n):
             miss = miss - (J[i * n + j] + sag[i * n + j]) * u[j]
-        for j in range(n):
-            sag[i * n + j] = sag[i * n + j] + miss * u[j] / uu
+        learnt += [sag[i * n + j] + gain * miss * u[j] for j in range(n)]
+
+    weights = [w * (length if i >= 3 else 1.0) for i in range(m) for w in span]
+    J = [where(take, w * out[12 + k], J[k]) for k, w in enumerate(weights)]
+    e = [where(take, new, old) for new, old in zip(e[:m], s["e"], strict=False)]
+    size = [where(take, new, old) for new, old in zip(size, s["size"], strict=True)]
+    q = [where(take, new, old) for new, old in zip(s["trial"], s["q"], strict=True)]
+    used = s["used"][0] + go_on
+    poor = where(better, (energy > POOR * was) * (used > 2.5), 1.0)
+    mu = s["mu"][0]
+    changed = where(better, maximum(0.1 * mu, 1e-6), minimum(8.0 * mu + 1e-3, 1e6))
+    energy = where(take, energy, was)
+    moved = energy < 0.8 * s["marked"][0]
+    since = where(moved, 0.0, s["since"][0] + 1.0)
+    near = s["near"][0]
+    arrived = (size[0] <= near) * (size[1] <= near)
+    ended = (used >= s["permitted"][0]) + (since >= STALL_AFTER) + s["hasty"][0] * poor + arrived
+    stuck: Any = 0.0
+    for v, low, high in zip(q, s["lower"], s["upper"], strict=True):
+        stuck = stuck + where(minimum(v - low, high - v) <= 0.0, 1.0, 0.0)
+    return {
+        "q": q, "e": e, "J": J, "sag": learnt, "size": size, "used": [used], "stuck": [stuck],
+        "energy": [energy], "mu": [where(go_on, changed, mu)],
+        "marked": [where(moved, energy, s["marked"][0])], "since": [since],
+        "open": [where(ended, 0.0, is_open)],
+        "left": e, "trial": q,
+        "free": [where(a < b, 1.0, 0.0) for a, b in zip(s["lower"], s["upper"], strict=True)],
+    }  # fmt: skip
 
 
-def box_step(
-    k: Any,
-    J: Buffer,
-    e: Buffer,
-    q: Buffer,
-    lower: Buffer,
-    upper: Buffer,
-    span: Buffer,
-    damping: float,
-    m: int,
-    n: int,
-    u: Buffer,
-    free: Buffer,
-    left: Buffer,
-    trial: Buffer,
-) -> None:
-    """trial = q after a damped least-squares step that stays in the box.
+def step_in_box(s: State, span: Sequence[float], m: int) -> Outcome:
+    """A round of the damped least-squares step that stays in the box.
 
-    A joint that would leave is put on its limit and the rest solved again, the furthest
-    out first: at most n times.  Every joint is free again at the next iteration.
+    A joint that would leave is put on its limit and the rest solved again (`more`), the
+    furthest out first: at most n times.  Every joint is free again at the next iteration.
     """
-    for i in range(m):
-        left[i] = e[i]
+    n, free, left = len(span), s["free"], s["left"]
+    J = [a + b for a, b in zip(s["J"][: m * n], s["sag"], strict=False)]
+    u: list[Any] = [0.0] * n
+    damping = s["mu"][0] * sqrt(s["energy"][0]) + FLOOR
+    solve_damped(J, left, free, damping, m, n, [0.0] * (m * m), [0.0] * m, u)
+    trial, out_by = [], []
     for j in range(n):
-        free[j] = 1.0 if upper[j] > lower[j] else 0.0
-        trial[j] = q[j]
-    free[n] = damping
-    for _ in range(n):
-        least_squares(k, m, J, left, free, u)
-        worst, out_by = -1, 0.0
-        for j in range(n):
-            if free[j] == 1.0:
-                trial[j] = q[j] + u[j] * span[j]
-                by = max(lower[j] - trial[j], trial[j] - upper[j]) / span[j]
-                if by > out_by:
-                    worst, out_by = j, by
-        if worst < 0:
-            break
-        trial[worst] = lower[worst] if trial[worst] < lower[worst] else upper[worst]
-        free[worst] = 0.0
-        moved = (trial[worst] - q[worst]) / span[worst]
-        for i in range(m):
-            left[i] = left[i] - J[i * n + worst] * moved
-    for j in range(n):  # every joint may have met its limit in the last round
-        trial[j] = min(max(trial[j], lower[j]), upper[j])
+        moved = where(free[j], s["q"][j] + u[j] * span[j], s["trial"][j])
+        inside = minimum(maximum(moved, s["lower"][j]), s["upper"][j])
+        trial.append(inside)
+        out_by.append(free[j] * absolute(moved - inside) / span[j])
+    worst: Any = out_by[0]
+    for by in out_by[1:]:
+        worst = maximum(worst, by)
+    more = where(worst > 0.0, 1.0, 0.0)
+    left, kept, still = list(left[:m]), [], more
+    for j in range(n):  # the first of those that are furthest out
+        put = still * (out_by[j] >= worst)
+        still = still - put
+        kept.append(free[j] - put)
+        change = put * (trial[j] - s["q"][j]) / span[j]
+        left = [left[i] - J[i * n + j] * change for i in range(m)]
+    return {"trial": trial, "free": kept, "left": left, "more": [more]}
 
 
-def search(
-    k: Any,
-    n: int,
-    m: int,
-    nx: int,
-    q: Buffer,
-    c: Buffer,
-    target: Buffer,
-    lower: Buffer,
-    upper: Buffer,
-    span: Buffer,
-    length: float,
-    tol: float,
-    max_iterations: int,
-    found: Buffer,
-) -> int:
-    """Levenberg-Marquardt with an active set from q; q becomes the answer.
+# ------------------------------------------------------------------ the order of things
 
-    Returns:
-        Iterations used; `found` holds the position (m) and angle (rad) residuals at q by the
-        model's full passes.
-    """
-    out, x, y = buffer(12 + 6 * n), buffer(nx), buffer(nx)
-    e, e2, left, size = buffer(6), buffer(6), buffer(6), buffer(2)
-    J, sag, exact = buffer(6 * n), buffer(6 * n), buffer(6 * n)
-    u, free, trial = buffer(n), buffer(n + 1), buffer(n)
 
-    full(k, q, c, x, out)
-    residual(out, target, length, m, e, size)
-    weighted(out, span, length, m, n, J)
-    energy, near, true = squared(e, m), False, True  # true: e is by all load passes
-    found[0], found[1] = size[0], size[1]
-    mu, marked, since, poor, used, exact_at = FIRST_DAMPING, energy, 0, False, 0, -RENEW
-    while True:
-        ended = used >= max_iterations or since >= STALL_AFTER
-        near = near or poor or energy < NEAR
-        if not true and (poor or ended):
-            true, poor = True, False
-            full(k, q, c, y, out)
-            residual(out, target, length, m, e, size)
-            weighted(out, span, length, m, n, J)
-            energy = squared(e, m)
-            found[0], found[1] = size[0], size[1]
-        if ended or (true and found[0] <= tol and found[1] <= tol):
-            break
-        if near and poor and used >= exact_at + RENEW:
-            exact_at = used
-            differences(k, n, m, q, c, target, upper, span, length, e, y, out, e2, size, exact)
-            for i in range(m * n):
-                sag[i] = exact[i] - J[i]
-        for i in range(m * n):
-            exact[i] = J[i] + sag[i]
-        damping = mu * energy**0.5 + FLOOR
-        box_step(k, exact, e, q, lower, upper, span, damping, m, n, u, free, left, trial)
-        if near:
-            full(k, trial, c, y, out)
+@dataclass(frozen=True)
+class Repeat:
+    """Programs that run again as long as a row holds anything but 0."""
+
+    row: str
+    body: Flow
+
+
+Flow = tuple["str | Repeat", ...]
+
+
+def flow(passes: int, m: int) -> Flow:
+    """The search from q, which becomes the answer: programs in their order."""
+    steps: list[str | Repeat] = ["begin"]
+    for level in LEVELS:
+        again: Flow = (f"round{m}", Repeat("more", (f"round{m}",)))
+        again += (*evaluation(level, passes, False), f"judge{m}")
+        steps += [f"open_{level.evaluate}", *evaluation(level, passes, True), f"judge{m}"]
+        steps.append(Repeat("open", again))
+    return tuple(steps)
+
+
+def evaluation(level: Level, passes: int, anew: bool) -> tuple[str, ...]:
+    """The programs that evaluate the trial; `anew`: no twists are carried yet."""
+    if level.evaluate == "rigid":
+        return ("rigid",)
+    if level.evaluate == "carried":
+        return ("first", "step") if anew else ("step",)
+    return ("first", *["step"] * (passes - 1), "last") if passes else ("last",)
+
+
+def run(work: Flow, call: Callable[[str], None], repeat: Callable[[str, Flow], None]) -> None:
+    """Run a flow on a machine that can call programs and repeat flows."""
+    for step in work:
+        if isinstance(step, str):
+            call(step)
         else:
-            step(k, trial, c, x, out, x)
-        residual(out, target, length, m, e2, size)
-        energy2 = squared(e2, m)
-        used += 1
-        if true and near and exact_at < used - 1:
-            for j in range(n):
-                u[j] = (trial[j] - q[j]) / span[j]
-            broyden(J, e, e2, u, m, n, sag)
-        crossing = near and not true and energy2 < NEAR  # first true residual: not comparable
-        poor = energy2 > POOR * energy and used > 2 and not crossing
-        if energy2 < energy or crossing:
-            for j in range(n):
-                q[j] = trial[j]
-            for i in range(m):
-                e[i] = e2[i]
-            weighted(out, span, length, m, n, J)
-            energy = energy2
-            mu = max(0.1 * mu, 1e-6)
-            true = near
-            if true:
-                found[0], found[1] = size[0], size[1]
-        else:
-            poor = True
-            mu = min(8.0 * mu + 1e-3, 1e6)
-        if energy < 0.8 * marked:
-            marked, since = energy, 0
-        else:
-            since += 1
-    return used
-
-
-def search_all(
-    k: Any,
-    m: int,
-    nx: int,
-    targets: Buffer,
-    contexts: Buffer,
-    starts: Buffer,
-    lower: Buffer,
-    upper: Buffer,
-    span: Buffer,
-    points: Buffer,
-    length: float,
-    tol: float,
-    max_iterations: int,
-    q: Buffer,
-    report: Buffer,
-) -> None:
-    """Every target from its start, then from restarts until one holds.
-
-    Args:
-        targets: N rows of 12 (position, axes n o a); contexts: N rows.
-        starts, lower, upper: N rows of n.
-        points: restarts in the unit box, rows of n, each followed by its radius.
-        q: N rows of n, the answers.
-        report: N rows of position residual, angle residual, iterations, starts.
-    """
-    n = len(span)
-    trial, found = buffer(n), buffer(2)
-    for t in range(len(targets)):
-        row, to, start, low, high = report[t], q[t], starts[t], lower[t], upper[t]
-        row[0], row[1] = 1e300, 1e300
-        for s in range(1 + len(points)):
-            for j in range(n):
-                trial[j] = start[j]
-                if s > 0:
-                    radius, size = points[s - 1][n], high[j] - low[j]
-                    goal = low[j] + points[s - 1][j] * size
-                    trial[j] = start[j] + radius * (goal - start[j])
-                    trial[j] = min(max(trial[j], low[j]), high[j])
-            row[2] += search(
-                k, n, m, nx, trial, contexts[t], targets[t], low, high, span, length, tol,
-                max_iterations, found,
-            )  # fmt: skip
-            row[3] += 1
-            better = found[0] + length * found[1] < row[0] + length * row[1]
-            if better:
-                row[0], row[1] = found[0], found[1]
-                for j in range(n):
-                    to[j] = trial[j]
-            if found[0] <= tol and found[1] <= tol:
-                break
+            repeat(step.row, step.body)

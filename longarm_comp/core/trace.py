@@ -53,7 +53,7 @@ class Tape:
 
     def __init__(self) -> None:
         self.nodes: list[tuple[str, tuple[Operand, ...]]] = []
-        self._known: dict[tuple[str, tuple[Operand, ...]], int] = {}
+        self._known: dict[tuple[Any, ...], int] = {}
         self._symbols: dict[int, Symbol] = {}
 
     def input(self, text: str) -> Symbol:
@@ -72,11 +72,11 @@ class Tape:
         return self._node(op, operands)
 
     def _node(self, op: str, operands: tuple[Operand, ...]) -> Symbol:
-        key = (op, operands)
+        key = (op, operands, *map(type, operands))  # node 2 is not the number 2.0
         node = self._known.get(key)
         if node is None:
             node = self._known[key] = len(self.nodes)
-            self.nodes.append(key)
+            self.nodes.append((op, operands))
             self._symbols[node] = Symbol(self, node)
         return self._symbols[node]
 
@@ -208,7 +208,7 @@ def _simplified(tape: Tape, op: str, args: tuple[Any, ...]) -> Any:
                 return 0.0 if x == 0.0 else y if x == 1.0 else tape.apply("neg", y)
         return None
     if op == "div":
-        return 0.0 if fa and a == 0.0 else a if fb and b == 1.0 else None
+        return 0.0 if fa and a == 0.0 else tape.apply("mul", a, 1.0 / b) if fb and b else None
     if op == "neg":
         return -a if fa else _negated(tape, a)
     if op == "select" and args[1] is args[2]:

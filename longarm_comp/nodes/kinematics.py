@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -62,13 +62,22 @@ PARAMS = (
     Param("predictor_timeout_s", 0.5, "no answer within it counts as no predictor", 0.01, 60.0),
     Param("context_max_age_s", 60.0, "older temperature, payload, tilt are stale", 0.1, 1e6),
     Param("joints_max_age_s", 5.0, "older joint_states are no seed", 0.1, 1e6),
-    Param("compiled", True, "compile the search (needs numba; seconds, once on a machine)"),
+    Param("compiled", True, "compile the search (needs llvmlite; about a second a model)"),
     Param("queue", 200, "targets that may wait", 1, 10000),
     Param("watch_period_s", 1.0, "how often the file is looked at for a new version", 0.1, 3600.0),
     *monitoring.PARAMS,
     *markers.PARAMS,
     PERIOD,
 )
+
+
+@dataclass
+class _Work:
+    """One target under way: what is asked, what came of it, whether it was sent to the arm."""
+
+    request: Compensate.Request
+    told: Told | None = None
+    sent: bool = False
 
 
 class Kinematics(Node):
@@ -131,37 +140,57 @@ class Kinematics(Node):
 
     def _on_target(self, message: PoseStamped) -> None:
         free = self.get_parameter("position_only").value
-        request = Compensate.Request(target=message, position_only=free, execute=True)
-        if not self._worker.submit(lambda: self._serve(request)):
-            self._tell_story(self._busy(request), execute=False)
+        work = _Work(Compensate.Request(target=message, position_only=free, execute=True))
+
+        def serve() -> None:
+            self._serve(work)
+            self._tell_story(work)
+
+        if not self._worker.submit(serve):
+            self._refuse_busy(work)
 
     async def _on_compensate(
         self, request: Compensate.Request, response: Compensate.Response
     ) -> Compensate.Response:
-        future = self._worker.ask(lambda: self._serve(request))
-        told = self._busy(request) if future is None else await future
-        return response_of(told, self._arm, self._base_frame)
+        work = _Work(request)
 
-    def _busy(self, request: Compensate.Request) -> Told:
-        return self._refused(
-            request, Status.NOT_READY, f"{self._worker.waiting} targets wait already"
-        )
+        def answer() -> Compensate.Response:
+            return response_of(self._serve(work), self._arm, self._base_frame)
 
-    def _serve(self, request: Compensate.Request) -> Told:
-        """On the worker's thread: compute, send, tell."""
+        future = self._worker.ask(answer, lambda: self._tell_story(work))
+        if future is None:
+            return response_of(self._refuse_busy(work), self._arm, self._base_frame)
+        return await future
+
+    def _refuse_busy(self, work: _Work) -> Told:
+        waiting = f"{self._worker.waiting} targets wait already"
+        work.told = self._refused(work.request, Status.NOT_READY, waiting)
+        self._tell_story(work)
+        return work.told
+
+    def _serve(self, work: _Work) -> Told:
+        """On the worker's thread: compute and send; the story is told after the answer."""
+        told = work.told = self._answer(work.request)
+        if work.request.execute and told.status.success and told.outcome is not None:
+            self._trajectory.publish(
+                trajectory_message(self._arm, told.outcome.command, self._move_time_s)
+            )
+            work.sent = True
+        return told
+
+    def _answer(self, request: Compensate.Request) -> Told:
         try:
-            told = self._compensate(request)
+            return self._compensate(request)
         except Refusal as refusal:
-            told = self._refused(request, refusal.status, refusal.reason)
+            return self._refused(request, refusal.status, refusal.reason)
         except StaleContext as error:
-            told = self._refused(request, Status.STALE_CONTEXT, str(error))
+            return self._refused(request, Status.STALE_CONTEXT, str(error))
         except InputError as error:
-            told = self._refused(request, Status.BAD_TARGET, str(error))
+            return self._refused(request, Status.BAD_TARGET, str(error))
         except Exception as error:
             self.survived(error)
             text = f"{type(error).__name__}: {error}"
-            told = self._refused(request, Status.INTERNAL_ERROR, text)
-        return self._tell_story(told, request.execute)
+            return self._refused(request, Status.INTERNAL_ERROR, text)
 
     def _compensate(self, request: Compensate.Request) -> Told:
         target = target_of(request.target, self._base_frame, request.position_only)
@@ -227,17 +256,15 @@ class Kinematics(Node):
             Provenance(self._arm.hash, self._files.loaded.file_hash),
         )
 
-    def _tell_story(self, told: Told, execute: bool) -> Told:
-        send = execute and told.status.success and told.outcome is not None
-        if send and told.outcome is not None:
-            self._trajectory.publish(
-                trajectory_message(self._arm, told.outcome.command, self._move_time_s)
-            )
-        message = compensation_message(told, self._arm, self._base_frame, executed=send)
-        self._compensation.publish(message)
+    def _tell_story(self, work: _Work) -> None:
+        told = work.told
+        if told is None:
+            return
+        self._compensation.publish(
+            compensation_message(told, self._arm, self._base_frame, executed=work.sent)
+        )
         self._markers.on_story(told)
         self._count(told.status.name, "" if told.status is Status.SUCCESS else told.message)
-        return told
 
     # ------------------------------------------------------------------ upkeep
 
