@@ -60,6 +60,7 @@ class ErrorPredictor(Node):
         self._fault = ""
         self._answered = self._refused = self._outside = 0
         self._last = ""
+        self._executor = executor
         self._worker = Worker(executor, 4, self.survived)
         self._reload()
         self._errors = graph.PREDICTED_ERROR.publisher(self)
@@ -125,7 +126,7 @@ class ErrorPredictor(Node):
         message = Vector3Stamped(vector=response.error)
         message.header.stamp = self.get_clock().now().to_msg()
         message.header.frame_id = self._base_frame
-        self._errors.publish(message)
+        self._executor.create_task(self._errors.publish, message)  # once the answer is sent
 
     def _reload(self) -> tuple[bool, str]:
         """Read the file; the predictor in use stays where that fails."""

@@ -44,8 +44,11 @@ class Worker:
         self._jobs.put(job)
         return True
 
-    def ask(self, job: Job) -> Future | None:
-        """Queue a job whose result a coroutine can await; None when too many wait already."""
+    def ask(self, job: Job, afterwards: Callable[[], None] = lambda: None) -> Future | None:
+        """Queue a job whose result a coroutine can await; None when too many wait already.
+
+        ``afterwards`` is done once the result is on its way.
+        """
         future = Future(executor=self._executor)
 
         def answer() -> None:
@@ -54,6 +57,7 @@ class Worker:
             except Exception as error:
                 future.set_exception(error)
             self._executor.wake()
+            afterwards()
 
         return future if self.submit(answer) else None
 
