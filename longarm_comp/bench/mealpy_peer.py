@@ -1,17 +1,14 @@
 """mealpy as a benchmark peer, in a virtual environment of its own.
 
 It pins numpy <= 1.26 and pulls a GPLv3 package (opfunu), so it never enters the package's own
-environment. The environment is made on demand in the user's cache folder.
+environment.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import subprocess
-import sys
 import tempfile
-import venv
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -19,35 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from longarm_comp.bench.python_apart import python_of
 from longarm_comp.core.errors import JobError
 
 REQUIREMENTS = ("mealpy==3.0.3", "numpy<=1.26")
-
-
-def cache_folder() -> Path:
-    """Where the environment is kept between runs."""
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "longarm_comp" / f"mealpy-py{sys.version_info[0]}{sys.version_info[1]}"
-
-
-def environment() -> Path:
-    """Python of mealpy's environment, made on the first call.
-
-    Raises
-    ------
-    JobError: mealpy cannot be installed (no network, no numpy 1.26 for this Python).
-    """
-    folder = cache_folder()
-    python = folder / "bin" / "python"
-    ready = folder / "ready"
-    if not ready.exists():
-        venv.create(folder, with_pip=True, clear=True)
-        command = [str(python), "-m", "pip", "install", "--quiet", *REQUIREMENTS]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode != 0:
-            raise JobError(f"mealpy cannot be installed: {done.stderr.strip()[-300:]}")
-        ready.touch()
-    return python
 
 
 class MealpyPeer:
@@ -60,7 +32,7 @@ class MealpyPeer:
         np.savez(self._data, x=x, y=y)
         worker = Path(__file__).with_name("mealpy_worker.py")
         self._process = subprocess.Popen(
-            [str(environment()), str(worker)],
+            [str(python_of("mealpy", REQUIREMENTS)), str(worker)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
