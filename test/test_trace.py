@@ -153,8 +153,19 @@ def test_every_program_of_the_search_in_every_language(arm):
         s[kernel.slice(name)] = value
     s[kernel.slice("given")] = model.pose(q).reshape(N, 16).T
     s[kernel.slice("seed")] = rng.uniform(arm.lower, arm.upper, (N, arm.n)).T
-    step = ("round6", "round6", "first", "step", "judge6")
-    for name in ("accept6", "open_rigid", "rigid", "judge6", *step, "open_full", *step, *step):
+    carried = ("round6", "round6", "first", "step", "judge6_carried")
+    full = (*carried[:-1], "last", "judge6_full")
+    for name in (
+        "accept6",
+        "begin",
+        "open",
+        "rigid",
+        "judge6_rigid",
+        *carried,
+        "open",
+        *full,
+        *full,
+    ):
         made = []
         for way in (on_arrays, on_floats, in_lanes):
             made.append(s.copy())

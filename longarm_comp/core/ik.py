@@ -49,6 +49,9 @@ class Reason(Enum):
     ITERATIONS = "the permitted iterations are used up"
 
 
+_CONVERGED = Reason.CONVERGED
+
+
 class Solution(NamedTuple):
     """Joints for one target.
 
@@ -132,9 +135,10 @@ def solve(
         m = 3 if position_only or target.size == 3 else 6
         found = solve_compiled(model, target, seed, context, (m, tol, max_iterations), engine)
         if found is not None:
-            one = _solution(model, *found, tol, max_iterations)
-            if one.ok or max_starts <= 1:
-                return one
+            q, (position, angle, iterations, stuck, _) = found
+            if position <= tol and angle <= tol:
+                at = _active(model, q) if stuck else ()
+                return Solution(q, True, _CONVERGED, position, angle, int(iterations), at, 1)
     many = solve_many(
         model,
         target[None],
@@ -285,18 +289,9 @@ def locked_joints(model: Model, locked: Sequence[int | str]) -> list[int]:
     return made
 
 
-def _solution(
-    model: Model, q: np.ndarray, report: list[float], tol: float, max_iterations: int
-) -> Solution:
-    position, angle, iterations, stuck, _ = report[-5:]
-    limits: tuple[str, ...] = ()
-    if stuck:
-        arm = model.arm
-        at = ((q <= arm.lower) | (q >= arm.upper)).tolist()
-        limits = tuple(name for name, there in zip(arm.joint_names, at, strict=True) if there)
-    ok = position <= tol and angle <= tol
-    reason = _reason(ok, iterations >= max_iterations, stuck > 0)
-    return Solution(q, ok, reason, position, angle, int(iterations), limits, 1)
+def _active(model: Model, q: np.ndarray) -> tuple[str, ...]:
+    at_limit = (q <= model.arm.lower) | (q >= model.arm.upper)
+    return tuple(n for n, at in zip(model.arm.joint_names, at_limit, strict=True) if at)
 
 
 def _reason(ok: bool, exhausted: bool, at_limit: bool) -> Reason:

@@ -15,7 +15,7 @@ from longarm_comp.core.kernel import Kernel, Layout, kernel_of
 from longarm_comp.core.model import Model
 
 Key = tuple[Layout | None, int, float, int]  # layout, equations, tolerance, iterations
-# joints (n,); the same and position (m), angle (rad), iterations, joints at limits, fault
+# joints (n,); position (m) and angle (rad) that are left, iterations, joints at limits, fault
 Found = tuple[np.ndarray, list[float]]
 
 _NOTHING = Layout.of(Context.empty())
@@ -36,7 +36,7 @@ class _Desk:
         self.position = self.given[:3, 3]
         self.seed, self.q = column[kernel.slice("seed")], column[kernel.slice("q")]
         self.context = column[kernel.slice("c")]
-        self.answer = column[kernel.place["q"].start : kernel.place["fault"].stop]
+        self.report = column[kernel.place["size"].start : kernel.place["fault"].stop]
         self.block = block  # what the views show
         self.address = block.ctypes.data
         self.search = kernel.code.function(f"solve{m}")
@@ -66,7 +66,7 @@ class Task:
         if context is not None:
             desk.context[...] = self.kernel.layout.pack(context, 1)[0]
         desk.search(desk.address)
-        report, q = desk.answer.tolist(), desk.q.copy()
+        report, q = desk.report.tolist(), desk.q.copy()
         self.spare.append(desk)
         return None if report[-1] else (q, report)
 

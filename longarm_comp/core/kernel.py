@@ -102,25 +102,26 @@ class Kernel:
     def _trace(self, name: str, work: Callable[[newton.State], newton.Outcome]) -> None:
         tape = Tape()
         state = {k: [tape.input(str(i)) for i in r] for k, r in self.place.items()}
-        self.programs[name] = tape, self._outputs(work(state))
-
-    def _outputs(self, outcome: newton.Outcome) -> emit.Outputs:
-        """What goes where; numbers that stay where they are left out."""
-        return {
-            self.place[name][k]: value
-            for name, values in outcome.items()
-            for k, value in enumerate(values)
-        }
+        self.programs[name] = (
+            tape,
+            {
+                self.place[name][k]: value
+                for name, values in work(state).items()
+                for k, value in enumerate(values)
+                if value is not state[name][k]  # what stays as it is needs no writing
+            },
+        )
 
     def _trace_search(self, model: Model) -> None:
         span = [float(v) for v in model.arm.upper - model.arm.lower]
         length = characteristic_length(model)
         self._trace("begin", lambda s: newton.begin(self.n))
-        for level in newton.LEVELS:
-            self._trace(f"open_{level.evaluate}", partial(newton.opening, level=level))
+        self._trace("open", newton.opening)
         for m in (3, 6):
             self._trace(f"accept{m}", partial(newton.accept, m=m))
-            self._trace(f"judge{m}", partial(newton.judge, span=span, length=length, m=m))
+            for level in newton.LEVELS:
+                of_level = partial(newton.judge, span=span, length=length, m=m, level=level)
+                self._trace(f"judge{m}_{level.evaluate}", of_level)
             self._trace(f"round{m}", partial(newton.step_in_box, span=span, m=m))
 
     def _trace_model(self, model: Model, fixed: Fixed, slot: Slots) -> None:
