@@ -27,6 +27,8 @@ ALIKE = 10.0
 With noise the log likelihood of such a pair differs by 10 +- 4.5: within the 3 that the
 diagnosis calls undecided about once in twenty times.
 """
+TWINS = (*ALIASES, frozenset({"backlash", "friction_hysteresis"}))
+"""Names of the same physics: play that the load decides nowhere is friction's lost motion."""
 SHOWN = 4
 
 
@@ -38,7 +40,7 @@ def score(setting: Setting, found: Diagnosis) -> dict[str, Any]:
     errors = _errors(setting, found, best)
     covered = all(any(t in n for n in names) for t in true)
     sets = [f for f in found.findings if f.alternatives]
-    meant = true.union(*(family for family in ALIASES if family & true))
+    meant = true.union(*(family for family in TWINS if family & true))
     named_wrong = [f.name for f in found.findings if not f.alternatives and f.name not in meant]
     made: dict[str, Any] = {
         "verdict": found.verdict,
@@ -157,7 +159,7 @@ def _minimal(setting: Setting, sets: Sequence[Finding], best: Fit | None) -> boo
             return False
         rest = [_forms(setting, t) for t in true if t != own]
         for name in found.names:
-            if name != own and not any({name, own} <= family for family in ALIASES):
+            if name != own and not any({name, own} <= family for family in TWINS):
                 other = _best(setting, [*rest, _forms(setting, name)], clean)
                 if _misfit(other) - least > ALIKE:
                     return False

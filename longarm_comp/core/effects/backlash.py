@@ -10,7 +10,7 @@ from typing_extensions import Self
 
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.effects.effect import Parameter, parameter
-from longarm_comp.core.effects.joint_term import GATES, JointTerm, with_prior
+from longarm_comp.core.effects.joint_term import BLEND, GATES, SIDE_SCALES, JointTerm, with_prior
 from longarm_comp.core.posture import Posture
 from longarm_comp.core.spatial import Twist
 
@@ -24,14 +24,16 @@ class Backlash(JointTerm):
     Attributes:
         gate: load under which the approach direction decides, as a share of the arm's
             typical torque (`typical_loads`), or of a quarter of its weight for a slide.
+        blend: share of that load over which the two change over.
     """
 
     name: ClassVar[str] = "backlash"
     needs: ClassVar[tuple[str, ...]] = ("approach",)
     loaded: ClassVar[bool] = True
-    tunable: ClassVar[str] = "gate"
+    tunable: ClassVar[Mapping[str, tuple[float, float]]] = SIDE_SCALES
 
     gate: float = 0.0
+    blend: float = BLEND
     width: float = parameter("rad", "full width of the play", prior=0.02, lower=0.0)
 
     @classmethod
@@ -52,4 +54,4 @@ class Backlash(JointTerm):
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Half the width to the side that holds."""
-        return self.motion(posture, (0.5 * self.width) * self.side(posture, self.gate))
+        return self.motion(posture, (0.5 * self.width) * self.side(posture, self.gate, self.blend))

@@ -29,7 +29,7 @@ class Creep(Effect):
     name: ClassVar[str] = "creep"
     needs: ClassVar[tuple[str, ...]] = ("t_s",)
     loaded: ClassVar[bool] = True
-    tunable: ClassVar[str] = "time"
+    tunable: ClassVar[Mapping[str, tuple[float, float]]] = {"time": (100.0, 1e5)}
 
     time: float = 3600.0
     amount: float = parameter("1", "final extra sag over the elastic one", prior=0.3, lower=0.0)

@@ -59,8 +59,8 @@ class _Term:
         seen_only: moves the frame that the arm is seen in, and gravity with it.
         continuous: a small motion of the joints changes it by little; no command undoes others.
         loaded: depends on the loads, so that it must be reconverged as the arm sags.
-        tunable: a placement field that may have any value; the candidates try a few of them and
-            the search looks between.
+        tunable: placement fields that may have any value, with the least and the largest; the
+            candidates try a few of them and the search looks between.
     """
 
     name: ClassVar[str]
@@ -69,7 +69,7 @@ class _Term:
     seen_only: ClassVar[bool] = False
     loaded: ClassVar[bool] = False
     continuous: ClassVar[bool] = True
-    tunable: ClassVar[str] = ""
+    tunable: ClassVar[Mapping[str, tuple[float, float]]] = {}
 
     @classmethod
     def declared(cls) -> tuple[Parameter, ...]:

@@ -18,6 +18,10 @@ from longarm_comp.core.spatial import Scalar, Twist
 
 GATES = (0.0, 0.03, 0.075, 0.15, 0.3)
 """Loads below which friction may hold a joint (`JointTerm.side`), of the arm's typical ones."""
+BLEND = 1 / 6
+"""Share of such a load over which friction and load change over, where it is not known."""
+SIDE_SCALES: Mapping[str, tuple[float, float]] = {"gate": (0.0, 1.0), "blend": (0.01, 0.5)}
+"""Least and largest of both (`Effect.tunable`)."""
 _RESTING = 1e-6  # N m: a vertical axis carries no torque but for rounding
 
 
@@ -78,24 +82,24 @@ class JointTerm(Effect):
             total = total + (share if weight == 1.0 else weight * share)
         return total
 
-    def side(self, posture: Posture, gate: float) -> Scalar:
+    def side(self, posture: Posture, gate: float, blend: float = BLEND) -> Scalar:
         """Where a joint with play or a deadband rests, -1 to +1.
 
         On the side that its load pushes it to, where the load exceeds a threshold; below that
         friction holds it where its motion left it: it lags, on the side it came from.  Between
-        the two the side changes over gradually, within a sixth of the threshold, as under a
-        nearly balanced load.
+        the two the side changes over gradually, as under a nearly balanced load.
 
         Args:
             posture: the arm.
             gate: the threshold, as a share of the arm's typical torque (`typical_loads`), or of
                 a quarter of its weight for a slide.
+            blend: share of the threshold over which the side changes over.
         """
         load = self.load(posture)
         force, torque = typical_loads(posture.arm)
         sliding = posture.arm.joints[self.joint - 1].type == "prismatic"
         threshold = gate * (force / 4 if sliding else torque)
-        settled = (abs(load) - threshold - _RESTING) / (threshold / 6 + 0.1 * _RESTING)
+        settled = (abs(load) - threshold - _RESTING) / (blend * threshold + 0.1 * _RESTING)
         share = 0.5 + 0.5 * spatial.tanh(settled)
         return share * spatial.sign(load) - (1.0 - share) * self.direction(posture)
 

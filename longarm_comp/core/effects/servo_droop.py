@@ -11,7 +11,14 @@ from typing_extensions import Self
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.context import Context
 from longarm_comp.core.effects.effect import Parameter, parameter
-from longarm_comp.core.effects.joint_term import GATES, JointTerm, typical_loads, with_prior
+from longarm_comp.core.effects.joint_term import (
+    BLEND,
+    GATES,
+    SIDE_SCALES,
+    JointTerm,
+    typical_loads,
+    with_prior,
+)
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.posture import Posture
 from longarm_comp.core.spatial import Twist
@@ -26,13 +33,15 @@ class ServoDroop(JointTerm):
     Attributes:
         gate: load under which friction decides the side of the deadband (`JointTerm.side`);
             0 where the load always does.
+        blend: share of that load over which the two change over.
     """
 
     name: ClassVar[str] = "servo_droop"
     loaded: ClassVar[bool] = True
-    tunable: ClassVar[str] = "gate"
+    tunable: ClassVar[Mapping[str, tuple[float, float]]] = SIDE_SCALES
 
     gate: float = 0.0
+    blend: float = BLEND
     sag: float = parameter("rad/(N m)", "proportional droop per torque", prior=4e-3, lower=0.0)
     deadband: float = parameter("rad", "half-width of the deadband", prior=5e-3, lower=0.0)
 
@@ -53,5 +62,5 @@ class ServoDroop(JointTerm):
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """The droop about the joint's axis."""
-        droop = self.sag * self.load(posture) + self.deadband * self.side(posture, self.gate)
-        return self.motion(posture, droop)
+        resting = self.deadband * self.side(posture, self.gate, self.blend)
+        return self.motion(posture, self.sag * self.load(posture) + resting)

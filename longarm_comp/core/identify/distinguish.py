@@ -11,6 +11,7 @@ import numpy as np
 from longarm_comp.core.identify.candidates import Candidate, Columns, Term
 from longarm_comp.core.identify.evidence import Score, key, marginal_without, score
 from longarm_comp.core.identify.linear import Marginal
+from longarm_comp.core.identify.sharpen import reshaped
 from longarm_comp.core.identify.trace import Traced
 
 CLOSE = 3.0
@@ -158,9 +159,9 @@ def _finding(
 
 
 def _others(candidates: Sequence[Candidate], name: str, terms: tuple[Term, ...]) -> list[Candidate]:
-    """Other effects: as they are, and restricted to the places that were found."""
+    """Other effects: as they are, at the places that were found only, and in the found forms."""
     joints = {t.placement["joint"] for t in terms if "joint" in t.placement}
-    made = []
+    made = reshaped(terms, candidates)
     for other in candidates:
         if other.name == name:
             continue

@@ -5,17 +5,42 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-from scipy.optimize import minimize_scalar
+import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate, Columns, Term
 from longarm_comp.core.identify.evidence import Score, score
 from longarm_comp.core.identify.fit import Fit
 from longarm_comp.core.identify.linear import Marginal
 
-LOOKS = 14
-"""Values looked at, at most."""
-FINE = 0.02
-"""A value is located to this share of the distance between the tried ones."""
+LOOKS = 9
+"""Values looked at side by side; then as many again around the best of them."""
+SWEEPS = 2
+"""Times that every scale is gone along, where a term has several."""
+
+
+def reshaped(terms: Sequence[Term], candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Other effects at the same places, in the forms that some terms were sharpened to.
+
+    Only effects that have all of the terms' scales: a deadband and a play share their load gate.
+    """
+    scales = set(terms[0].tunable)
+    if not scales:
+        return []
+    others: dict[str, dict[str, Term]] = {}
+    for candidate in candidates:
+        for term in candidate.terms:
+            if term.name != terms[0].name and scales <= set(term.tunable):
+                others.setdefault(term.name, {}).setdefault(term.where, term)
+    made = []
+    for name, at in others.items():
+        shaped = tuple(
+            dataclasses.replace(at[t.where], **{k: getattr(t, k) for k in scales})
+            for t in terms
+            if t.where in at
+        )
+        if len(shaped) == len(terms):
+            made.append(Candidate(name, shaped))
+    return made
 
 
 def sharpened(
@@ -27,27 +52,28 @@ def sharpened(
         fit: whose rows, noise and weights count.
         marginal: what is in the model beside the term.
         columns: of candidates at the fit's rows.
-        term: where it starts from; one without a scale is scored as it is.
-        candidates: their values of the scale are the tried ones.
+        term: where it starts from; one without scales is scored as it is.
+        candidates: their values of the scales are the tried ones.
     """
 
-    def at(value: float) -> Score:
-        moved = dataclasses.replace(term, **{term.tunable: value})
-        return score(fit, marginal, Candidate(term.name, (moved,)), columns)
+    def scored(terms: Sequence[Term]) -> list[Score]:
+        columns.of(terms)  # all at once: much faster
+        return [score(fit, marginal, Candidate(term.name, (t,)), columns) for t in terms]
 
-    now = score(fit, marginal, Candidate(term.name, (term,)), columns)
-    if not term.tunable:
-        return now
-    value = float(getattr(term, term.tunable))
-    tried = {getattr(t, term.tunable) for c in candidates if c.name == term.name for t in c.terms}
-    low = max((v for v in tried if v < value), default=value)
-    high = min((v for v in tried if v > value), default=2.0 * value)
-    if high <= low:
-        return now
-    found = minimize_scalar(
-        lambda v: -at(float(v)).log_bayes_factor,
-        bounds=(low, high),
-        method="bounded",
-        options={"maxiter": LOOKS, "xatol": FINE * (high - low)},
-    )
-    return max(now, at(float(found.x)), key=lambda s: s.log_bayes_factor)
+    best = scored([term])[0]
+    same = [t for c in candidates if c.name == term.name for t in c.terms]
+    for _ in range(min(len(term.tunable), SWEEPS)):
+        for field, (least, largest) in term.tunable.items():
+            value = float(getattr(term, field))
+            tried = {float(getattr(t, field)) for t in same}
+            low = max((v for v in tried if v < value), default=least)
+            high = min((v for v in tried if v > value), default=largest)
+            for _ in range(2):
+                here = best.candidate.terms[0]
+                values = np.linspace(low, high, LOOKS)
+                moved = [dataclasses.replace(here, **{field: float(v)}) for v in values]
+                best = max(best, *scored(moved), key=lambda s: s.log_bayes_factor)
+                step = (high - low) / (LOOKS - 1)
+                centre = float(getattr(best.candidate.terms[0], field))
+                low, high = max(low, centre - step), min(high, centre + step)
+    return best

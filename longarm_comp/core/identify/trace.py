@@ -24,7 +24,7 @@ from longarm_comp.core.identify.evidence import Score, key, marginal_without, sc
 from longarm_comp.core.identify.fit import Fit, fit, unfitted
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.noise import Noise
-from longarm_comp.core.identify.sharpen import sharpened
+from longarm_comp.core.identify.sharpen import reshaped, sharpened
 from longarm_comp.core.model import Model, slots_of
 
 ODDS = math.log(20.0)
@@ -324,11 +324,13 @@ class _State:
             places = [c for c in self.chosen if c[0] == name]
             if not places:
                 continue
-            now = self.score(
-                self.marginal(places), Candidate(name, tuple(self.chosen[p] for p in places))
-            )
+            terms = tuple(self.chosen[p] for p in places)
+            marginal = self.marginal(places)
+            now = self.score(marginal, Candidate(name, terms))
+            shaped = [self.score(marginal, c) for c in reshaped(terms, self.candidates)]
+            options = sorted((*self.scores(places), *shaped), key=lambda s: -s.log_bayes_factor)
             surplus = now.log_bayes_factor - self.threshold
-            for option in self.scores(places):
+            for option in options:
                 other = option.candidate
                 form = Candidate(name, (self.chosen[places[0]],)).form
                 if (other.name, other.form) == (name, form):
