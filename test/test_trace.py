@@ -153,8 +153,8 @@ def test_every_program_of_the_search_in_every_language(arm):
         s[kernel.slice(name)] = value
     s[kernel.slice("given")] = model.pose(q).reshape(N, 16).T
     s[kernel.slice("seed")] = rng.uniform(arm.lower, arm.upper, (N, arm.n)).T
-    carried = ("round6", "round6", "first", "step", "judge6_carried")
-    full = (*carried[:-1], "last", "judge6_full")
+    carried = ("round6", "round6", "first", "again", "tip", "judge6_carried")
+    full = (*carried[:-1], "judge6_full")
     for name in (
         "accept6",
         "begin",

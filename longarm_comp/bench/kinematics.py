@@ -26,6 +26,7 @@ from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.ik import Engine
 from longarm_comp.core.kernel import Layout, kernel_of
 from longarm_comp.core.model import Model
+from longarm_comp.core.newton import LEVELS, evaluation
 
 Result = dict[str, object]
 
@@ -225,7 +226,7 @@ def fk_vs_peers() -> list[Result]:
     state[kernel.slice("trial")] = q.T
 
     def traced() -> None:
-        for name in ("first", *["step"] * (kernel.passes - 1), "last"):
+        for name in evaluation(LEVELS[-1], kernel.passes, anew=True):
             kernel.arrays[name](state)
 
     made = []

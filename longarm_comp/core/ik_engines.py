@@ -263,9 +263,11 @@ def _model(model: Model, context: Context, p: Problem, given: Given, count: int)
         for row, value in zip(s[out], tip_and_jacobian(model, posture), strict=True):
             row[:] = value
 
-    own = dict.fromkeys(("rigid", "step", "last"), evaluate)
+    own = dict.fromkeys(("rigid", "tip"), evaluate)
     s = _filled({**given, "c": np.zeros(0)}, kernel, count)
-    columns = Columns({**kernel.arrays, "first": _nothing, **own}, kernel.place, s, thin=0.0)
+    columns = Columns(
+        {**kernel.arrays, "first": _nothing, "again": _nothing, **own}, kernel.place, s, thin=0.0
+    )
     newton.run(kernel.flows[f"search{p.m}"], columns.call, columns.repeat)
     return _read(s, kernel)
 

@@ -1,9 +1,8 @@
 """The model as small programs, for the inverse kinematics.
 
 At the trial joints, `rigid` gives the tip and its Jacobian without what loads and context do,
-`first` the twists under the rigid arm's loads, `step` the tip, its Jacobian and the next
-twists at given ones, `last` the tip and its Jacobian alone; the others are the search of
-`newton`.  All are traced from the package's own Python, so they give its numbers; parameters
+`first` the twists under the rigid arm's loads, `again` those under the loads of the arm with
+given twists, `tip` its tip and Jacobian; the others are the search of `newton`.  All are traced from the package's own Python, so they give its numbers; parameters
 are constants in them, joints and context are inputs.  They run on floats, on arrays, or (with
 llvmlite) as machine code, compiled in about a second.
 """
@@ -146,14 +145,10 @@ class Kernel:
             twists = model.twists(posture)
             return {"x": [twists[station][i] for station, i in slot]}
 
-        def step(s: newton.State) -> newton.Outcome:
-            posture = at(s, s["x"])
-            return seen(posture) | carried(posture)
-
         self._trace("rigid", lambda s: seen(at(s, [0.0] * len(slot))))
         self._trace("first", lambda s: carried(at(s, None)))
-        self._trace("step", step)
-        self._trace("last", lambda s: seen(at(s, s["x"])))
+        self._trace("again", lambda s: carried(at(s, s["x"])))
+        self._trace("tip", lambda s: seen(at(s, s["x"])))
 
     def _python(self, functions: Mapping[str, Any], arrays: bool) -> dict[str, Any]:
         text = "\n".join(emit.python(name, *self.programs[name], arrays) for name in self.programs)

@@ -236,8 +236,8 @@ def evaluation(level: Level, passes: int, anew: bool) -> tuple[str, ...]:
     if level.evaluate == "rigid":
         return ("rigid",)
     if level.evaluate == "carried":
-        return ("first", "last") if anew else ("step", "last")
-    return ("first", *["step"] * (passes - 1), "last") if passes else ("last",)
+        return ("first", "tip") if anew else ("again", "tip")
+    return ("first", *["again"] * (passes - 1), "tip") if passes else ("tip",)
 
 
 def run(work: Flow, call: Callable[[str], None], repeat: Callable[[str, Flow], None]) -> None:
