@@ -1,0 +1,21 @@
+"""Run a node until it serves, say so, and end: ``ready_node MODULE --ros-args ...``."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+from longarm_comp.nodes import runner
+
+WORD = "ready"
+
+
+def main() -> None:
+    """Everything that the node does before its first callback."""
+    module = sys.argv.pop(1)
+    runner.spin = lambda executor, node, stop: print(WORD, flush=True)
+    importlib.import_module(module).main()
+
+
+if __name__ == "__main__":
+    main()
