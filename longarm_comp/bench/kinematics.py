@@ -13,11 +13,11 @@ import json
 import platform
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from longarm_comp.bench.arms import demo_arm
 from longarm_comp.core import ik
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.compensate import Method, compensate_many
@@ -33,11 +33,6 @@ Result = dict[str, object]
 TOLERANCE = 1e-7  # m and rad, ten times closer than what is asked of the peers
 BLOCKS = 8
 PER_BLOCK = 50
-
-
-def demo_arm() -> Arm:
-    """The arm of the demonstration, as a source tree or an installed package holds it."""
-    return Arm.load(Path(__file__).parents[2] / "config" / "arm_demo.yaml")
 
 
 def soft_model(arm: Arm, elements_per_beam: int = 2) -> Model:
