@@ -18,11 +18,14 @@ from std_srvs.srv import Trigger
 
 from longarm_comp.core import quaternion
 from longarm_comp.core.arm import Arm
+from longarm_comp.core.compensate import rigid
 from longarm_comp.core.declared_model import declared_model
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.predictor import Predictor, Provenance
+from longarm_comp.core.modelfile import save_model, store
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_message
+from longarm_comp.nodes.model_files import file_hash
 from longarm_interfaces.srv import Compensate, PredictError
 
 BIAS = np.array([0.002, -0.001, 0.004])
@@ -39,14 +42,14 @@ def arm() -> Arm:
     return Arm.load(Path(__file__).parents[1] / "config" / "arm_demo.yaml")
 
 
-def trained(arm: Arm, bias: np.ndarray) -> Predictor:
+def trained(arm: Arm, bias: np.ndarray, **settings: object) -> Predictor:
     """Learned around the middle of the joint box: a constant error and a slope."""
     rng = np.random.default_rng(3)
     q = arm.mid + 0.2 * (arm.upper - arm.lower) * (rng.random((60, arm.n)) - 0.5)
     residual = bias + 0.01 * (q[:, :3] - arm.mid[:3]) + 1e-4 * rng.standard_normal((60, 3))
     return train(
         q, residual, init="xavier", ensemble=2, hidden=4, inputs="joints",
-        provenance=Provenance(arm_hash=arm.hash, joint_names=arm.joint_names),
+        provenance=Provenance(arm_hash=arm.hash, joint_names=arm.joint_names, settings=settings),
     )  # fmt: skip
 
 
@@ -141,6 +144,31 @@ def test_the_learned_error_is_predicted_taken_off_and_replaced(
     stage.start("error_predictor", files)
     stage.spin(lambda: stage.call(compensate, request).status == Compensate.Response.SUCCESS)
     stage.spin(lambda: stories[-1].predictor_hash)
+
+
+def test_a_predictor_of_another_model_is_refused(
+    stage: Bench, arm: Arm, demo_arm_path: Path, tmp_path: Path
+) -> None:
+    """Another physics leaves another error: what was learned on the old one does not hold."""
+    model, path = tmp_path / "model.yaml", tmp_path / "predictor.npz"
+    save_model(model, store(declared_model(arm)))
+    trained(arm, BIAS, model_hash=file_hash(model)).save(path)
+    files = {"arm": demo_arm_path, "model": model, "predictor": path, "watch_period_s": 0.1}
+    stage.start("error_predictor", files, namespace="bound")
+    ask = stage.node.create_client(PredictError, "/bound/predict_error")
+    good = lambda: stage.call(ask, question(arm, arm.mid)).success  # noqa: E731
+    stage.spin(good)
+    model.write_text("rubbish: [")  # kinematics keeps its last good model, and this does too
+    reload = stage.node.create_client(Trigger, "/bound/error_predictor/reload")
+    stage.call(reload, Trigger.Request())
+    assert good()
+    save_model(model, store(rigid(declared_model(arm))))
+    stage.spin(lambda: not good())
+    answer = stage.call(ask, question(arm, arm.mid))
+    assert math.isnan(answer.sigma) and "model_hash" in answer.message
+    trained(arm, -BIAS, model_hash=file_hash(model)).save(path)
+    stage.spin(good)
+    assert stage.call(ask, question(arm, arm.mid)).error.z < 0
 
 
 def posed(matrix: np.ndarray) -> PoseStamped:

@@ -11,7 +11,6 @@ from longarm_comp.core.admission import FEW_POSES, admit
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.compensate import rigid
 from longarm_comp.core.dataset import Session
-from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.model import Model
 from longarm_comp.core.modelfile import load_model
@@ -55,15 +54,11 @@ def trained(path: Path, arm: Arm, model_path: Path | None) -> tuple[Predictor, b
     Raises:
         InputError: corrupt, or trained for another arm or on top of another model.
     """
-    from longarm_comp.core.learn.predictor_file import load
+    from longarm_comp.core.learn.predictor_file import belongs, load
 
     predictor = load(path, arm_hash=arm.hash, joint_names=arm.joint_names)
-    settings = predictor.provenance.settings
-    deflection = bool(settings.get("deflection", True))
-    wanted = physics_mark(model_path, deflection)["model_hash"]
-    found = settings.get("model_hash", wanted)
-    if found != wanted:
-        said = f"{str(found)[:12]}" if found else "the declared arm"
-        allowed = f"the --model that it was trained with, not {model_path or 'none'}"
-        raise InputError(str(path), "model_hash", said, allowed)
+    deflection = bool(predictor.provenance.settings.get("deflection", True))
+    wanted = str(physics_mark(model_path, deflection)["model_hash"])
+    to = f"the --model that it was trained with, not {model_path or 'none'}"
+    belongs(predictor, path, wanted, to)
     return predictor, deflection

@@ -95,7 +95,9 @@ class BringUp:
         port = bus if self.sim else self.port
         per_node: dict[str, dict[str, Any]] = {
             "kinematics": arm | _path("model", self.model),
-            "error_predictor": arm | _path("predictor", self.predictor),
+            "error_predictor": arm
+            | _path("model", self.model)
+            | _path("predictor", self.predictor),
             "servo_driver": ({"bus.port": port} if port else {}) | (_PATIENT if self.sim else {}),
             "stereo_bridge": {"reliable_images": True} if self.sim else {},
             "simulated_arm": arm | {"servos": servos, "port": bus},

@@ -13,15 +13,14 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.core.errors import LongarmError
 from longarm_comp.core.learn.expansion import Expander
 from longarm_comp.core.learn.predictor import Predictor
-from longarm_comp.core.learn.predictor_file import load
+from longarm_comp.core.learn.predictor_file import belongs, load
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
 from longarm_comp.nodes.messages import joints_of, sides_of, vector_message
-from longarm_comp.nodes.model_files import file_hash
+from longarm_comp.nodes.model_files import ModelFiles, file_hash
 from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.runner import run
 from longarm_comp.nodes.watch import FileWatch
@@ -30,6 +29,7 @@ from longarm_interfaces.srv import PredictError
 
 PARAMS = (
     Param("arm", "", "arm.yaml: the declared arm that the predictor must belong to"),
+    Param("model", "", "model.yaml that it must have been trained with; empty: none"),
     Param("predictor", "", "predictor file (npz); empty: none, every question is refused"),
     Param("base_frame", "base", "frame of the predicted errors"),
     Param("watch_period_s", 1.0, "how often the file is looked at for a new version", 0.1, 3600.0),
@@ -44,6 +44,7 @@ class Loaded:
     predictor: Predictor
     expand: Expander
     hash: str
+    model_hash: str
 
 
 class ErrorPredictor(Node):
@@ -52,9 +53,8 @@ class ErrorPredictor(Node):
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__("error_predictor", automatically_declare_parameters_from_overrides=True)
         p = declare(self, PARAMS)
-        if not p["arm"]:
-            raise InputError("parameters of error_predictor", "arm", "", "path of arm.yaml")
-        self._arm = Arm.load(p["arm"])
+        self._model = ModelFiles(p["arm"], p["model"])
+        self._arm = self._model.arm
         self._path, self._base_frame = p["predictor"], p["base_frame"]
         self._loaded: Loaded | None = None
         self._fault = ""
@@ -66,7 +66,7 @@ class ErrorPredictor(Node):
         self._errors = graph.PREDICTED_ERROR.publisher(self)
         graph.PREDICT_ERROR.server(self, self._on_predict)
         graph.RELOAD.server(self, self._on_reload, ReentrantCallbackGroup())
-        self._watch = FileWatch((self._path,))
+        self._watch = FileWatch((self._path, p["model"]))
         self.create_timer(p["watch_period_s"], self._look)
         self._health = Health(self, {"predictor": self._report}, p[PERIOD.name])
 
@@ -129,14 +129,20 @@ class ErrorPredictor(Node):
         self._executor.create_task(self._errors.publish, message)  # once the answer is sent
 
     def _reload(self) -> tuple[bool, str]:
-        """Read the file; the predictor in use stays where that fails."""
+        """Read the file; the one in use stays where that fails and the model is still the same."""
         if not self._path:
             return False, "no predictor file is configured"
+        self._model.reload()
+        model = self._model.loaded.file_hash
         try:
             predictor = load(self._path, arm_hash=self._arm.hash, joint_names=self._arm.joint_names)
-            self._loaded = Loaded(predictor, Expander(predictor), file_hash(self._path))
+            belongs(predictor, self._path, model, f"the model in use: {model[:12] or 'none'}")
+            digest = file_hash(self._path)
+            self._loaded = Loaded(predictor, Expander(predictor), digest, model)
         except LongarmError as error:
             self._fault = str(error)
+            if self._loaded is not None and self._loaded.model_hash != model:
+                self._loaded = None
             return False, self._fault
         self._fault = ""
         return True, f"{self._path} {self._loaded.hash[:12]}"

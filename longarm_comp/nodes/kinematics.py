@@ -99,6 +99,7 @@ class Kinematics(Node):
         self._last = ""
         self._worker = Worker(executor, p["queue"], self.survived)
         self._predictor = PredictorClient(self, self._arm, p["predictor_timeout_s"])
+        graph.TARGET_POSE.subscription(self, self._on_target)  # the first is looked at first
         self._trajectory = graph.JOINT_TRAJECTORY.publisher(self)
         self._compensation = graph.COMPENSATION.publisher(self)
         self._monitor = TipMonitor(
@@ -109,7 +110,6 @@ class Kinematics(Node):
         self._state = ArmState(
             self, self._arm, self._count, self._monitor.on_command, self._monitor.on_joints
         )
-        graph.TARGET_POSE.subscription(self, self._on_target)
         graph.TIP_MEASURED.subscription(self, self._on_tip)
         together = ReentrantCallbackGroup()
         graph.COMPENSATE.server(self, self._on_compensate, together)

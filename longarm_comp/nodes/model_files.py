@@ -32,7 +32,7 @@ class ModelFiles:
 
     def __init__(self, arm_path: str, model_path: str) -> None:
         if not arm_path:
-            raise InputError("parameters of kinematics", "arm", arm_path, "path of arm.yaml")
+            raise InputError("parameters", "arm", arm_path, "path of arm.yaml")
         self.arm = Arm.load(arm_path)
         self._path = model_path
         self.rigid = Model(self.arm)

@@ -123,6 +123,24 @@ def load(
     )
 
 
+def belongs(predictor: Predictor, path: str | os.PathLike[str], model_hash: str, to: str) -> None:
+    """Check that a predictor was trained on what this physics leaves; another leaves other errors.
+
+    Args:
+        path: of the predictor, for the error.
+        model_hash: SHA-256 of model.yaml; empty for the arm as declared.
+        to: what is wanted, for the error.
+
+    Raises
+    ------
+    InputError: it says that it was trained on top of another model.
+    """
+    found = predictor.provenance.settings.get("model_hash", model_hash)
+    if found != model_hash:
+        said = str(found)[:12] if found else "the declared arm"
+        raise InputError(path, "model_hash", said, to)
+
+
 def _arrays(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
     try:
         with zipfile.ZipFile(Path(path)) as probe:

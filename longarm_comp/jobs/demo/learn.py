@@ -19,6 +19,7 @@ from longarm_comp.core.learn.predictor import Provenance
 from longarm_comp.core.model import Model
 from longarm_comp.core.modelfile import save_model, store
 from longarm_comp.jobs.demo.setting import Setting
+from longarm_comp.nodes.model_files import file_hash
 from longarm_comp.sessions.read import read_session
 from longarm_comp.sessions.residual_inputs import predictor_context
 
@@ -49,6 +50,7 @@ def learn(setting: Setting, arm: Arm, say: Say = lambda text, share: None) -> Le
     }  # fmt: skip
     save_model(setting.model, store(final.model, final.standard_errors, provenance=provenance))
     seen = session.take(session.seen)
+    trained_on = {"deflection": True, "model_hash": file_hash(setting.model)}
     made = train(
         seen.q,
         errors(final.model, seen),
@@ -56,7 +58,7 @@ def learn(setting: Setting, arm: Arm, say: Say = lambda text, share: None) -> Le
         seed=setting.seed,
         ensemble=setting.networks,
         progress=lambda k, of: say("train", 0.6 + 0.4 * k / of),
-        provenance=Provenance(arm.hash, session.hash, arm.joint_names, {"deflection": True}),
+        provenance=Provenance(arm.hash, session.hash, arm.joint_names, trained_on),
     )
     made.save(setting.predictor)
     effects = tuple(dict.fromkeys(e.name for e in final.model.effects if not e.geometry))
