@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from nodes_bench import Bench, bench, own_graph
+from visualization_msgs.msg import Marker
 
+from longarm_comp.cli.run import root
 from longarm_comp.core import quaternion
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.declared_model import declared_model
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.model import Model
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import SIMULATED, BringUp, running
 from longarm_comp.nodes.health import WARN
@@ -56,7 +61,7 @@ class Station:
 
     def reach(self, q: np.ndarray) -> np.ndarray:
         """Send the tip to where it hangs at q; the sighting that follows."""
-        target = self.model.pose(q)
+        target = self.target = self.model.pose(q)
         request = Compensate.Request(execute=True)
         request.target.header.frame_id = "base"
         p, o = request.target.pose.position, request.target.pose.orientation
@@ -112,7 +117,9 @@ def gone(pid: int) -> bool:
 
 
 def test_two_arms_side_by_side_survive_killed_nodes(stage: Bench, arm: Arm) -> None:
-    with running(bring_up("left_arm")) as left, running(bring_up("right_arm")) as right:
+    said: list[str] = []
+    compiled = bring_up("right_arm", kinematics={"compiled": True})
+    with running(bring_up("left_arm"), say=said.append) as left, running(compiled) as right:
         one, two = Station(stage, "left_arm", arm), Station(stage, "right_arm", arm)
         stage.spin(lambda: one.alive() and two.alive(), within=60.0)
         still = np.array(two.joints[-1].position)
@@ -120,8 +127,10 @@ def test_two_arms_side_by_side_survive_killed_nodes(stage: Bench, arm: Arm) -> N
         np.testing.assert_allclose(two.joints[-1].position, still, atol=1e-4)
         other = two.reach(0.3 * arm.lower + 0.7 * arm.upper)
         assert np.linalg.norm(other - tip) > 0.05
+        shows_what_there_is(stage, one)
         for node in SIMULATED:
             survives(stage, one, left, node)
+        end_tidily(stage, one, left, said)
         one.reach(0.6 * arm.lower + 0.4 * arm.upper)
         pids = [s.pid(node) for s in (left, right) for node in SIMULATED]
     assert all(gone(pid) for pid in pids)
@@ -141,7 +150,71 @@ def survives(stage: Bench, station: Station, supervisor: Supervisor, node: str) 
     stage.spin(station.alive, within=30.0)
 
 
-def test_a_drifted_arm_is_noticed_and_the_command_named(stage: Bench, arm: Arm) -> None:
+def end_tidily(stage: Bench, station: Station, supervisor: Supervisor, said: list[str]) -> None:
+    """SIGINT ends every node with exit code 0, and the arm works with those that follow."""
+    before = {node: supervisor.pid(node) for node in SIMULATED}
+    said.clear()
+    for pid in before.values():
+        os.kill(pid, signal.SIGINT)
+
+    def others() -> bool:
+        supervisor.look()
+        return all(supervisor.pid(node) != pid for node, pid in before.items())
+
+    stage.spin(others)
+    for node in SIMULATED:
+        assert any(line.startswith(f"{node} ended (exit code 0)") for line in said), said
+    station.forget()
+    stage.spin(station.alive, within=60.0)
+
+
+def shows_what_there_is(stage: Bench, station: Station) -> None:
+    """The picture for RViz is that of this arm, this target and this sighting."""
+    pictures = stage.collect(graph.MARKERS, station.namespace)
+
+    def drawn() -> dict[str, Any]:
+        made = {marker.ns: marker for marker in pictures[-1].markers} if pictures else {}
+        return made if all(len(made[name].points) for name in made) else {}
+
+    made = stage.spin(drawn)
+    at = {name: np.array([[p.x, p.y, p.z] for p in made[name].points]) for name in made}
+    shapes = {name: marker.type for name, marker in made.items()}
+    assert shapes == {
+        "declared": Marker.LINE_STRIP, "hanging": Marker.LINE_STRIP, "target": Marker.SPHERE_LIST,
+        "pseudo_target": Marker.SPHERE_LIST, "tip_measured": Marker.SPHERE_LIST,
+        "error": Marker.ARROW,
+    }  # fmt: skip
+    assert {marker.header.frame_id for marker in made.values()} == {"base"}
+    joints = dict(zip(station.joints[-1].name, station.joints[-1].position, strict=True))
+    q = np.array([joints[name] for name in station.arm.joint_names])
+    np.testing.assert_allclose(at["declared"][-1], Model(station.arm).tip(q), atol=1e-3)
+    np.testing.assert_allclose(at["hanging"][-1], station.model.tip(q), atol=1e-3)
+    assert at["hanging"][-1][2] < at["declared"][-1][2] - 1e-3  # it sags
+    target, tip = at["target"][0], at["tip_measured"][0]
+    np.testing.assert_allclose(target, station.target[:3, 3], atol=1e-9)
+    np.testing.assert_allclose(at["pseudo_target"][0], target, atol=1e-9)  # no predictor here
+    np.testing.assert_allclose(tip, target, atol=2e-3)
+    np.testing.assert_allclose(at["error"], [target, target + 50.0 * (tip - target)], atol=1e-9)
+
+
+def runs_as_written(line: str, folder: Path) -> None:
+    """Every command of the advice is one that `longarm` takes, with files that are there."""
+    (folder / "poses.csv").touch()
+    (folder / "session").mkdir()
+    here = ("poses.csv", "session", "diagnosis")
+    commands = [shlex.split(command) for command in line.split(" && ")]
+    assert [words[1] for words in commands] == ["plan", "collect", "diagnose"]
+    for longarm, name, *words in commands:
+        assert longarm == "longarm" and str(ARM) in words
+        command = root().get_command(click.Context(root()), name)
+        assert command is not None
+        command.make_context(name, [str(folder / w) if w in here else w for w in words])
+    assert "--namespace arm" in line
+
+
+def test_a_drifted_arm_is_noticed_and_the_command_named(
+    stage: Bench, arm: Arm, tmp_path: Path
+) -> None:
     settings = {"monitor.sigma_m": 3e-4, "monitor.settle_s": 0.2, "monitor.sightings": 1}
     drifted = bring_up("arm", sim={"hidden": "base_pose=4.0"}, kinematics=settings)
     with running(drifted):
@@ -162,8 +235,7 @@ def test_a_drifted_arm_is_noticed_and_the_command_named(stage: Bench, arm: Arm) 
 
         stage.spin(warned, within=60.0)
         _, message = station.told("kinematics: monitor")
-        assert "longarm diagnose" in message
-        assert str(ARM) in message
+        runs_as_written(message.split("run: ")[1], tmp_path)
 
 
 def test_longarm_up_ends_everything_when_it_is_told_or_killed(stage: Bench, arm: Arm) -> None:

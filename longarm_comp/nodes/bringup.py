@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -156,8 +156,13 @@ def _ros_parameters(path: Path) -> dict[str, Any]:
 
 
 @contextmanager
-def running(graph: BringUp, *, respawn: bool = True) -> Iterator[Supervisor]:
+def running(
+    graph: BringUp, *, respawn: bool = True, say: Callable[[str], None] = lambda text: None
+) -> Iterator[Supervisor]:
     """The graph's processes, started; all ended at the end, whatever happens.
+
+    Args:
+        respawn, say: as `Supervisor` has them.
 
     Raises:
         InputError: a file is missing or wrong.
@@ -165,5 +170,5 @@ def running(graph: BringUp, *, respawn: bool = True) -> Iterator[Supervisor]:
     with tempfile.TemporaryDirectory(prefix="longarm_") as scratch:
         bus = str(Path(scratch) / "servo_bus")
         commands = {node: graph.command(node, bus) for node in graph.nodes}
-        with Supervisor(commands, respawn=respawn) as supervisor:
+        with Supervisor(commands, respawn=respawn, say=say) as supervisor:
             yield supervisor

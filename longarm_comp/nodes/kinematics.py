@@ -104,7 +104,10 @@ class Kinematics(Node):
         self._compensation = graph.COMPENSATION.publisher(self)
         self._monitor = TipMonitor(
             self._predictor, p["monitor.settle_s"], p["monitor.sightings"], p["monitor.sigma_m"],
-            p["monitor.run_length"], self._advice(p),
+            p["monitor.run_length"],
+            lambda: monitoring.advice(
+                p["arm"], p["model"] if self._files.loaded.file_hash else "", self.get_namespace()
+            ),
         )  # fmt: skip
         self._markers = Markers(self, self._base_frame)
         self._state = ArmState(
@@ -310,10 +313,6 @@ class Kinematics(Node):
         sag = self.get_parameter("markers.sag_factor").value
         error = self.get_parameter("markers.error_factor").value
         self._markers.publish(self._files.rigid, self._files.loaded.model, q, context, sag, error)
-
-    def _advice(self, p: dict[str, Any]) -> str:
-        model = f" --model {p['model']}" if p["model"] else ""
-        return f"longarm record, then longarm diagnose {p['arm']} BAG{model} -o diagnosis"
 
     def _count(self, what: str, why: str) -> None:
         self._counts[what] = self._counts.get(what, 0) + 1

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +27,20 @@ PARAMS = (
 )
 
 
+def advice(arm: str, model: str, namespace: str) -> str:
+    """Commands that find out what has changed: poses, a session of them, a diagnosis."""
+    given, where = shlex.quote(arm), namespace.strip("/")
+    inside = f" --namespace {where}" if where else ""
+    known = f" --model {shlex.quote(model)}" if model else ""
+    return " && ".join(
+        (
+            f"longarm plan {given} --kind sobol -n 60 -o poses.csv",
+            f"longarm collect {given} poses.csv -o session{inside}",
+            f"longarm diagnose {given} session{known} -o diagnosis",
+        )
+    )
+
+
 @dataclass(frozen=True)
 class Promise:
     """What is expected at a rest pose: tip and its standard deviation, (3,) m each."""
@@ -37,12 +53,12 @@ class TipMonitor:
     """Fed by the executor (`on_...`); `judge` runs on the worker's thread.
 
     Args:
-        advice: the command to run once it has drifted.
+        advice: the commands to run once it has drifted.
     """
 
     def __init__(
         self, client: PredictorClient, settle_s: float, sightings: int, sigma_m: float,
-        run_length: float, advice: str,
+        run_length: float, advice: Callable[[], str],
     ) -> None:  # fmt: skip
         self._client = client
         self._watch = RestWatch(settle_s, sightings)
@@ -102,5 +118,5 @@ class TipMonitor:
             "outside the training data": self._outside,
         }
         if verdict.drifted:
-            return Report(WARN, f"{verdict.finding}; run: {self._advice}", facts)
+            return Report(WARN, f"{verdict.finding}; run: {self._advice()}", facts)
         return Report(OK, "residuals are as promised", facts)

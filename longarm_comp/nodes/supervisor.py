@@ -86,7 +86,7 @@ class Supervisor:
                 continue
             child.deaths += 1
             child.process, child.started = _start(child.command), time.monotonic()
-            self.say(f"{name} died ({_how(code)}), started again, pid {child.process.pid}")
+            self.say(f"{name} ended ({_how(code)}), started again, pid {child.process.pid}")
 
     def run(self, stop: threading.Event) -> None:
         """Watch over the processes until the event is set. Raises as `look`."""
