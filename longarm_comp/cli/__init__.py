@@ -12,6 +12,11 @@ from collections.abc import Sequence
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run ``longarm`` and leave with its exit code: 0 done, 2 bad input, 3 not possible."""
-    from longarm_comp.cli.run import run
+    try:
+        from longarm_comp.cli.run import run
 
-    sys.exit(run(arguments))
+        code = run(arguments)
+    except KeyboardInterrupt:  # while it still loads
+        print("longarm: interrupted", file=sys.stderr)
+        code = 130
+    sys.exit(code)

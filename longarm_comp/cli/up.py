@@ -69,7 +69,6 @@ def command(
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    with running(graph, respawn=respawn) as supervisor:
-        supervisor.say = note
+    with running(graph, respawn=respawn, say=note) as supervisor:
         note(f"{', '.join(graph.nodes)} are starting; Ctrl-C ends all")
         supervisor.run(stop)

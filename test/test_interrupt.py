@@ -1,0 +1,49 @@
+"""Ctrl-C ends a command with one line and exit code 130, also while it still loads."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+AT_IMPORT = """
+import sys
+import longarm_comp.cli as cli
+
+class CtrlC:
+    def find_spec(self, name, path=None, target=None):
+        if name == sys.argv[1]:
+            raise KeyboardInterrupt
+
+sys.meta_path.insert(0, CtrlC())
+cli.main(["import-urdf", "--help"])
+"""
+
+
+@pytest.mark.parametrize(
+    "module", ["longarm_comp.cli.run", "longarm_comp.core.errors", "longarm_comp.cli.import_urdf"]
+)
+def test_while_it_loads(module: str) -> None:
+    ended = subprocess.run(
+        [sys.executable, "-c", AT_IMPORT, module], capture_output=True, text=True, check=False
+    )
+    assert (ended.returncode, ended.stderr.lstrip()) == (130, "longarm: interrupted\n")
+
+
+def test_while_it_reads(tmp_path: Path) -> None:
+    """A file that never ends stands for long work: the command is in the middle of it."""
+    endless = tmp_path / "arm.urdf"
+    subprocess.run(["mkfifo", str(endless)], check=True)
+    words = ["import-urdf", str(endless), "--base", "a", "--tip", "b", "-o", str(tmp_path / "x")]
+    command = subprocess.Popen(
+        [sys.executable, "-m", "longarm_comp", *words], stderr=subprocess.PIPE, text=True
+    )
+    with endless.open("w"):  # opens when the command does
+        command.send_signal(signal.SIGINT)
+        _, said = command.communicate(timeout=30)
+    assert command.returncode == 130
+    assert said.lstrip() == "longarm: interrupted\n"
+    assert not (tmp_path / "x").exists()
