@@ -1,38 +1,35 @@
-"""Kinematics measured beside its peers in one run.
+"""Inverse kinematics measured beside its peers in one run.
 
-``python -m longarm_comp.bench.kinematics`` prints these figures.  The peers solve the *rigid*
-arm, this package the deflected one: targets are each model's own poses of the same random
-joints.  A peer's answer counts where its error is below 1e-5 m and inside the limits.  Sides
-take turns in blocks, so that both meet the machine in the same mood; ratios above 1 mean
-faster than the peer.
+The peers solve the *rigid* arm, this package the deflected one: targets are each model's own
+poses of the same random joints.  An answer counts where its error is below 1e-5 m and inside
+the limits.  Sides take turns in blocks, so that both meet the machine in the same mood; ratios
+above 1 mean faster than the peer.
 """
 
 from __future__ import annotations
 
-import json
-import platform
+import itertools
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from longarm_comp.bench.arms import demo_arm
+from longarm_comp.bench.ik_peers import IkPy, Peer, Pinocchio, RoboPlan, Toolbox, TracIk
+from longarm_comp.bench.rows import Result, alone, beside, missing
 from longarm_comp.core import ik
 from longarm_comp.core.arm import Arm
-from longarm_comp.core.compensate import Method, compensate_many
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.ik import Engine
-from longarm_comp.core.kernel import Layout, kernel_of
 from longarm_comp.core.model import Model
-from longarm_comp.core.newton import LEVELS, evaluation
-
-Result = dict[str, object]
 
 TOLERANCE = 1e-7  # m and rad, ten times closer than what is asked of the peers
 BLOCKS = 8
 PER_BLOCK = 50
+BATCH = 4000
 
 
 def soft_model(arm: Arm, elements_per_beam: int = 2) -> Model:
@@ -41,271 +38,199 @@ def soft_model(arm: Arm, elements_per_beam: int = 2) -> Model:
     return Model(arm, (LinkDeflection(), *soft), elements_per_beam=elements_per_beam)
 
 
-class Toolbox:
-    """roboticstoolbox-python on the rigid arm (C++ `ik_LM`, `eval`)."""
-
-    name = "roboticstoolbox-python ik_LM (rigid, tol 1e-12)"
-
-    def __init__(self, arm: Arm) -> None:
-        from roboticstoolbox import ET, ETS
-
-        chain: list[Any] = []
-        for joint in arm.joints:
-            turn, shift = np.radians(joint.alpha_deg), np.radians(joint.theta_offset_deg)
-            chain += [ET.Rx(turn), ET.tx(joint.a_m), ET.Rz(shift)]
-            if joint.type == "revolute":
-                chain += [ET.Rz(qlim=list(joint.limits)), ET.tz(joint.d_m)]
-            else:
-                chain += [ET.tz(joint.d_m), ET.tz(qlim=list(joint.limits))]
-        self.ets: Any = ETS([e for e in chain if e.isjoint or e.param != 0.0])  # type: ignore[operator]
-
-    def solve(self, target: np.ndarray, seed: np.ndarray) -> np.ndarray:
-        """Joints (n,)."""
-        return np.asarray(self.ets.ik_LM(target, q0=seed, tol=1e-12).q)
-
-
-def _random(arm: Arm, count: int, seed: int) -> np.ndarray:
+def random_joints(arm: Arm, count: int, seed: int) -> np.ndarray:
+    """Joints (count, n) anywhere inside the limits."""
     return np.random.default_rng(seed).uniform(arm.lower, arm.upper, (count, arm.n))
 
 
-def _timed(solve: Callable[[int], Any], rows: Sequence[int]) -> np.ndarray:
+def paper_grid() -> np.ndarray:
+    """The paper's training grid (1458, 7): on limits and at singularities."""
+    deg = [(-15, 0, 15), (0, 15, 30), (0, 30, 60), (-45, -25, 0), (-30, 0, 30)]
+    slides = [(0, 0), (0, 0.063), (0.06, 0.01), (0.053, 0.063), (0.104, 0.018), (0.105, 0.063)]
+    turns = itertools.product(*map(np.radians, deg))
+    return np.array([[*t[:2], s, *t[2:], d] for t, (s, d) in itertools.product(turns, slides)])
+
+
+def timed(work: Callable[[int], Any], rows: Sequence[int]) -> np.ndarray:
+    """Seconds of single calls."""
     seconds = []
     for i in rows:
         begin = time.perf_counter()
-        solve(i)
+        work(i)
         seconds.append(time.perf_counter() - begin)
     return np.array(seconds)
 
 
 def _in_turns(
-    ours: Callable[[int], Any], theirs: Callable[[int], Any], blocks: int
+    ours: Callable[[int], Any], theirs: Callable[[int], Any], per_block: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Seconds of single calls, (blocks, PER_BLOCK) each."""
+    """Seconds of single calls, (BLOCKS, per_block) each."""
     made: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
-    for block in range(blocks):
-        rows = range(block * PER_BLOCK, (block + 1) * PER_BLOCK)
+    for block in range(BLOCKS):
+        rows = range(block * per_block, (block + 1) * per_block)
         for side, solve in zip(made, (ours, theirs), strict=True):
-            side.append(_timed(solve, rows))
+            side.append(timed(solve, rows))
     return np.array(made[0]), np.array(made[1])
 
 
-def _row(name: str, value: float, unit: str, peer: str, theirs: float, each: np.ndarray) -> Result:
-    return {
-        "name": name,
-        "value": float(value),
-        "unit": unit,
-        "peer": peer,
-        "peer_value": float(theirs),
-        "ratio": float(np.median(each)),
-        "spread": [float(each.min()), float(each.max())],
-    }
+def _engine(fallback: Engine) -> Engine:
+    return Engine.COMPILED if ik.warm_up() else fallback
 
 
-def _missing(name: str, peer: str) -> Result:
-    note = f"{peer} is not installed"
-    empty = dict.fromkeys(("value", "unit", "peer_value", "ratio", "spread"))
-    return {"name": name, "peer": peer, "note": note, **empty}
-
-
-def _single(name: str, model: Model, start: Callable[[np.ndarray], np.ndarray]) -> Result:
+def _single(
+    name: str,
+    kind: Callable[[Arm], Peer],
+    start: Callable[[Arm, np.ndarray], np.ndarray],
+    per_block: int = PER_BLOCK,
+) -> Result:
     """Medians of single pose tasks; `start` makes the seeds of given joints."""
-    try:
-        peer = Toolbox(model.arm)
-    except ImportError:
-        return _missing(name, Toolbox.name)
-    engine = _fastest()
-    q = _random(model.arm, BLOCKS * PER_BLOCK, 1)
-    seeds, targets, rigid = start(q), model.pose(q), Model(model.arm).pose(q)
-    ok = [
-        ik.solve(model, t, seed=s, tol=TOLERANCE, engine=engine).ok
-        for t, s in zip(targets, seeds, strict=True)
-    ]
-    theirs_ok = _peer_ok(
-        model.arm, np.array([peer.solve(t, s) for t, s in zip(rigid, seeds, strict=True)]), rigid
-    )
-    ours, theirs = _in_turns(
-        lambda i: ik.solve(model, targets[i], seed=seeds[i], tol=TOLERANCE, engine=engine),
-        lambda i: peer.solve(rigid[i], seeds[i]),
-        BLOCKS,
-    )
-    each = np.median(theirs, axis=1) / np.median(ours, axis=1)
-    row = _row(name, 1e6 * np.median(ours), "us", Toolbox.name, 1e6 * np.median(theirs), each)
-    note = f"{engine.name.lower()}; solved {np.mean(ok):.3f}, peer {theirs_ok:.3f}"
-    return {**row, "note": note}
-
-
-def _peer_ok(arm: Arm, q: np.ndarray, targets: np.ndarray) -> float:
-    error = np.linalg.norm(Model(arm).tip(q) - targets[:, :3, 3], axis=1)
-    inside = ((q >= arm.lower - 1e-9) & (q <= arm.upper + 1e-9)).all(axis=1)
-    return float(((error < 1e-5) & inside).mean())
-
-
-def _fastest() -> Engine:
-    return Engine.COMPILED if ik.warm_up() else Engine.PYTHON
-
-
-def ik_single_vs_rtb_ik_lm_median(model: Model | None = None) -> Result:
-    """One pose from mid-range; goal 3, ambitious 7."""
-    model = model or soft_model(demo_arm())
-    mid = model.arm.mid
-    return _single("ik_single_vs_rtb_ik_lm_median", model, lambda q: np.tile(mid, (len(q), 1)))
-
-
-def ik_warm_vs_rtb_ik_lm_median(model: Model | None = None) -> Result:
-    """One pose from joints 1 % of their range away; goal 1.5."""
-    model = model or soft_model(demo_arm())
-    arm = model.arm
-    span = arm.upper - arm.lower
-    shift = 0.01 * span * np.where(np.arange(arm.n) % 2, 1.0, -1.0)
-
-    def near(q: np.ndarray) -> np.ndarray:
-        return np.clip(q + shift, arm.lower, arm.upper)
-
-    return _single("ik_warm_vs_rtb_ik_lm_median", model, near)
-
-
-def ik_batch_vs_rtb_ik_lm_mean(model: Model | None = None, engine: Engine | None = None) -> Result:
-    """Poses per second of a batch against the peer's mean rate; goal 20."""
-    model = model or soft_model(demo_arm())
-    name = "ik_batch_vs_rtb_ik_lm_mean"
-    try:
-        peer = Toolbox(model.arm)
-    except ImportError:
-        return _missing(name, Toolbox.name)
-    if engine is None:
-        engine = Engine.COMPILED if ik.warm_up() else Engine.ARRAYS
-    q, count = _random(model.arm, 4000, 2), BLOCKS * PER_BLOCK
-    targets, rigid, mid = model.pose(q), Model(model.arm).pose(q[:count]), model.arm.mid
-    ik.solve_many(model, targets[:600], tol=TOLERANCE, engine=engine)
-    ours, theirs, solved = [], [], 1.0
-    for block in range(BLOCKS):
-        begin = time.perf_counter()
-        made = ik.solve_many(model, targets, tol=TOLERANCE, engine=engine)
-        ours.append(len(q) / (time.perf_counter() - begin))
-        solved = min(solved, float(made.ok.mean()))
-        rows = range(block * PER_BLOCK, (block + 1) * PER_BLOCK)
-        theirs.append(1 / _timed(lambda i: peer.solve(rigid[i], mid), rows).mean())
-    each = np.array(ours) / np.mean(theirs)
-    row = _row(name, float(np.median(ours)), "poses/s", Toolbox.name, float(np.mean(theirs)), each)
-    return {**row, "note": f"{engine.name.lower()}; solved {solved:.3f}"}
-
-
-def ik_without_numba() -> list[Result]:
-    """Plain Python for one pose and arrays for many: goals 400 us and 30,000/s."""
     model = soft_model(demo_arm())
-    targets, mid = model.pose(_random(model.arm, 4000, 3)), model.arm.mid
-    ik.solve(model, targets[0], engine=Engine.PYTHON)
-    one = _timed(
-        lambda i: ik.solve(model, targets[i], seed=mid, tol=TOLERANCE, engine=Engine.PYTHON),
-        range(40),
+    arm, engine = model.arm, _engine(Engine.PYTHON)
+    try:
+        peer = kind(arm)
+    except ImportError as error:
+        return missing(name, getattr(kind, "name", name), f"not installed: {error.name}")
+    q = random_joints(arm, BLOCKS * per_block, 1)
+    seeds, targets, rigid = start(arm, q), model.pose(q), Model(arm).pose(q)
+
+    def our(i: int) -> np.ndarray:
+        return ik.solve(model, targets[i], seed=seeds[i], tol=TOLERANCE, engine=engine).q
+
+    def their(i: int) -> np.ndarray:
+        return peer.solve(rigid[i], seeds[i])
+
+    solved = [
+        _solved(of, np.array([work(i) for i in range(len(q))]), goals)
+        for of, work, goals in ((model, our, targets), (Model(arm), their, rigid))
+    ]
+    ours, theirs = _in_turns(our, their, per_block)
+    return beside(
+        name,
+        "us",
+        1e6 * np.median(ours, axis=1),
+        peer.name,
+        1e6 * np.median(theirs, axis=1),
+        mean=1e6 * float(ours.mean()),
+        peer_mean=1e6 * float(theirs.mean()),
+        note=f"{engine.name.lower()}; solved {solved[0]:.3f}, peer {solved[1]:.3f}",
     )
-    rows = [_row("ik_single_python", 1e6 * np.median(one), "us", "goal", 400.0, 400e-6 / one)]
-    for engine in (Engine.ARRAYS,):
-        rates = []
-        for _ in range(3):
-            begin = time.perf_counter()
-            ik.solve_many(model, targets, tol=TOLERANCE, engine=engine)
-            rates.append(len(targets) / (time.perf_counter() - begin))
-        name, goal = f"ik_batch_{engine.name.lower()}", np.array(rates) / 30e3
-        rows.append(_row(name, float(np.median(rates)), "poses/s", "goal", 30e3, goal))
-    return rows
 
 
-def fk_vs_peers() -> list[Result]:
-    """Deflected tip, pose and Jacobian against rigid FK alone."""
-    arm = demo_arm()
-    model = soft_model(arm)
-    q = _random(arm, 2048, 4)
-    kernel = kernel_of(model, Layout.of(ik.Context.empty()))
-    state = np.zeros((kernel.size, len(q)))
-    state[kernel.slice("trial")] = q.T
+def _solved(model: Model, q: np.ndarray, targets: np.ndarray) -> float:
+    arm, given = model.arm, np.isfinite(q).all(axis=1)
+    error = np.linalg.norm(model.tip(np.nan_to_num(q)) - targets[:, :3, 3], axis=1)
+    inside = ((q >= arm.lower - 1e-9) & (q <= arm.upper + 1e-9)).all(axis=1)
+    return float((given & inside & (error < 1e-5)).mean())
 
-    def traced() -> None:
-        for name in evaluation(LEVELS[-1], kernel.passes, anew=True):
-            kernel.arrays[name](state)
 
-    made = []
-    sides: list[tuple[str, Callable[[], Any], int]] = []
+def _middle(arm: Arm, q: np.ndarray) -> np.ndarray:
+    return np.tile(arm.mid, (len(q), 1))
+
+
+def _near(arm: Arm, q: np.ndarray) -> np.ndarray:
+    shift = 0.01 * (arm.upper - arm.lower) * np.where(np.arange(arm.n) % 2, 1.0, -1.0)
+    return np.clip(q + shift, arm.lower, arm.upper)
+
+
+def ik_single_vs_rtb_ik_lm_median() -> Result:
+    """One pose from mid-range; goal 3, ambitious 7."""
+    return _single("ik_single_vs_rtb_ik_lm_median", Toolbox, _middle)
+
+
+def ik_warm_vs_rtb_ik_lm_median() -> Result:
+    """One pose from joints 1 % of their range away; goal 1.5."""
+    return _single("ik_warm_vs_rtb_ik_lm_median", Toolbox, _near)
+
+
+def ik_single_vs_pinocchio() -> Result:
+    """One pose from mid-range."""
+    return _single("ik_single_vs_pinocchio", Pinocchio, _middle)
+
+
+def ik_single_vs_trac_ik() -> Result:
+    """One pose from mid-range."""
+    return _single("ik_single_vs_trac_ik", TracIk, _middle)
+
+
+def ik_single_vs_roboplan() -> Result:
+    """One pose from mid-range."""
+    return _single("ik_single_vs_roboplan", RoboPlan, _middle)
+
+
+def ik_single_vs_ikpy() -> Result:
+    """One pose from mid-range."""
+    return _single("ik_single_vs_ikpy", IkPy, _middle, per_block=3)
+
+
+def _batch(name: str, q: np.ndarray, engine: Engine) -> Result:
+    """Poses a second of a batch from mid-range, beside the peer's mean rate on the same joints."""
+    model = soft_model(demo_arm())
+    arm = model.arm
     try:
         peer = Toolbox(arm)
-        sides.append(("roboticstoolbox-python eval, batch", lambda: peer.ets.eval(q), len(q)))
-    except ImportError:
-        made.append(_missing("fk_batch_vs_rtb", "roboticstoolbox-python"))
-    ours: dict[str, tuple[Callable[[], Any], int]] = {
-        "fk_batch_model": (lambda: model.tip(q), len(q)),
-        "fk_batch_traced_with_jacobian": (traced, len(q)),
-        "fk_single_model": (lambda: model.tip(q[0]), 1),
-    }
-    for name, (work, count) in ours.items():
-        for peer_name, theirs, peer_count in sides:
-            mine = _per_pose(work, count)
-            other = _per_pose(theirs, peer_count)
-            made.append(
-                _row(
-                    name,
-                    1e6 * np.median(mine),
-                    "us",
-                    peer_name,
-                    1e6 * np.median(other),
-                    other / mine,
-                )
-            )
-    return made
-
-
-def _per_pose(work: Callable[[], Any], count: int, repeats: int = 7) -> np.ndarray:
-    work()
-    return _timed(lambda _: work(), range(repeats)) / count
-
-
-class _Constant:
-    """A predictor that costs nothing: what is timed is the compensation."""
-
-    def predict(self, q: np.ndarray, context: Any = None) -> Any:
-        """2 mm down, everywhere."""
-        from types import SimpleNamespace
-
-        error = np.tile([1e-3, 0.0, -2e-3], (len(q), 1)) * (1.0 + q[:, :1])
-        return SimpleNamespace(
-            error=error, sigma=np.full_like(error, 1e-4), in_domain=np.ones(len(q), bool)
-        )
-
-
-def compensation_batch(count: int = 10_000) -> Result:
-    """Targets to commands, all passes, one process."""
-    model = soft_model(demo_arm())
-    targets = model.tip(_random(model.arm, count, 5))
-    ik.warm_up()
-    rates, solved = [], 1.0
-    for _ in range(3):
+    except ImportError as error:
+        return missing(name, Toolbox.name, f"not installed: {error.name}")
+    targets, mid = model.pose(q), arm.mid
+    some = np.random.default_rng(0).permutation(len(q))[: BLOCKS * PER_BLOCK]
+    rigid = Model(arm).pose(q[some])
+    solve = partial(ik.solve_many, model, tol=TOLERANCE, engine=engine)
+    solve(targets[:600])
+    ours, theirs, made = [], [], []
+    for block in range(BLOCKS):
         begin = time.perf_counter()
-        made = compensate_many(model, _Constant(), targets, method=Method.BOTH)
-        rates.append(count / (time.perf_counter() - begin))
-        solved = min(solved, float(made.success.mean()))
-    row = _row(
-        "compensate_batch_10000",
-        float(np.median(rates)),
-        "targets/s",
-        "none",
-        np.nan,
-        np.array(rates),
+        made.append(solve(targets))
+        ours.append(len(q) / (time.perf_counter() - begin))
+        rows = range(block * PER_BLOCK, (block + 1) * PER_BLOCK)
+        theirs.append(1 / timed(lambda i: peer.solve(rigid[i], mid), rows).mean())
+    note = f"{engine.name.lower()}, one thread; solved {made[0].ok.mean():.4f}"
+    rate = [float(np.mean(theirs))]
+    return beside(name, "poses/s", ours, Toolbox.name, rate, more_is_better=True, note=note)
+
+
+def ik_batch_vs_rtb_ik_lm_mean() -> Result:
+    """Random joints; goal 20."""
+    q = random_joints(demo_arm(), BATCH, 2)
+    return _batch("ik_batch_vs_rtb_ik_lm_mean", q, _engine(Engine.ARRAYS))
+
+
+def ik_grid_vs_rtb_ik_lm_mean() -> Result:
+    """The paper's grid, on limits and at singularities; goal 20."""
+    return _batch("ik_grid_vs_rtb_ik_lm_mean", paper_grid(), _engine(Engine.ARRAYS))
+
+
+def ik_single_without_compiler() -> Result:
+    """Plain Python; goal 400 us."""
+    model = soft_model(demo_arm())
+    targets, mid = model.pose(random_joints(model.arm, 201, 3)), model.arm.mid
+
+    def work(i: int) -> None:
+        ik.solve(model, targets[i], seed=mid, tol=TOLERANCE, engine=Engine.PYTHON)
+
+    work(0)
+    each = timed(work, range(1, 201)).reshape(BLOCKS, -1)
+    return beside("ik_single_without_compiler", "us", 1e6 * np.median(each, 1), "goal", [400.0])
+
+
+def ik_batch_without_compiler() -> Result:
+    """NumPy; goal 30,000 poses/s."""
+    model = soft_model(demo_arm())
+    targets = model.pose(random_joints(model.arm, BATCH, 3))
+    solve = partial(ik.solve_many, model, tol=TOLERANCE, engine=Engine.ARRAYS)
+    solve(targets[:100])
+    rates = BATCH / timed(lambda _: solve(targets), range(3))
+    return beside(
+        "ik_batch_without_compiler", "poses/s", rates, "goal", [30e3], more_is_better=True
     )
-    return {**row, "peer_value": None, "ratio": None, "note": f"success {solved:.4f}"}
 
 
-def main() -> None:
-    """Print all rows as JSON."""
-    rows = [
-        ik_single_vs_rtb_ik_lm_median(),
-        ik_warm_vs_rtb_ik_lm_median(),
-        ik_batch_vs_rtb_ik_lm_mean(),
-        *ik_without_numba(),
-        *fk_vs_peers(),
-        compensation_batch(),
-    ]
-    machine = f"{platform.machine()}, Python {platform.python_version()}"
-    print(json.dumps({"machine": machine, "results": rows}, indent=1))
+def ik_compile_seconds() -> Result:
+    """What the first target of a model waits for: tracing and compiling it."""
+    arm = demo_arm()
 
+    def work(k: int) -> None:
+        ik.warm_up(soft_model(arm, elements_per_beam=2).plus(JointCompliance(4, 1e-4 * (k + 1))))
 
-if __name__ == "__main__":
-    main()
+    ik.warm_up()
+    return alone(
+        "ik_compile_seconds", "s", timed(work, range(3)), "trace and compile, once a model"
+    )
