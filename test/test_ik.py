@@ -83,6 +83,24 @@ def test_engines_run_one_search(model, engine, rng):
         assert np.allclose(made.q, reference.q, atol=1e-8)
 
 
+def test_threads_give_the_same_numbers(model, rng):
+    targets = model.pose(rng.uniform(model.arm.lower, model.arm.upper, (40, model.arm.n)))
+    one, three = (solve_many(model, targets, engine=FAST, threads=k) for k in (1, 3))
+    assert one.ok.all()
+    assert np.array_equal(one.q, three.q)
+
+
+def test_one_target_alone_is_solved_as_among_many(model, rng):
+    q = rng.uniform(model.arm.lower, model.arm.upper, (7, model.arm.n))
+    targets = model.pose(q)
+    for goals in (targets, targets[:, :3, 3]):
+        many = solve_many(model, goals, seed=q[::-1], engine=FAST)
+        for k, goal in enumerate(goals):
+            alone = solve(model, goal, seed=q[6 - k], engine=FAST)
+            assert np.array_equal(alone.q, many.q[k])
+            assert alone == (alone.q, *many[k][1:])
+
+
 def test_context_and_effects_reach_every_target(model, rng):
     """Payload by target, and compliance: each is solved under its own load."""
     soft = model.plus(JointCompliance(2, 2e-3), JointCompliance(5, 4e-3))

@@ -9,6 +9,7 @@ above 1 mean faster than the peer.
 from __future__ import annotations
 
 import itertools
+import os
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -162,7 +163,7 @@ def ik_single_vs_ikpy() -> Result:
     return _single("ik_single_vs_ikpy", IkPy, _middle, per_block=3)
 
 
-def _batch(name: str, q: np.ndarray, engine: Engine) -> Result:
+def _batch(name: str, q: np.ndarray, engine: Engine, threads: int = 1) -> Result:
     """Poses a second of a batch from mid-range, beside the peer's mean rate on the same joints."""
     model = soft_model(demo_arm())
     arm = model.arm
@@ -173,7 +174,7 @@ def _batch(name: str, q: np.ndarray, engine: Engine) -> Result:
     targets, mid = model.pose(q), arm.mid
     some = np.random.default_rng(0).permutation(len(q))[: BLOCKS * PER_BLOCK]
     rigid = Model(arm).pose(q[some])
-    solve = partial(ik.solve_many, model, tol=TOLERANCE, engine=engine)
+    solve = partial(ik.solve_many, model, tol=TOLERANCE, engine=engine, threads=threads)
     solve(targets[:600])
     ours, theirs, made = [], [], []
     for block in range(BLOCKS):
@@ -182,7 +183,7 @@ def _batch(name: str, q: np.ndarray, engine: Engine) -> Result:
         ours.append(len(q) / (time.perf_counter() - begin))
         rows = range(block * PER_BLOCK, (block + 1) * PER_BLOCK)
         theirs.append(1 / timed(lambda i: peer.solve(rigid[i], mid), rows).mean())
-    note = f"{engine.name.lower()}, one thread; solved {made[0].ok.mean():.4f}"
+    note = f"{engine.name.lower()}, {threads} threads; solved {made[0].ok.mean():.4f}"
     rate = [float(np.mean(theirs))]
     return beside(name, "poses/s", ours, Toolbox.name, rate, more_is_better=True, note=note)
 
@@ -191,6 +192,13 @@ def ik_batch_vs_rtb_ik_lm_mean() -> Result:
     """Random joints; goal 20."""
     q = random_joints(demo_arm(), BATCH, 2)
     return _batch("ik_batch_vs_rtb_ik_lm_mean", q, _engine(Engine.ARRAYS))
+
+
+def ik_batch_all_cores_vs_rtb_ik_lm_mean() -> Result:
+    """The same on every core; the peer has one thread."""
+    q, cores = random_joints(demo_arm(), BATCH, 2), len(os.sched_getaffinity(0))
+    name = "ik_batch_all_cores_vs_rtb_ik_lm_mean"
+    return _batch(name, q, _engine(Engine.ARRAYS), cores)
 
 
 def ik_grid_vs_rtb_ik_lm_mean() -> Result:

@@ -168,6 +168,7 @@ def solve_many(
     max_starts: int = MAX_STARTS,
     rng: np.random.Generator | None = None,
     engine: Engine = Engine.AUTO,
+    threads: int = 1,
 ) -> Solutions:
     """Joints that bring the tip to each of N targets.
 
@@ -183,6 +184,7 @@ def solve_many(
         max_starts: the seed and so many restarts less one; 1 never leaves the seed's branch.
         rng: draws the restarts; by default a fixed low-discrepancy sequence does.
         engine: how to run the search; see `warm_up` for the compiled one.
+        threads: so many at once, in machine code only.
 
     Raises:
         InputError: wrong shape, numbers that are not finite, no rotation, unknown joint.
@@ -212,6 +214,7 @@ def solve_many(
         characteristic_length(model),
         float(tol),
         int(max_iterations),
+        max(1, threads),
     )
     q, report = run(model, context or Context.empty(), problem, engine)
     return _collect(model, q, report, problem)

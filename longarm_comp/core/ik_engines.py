@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import Enum
 from functools import cache
@@ -39,6 +40,7 @@ class Problem:
         length: metres that a radian of tool angle counts for.
         tol: on position (m) and angle (rad).
         max_iterations: per start.
+        threads: at work at once in machine code.
     """
 
     targets: np.ndarray
@@ -50,6 +52,7 @@ class Problem:
     length: float
     tol: float
     max_iterations: int
+    threads: int
 
 
 class Engine(Enum):
@@ -245,7 +248,13 @@ def _compiled(model: Model, context: Context, p: Problem, given: Given, count: i
             even = values[: count - rest].reshape(count // width, width, part.shape[1])
             part[: count // width] = even.swapaxes(1, 2)
             part[count // width :, :, :rest] = values[count - rest :].T
-    kernel.code.function(f"many_search{p.m}")(blocks.ctypes.data, number)
+    search = kernel.code.function(f"many_search{p.m}")  # Python's lock is let go meanwhile
+    if p.threads == 1:
+        search(blocks.ctypes.data, number)
+    else:
+        parts = np.array_split(blocks, p.threads)
+        with ThreadPoolExecutor(p.threads) as pool:
+            list(pool.map(lambda part: search(part.ctypes.data, len(part)), parts))
     q, size, used = (
         blocks[:, kernel.slice(name)].swapaxes(1, 2).reshape(number * width, -1)[:count]
         for name in ("q", "size", "used")

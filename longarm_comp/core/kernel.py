@@ -2,9 +2,10 @@
 
 At the trial joints, `rigid` gives the tip and its Jacobian without what loads and context do,
 `first` the twists under the rigid arm's loads, `again` those under the loads of the arm with
-given twists, `tip` its tip and Jacobian; the others are the search of `newton`.  All are traced from the package's own Python, so they give its numbers; parameters
-are constants in them, joints and context are inputs.  They run on floats, on arrays, or (with
-llvmlite) as machine code, compiled in about a second.
+given twists, `tip` its tip and Jacobian; the others are the search of `newton`.  All are traced
+from the package's own Python, so they give its numbers; parameters are constants in them,
+joints and context are inputs.  They run on floats, on arrays, or (with llvmlite) as machine
+code, compiled in about a second.
 """
 
 from __future__ import annotations
