@@ -41,6 +41,7 @@ EXTRAS = {
         "hypothesis",
         "ikpy",
         "jsonschema",
+        "mcap-ros2-support",
         "mypy",
         "packaging",
         "pin",

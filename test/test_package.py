@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "longarm_comp"
 
 # Programs that run in an environment of their own, because theirs and ours exclude each other.
-ELSEWHERE = {"mealpy"}
+ELSEWHERE = {"mealpy", "pybotics"}
 
 
 # Modules that cmeel keeps in a prefix of its own, which Python's metadata does not name.

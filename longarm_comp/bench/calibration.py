@@ -151,14 +151,14 @@ def calibrate_joints() -> Result:
 # ------------------------------------------------------------------ against peers
 
 
-def calibrate_vs_scipy(samples: int = 300, repeats: int = 3) -> Result:
-    """Everything that is always fitted, deflected arm, against finite differences."""
+def calibrate_vs_scipy(samples: int = 300, repeats: int = 3, *, rigid: bool = False) -> Result:
+    """Everything that is always fitted, against finite differences; the arm sags unless rigid."""
     arm = demo_arm()
-    held_out = made_session(arm, 512, 99)
+    held_out = made_session(arm, 512, 99, rigid=rigid)
     ours, theirs, left = [], [], ([], [])  # type: ignore[var-annotated]
     for seed in range(repeats):
-        session = made_session(arm, samples, seed)
-        start, sigma = _start(arm, session), NOISE_M
+        session = made_session(arm, samples, seed, rigid=rigid)
+        start, sigma = _start(arm, session, rigid=rigid), NOISE_M
         begin = time.perf_counter()
         mine = fit(start, session)
         ours.append(time.perf_counter() - begin)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from functools import lru_cache
+from typing import Any
 
 from longarm_comp.bench.apart import Cost, cost_of
 from longarm_comp.bench.arms import demo_arm
@@ -43,7 +44,7 @@ def _cost(samples: int, kinds: int = len(LIBRARY), seed: int = 0) -> Cost:
     return cost_of(__name__, "diagnose_once", samples, kinds, seed)
 
 
-def _told(cost: Cost) -> dict[str, object]:
+def _told(cost: Cost) -> dict[str, Any]:
     found = ", ".join(cost.result["found"]) or "nothing"
     return {
         "grown_mb": cost.grown_mb,

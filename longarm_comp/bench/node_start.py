@@ -59,8 +59,8 @@ def _node(node: str) -> Result:
 
 
 @lru_cache(maxsize=1)
-def ready_times(repeats: int = REPEATS) -> dict[str, list[float]]:
-    """Milliseconds of every node and of the floor, in turns.
+def ready_times(repeats: int = REPEATS, *, warm: bool = True) -> dict[str, list[float]]:
+    """Milliseconds of every node and of the floor, in turns; `warm`: one turn before that.
 
     Raises:
         JobError: a node did not come up.
@@ -70,11 +70,12 @@ def ready_times(repeats: int = REPEATS) -> dict[str, list[float]]:
     made: dict[str, list[float]] = {name: [] for name in ("bare", *SIMULATED)}
     with tempfile.TemporaryDirectory(prefix="longarm_bench_") as scratch:
         commands = _commands(Path(scratch), SIMULATED)
-        for turn in range(repeats + 1):
+        if warm:  # read from disk once
+            for command in commands.values():
+                _ready(command, scratch)
+        for _ in range(repeats):
             for name, command in commands.items():
-                taken = 1e3 * _ready(command, scratch)
-                if turn:  # the first reads from disk
-                    made[name].append(taken)
+                made[name].append(1e3 * _ready(command, scratch))
     return made
 
 

@@ -184,3 +184,8 @@ def origin_bias(runs: int = 9, dims: int = 20, iterations: int = 200) -> str:
             shifted.append(solve(centre, seed))
         lines.append(f"| {name} | {np.median(centred):.2g} | {np.median(shifted):.2g} |")
     return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    for text in tables():
+        print(text, flush=True)

@@ -25,9 +25,14 @@ def note(text: str) -> None:
     click.echo(f"longarm: {text}", err=True)
 
 
-def print_json(data: object) -> None:
+def as_text(data: object) -> str:
     """Results as JSON; what is not a number is null."""
-    click.echo(json.dumps(_plain(data), indent=2, allow_nan=False))
+    return json.dumps(_plain(data), indent=2, allow_nan=False)
+
+
+def print_json(data: object) -> None:
+    """Results as JSON on stdout."""
+    click.echo(as_text(data))
 
 
 def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
