@@ -22,6 +22,8 @@ from longarm_comp.devices.stereo.triangulate import (
     triangulate,
 )
 
+_KEPT = 1.0 - 1.0 / 200.0  # of the residuals, from one sighting to the next
+
 
 @dataclass(frozen=True)
 class Sighting:
@@ -61,7 +63,8 @@ class StereoEye:
         target: the printed marker.
         camera_in_base: (4, 4) pose of the left optical frame in the base frame (hand-eye).
         tip_in_marker: (3,) m, the tip in the marker frame.
-        limits, noise: when to refuse; how well a corner is located.
+        limits: when to refuse.
+        noise: how well a corner is located, before the first sightings have told.
 
     Raises:
         InputError: if camera_in_base is not a rigid motion or tip_in_marker is not finite.
@@ -76,7 +79,7 @@ class StereoEye:
     sightings: int = 0
     refusals: Counter[Reason] = field(default_factory=Counter)
     _square_px2: float = field(default=0.0, repr=False)
-    _freedom: int = field(default=0, repr=False)
+    _freedom: float = field(default=0.0, repr=False)
 
     def __post_init__(self) -> None:
         self._hand_eye = _rigid("stereo", "camera_in_base", self.camera_in_base)
@@ -103,11 +106,24 @@ class StereoEye:
 
     @property
     def corner_sigma_px(self) -> float | None:
-        """How well corners were located over all sightings so far (pooled residuals), px.
+        """How well corners were located over the last sightings (pooled residuals), px.
 
-        A session's figure to set `PixelNoise.sigma_px` by; None before the first sighting.
+        None before the first sighting.
         """
         return float(np.sqrt(self._square_px2 / self._freedom)) if self._freedom else None
+
+    @property
+    def expected_noise(self) -> PixelNoise:
+        """The assumed noise, corrected by what the residuals of the last sightings say.
+
+        One tag leaves 10 degrees of freedom, too few to outweigh an assumption that is four times
+        too large; hundreds of sightings do.
+        """
+        assumed, total = self.noise, self.noise.weight + self._freedom
+        if not total:
+            return assumed
+        square = assumed.weight * assumed.sigma_px**2 + self._square_px2
+        return PixelNoise(float(np.sqrt(square / total)), assumed.weight)
 
     def _measure(
         self, left: NDArray[np.uint8], right: NDArray[np.uint8], stamp_ns: int
@@ -125,7 +141,8 @@ class StereoEye:
         left_px, right_px = seen[0].pixels[in_left], seen[1].pixels[in_right]
         off = float(np.median(epipolar_px(self.rig, left_px, right_px)))
         self._require(Reason.EPIPOLAR, off <= self.limits.epipolar_px, epipolar_px=round(off, 3))
-        points = triangulate(self.rig, left_px, right_px, self.noise)
+        noise = self.expected_noise
+        points = triangulate(self.rig, left_px, right_px, noise)
         size = _size_seen(points.points, corners)
         wrong = abs(size - 1.0) > self.limits.size
         self._require(Reason.MARKER_SIZE, not wrong, seen_over_declared=round(size, 4))
@@ -136,12 +153,12 @@ class StereoEye:
             left_px,
             right_px,
             self.limits.tolerance(left_px),
-            self.noise,
+            noise,
         )
         rms = pose.rms_px
         self._require(Reason.REPROJECTION, rms <= self.limits.rms_px, rms_px=round(rms, 3))
-        self._square_px2 += float(np.sum(np.square(pose.residuals)))
-        self._freedom += pose.residuals.size - 6
+        self._square_px2 = _KEPT * self._square_px2 + float(np.sum(np.square(pose.residuals)))
+        self._freedom = _KEPT * self._freedom + pose.residuals.size - 6
         return self._sighting(pose, len(ids), stamp_ns)
 
     def _corners(self, grey: NDArray[np.uint8], missing: Reason, side: str) -> Corners:
