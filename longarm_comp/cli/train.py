@@ -34,6 +34,9 @@ from longarm_comp.cli.output import note, print_json, progress
     "--hidden", type=click.IntRange(min=1), help="Hidden units; by evidence if not given."
 )
 @click.option("--no-deflection", is_flag=True, help='The paper\'s "network only": rigid physics.')
+@click.option(
+    "--device", help="torch device of the sparrow search, such as cuda; numpy if not given."
+)
 @options.seed
 @options.as_json
 def command(
@@ -46,6 +49,7 @@ def command(
     ensemble: int,
     hidden: int | None,
     no_deflection: bool,
+    device: str | None,
     seed: int,
     as_json: bool,
 ) -> None:
@@ -88,6 +92,7 @@ def command(
             hidden=hidden,
             progress=lambda k, of: show(f"{k} of {of} networks", k / of),
             provenance=origin,
+            device=device,
         )
     made.save(output)
     left = residual - made.predict(seen.q, predictor_context(seen)).error
