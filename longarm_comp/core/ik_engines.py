@@ -21,9 +21,10 @@ from longarm_comp.core.context import Context
 from longarm_comp.core.kernel import Kernel, Layout, kernel_of, tip_and_jacobian
 from longarm_comp.core.model import Model
 
-_CHUNK = 1024  # targets whose arrays stay in the processor's cache
+_CHUNK = 2048  # targets whose arrays stay in the processor's cache
 _FEW = 4  # targets up to which plain Python is ahead of arrays
-_COMPILE_AFTER = 50  # targets solved for a model without, before it is compiled unasked
+_COMPILE_AFTER = 500  # single targets' worth of work for a model before it is compiled unasked
+_WORTH = 1 / 16  # of a target among many, beside one alone
 _NOTHING = Layout.of(Context.empty())
 _THIN = 0.7  # share of the columns still at work below which the others are put aside
 
@@ -133,7 +134,7 @@ def _chosen(model: Model, layout: Layout, count: int) -> Engine:
     if not layout.traceable:
         return Engine.MODEL
     kernel = kernel_of(model, layout)
-    kernel.asked += count
+    kernel.asked += count if count <= _FEW else _WORTH * count
     pays = _LongLived.now or kernel.asked > _COMPILE_AFTER
     if compiler_at_hand() and (pays or is_compiled(kernel, Engine.AUTO)):
         return Engine.COMPILED

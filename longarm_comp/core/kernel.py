@@ -75,7 +75,7 @@ class Kernel:
         place: where a search keeps what (`newton.rows`); size: how many numbers that is.
         passes: load passes of the model.
         layout: the context it reads; lower, upper, mid: the joint box.
-        asked: targets that were solved for it so far, other than one by one in machine code.
+        asked: single targets' worth of work that it was asked for before it was compiled.
         flows: `search3` and `search6` from joints q, `solve3` and `solve6` from a seed and a
             matrix.
     """
@@ -86,7 +86,7 @@ class Kernel:
         fixed, slot = _twist_slots(model, layout)
         self.place = newton.rows(self.n, layout.count, len(slot))
         self.size = 1 + max(r[-1] for r in self.place.values() if r)
-        self.passes, self.asked = model.load_passes, 0
+        self.passes, self.asked = model.load_passes, 0.0
         self.flows: dict[str, newton.Flow] = {}
         for m in (3, 6):
             search = newton.flow(self.passes, m)
