@@ -325,11 +325,9 @@ def _fit_parts(
             part.look()
             part.weigh(settled=step > 2)
             a, y = part.whitened(scale[mine])
-            wide = np.zeros((len(a), len(scale)))
-            np.add.at(wide.T, mine, a.T)
-            designs.append(wide)
+            designs.append(_placed(a, mine, len(scale)))
             data.append(y)
-        posterior = linear.solve(np.concatenate(designs), np.concatenate(data), lower, upper)
+        posterior = linear.solve(_joined(designs), _joined(data), lower, upper)
         se = np.sqrt(np.diag(posterior.covariance))
         small = True
         for part, mine in zip(parts, maps, strict=True):
@@ -363,3 +361,17 @@ def _fit_parts(
             )
         )
     return made
+
+
+def _placed(columns: np.ndarray, places: np.ndarray, width: int) -> np.ndarray:
+    """(m, k) columns of one part at their places among those of all parts, (m, width)."""
+    if np.array_equal(places, np.arange(width)):
+        return columns
+    wide = np.zeros((len(columns), width))
+    np.add.at(wide.T, places, columns.T)
+    return wide
+
+
+def _joined(blocks: list[np.ndarray]) -> np.ndarray:
+    """Rows of all parts; those of a single one are not copied."""
+    return blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
