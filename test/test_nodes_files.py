@@ -117,9 +117,8 @@ def test_bring_up_scales_the_simulation_and_leaves_hardware_alone(tmp_path: Path
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
 
 
-@pytest.mark.parametrize("file", LAUNCH_FILES, ids=lambda file: file.name)
-def test_a_launch_file_describes_itself(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`launch` is in no registry: its classes are stand-ins that only keep their arguments."""
+def launched(file: Path, monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
+    """A launch file, run. `launch` is in no registry: stand-ins only keep their arguments."""
     for name in (
         *("launch", "launch.actions", "launch.substitutions"),
         *("launch.launch_description_sources", "launch_ros", "launch_ros.actions"),
@@ -129,6 +128,12 @@ def test_a_launch_file_describes_itself(file: Path, monkeypatch: pytest.MonkeyPa
     module.__file__ = str(file)
     source = file.read_text("utf-8")
     exec(compile(ast.parse(source), str(file), "exec"), module.__dict__)
+    return module
+
+
+@pytest.mark.parametrize("file", LAUNCH_FILES, ids=lambda file: file.name)
+def test_a_launch_file_describes_itself(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    module = launched(file, monkeypatch)
     module.generate_launch_description()
     (entities,), _ = module.LaunchDescription.call_args
     assert len(entities) >= 2
@@ -140,5 +145,42 @@ def test_a_launch_file_describes_itself(file: Path, monkeypatch: pytest.MonkeyPa
         )
         made = module.nodes(None)
         assert len(made) == len(SIMULATED) + 2
-        executables = [call.kwargs["executable"] for call in module.Node.call_args_list]
-        assert executables[: len(SIMULATED)] == list(SIMULATED)
+        calls = [call.kwargs for call in module.Node.call_args_list]
+        assert [call["executable"] for call in calls[: len(SIMULATED)]] == list(SIMULATED)
+        for call in calls[: len(SIMULATED)]:
+            passes_what_the_node_has(call["executable"], *call["parameters"])
+
+
+def passes_what_the_node_has(node: str, listed: str, given: dict[str, Any]) -> None:
+    """The parameter file is there, and each value on top of it is one that the node takes."""
+    assert Path(listed).is_file()
+    known = table(node)
+    for name, value in given.items():
+        if name.split(".")[0] in ServoConfig.model_fields:
+            assert name in in_file(node) or name == "bus.port", name
+        else:
+            known[name].check(value)
+
+
+@pytest.mark.parametrize(
+    "file", [file for file in LAUNCH_FILES if file.name != "longarm.launch.py"],
+    ids=lambda file: file.name,
+)  # fmt: skip
+def test_what_includes_another_launch_file_passes_arguments_that_it_has(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = launched(ROOT / "launch" / "longarm.launch.py", monkeypatch)
+    known = {name for name, _, _ in whole.ARGUMENTS}
+    needed = {name for name, default, _ in whole.ARGUMENTS if default is None}
+    module = launched(file, monkeypatch)
+    module.generate_launch_description()
+    includes = module.IncludeLaunchDescription.call_args_list
+    assert includes
+    for call in includes:
+        passed = dict(call.kwargs["launch_arguments"])
+        assert needed <= set(passed) <= known
+    named = [call.args[0] for call in module.PythonLaunchDescriptionSource.call_args_list]
+    assert {Path(name) for name in named} == {ROOT / "launch" / "longarm.launch.py"}
+    declared = {call.args[0] for call in module.DeclareLaunchArgument.call_args_list}
+    used = {call.args[0] for call in module.LaunchConfiguration.call_args_list}
+    assert used <= declared
