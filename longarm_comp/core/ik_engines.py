@@ -7,6 +7,7 @@ residual (rad), iterations, starts.
 from __future__ import annotations
 
 import importlib.util
+from collections import ChainMap
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -273,11 +274,9 @@ def _model(model: Model, context: Context, p: Problem, given: Given, count: int)
         for row, value in zip(s[out], tip_and_jacobian(model, posture), strict=True):
             row[:] = value
 
-    own = dict.fromkeys(("rigid", "tip"), evaluate)
+    own: dict[str, Any] = {"rigid": evaluate, "tip": evaluate, "first": _nothing, "again": _nothing}
     s = _filled({**given, "c": np.zeros(0)}, kernel, count)
-    columns = Columns(
-        {**kernel.arrays, "first": _nothing, "again": _nothing, **own}, kernel.place, s, thin=0.0
-    )
+    columns = Columns(ChainMap(own, kernel.arrays), kernel.place, s, thin=0.0)
     newton.run(kernel.flows[f"search{p.m}"], columns.call, columns.repeat)
     return _read(s, kernel)
 

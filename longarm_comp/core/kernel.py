@@ -151,21 +151,15 @@ class Kernel:
         self._trace("again", lambda s: carried(at(s, s["x"])))
         self._trace("tip", lambda s: seen(at(s, s["x"])))
 
-    def _python(self, functions: Mapping[str, Any], arrays: bool) -> dict[str, Any]:
-        text = "\n".join(emit.python(name, *self.programs[name], arrays) for name in self.programs)
-        space = dict(functions)
-        exec(compile(text, "<traced model>", "exec"), space)
-        return {name: space[name] for name in self.programs}
-
     @cached_property
     def floats(self) -> dict[str, Any]:
         """The programs by name, on a list of floats."""
-        return self._python(emit.FLOATS, arrays=False)
+        return _Python(self.programs, arrays=False)
 
     @cached_property
     def arrays(self) -> dict[str, Any]:
         """The programs by name, on rows (size, N)."""
-        return self._python(emit.ARRAYS, arrays=True)
+        return _Python(self.programs, arrays=True)
 
     @cached_property
     def code(self) -> Any:
@@ -175,6 +169,21 @@ class Kernel:
         width = machine_code.lanes()
         text = emit_llvm.module(self.programs, self.flows, self.place, width)
         return machine_code.compile_module(text, width)
+
+
+class _Python(dict[str, Any]):
+    """Programs as Python functions, each written when it is first called for."""
+
+    def __init__(self, programs: Mapping[str, tuple[Tape, emit.Outputs]], arrays: bool) -> None:
+        super().__init__()
+        self.programs, self.arrays = programs, arrays
+
+    def __missing__(self, name: str) -> Any:
+        space = dict(emit.ARRAYS if self.arrays else emit.FLOATS)
+        text = emit.python(name, *self.programs[name], self.arrays)
+        exec(compile(text, f"<traced {name}>", "exec"), space)
+        self[name] = space[name]
+        return self[name]
 
 
 def tip_and_jacobian(model: Model, posture: Posture) -> list[Any]:
