@@ -164,7 +164,9 @@ def test_every_node_comes_up(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -
 
 
 def fake(name: str) -> dict[str, object]:
-    if name.startswith("ssa_fitness_cuda"):
+    if name == "ssa_evals_vs_mealpy_300":
+        raise JobError("no network")
+    if name == "ssa_fitness_cuda":
         return rows.missing(name, "numpy", "no CUDA device here")
     return rows.beside(name, "us", [2.0, 1.0], "p", [5.0, 6.0])
 
@@ -177,6 +179,8 @@ def test_results_as_json_and_picture(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert names == [n for n, kind in catalogue.KIND_OF.items() if kind in ("ssa", "bags")]
     assert set(made) == {"machine", "libraries", "load", "results"}
     assert "Python" in made["machine"]
+    assert "no network" in made["results"][0]["note"]
+    assert made["results"][1]["ratio"] == pytest.approx(4.25)
     picture = image.imread(tmp_path / "out" / "results.png")
     assert picture.shape[0] > 300
     assert picture.std() > 0.05  # not blank

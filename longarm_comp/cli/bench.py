@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from longarm_comp.cli import options
-from longarm_comp.cli.output import note, print_json, print_rows, progress
+from longarm_comp.cli.output import as_text, note, print_json, print_rows, progress
 
 _SHOWN = ("name", "value", "unit", "peer", "peer_value", "ratio", "spread")
 
@@ -37,6 +37,8 @@ def command(names: tuple[str, ...], output: Path | None, listed: bool, as_json: 
       longarm bench ros bags
     """
     from longarm_comp.bench import catalogue, machine
+    from longarm_comp.bench.plot import draw
+    from longarm_comp.core.files import atomic_path, write_text
 
     chosen = catalogue.chosen(names)
     if listed:
@@ -45,26 +47,40 @@ def command(names: tuple[str, ...], output: Path | None, listed: bool, as_json: 
         return
     if output is not None:
         _writable(output)
-    made: list[dict[str, Any]] = []
-    before = machine.load()
+    results: dict[str, Any] = {
+        "machine": machine.machine(),
+        "libraries": machine.libraries(),
+        "load": [machine.load(), machine.load()],
+        "results": [],
+    }
     with progress("bench") as show:
         for done, name in enumerate(chosen):
             show(name, done / len(chosen))
-            made.append(dict(catalogue.run(name)))
-    results = {
-        "machine": machine.machine(),
-        "libraries": machine.libraries(),
-        "load": [before, machine.load()],
-        "results": made,
-    }
-    title = f"{results['machine']}; load {before:.1f} to {machine.load():.1f}"
+            results["results"].append(_measured(name))
+            results["load"][1] = machine.load()
+            if output is not None:  # after every row: whoever stops early keeps what there is
+                write_text(output / "results.json", as_text(results) + "\n")
+    title = f"{results['machine']}; load {{:.1f}} to {{:.1f}}".format(*results["load"])
     if output is not None:
-        _write(results, title, output)
+        with atomic_path(output / "results.png") as partial:
+            draw(results["results"], title, partial)
         note(f"results.json and results.png in {output}")
     if as_json:
         print_json(results)
     else:
-        print_rows(f"Benchmarks on {title}", [{k: row.get(k) for k in _SHOWN} for row in made])
+        shown = [{key: row.get(key) for key in _SHOWN} for row in results["results"]]
+        print_rows(f"Benchmarks on {title}", shown)
+
+
+def _measured(name: str) -> dict[str, Any]:
+    """One row; what could not be measured says why, and the others go on."""
+    from longarm_comp.bench import catalogue, rows
+    from longarm_comp.core.errors import JobError
+
+    try:
+        return dict(catalogue.run(name))
+    except JobError as error:
+        return rows.missing(name, "none", str(error))
 
 
 def _writable(folder: Path) -> None:
@@ -75,13 +91,3 @@ def _writable(folder: Path) -> None:
     except OSError as error:
         said = error.strerror or str(error)
         raise InputError(folder, "--output", said, "a folder to write in") from error
-
-
-def _write(results: dict[str, Any], title: str, folder: Path) -> None:
-    from longarm_comp.bench.plot import draw
-    from longarm_comp.cli.output import as_text
-    from longarm_comp.core.files import atomic_path, write_text
-
-    write_text(folder / "results.json", as_text(results) + "\n")
-    with atomic_path(folder / "results.png") as partial:
-        draw(results["results"], title, partial)
