@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import importlib.util
 import itertools
+import pickle
 
 import numpy as np
 import pytest
@@ -99,6 +101,14 @@ def test_one_target_alone_is_solved_as_among_many(model, rng):
             alone = solve(model, goal, seed=q[6 - k], engine=FAST)
             assert np.array_equal(alone.q, many.q[k])
             assert alone == (alone.q, *many[k][1:])
+
+
+def test_a_model_that_was_solved_for_can_be_copied(model):
+    target = model.pose(model.arm.mid)
+    solved = solve(model, target, engine=FAST)
+    for twin in (copy.deepcopy(model), pickle.loads(pickle.dumps(model))):
+        assert twin.effects == model.effects
+        assert np.array_equal(solve(twin, target, engine=FAST).q, solved.q)
 
 
 def test_context_and_effects_reach_every_target(model, rng):

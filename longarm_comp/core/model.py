@@ -60,6 +60,10 @@ class Model:
     passes: int = 3
     elements_per_beam: int = 2
 
+    def __getstate__(self) -> dict[str, object]:
+        """Copies and other processes get what was declared, not what was compiled for it."""
+        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+
     @cached_property
     def chain(self) -> Chain:
         """The arm's stations."""
