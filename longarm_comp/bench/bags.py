@@ -136,7 +136,7 @@ def bag_write_vs_mcap_ros2(rows: int = 4_000, repeats: int = REPEATS) -> Result:
         return missing("bag_write_vs_mcap_ros2", MCAP, f"{MCAP} is not installed")
     arm, rng = demo_arm(), np.random.default_rng(0)
     q = rng.uniform(arm.lower, arm.upper, (rows, arm.n))
-    session = Session.record(q, rng.standard_normal((rows, 3)), approach=np.ones(rows))
+    session = Session.record(q, rng.standard_normal((rows, 3)))
     definitions = _definitions()
 
     with _scratch() as scratch:

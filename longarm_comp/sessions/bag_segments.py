@@ -84,11 +84,12 @@ class SegmentedBag:
 
     def write(self, topic: str, kind: str, stamp_ns: int, data: bytes) -> None:
         """Add one serialised message (CDR) of a type that `message_types` knows."""
-        writer = self._open()
-        if (topic, kind) not in self._connections:
-            made = writer.add_connection(topic, kind, typestore=message_types())
-            self._connections[topic, kind] = made
-        writer.write(self._connections[topic, kind], stamp_ns, data)
+        writer = self._writer or self._open()
+        connection = self._connections.get((topic, kind))
+        if connection is None:
+            connection = writer.add_connection(topic, kind, typestore=message_types())
+            self._connections[topic, kind] = connection
+        writer.write(connection, stamp_ns, data)
         self.messages += 1
 
     def _open(self) -> Writer:
