@@ -31,6 +31,8 @@ from longarm_comp.core.model import Model
 POSES_TO_SPLIT = 12
 MOST_NAMES = 7
 """A set of more names than this names nothing."""
+LEAST_SHARE = 0.5
+"""Where structure is left, names that took less than this of the held-out error are withdrawn."""
 MOST_OUTLIERS = 0.125
 """More rejected rows than this are not outliers but something that the model lacks."""
 
@@ -169,12 +171,15 @@ def diagnose(
         "calibrated": calibrated.model,
         "with_effects": traced.fit.model,
     }
-    network = None
-    if structure.flag and train_network is not None:
+    seen = train.take(train.seen).take(traced.fit.weights > 0)
+
+    def learned() -> Residual | None:
+        if not structure.flag or train_network is None:
+            return None
         say("network")
-        network = train_network(
-            traced.fit.model, train.take(train.seen).take(traced.fit.weights > 0)
-        )
+        return train_network(models["with_effects"], seen)
+
+    network = learned()
     sealed.release(f"{len(traced.chosen)} terms, seed {seed}")
     held_out = sealed.open("proof")
     held_out = held_out.take(held_out.seen)
@@ -184,11 +189,14 @@ def diagnose(
     }
     proof = _prove(models, network, held_out, spread, rng)
     network = network if _helps(proof) else None
-    rolled_back = bool(found) and not proof.better
+    minor = (structure.flag or proof.off) and proof.share < LEAST_SHARE
+    rolled_back = bool(found) and (minor or not proof.better)
     if rolled_back:
         models["with_effects"] = models["calibrated"]
         structure = examine(calibrated, calibrated, rng)
-        network = None  # it was trained on what the effects left
+        network = learned()  # the other one was trained on what the effects left
+        proof = _with_network(proof, models["calibrated"], network, held_out)
+        network = network if _helps(proof, "calibrated") else None
     levels = _levels(np.concatenate([train.q, held_out.q]))
     found = tuple(on_few_levels(traced, candidates.testable, f, levels) for f in found)
     rejected = float((traced.fit.weights == 0).mean())
@@ -199,6 +207,10 @@ def diagnose(
     if proof.off and not structure.flag:
         structure = dataclasses.replace(
             structure, flag=True, size_m=proof.excess_m, inputs=("unseen poses",)
+        )
+    if traced.exhausted and not structure.flag:
+        structure = dataclasses.replace(
+            structure, flag=True, size_m=proof.excess_m, inputs=("more than the library holds",)
         )
     say("next poses")
     splits = tuple(
@@ -286,17 +298,22 @@ def _prove(
     spread: Mapping[str, np.ndarray],
     rng: np.random.Generator,
 ) -> Proof:
-    made = {name: errors(m, held_out) for name, m in models.items()}
-    if network is not None:
-        predicted = network.predict(held_out.q, held_out.context())
-        learned = np.where(predicted.in_domain[:, None], predicted.error, 0.0)
-        made["with_network"] = made["with_effects"] - learned
-    return prove(made, spread, rng)
+    proof = prove({name: errors(m, held_out) for name, m in models.items()}, spread, rng)
+    return _with_network(proof, models["with_effects"], network, held_out)
 
 
-def _helps(proof: Proof) -> bool:
+def _with_network(proof: Proof, model: Model, network: Residual | None, held_out: Session) -> Proof:
+    """The proof with the errors that a network on top of a model leaves."""
+    if network is None:
+        return proof
+    predicted = network.predict(held_out.q, held_out.context())
+    learned = np.where(predicted.in_domain[:, None], predicted.error, 0.0)
+    return proof.plus("with_network", errors(model, held_out) - learned)
+
+
+def _helps(proof: Proof, beside: str = "with_effects") -> bool:
     rows = proof.rows
-    return "with_network" in rows and rows["with_network"].mean < rows["with_effects"].mean
+    return "with_network" in rows and rows["with_network"].mean < rows[beside].mean
 
 
 def _verdict(found: tuple[Finding, ...], structure: Structure, rolled_back: bool) -> str:
@@ -317,16 +334,18 @@ def summary(
     rolled_back: bool,
 ) -> str:
     """The verdict in one sentence."""
-    if rolled_back:
-        return (
-            "Effects were found in the fitted poses but their gain on the held-out ones is not "
-            "beyond chance; the model was left as it was."
-        )
     left = (
         f"{1e3 * structure.size_m:.2f} mm of structure depends on {', '.join(structure.inputs)}"
+        + (f", as if {structure.at} moved" if structure.at else "")
         if structure.flag
         else ""
     )
+    if rolled_back:
+        why = "is less than half of what is wrong" if proof.better else "is not beyond chance"
+        text = f"Effects were found in the fitted poses but their gain on the held-out ones {why}"
+        return f"{text}; the model was left as it was." + (
+            f" {left} and has no name." if left else ""
+        )
     if verdict == "noise":
         return "After calibration nothing but noise is left; no effect was added."
     if verdict == "unknown":

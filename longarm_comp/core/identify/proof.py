@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -29,6 +30,7 @@ class Proof:
         misfit: median held-out error of the final model over what noise and the fit's own
             uncertainty would give.
         excess_m: its RMS beyond the noise, outliers clipped, m.
+        share: of the squared held-out error beyond the noise, what the effects took.
     """
 
     errors: Mapping[str, np.ndarray]
@@ -37,11 +39,17 @@ class Proof:
     better: bool
     misfit: float = 1.0
     excess_m: float = 0.0
+    share: float = 1.0
 
     @property
     def off(self) -> bool:
         """Whether held-out poses err by much more than the noise, whatever the fit says."""
         return self.misfit > OFF
+
+    def plus(self, name: str, error: np.ndarray) -> Proof:
+        """With the errors (N, 3), m, of one more model."""
+        rows = {**self.rows, name: Errors.of(error)}
+        return dataclasses.replace(self, errors={**self.errors, name: error}, rows=rows)
 
 
 def prove(
@@ -65,8 +73,10 @@ def prove(
     squared = _resampled(before**2 - after**2, rng)
     better = bool(np.percentile(squared, 5.0) > 0)
     name = "with_effects" if better else "calibrated"
-    misfit = _misfit(errors[name], spread[name])
-    return Proof(errors, rows, (float(low), float(high)), better, *misfit)
+    misfit, excess = _misfit(errors[name], spread[name])
+    left = {k: _misfit(errors[k], spread[k])[1] for k in ("calibrated", "with_effects")}
+    share = 1.0 - (left["with_effects"] / max(left["calibrated"], 1e-12)) ** 2
+    return Proof(errors, rows, (float(low), float(high)), better, misfit, excess, share)
 
 
 def _misfit(error: np.ndarray, spread: np.ndarray) -> tuple[float, float]:

@@ -1,8 +1,8 @@
 """Is there anything left?  A score test per group of inputs, calibrated by permutation.
 
-It knows no physics: whatever moves the tip as some function of a joint, of a pair of joints,
-of the approach, temperature, time or payload shows here, whether the library has a name for
-it or not.
+It knows no physics: whatever moves the tip, or a joint, as some function of a joint, of a pair
+of joints, of the approach, temperature, time or payload shows here (`features`), whether the
+library has a name for it or not.
 """
 
 from __future__ import annotations
@@ -11,13 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.identify.features import groups
 from longarm_comp.core.identify.fit import Fit
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.weights import whiten
 
 PERMUTATIONS = 400
 SIGNIFICANT = 0.005
+MOST_GROUPS = 12
+"""Groups that count as the structure, at most; and none below a third of the strongest."""
 WORTH = 0.25
 """Structure below this share of the noise is not worth a verdict."""
 
@@ -33,7 +35,8 @@ class Structure:
         size_m: RMS of the smooth part, m.
         share_explained: of the structure that was there, how much the named effects took
             (1 when nothing else is left).
-        groups: (inputs, standardised statistic) of every group tested.
+        groups: (what, standardised statistic) of every group tested.
+        at: the joint that the strongest of them moves; empty where it is the tip.
     """
 
     flag: bool
@@ -42,64 +45,7 @@ class Structure:
     size_m: float
     share_explained: float
     groups: tuple[tuple[str, float], ...]
-
-
-@dataclass(frozen=True)
-class Group:
-    """Features of some inputs, (N, m), centred and of unit size."""
-
-    inputs: tuple[str, ...]
-    features: np.ndarray
-
-
-def groups(session: Session) -> list[Group]:
-    """Functions of each joint, of pairs, of direction, way, temperature, time and payload."""
-    made = []
-    curves = []
-    for j in range(session.n):
-        curve = _curve(session.q[:, j])
-        curves.append(curve)
-        made.append(Group((f"q{j + 1}",), curve))
-    for j in range(session.n):
-        for k in range(j):
-            if curves[j].shape[1] and curves[k].shape[1]:
-                made.append(
-                    Group(
-                        (f"q{k + 1}", f"q{j + 1}"), _standard(curves[j][:, :1] * curves[k][:, :1])
-                    )
-                )
-    for j in range(session.n):
-        side = session.approach[:, j].astype(float)[:, None]
-        bent = np.concatenate([side, side * curves[j][:, :2]], axis=1)
-        made.append(Group(("approach", f"q{j + 1}"), _standard(bent)))
-        if session.travel is not None:
-            way = np.sign(session.travel[:, j])[:, None]
-            made.append(Group(("order", f"q{j + 1}"), _standard(way)))
-    for name, values in session.columns.items():
-        made.append(Group((name,), _curve(values)[:, :3]))
-    return [g for g in made if g.features.shape[1]]
-
-
-def _curve(values: np.ndarray) -> np.ndarray:
-    """Up to six orthogonal functions of one input; as many as its distinct levels allow."""
-    span = np.ptp(values)
-    levels = len(np.unique(np.round(values / (span or 1.0), 3)))
-    if span == 0 or levels < 2:
-        return np.zeros((len(values), 0))
-    x = 2 * (values - values.min()) / span - 1
-    basis = np.polynomial.legendre.legvander(x, min(6, levels - 1))[:, 1:]
-    return _standard(basis)
-
-
-def _standard(features: np.ndarray) -> np.ndarray:
-    """Centred, unit size, dependent columns dropped."""
-    centred = features - features.mean(0)
-    size = np.sqrt((centred**2).mean(0))
-    centred = centred[:, size > 1e-9] / size[size > 1e-9]
-    if not centred.shape[1]:
-        return centred
-    u, s, _ = np.linalg.svd(centred, full_matrices=False)
-    return u[:, s > 1e-6 * s[0]] * np.sqrt(len(features))
+    at: str = ""
 
 
 def examine(fit: Fit, base: Fit, rng: np.random.Generator) -> Structure:
@@ -110,9 +56,8 @@ def examine(fit: Fit, base: Fit, rng: np.random.Generator) -> Structure:
         base: the geometry alone, on the same rows and with the same noise.
         rng: for the permutations.
     """
-    tested = groups(fit.session)
-    a = fit.design
-    marginal = Marginal(a, fit.data)
+    tested = groups(fit)
+    marginal = Marginal(fit.design, fit.data)
     residual = fit.whitened(fit.residual[..., None])[:, 0]
     rows = residual.reshape(-1, 3)
     draws = np.stack(
@@ -122,7 +67,7 @@ def examine(fit: Fit, base: Fit, rng: np.random.Generator) -> Structure:
     real = marginal.py
     statistics, nulls, smooth = [], [], []
     for group in tested:
-        b = fit.whitened(_three_axes(group.features, fit.sigma))
+        b = fit.whitened(group.columns)
         pb = marginal.project(b)
         gram = b.T @ pb
         values, vectors = np.linalg.eigh((gram + gram.T) / 2)
@@ -131,24 +76,22 @@ def examine(fit: Fit, base: Fit, rng: np.random.Generator) -> Structure:
             continue
         root = vectors[:, good] / np.sqrt(values[good])
         directions = pb @ root if fit.rho else b @ root
-        k = int(good.sum())
         real_score = ((directions.T @ real) ** 2).sum()
         null_score = ((directions.T @ null) ** 2).sum(0)
         centre, spread = null_score.mean(), max(float(null_score.std()), 1e-9)
-        statistics.append((group, (real_score - centre) / spread, k))
+        statistics.append((group, (real_score - centre) / spread))
         nulls.append((null_score - centre) / spread)
         smooth.append(b)
     if not statistics:
         return Structure(False, 1.0, (), 0.0, 1.0, ())
     highest = np.max(nulls, axis=0)
-    top = max(s for _, s, _ in statistics)
+    top = max(s for _, s in statistics)
     p = float((1 + (highest >= top).sum()) / (1 + len(highest)))
-    limit = float(np.quantile(highest, 0.99))
-    significant = sorted((s for s in statistics if s[1] > limit), key=lambda s: -s[1])
-    inputs = tuple(dict.fromkeys(name for g, _, _ in significant for name in g.inputs))
-    size, rss_rich = _smooth(
-        fit, marginal, [b for b, s in zip(smooth, statistics, strict=True) if s[1] > limit]
-    )
+    limit = max(float(np.quantile(highest, 0.99)), top / 3)
+    order = sorted(range(len(statistics)), key=lambda k: -statistics[k][1])
+    strong = [k for k in order if statistics[k][1] > limit][:MOST_GROUPS]
+    inputs = tuple(dict.fromkeys(name for k in strong for name in statistics[k][0].inputs))
+    size, rss_rich = _smooth(fit, marginal, [smooth[k] for k in strong])
     flag = p < SIGNIFICANT and size > WORTH * float(np.linalg.norm(fit.sigma))
     rss_named = float(residual @ residual)
     white_base = whiten(base.residual[..., None], fit.weights, fit.sigma, fit.rho)[:, 0]
@@ -161,17 +104,9 @@ def examine(fit: Fit, base: Fit, rng: np.random.Generator) -> Structure:
         inputs if flag else (),
         size if flag else 0.0,
         share if flag else 1.0,
-        tuple((" x ".join(g.inputs), float(s)) for g, s, _ in statistics),
+        tuple((g.label, float(s)) for g, s in statistics),
+        statistics[order[0]][0].at if flag else "",
     )
-
-
-def _three_axes(features: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """(N, m) features -> (N, 3, 3m) displacements of one noise standard deviation each axis."""
-    n, m = features.shape
-    made = np.zeros((n, 3, 3 * m))
-    for axis in range(3):
-        made[:, axis, axis * m : (axis + 1) * m] = features * sigma[axis]
-    return made
 
 
 def _smooth(fit: Fit, marginal: Marginal, bases: list[np.ndarray]) -> tuple[float, float]:

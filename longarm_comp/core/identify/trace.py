@@ -35,7 +35,9 @@ SWAP = 1.0
 """A new name must be this much (log) more probable than the one it replaces."""
 COARSE = 50.0
 """A form this much (log) worse than the best may still win once its scale is sharpened."""
-MOST_TERMS = 12
+MOST_ACCEPTED = 10
+"""Effects that are tried on in all; a residual that asks for more is none of the library's."""
+MOST_TERMS = 72
 ROUNDS = 4
 
 
@@ -51,6 +53,7 @@ class Traced:
         first: every candidate's score before anything was added.
         last: every candidate's score on top of what was added.
         threshold: log Bayes factor that a candidate had to reach.
+        exhausted: the residual asked for more effects than were allowed: it is something else.
     """
 
     fit: Fit
@@ -60,6 +63,7 @@ class Traced:
     first: tuple[Score, ...]
     last: tuple[Score, ...]
     threshold: float
+    exhausted: bool = False
 
 
 def search(
@@ -89,6 +93,9 @@ def search(
     first = state.scores()
     for _ in range(ROUNDS):
         state.grow(say)
+        if state.exhausted:
+            state.prune()
+            break
         state.sharpen(say)
         if not (state.merge(say) | state.swap(say) | state.prune()):
             break
@@ -100,6 +107,7 @@ def search(
         first,
         state.scores(),
         state.threshold,
+        state.exhausted,
     )
 
 
@@ -137,6 +145,8 @@ class _State:
         self.threshold = math.log(max(len(candidates), 1)) + ODDS
         self._start = base
         self.refused: set[str] = set()
+        self.accepted = 0
+        self.sharp: set[Term] = set()
 
     def refit(self) -> None:
         """Judge the noise by all that the library could explain, then fit geometry and terms."""
@@ -186,22 +196,28 @@ class _State:
             return math.log(sum(c.name == name for c in self.candidates)) + ODDS
         return self.threshold
 
+    @property
+    def exhausted(self) -> bool:
+        """Whether no more may be added."""
+        return self.accepted >= MOST_ACCEPTED
+
     def best(self) -> Score | None:
         """The candidate to accept, if any pays for the choice."""
         for found in self.scores():
             if found.candidate.label in self.refused:
                 continue
             enough = found.log_bayes_factor >= self.need(found.candidate.name)
-            if enough and len(self.chosen) < 6 * MOST_TERMS:
+            if enough and len(self.chosen) < MOST_TERMS:
                 return found
         return None
 
     def grow(self, say: Callable[[str], None]) -> None:
         """Add effects until none pays; one that did not last is not tried again."""
-        for _ in range(MOST_TERMS):
+        while not self.exhausted:
             best = self.best()
             if best is None:
                 return
+            self.accepted += 1
             say(best.candidate.label)
             before = dict(self.chosen), self._start, self.fit, self.columns, self.noise
             try:
@@ -249,8 +265,9 @@ class _State:
         """Move every found form that lies on a scale to where the evidence is highest."""
         better: list[Score] = []
         for place, term in self.chosen.items():
-            if term.tunable:
+            if term.tunable and _bare(term) not in self.sharp:
                 best = self._sharpened(term, [place])
+                self.sharp.add(_bare(best.candidate.terms[0]))
                 if best.candidate.terms != (term,):
                     better.append(best)
         for best in better:
@@ -274,13 +291,12 @@ class _State:
                 self.marginal(places), Candidate("", tuple(self.chosen[p] for p in places))
             )
             names = {name for name, _ in places}
-            options = [
-                self._sharpened(s.candidate.terms[0], places)
-                for s in self.scores(places)
-                if s.candidate.name in names
-                and s.candidate.where == (where,)
-                and s.log_bayes_factor > now.log_bayes_factor - COARSE
-            ]
+            first: dict[str, Score] = {}
+            for single in self.scores(places):
+                close = single.log_bayes_factor > now.log_bayes_factor - COARSE
+                if close and single.candidate.name in names and single.candidate.where == (where,):
+                    first.setdefault(single.candidate.name, single)
+            options = [self._sharpened(s.candidate.terms[0], places) for s in first.values()]
             best = max(options, key=lambda s: s.log_bayes_factor, default=None)
             if best is not None and best.log_bayes_factor >= now.log_bayes_factor:
                 say(f"{best.candidate.label} alone")
@@ -347,6 +363,11 @@ class _State:
 
     def _names(self, without: Sequence[tuple[str, str]]) -> set[str]:
         return {name for name, _ in self.chosen if (name, _) not in without}
+
+
+def _bare(term: Term) -> Term:
+    """Its place and form, whatever its size."""
+    return term.with_values({p.name: 0.0 for p in term.declared()})
 
 
 def _distinct(
