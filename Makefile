@@ -54,7 +54,7 @@ demo: setup
 	$(BIN)/longarm demo --out build/demo
 
 bench: setup
-	$(BIN)/longarm bench
+	$(BIN)/longarm bench -o build/bench
 
 # Debian packages: a compiler for the ROS interfaces, a browser for the test of the report's page.
 system:

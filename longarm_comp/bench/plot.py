@@ -31,16 +31,15 @@ def draw(rows: Sequence[Row], title: str, path: Path) -> None:
         colour = _AHEAD if ratio >= 1.0 else _BEHIND
         axes.barh(place, ratio - 1.0, left=1.0, height=0.62, color=colour, alpha=0.85)
         axes.plot([low, high], [place, place], color="black", linewidth=1.2, marker="|")
+        side = axes.get_yaxis_transform()
         axes.text(
-            1.01,
-            place,
-            f"{ratio:.3g}    {_number(row['value'])} {row['unit']}, {_peer(row)}",
-            transform=axes.get_yaxis_transform(),
-            va="center",
-            fontsize=8,
+            1.01, place, f"{ratio:.3g}", transform=side, va="center", weight="bold", fontsize=8
         )
+        text = f"{_number(row['value'])} {row['unit']}; {_peer(row)}"
+        axes.text(1.095, place, text, transform=side, va="center", fontsize=8)
     axes.set_yticks(range(len(shown)), [str(row["name"]) for row in shown], fontsize=8)
     axes.set_xscale("log")
+    axes.xaxis.set_major_formatter("{x:g}")
     axes.axvline(1.0, color="black", linewidth=0.8)
     axes.set_xlabel("times ahead of the peer or floor (black: spread of the repeats)", fontsize=9)
     axes.grid(axis="x", which="both", alpha=0.25)
