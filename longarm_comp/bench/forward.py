@@ -116,9 +116,9 @@ def forward_batch_arrays() -> Result:
 
 def _on_arrays(model: Model, q: np.ndarray) -> Work:
     kernel = kernel_of(model, Layout.of(ik.Context.empty()))
-    state = np.zeros((kernel.size, 1024))
-    state[kernel.slice("trial")] = q[:1024].T
-    return lambda: [kernel.arrays[name](state) for name in _passes(kernel)], 1024
+    state = np.zeros((kernel.size, COUNT))
+    state[kernel.slice("trial")] = q.T
+    return lambda: [kernel.arrays[name](state) for name in _passes(kernel)], COUNT
 
 
 def forward_single_model() -> Result:
