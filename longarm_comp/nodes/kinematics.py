@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -71,6 +71,10 @@ PARAMS = (
 )
 
 
+_GIVE_WAY_S = 0.005
+"""Most targets are done by then; the executor is never held up for longer."""
+
+
 @dataclass
 class _Work:
     """One target under way: what is asked, what came of it, whether it was sent to the arm."""
@@ -78,6 +82,7 @@ class _Work:
     request: Compensate.Request
     told: Told | None = None
     sent: bool = False
+    answered: threading.Event = field(default_factory=threading.Event)
 
 
 class Kinematics(Node):
@@ -149,7 +154,9 @@ class Kinematics(Node):
             self._serve(work)
             self._tell_story(work)
 
-        if not self._worker.submit(serve):
+        if self._worker.submit(serve):
+            self._give_way(work)
+        else:
             self._refuse_busy(work)
 
     async def _on_compensate(
@@ -163,7 +170,13 @@ class Kinematics(Node):
         future = self._worker.ask(answer, lambda: self._tell_story(work))
         if future is None:
             return response_of(self._refuse_busy(work), self._arm, self._base_frame)
+        self._give_way(work)
         return await future
+
+    def _give_way(self, work: _Work) -> None:
+        """Leave the interpreter to the worker for a moment: the two only slow each other down."""
+        if not self._worker.waiting:
+            work.answered.wait(_GIVE_WAY_S)
 
     def _refuse_busy(self, work: _Work) -> Told:
         waiting = f"{self._worker.waiting} targets wait already"
@@ -260,6 +273,7 @@ class Kinematics(Node):
         )
 
     def _tell_story(self, work: _Work) -> None:
+        work.answered.set()
         told = work.told
         if told is None:
             return

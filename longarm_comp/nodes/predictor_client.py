@@ -8,13 +8,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.task import Future
 
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.learn.expansion import Expansion
+from longarm_comp.nodes.asking import Asking
 from longarm_comp.nodes.interfaces import PREDICT_ERROR
 from longarm_comp.nodes.messages import joints_message
 from longarm_interfaces.srv import PredictError
@@ -31,8 +30,8 @@ _PROBE_S = 1.0
 class PredictorClient:
     """Asks `predict_error` in the thread that wants to know.
 
-    The client has a hidden node and an executor of its own, with nothing else to look at: an answer
-    costs neither a switch of threads nor a round of the main executor.
+    The client has a hidden node of its own, in no executor: an answer costs neither a switch of
+    threads nor a round of the main executor.
 
     Args:
         node: whose namespace and remappings hold.
@@ -47,11 +46,10 @@ class PredictorClient:
         self._client = self._node.create_client(
             PredictError, node.resolve_service_name(PREDICT_ERROR.name)
         )
-        self._executor = SingleThreadedExecutor(context=node.context)
-        self._executor.add_node(self._node)
+        self._asking = Asking(self._client, node.context)
         self._arm = arm
         self._timeout_s = timeout_s
-        self._probe: Future | None = None
+        self._open: int | None = None  # a question that nobody waits for any more
         self._asked_s = 0.0
         self.file_hash = ""
 
@@ -93,35 +91,30 @@ class PredictorClient:
             raise NoAnswer("no error_predictor is running")
         if self._silent(request):
             raise NoAnswer("error_predictor does not answer, physics only until it does")
-        future = self._send(request)
-        end = self._asked_s + self._timeout_s
-        while not future.done() and (left := end - time.monotonic()) > 0.0:
-            self._executor.spin_once(left)
-        if not future.done():
-            self._probe = future
+        question = self._send(request)
+        answer = self._asking.answer(question, self._timeout_s)
+        if answer is None:
+            self._open = question
             raise NoAnswer(f"error_predictor did not answer within {self._timeout_s:g} s")
-        return future.result()
+        return answer
 
-    def _send(self, request: PredictError.Request) -> Future:
+    def _send(self, request: PredictError.Request) -> int:
         self._asked_s = time.monotonic()
-        return self._client.call_async(request)
+        return self._asking.send(request)
 
     def _silent(self, request: PredictError.Request) -> bool:
         """Whether the last question is still open: only the first target waits for nothing."""
-        if self._probe is None:
+        if self._open is None:
             return False
-        self._executor.spin_once(0.0)
-        if self._probe.done():
-            self._probe = None
+        if self._asking.answer(self._open, 0.0) is not None:
+            self._open = None
             return False
         if time.monotonic() - self._asked_s >= _PROBE_S:
-            self._client.remove_pending_request(self._probe)
-            self._probe = self._send(request)
+            self._open = self._send(request)
         return True
 
     def close(self) -> None:
         """Leave the graph."""
-        self._executor.shutdown(timeout_sec=1.0)
         self._node.destroy_node()
 
 
