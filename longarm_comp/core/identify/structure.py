@@ -18,8 +18,8 @@ from longarm_comp.core.identify.weights import whiten
 
 PERMUTATIONS = 400
 SIGNIFICANT = 0.005
-MOST_GROUPS = 12
-"""Groups that count as the structure, at most; and none below a third of the strongest."""
+MOST_GROUPS = 40
+"""Groups that count as the structure, at most; those above a third of the strongest are named."""
 WORTH = 0.25
 """Structure below this share of the noise is not worth a verdict."""
 
@@ -87,11 +87,12 @@ def examine(fit: Fit, base: Fit, rng: np.random.Generator) -> Structure:
     highest = np.max(nulls, axis=0)
     top = max(s for _, s in statistics)
     p = float((1 + (highest >= top).sum()) / (1 + len(highest)))
-    limit = max(float(np.quantile(highest, 0.99)), top / 3)
+    limit = float(np.quantile(highest, 0.99))
     order = sorted(range(len(statistics)), key=lambda k: -statistics[k][1])
     strong = [k for k in order if statistics[k][1] > limit][:MOST_GROUPS]
-    inputs = tuple(dict.fromkeys(name for k in strong for name in statistics[k][0].inputs))
     size, rss_rich = _smooth(fit, marginal, [smooth[k] for k in strong])
+    said = [statistics[k][0] for k in strong if statistics[k][1] > top / 3]
+    inputs = tuple(dict.fromkeys(name for group in said for name in group.inputs))
     flag = p < SIGNIFICANT and size > WORTH * float(np.linalg.norm(fit.sigma))
     rss_named = float(residual @ residual)
     white_base = whiten(base.residual[..., None], fit.weights, fit.sigma, fit.rho)[:, 0]
