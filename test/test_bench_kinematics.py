@@ -1,0 +1,91 @@
+"""The benchmarks of kinematics run in small; the peers are asked for the same arm."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+
+import numpy as np
+import pytest
+
+from longarm_comp.bench import compensation, forward, ik_peers, kinematics
+from longarm_comp.bench.arms import demo_arm
+from longarm_comp.core.model import Model
+
+FAST = importlib.util.find_spec("llvmlite") is not None
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    grid = kinematics.paper_grid()[::182]
+    monkeypatch.setattr(kinematics, "paper_grid", lambda: grid)
+    for module, names in (
+        (kinematics, {"BLOCKS": 2, "PER_BLOCK": 4, "BATCH": 16}),
+        (forward, {"COUNT": 32, "REPEATS": 2, "BY_NAME": {}}),
+    ):
+        for name, value in names.items():
+            monkeypatch.setattr(module, name, value)
+
+
+@pytest.mark.parametrize(
+    "work",
+    [
+        kinematics.ik_single_vs_rtb_ik_lm_median,
+        kinematics.ik_warm_vs_rtb_ik_lm_median,
+        kinematics.ik_batch_vs_rtb_ik_lm_mean,
+        kinematics.ik_batch_all_cores_vs_rtb_ik_lm_mean,
+        kinematics.ik_grid_vs_rtb_ik_lm_mean,
+        kinematics.ik_single_vs_pinocchio,
+        kinematics.ik_single_vs_trac_ik,
+        kinematics.ik_single_vs_roboplan,
+        kinematics.ik_single_without_compiler,
+        kinematics.ik_batch_without_compiler,
+        forward.forward_batch_vs_rtb,
+        forward.forward_batch_vs_pinocchio,
+        forward.forward_batch_model,
+        forward.forward_batch_arrays,
+        forward.forward_single_model,
+        forward.forward_single_python,
+        forward.columns_single,
+        forward.columns_batch,
+        compensation.compensate_batch_10000,
+        compensation.compensate_single,
+    ],
+)
+def test_every_row_has_its_figures(work):
+    small = work is compensation.compensate_batch_10000
+    row = work(count=16) if small else work()
+    assert row["name"] == work.__name__
+    if row["value"] is None:
+        assert "not installed" in row["note"]
+        return
+    figures = [row["value"], *row["spread"]]
+    if row["ratio"] is not None:
+        figures += [row["ratio"], row["peer_value"]]
+    assert all(math.isfinite(v) and v > 0 for v in figures)
+    assert "solved 0" not in row.get("note", "")
+
+
+@pytest.mark.skipif(not FAST, reason="needs llvmlite")
+def test_machine_code_is_timed_on_the_model_s_own_poses():
+    """What `forward_batch_...` times is the deflected arm, not something cheaper."""
+    model = kinematics.soft_model(demo_arm())
+    q = kinematics.random_joints(model.arm, 32, 1)
+    work = forward.machine_forward(model, q)
+    work()
+    (blocks,) = [
+        c.cell_contents for c in work.__closure__ if isinstance(c.cell_contents, np.ndarray)
+    ]
+    kernel = forward.kernel_of(model, forward.Layout.of(forward.ik.Context.empty()))
+    tip = blocks[:, kernel.slice("out")][:, :3].swapaxes(1, 2).reshape(-1, 3)
+    np.testing.assert_allclose(tip, model.tip(q), rtol=0, atol=1e-12)
+
+
+def test_the_urdf_is_the_rigid_arm():
+    pytest.importorskip("pinocchio")
+    arm = demo_arm()
+    peer = ik_peers.Pinocchio(arm)
+    for q in kinematics.random_joints(arm, 5, 2):
+        peer.library.forwardKinematics(peer.model, peer.data, q)
+        got = peer.data.oMi[peer.last].homogeneous
+        np.testing.assert_allclose(got, Model(arm).pose(q), rtol=0, atol=1e-12)
