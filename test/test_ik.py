@@ -10,6 +10,7 @@ import pickle
 import numpy as np
 import pytest
 
+from longarm_comp.core import ik_engines
 from longarm_comp.core.arm import Arm
 from longarm_comp.core.context import Context
 from longarm_comp.core.effects.joint_compliance import JointCompliance
@@ -83,6 +84,19 @@ def test_engines_run_one_search(model, engine, rng):
     if engine is not Engine.MODEL:  # it makes all load passes far away too: another way there
         assert (made.iterations == reference.iterations).all()
         assert np.allclose(made.q, reference.q, rtol=0, atol=1e-12)
+
+
+def test_all_goes_without_a_compiler(demo_arm_path, monkeypatch, rng):
+    monkeypatch.setattr(ik_engines, "compiler_at_hand", lambda: False)
+    model = Model(Arm.load(demo_arm_path), (LinkDeflection(), JointCompliance(2, 1.1e-3)))
+    targets = model.pose(rng.uniform(model.arm.lower, model.arm.upper, (8, model.arm.n)))
+    assert not ik_engines.warm_up(model)
+    made = solve_many(model, targets)
+    assert made.ok.all()
+    assert np.array_equal(solve(model, targets[3]).q, solve(model, targets[3]).q)
+    assert np.allclose(solve(model, targets[3]).q, made.q[3], rtol=0, atol=1e-12)
+    with pytest.raises(InputError, match="llvmlite"):
+        solve(model, targets[0], engine=Engine.COMPILED)
 
 
 def test_threads_give_the_same_numbers(model, rng):

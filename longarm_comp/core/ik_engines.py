@@ -19,6 +19,7 @@ import numpy as np
 
 from longarm_comp.core import newton
 from longarm_comp.core.context import Context
+from longarm_comp.core.errors import InputError
 from longarm_comp.core.kernel import Kernel, Layout, kernel_of, tip_and_jacobian
 from longarm_comp.core.model import Model
 
@@ -236,7 +237,8 @@ def _python(model: Model, context: Context, p: Problem, given: Given, count: int
 
 def _compiled(model: Model, context: Context, p: Problem, given: Given, count: int) -> Found:
     if not compiler_at_hand():
-        raise RuntimeError("machine code needs llvmlite: pip install longarm_comp[fast]")
+        allowed = "another engine: machine code needs llvmlite (pip install longarm_comp[fast])"
+        raise InputError("ik", "engine", Engine.COMPILED.name, allowed)
     kernel = kernel_of(model, Layout.of(context))
     width = kernel.code.width
     number, rest = -(-count // width), count % width
