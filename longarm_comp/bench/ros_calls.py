@@ -80,6 +80,13 @@ class Calls:
         for topic in (self._target, self._echo_target, self._joints):
             self._until(topic.get_subscription_count, 60.0)
         self._client.spin(0.5)
+        first = Compensate.Request(target=self._poses[0])
+
+        def through() -> bool:  # kinematics too has found the predictor and heard the joints
+            answer = self._call(self._compensate, first)[1]
+            return bool(answer.status == Compensate.Response.SUCCESS)
+
+        self._until(through, 60.0)
         for i in range(20):
             for call in (self.service, self.topic, self.topic_echo, self.service_echo):
                 call(i)

@@ -27,7 +27,7 @@ class Worker:
     ) -> None:
         self._executor = executor
         self._on_error = on_error
-        self._jobs: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
+        self._jobs: queue.Queue[Job | None] = queue.Queue()
         self._capacity = capacity
         self._thread = threading.Thread(target=self._run, name="worker", daemon=True)
         self._thread.start()
