@@ -171,6 +171,38 @@ def test_a_predictor_of_another_model_is_refused(
     assert stage.call(ask, question(arm, arm.mid)).error.z < 0
 
 
+def test_every_joint_has_a_side_of_its_own(
+    stage: Bench, arm: Arm, demo_arm_path: Path, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(5)
+    q = arm.mid + 0.2 * (arm.upper - arm.lower) * (rng.random((120, arm.n)) - 0.5)
+    side = rng.choice([-1.0, 1.0], (120, arm.n))
+    learned = train(
+        q, 2e-3 * side[:, :3] + 1e-4 * rng.standard_normal((120, 3)), {"approach": side},
+        init="xavier", ensemble=2, hidden=4,
+        provenance=Provenance(arm_hash=arm.hash, joint_names=arm.joint_names),
+    )  # fmt: skip
+    learned.save(tmp_path / "sided.npz")
+    files = {"arm": demo_arm_path, "predictor": tmp_path / "sided.npz"}
+    stage.start("error_predictor", files, namespace="sided")
+    ask = stage.node.create_client(PredictError, "/sided/predict_error")
+    for mixed in (side[0], np.ones(arm.n)):
+        request = question(arm, arm.mid)
+        request.approach = mixed.astype(np.int8).tolist()
+        request.joints.name.reverse()  # sides go with the names
+        request.joints.position = request.joints.position[::-1]
+        request.approach = request.approach[::-1]
+        error = stage.call(ask, request).error
+        want = learned.predict(arm.mid[None], {"approach": mixed[None]}).error[0]
+        np.testing.assert_allclose([error.x, error.y, error.z], want, atol=1e-12)
+    request.approach = [1]
+    assert stage.call(ask, request).error == error  # one for all
+    for wrong, what in (([1, -1], "7 joints, 2 sides"), ([3] * arm.n, "-1, 0 or")):
+        request.approach = wrong
+        answer = stage.call(ask, request)
+        assert not answer.success and what in answer.message
+
+
 def posed(matrix: np.ndarray) -> PoseStamped:
     made = PoseStamped()
     made.header.frame_id = "base"
