@@ -70,4 +70,5 @@ def _show(report: dict[str, Any]) -> None:
     if rows:
         print_rows("processes, after the warm-up -> at the end", rows)
     verdict = "passed" if report["passed"] else "failed"
-    note(f"{report['targets']} targets in {report['seconds']:.0f} s: {verdict}")
+    held = f", {report['held_back']} held back" if report["held_back"] else ""
+    note(f"{report['targets']} targets in {report['seconds']:.0f} s{held}: {verdict}")

@@ -76,16 +76,21 @@ class Books:
         """Targets that were sent so long ago and have no answer."""
         return sum(now - sent > patience_s for sent, _ in self._open.values())
 
+    def give_up(self) -> None:
+        """What has no answer by now is lost."""
+        if self._open:
+            self.wrong["target without an answer"] += len(self._open)
+        self._open.clear()
+
     def close(self) -> None:
         """Everything is quiet: what is open now is lost."""
+        self.give_up()
         lost = sum(n for n in self._unmatched.values() if n > 0)
         doubled = -sum(n for n in self._unmatched.values() if n < 0)
         for kind, n in (
-            ("target without an answer", len(self._open)),
             ("executed but no trajectory", lost),
             ("trajectory that no target asked for", doubled),
         ):
             if n:
                 self.wrong[kind] += n
-        self._open.clear()
         self._unmatched.clear()
