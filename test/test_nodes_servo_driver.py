@@ -254,7 +254,7 @@ def test_parameters_are_described_and_wrong_ones_refused(rig: Rig, tmp_path: Pat
     second = rig.stage.python(
         ["-m", "longarm_comp.nodes.servo_driver", "--ros-args", "--params-file", str(wrong)]
     )
-    assert second.wait(timeout=20) == 2
+    assert second.wait(timeout=60) == 2
     said = rig.stage.output(second)
     assert "gear_ration" in said
     assert "gear_ratio" in said
