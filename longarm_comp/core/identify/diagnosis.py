@@ -33,7 +33,7 @@ MOST_NAMES = 7
 """A set of more names than this names nothing."""
 LEAST_SHARE = 0.5
 """Where structure is left, names that took less than this of the held-out error are withdrawn."""
-MOST_OUTLIERS = 0.125
+MOST_OUTLIERS = 0.16
 """More rejected rows than this are not outliers but something that the model lacks."""
 
 
