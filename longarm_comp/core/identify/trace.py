@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -35,6 +36,8 @@ SWAP = 1.0
 """A new name must be this much (log) more probable than the one it replaces."""
 COARSE = 50.0
 """A form this much (log) worse than the best may still win once its scale is sharpened."""
+SHARPENED = 4
+"""Times that a term is sharpened at most, each with the rest as it has become."""
 MOST_ACCEPTED = 10
 """Effects that are tried on in all; a residual that asks for more is none of the library's."""
 MOST_TERMS = 72
@@ -96,8 +99,7 @@ def search(
         if state.exhausted:
             state.prune()
             break
-        state.sharpen(say)
-        if not (state.merge(say) | state.swap(say) | state.prune()):
+        if not (state.sharpen(say) | state.merge(say) | state.swap(say) | state.prune()):
             break
     return Traced(
         state.fit,
@@ -146,7 +148,7 @@ class _State:
         self._start = base
         self.refused: set[str] = set()
         self.accepted = 0
-        self.sharp: set[Term] = set()
+        self.sharp: Counter[tuple[str, str]] = Counter()
 
     def refit(self) -> None:
         """Judge the noise by all that the library could explain, then fit geometry and terms."""
@@ -222,6 +224,8 @@ class _State:
             before = dict(self.chosen), self._start, self.fit, self.columns, self.noise
             try:
                 self.accept(best)
+                while self.sharpen(say):
+                    pass
                 self.prune()
             except JobError:
                 self.chosen, self._start, self.fit, self.columns, self.noise = before
@@ -261,13 +265,13 @@ class _State:
         )
         self.refit()
 
-    def sharpen(self, say: Callable[[str], None]) -> None:
-        """Move every found form that lies on a scale to where the evidence is highest."""
+    def sharpen(self, say: Callable[[str], None]) -> bool:
+        """Move forms that lie on a scale to where the evidence is highest; whether any moved."""
         better: list[Score] = []
         for place, term in self.chosen.items():
-            if term.tunable and _bare(term) not in self.sharp:
+            if term.tunable and self.sharp[place] < SHARPENED:
                 best = self._sharpened(term, [place])
-                self.sharp.add(_bare(best.candidate.terms[0]))
+                self.sharp[place] += 1
                 if best.candidate.terms != (term,):
                     better.append(best)
         for best in better:
@@ -275,6 +279,7 @@ class _State:
             self._put(best)
         if better:
             self._rebuild()
+        return bool(better)
 
     def _sharpened(self, term: Term, without: Sequence[tuple[str, str]]) -> Score:
         marginal = self.marginal(without)
@@ -363,11 +368,6 @@ class _State:
 
     def _names(self, without: Sequence[tuple[str, str]]) -> set[str]:
         return {name for name, _ in self.chosen if (name, _) not in without}
-
-
-def _bare(term: Term) -> Term:
-    """Its place and form, whatever its size."""
-    return term.with_values({p.name: 0.0 for p in term.declared()})
 
 
 def _distinct(
