@@ -86,6 +86,6 @@ def test_the_urdf_is_the_rigid_arm():
     arm = demo_arm()
     peer = ik_peers.Pinocchio(arm)
     for q in kinematics.random_joints(arm, 5, 2):
-        peer.library.forwardKinematics(peer.model, peer.data, q)
+        peer.package.forwardKinematics(peer.model, peer.data, q)
         got = peer.data.oMi[peer.last].homogeneous
         np.testing.assert_allclose(got, Model(arm).pose(q), rtol=0, atol=1e-12)

@@ -111,6 +111,15 @@ def by_the_model(model: Model, q: np.ndarray, context: Context) -> np.ndarray:
     return made
 
 
+def agree(model, layout, q, context, ways):
+    """Every way of running the traced model gives the model's own numbers."""
+    kernel, rows = Kernel(model, layout), layout.pack(context, N)
+    want = by_the_model(model, q, context)
+    for way in ways:
+        made = evaluated(kernel, way(kernel), q, rows)
+        np.testing.assert_allclose(made, want, rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize("name", sorted(BY_NAME))
 def test_each_effect_traced_is_the_effect(arm, name):
     q, context = situation(arm)
@@ -120,11 +129,7 @@ def test_each_effect_traced_is_the_effect(arm, name):
         return
     load = (LinkDeflection(),) if name != "link_deflection" else ()
     model, layout = Model(arm, own + load), Layout.of(context)
-    kernel, rows = Kernel(model, layout), layout.pack(context, N)
-    want = by_the_model(model, q, context)
-    for way in (on_arrays, on_floats):
-        made = evaluated(kernel, way(kernel), q, rows)
-        np.testing.assert_allclose(made, want, rtol=0, atol=1e-12)
+    agree(model, layout, q, context, (on_arrays, on_floats))
 
 
 def test_machine_code_gives_the_same_numbers(arm):
@@ -132,11 +137,7 @@ def test_machine_code_gives_the_same_numbers(arm):
     pytest.importorskip("llvmlite")
     q, context = situation(arm)
     model, layout = everything(arm), Layout.of(context)
-    kernel, rows = Kernel(model, layout), layout.pack(context, N)
-    want = by_the_model(model, q, context)
-    for way in (on_floats, in_lanes):
-        made = evaluated(kernel, way(kernel), q, rows)
-        np.testing.assert_allclose(made, want, rtol=0, atol=1e-12)
+    agree(model, layout, q, context, (on_floats, in_lanes))
 
 
 def test_every_program_of_the_search_in_every_language(arm):

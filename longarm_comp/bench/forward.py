@@ -60,7 +60,7 @@ def _toolbox(arm: Arm, q: np.ndarray) -> Work:
 
 def _pinocchio(arm: Arm, q: np.ndarray) -> Work:
     peer = Pinocchio(arm)
-    jacobians, model, data = peer.library.computeJointJacobians, peer.model, peer.data
+    jacobians, model, data = peer.package.computeJointJacobians, peer.model, peer.data
 
     def work() -> None:
         for one in q[:512]:

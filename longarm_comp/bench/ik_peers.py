@@ -84,7 +84,7 @@ class Pinocchio:
     def __init__(self, arm: Arm) -> None:
         import pinocchio
 
-        self.library: Any = pinocchio
+        self.package: Any = pinocchio
         self.model = pinocchio.buildModelFromXML(rigid_urdf(arm))
         self.data = self.model.createData()
         self.last = self.model.njoints - 1
@@ -92,7 +92,7 @@ class Pinocchio:
 
     def solve(self, target: np.ndarray, seed: np.ndarray) -> np.ndarray:
         """See `Peer`."""
-        pin, model, data, last = self.library, self.model, self.data, self.last
+        pin, model, data, last = self.package, self.model, self.data, self.last
         goal, q = pin.SE3(target), seed.copy()
         for _ in range(200):
             pin.forwardKinematics(model, data, q)
@@ -114,13 +114,13 @@ class TracIk:
     def __init__(self, arm: Arm) -> None:
         import pytracik
 
-        self.library: Any = pytracik
+        self.package: Any = pytracik
         speed, tip = pytracik.SolveType.Speed, f"row{len(arm.joints)}"
         self.solver = pytracik.TRAC_IK("row0", tip, rigid_urdf(arm), 0.05, 1e-6, speed)
 
     def solve(self, target: np.ndarray, seed: np.ndarray) -> np.ndarray:
         """See `Peer`."""
-        found = self.library.ik(self.solver, seed, *target[:3, 3], *from_rotation(target[:3, :3]))
+        found = self.package.ik(self.solver, seed, *target[:3, 3], *from_rotation(target[:3, :3]))
         return np.asarray(found)[-len(seed) :] if len(found) >= len(seed) else seed * np.nan
 
 

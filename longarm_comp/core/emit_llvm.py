@@ -34,7 +34,7 @@ def module(
 ) -> str:
     """A module of programs and of flows of them, `width` columns at a time."""
     writer = _Writer(width)
-    lines = writer.library()
+    lines = writer.outside()
     for name, (tape, outputs) in programs.items():
         lines += [f"define void @{name}(ptr %s) #0 {{"]
         lines += [*writer.program(*lowered(tape, outputs)), "ret void", "}"]
@@ -73,7 +73,7 @@ class _Writer:
         self.kind = f"<{width} x double>"
         self.flag = f"<{width} x i1>"
 
-    def library(self) -> list[str]:
+    def outside(self) -> list[str]:
         """What is called: intrinsics take all lanes, the library of C one at a time."""
         width, kind = self.width, self.kind
         lines = [f"declare {kind} @llvm.{f}.v{width}f64({kind}) #1" for f in _INTRINSIC]
