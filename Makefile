@@ -35,7 +35,7 @@ $(STAMPS)/interfaces: $(INTERFACES) $(STAMPS)/ros
 	@touch $@
 
 $(STAMPS)/package: setup.py setup.cfg pyproject.toml $(STAMPS)/interfaces $(STAMPS)/torch
-	$(PIP) install --quiet --no-build-isolation --editable '.[dev,fast]'
+	$(PIP) install --quiet --no-build-isolation --editable '.[dev]'
 	@touch $@
 
 test: setup

@@ -13,6 +13,7 @@ RUNTIME = [
     "click>=8.1",
     "jinja2>=3.1",
     "joblib>=1.4",
+    "llvmlite>=0.43",
     "matplotlib>=3.8",
     "numpy>=1.26",
     "opencv-python-headless>=4.10",
@@ -31,7 +32,6 @@ RUNTIME = [
 EXTRAS = {
     "test": ["pytest"],  # by this name colcon test finds that pytest runs the tests
     "cluster": ["dask[distributed]>=2024.1"],
-    "fast": ["llvmlite>=0.43"],
     "dev": [
         "PyNiteFEA",
         "dask[distributed]>=2024.1",

@@ -76,7 +76,7 @@ class _LongLived:
 
 @cache
 def compiler_at_hand() -> bool:
-    """Whether the optional compiler is installed."""
+    """Whether llvmlite is installed; a ROS workspace may lack it, and is slower then."""
     return importlib.util.find_spec("llvmlite") is not None
 
 
@@ -237,7 +237,7 @@ def _python(model: Model, context: Context, p: Problem, given: Given, count: int
 
 def _compiled(model: Model, context: Context, p: Problem, given: Given, count: int) -> Found:
     if not compiler_at_hand():
-        allowed = "another engine: machine code needs llvmlite (pip install longarm_comp[fast])"
+        allowed = "another engine: machine code needs llvmlite (pip install llvmlite)"
         raise InputError("ik", "engine", Engine.COMPILED.name, allowed)
     kernel = kernel_of(model, Layout.of(context))
     width = kernel.code.width

@@ -1,4 +1,4 @@
-"""LLVM assembly to machine code, through llvmlite (optional)."""
+"""LLVM assembly to machine code, through llvmlite."""
 
 from __future__ import annotations
 

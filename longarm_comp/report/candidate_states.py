@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from longarm_comp.core.identify.candidates import Candidate
-from longarm_comp.core.identify.detectable import IMPLAUSIBLE, Smallest, columns_at, detectable
+from longarm_comp.core.identify.detectable import IMPLAUSIBLE, Smallest, detectable
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.distinguish import Finding, without
-from longarm_comp.core.identify.evidence import key, score
+from longarm_comp.core.identify.evidence import columns_at, key, score
 from longarm_comp.core.identify.trace import ODDS
 
 Label = tuple[str, str]

@@ -9,9 +9,9 @@ from itertools import combinations, pairwise
 import numpy as np
 from scipy.stats import norm
 
-from longarm_comp.core.identify.candidates import Candidate, Columns, Term
+from longarm_comp.core.identify.candidates import Candidate, Term
 from longarm_comp.core.identify.distinguish import Finding
-from longarm_comp.core.identify.evidence import key
+from longarm_comp.core.identify.evidence import columns_at, key
 from longarm_comp.core.identify.fit import Fit
 from longarm_comp.core.identify.trace import Traced
 
@@ -136,9 +136,7 @@ def _dropped(fit: Fit, found: Sequence[Finding], candidates: Sequence[Candidate]
         mine = [c for c in candidates if c.name == finding.name]
         for candidate in sorted(mine, key=lambda c: c.form != form):
             missing = {key(t): t for t in candidate.terms if key(t) not in held} | missing
-    q = [fit.session.q[:, j] for j in range(fit.session.n)]
-    columns = Columns(fit.model, fit.model.posture(q, fit.session.context()))
-    return fit.whitened(columns.of(tuple(missing.values())))
+    return fit.whitened(columns_at(fit).of(tuple(missing.values())))
 
 
 def _blocks(a: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -149,9 +147,7 @@ def _blocks(a: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _block_gains(fit: Fit, found: Finding) -> np.ndarray:
     """(B,) gain in log likelihood by block of an effect that has nothing to fit."""
-    q = [fit.session.q[:, j] for j in range(fit.session.n)]
-    posture = fit.model.posture(q, fit.session.context())
-    shift = np.sum(fit.model.shifts(posture, found.terms), axis=0)
+    shift = columns_at(fit).shift(found.terms)
     white = fit.whitened(shift[..., None])[:, 0]
     left = fit.whitened(fit.residual[..., None])[:, 0]
     gain = left * white + 0.5 * white * white

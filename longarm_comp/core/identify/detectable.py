@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate, Columns
-from longarm_comp.core.identify.evidence import score
+from longarm_comp.core.identify.evidence import columns_at, score
 from longarm_comp.core.identify.fit import Fit
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.trace import Traced
@@ -73,12 +73,6 @@ def smallest(
         size = 1.0 if values.sum() / 2.0 >= threshold else math.inf
     length = float(np.sqrt((raw**2).sum((1, 2)).mean()))
     return Smallest(candidate, scored, size, size * length if length else math.inf)
-
-
-def columns_at(fit: Fit) -> Columns:
-    """Columns of any candidate at the rows and the solution of a fit."""
-    q = [fit.session.q[:, j] for j in range(fit.session.n)]
-    return Columns(fit.model, fit.model.posture(q, fit.session.context()))
 
 
 def detectable(traced: Traced, candidates: Sequence[Candidate]) -> tuple[Smallest, ...]:

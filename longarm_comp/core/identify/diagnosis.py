@@ -197,28 +197,16 @@ def diagnose(
         network = learned()  # the other one was trained on what the effects left
         proof = _with_network(proof, models["calibrated"], network, held_out)
         network = network if _helps(proof, "calibrated") else None
+    structure = _other_signs(structure, traced, proof)
     levels = _levels(np.concatenate([train.q, held_out.q]))
-    found = tuple(on_few_levels(traced, candidates.testable, f, levels) for f in found)
-    rejected = float((traced.fit.weights == 0).mean())
-    if rejected > MOST_OUTLIERS and not structure.flag:
-        gone = traced.fit.residual[traced.fit.weights == 0]
-        size = float(np.sqrt(rejected * (gone**2).sum(1).mean()))
-        structure = dataclasses.replace(structure, flag=True, size_m=size, inputs=("outliers",))
-    if proof.off and not structure.flag:
-        structure = dataclasses.replace(
-            structure, flag=True, size_m=proof.excess_m, inputs=("unseen poses",)
-        )
-    if traced.exhausted and not structure.flag:
-        structure = dataclasses.replace(
-            structure, flag=True, size_m=proof.excess_m, inputs=("more than the library holds",)
-        )
+    kept = () if rolled_back else found
+    kept = tuple(on_few_levels(traced, candidates.testable, f, levels) for f in kept)
     say("next poses")
     splits = tuple(
         next_poses(traced, f, f.alternatives[0], POSES_TO_SPLIT, seed)
-        for f in found
-        if f.alternatives and not rolled_back
+        for f in kept
+        if f.alternatives
     )
-    kept = () if rolled_back else tuple(found)
     verdict = _verdict(kept, structure, rolled_back)
     return Diagnosis(
         verdict,
@@ -255,6 +243,20 @@ def _told_apart(
         if len(finding.names) > MOST_NAMES and stronger & set(finding.names):
             return _told_apart(dropped(traced, {key(t) for t in finding.terms}), candidates)
     return traced, tuple(found)
+
+
+def _other_signs(structure: Structure, traced: Traced, proof: Proof) -> Structure:
+    """What shows that something is left where the test of the fitted rows does not."""
+    out = traced.fit.weights == 0
+    rejected = float(np.sqrt((traced.fit.residual[out] ** 2).sum() / len(out)))
+    for shows, size, where in (
+        (out.mean() > MOST_OUTLIERS, rejected, "outliers"),
+        (proof.off, proof.excess_m, "unseen poses"),
+        (traced.exhausted, proof.excess_m, "more than the library holds"),
+    ):
+        if shows and not structure.flag:
+            return dataclasses.replace(structure, flag=True, size_m=size, inputs=(where,))
+    return structure
 
 
 def nominal_frames(nominal: Model, arm: Arm, session: Session) -> Model:

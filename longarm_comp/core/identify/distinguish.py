@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate, Columns, Term
-from longarm_comp.core.identify.evidence import Score, key, marginal_without, score
+from longarm_comp.core.identify.evidence import Score, columns_at, key, marginal_without, score
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.sharpen import reshaped
 from longarm_comp.core.identify.trace import Traced
@@ -63,7 +63,7 @@ class Finding:
 
 def findings(traced: Traced, candidates: Sequence[Candidate]) -> list[Finding]:
     """Every found effect with its look-alikes, strongest first."""
-    columns = _columns(traced)
+    columns = columns_at(traced.fit)
     made = []
     for name in dict.fromkeys(t.name for t in traced.chosen):
         terms = tuple(_fitted(traced, t) for t in traced.chosen if t.name == name)
@@ -86,7 +86,7 @@ def on_few_levels(
     joints = [t.placement.get("joint") for t in found.terms]
     if found.name not in OF_ONE_JOINT or any(levels[commanded.index(j)] > FEW for j in joints):
         return found
-    columns = _columns(traced)
+    columns = columns_at(traced.fit)
     marginal = marginal_without(traced.fit, columns, {key(t) for t in found.terms})
     added = []
     for name in ANY_FUNCTION:
@@ -100,13 +100,7 @@ def on_few_levels(
 
 def without(traced: Traced, places: set[tuple[str, str]]) -> Marginal:
     """Evidence on top of the final fit, the terms at some places taken out of it."""
-    return marginal_without(traced.fit, _columns(traced), places)
-
-
-def _columns(traced: Traced) -> Columns:
-    fit = traced.fit
-    q = [fit.session.q[:, j] for j in range(fit.session.n)]
-    return Columns(fit.model, fit.model.posture(q, fit.session.context()))
+    return marginal_without(traced.fit, columns_at(traced.fit), places)
 
 
 def _fitted(traced: Traced, term: Term) -> Term:

@@ -15,6 +15,13 @@ from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.model import Slot, slots_of
 
 
+def columns_at(fitted: Fit) -> Columns:
+    """Columns of any candidate at the rows and the solution of a fit."""
+    rows = fitted.session
+    q = [rows.q[:, j] for j in range(rows.n)]
+    return Columns(fitted.model, fitted.model.posture(q, rows.context()))
+
+
 @dataclass(frozen=True)
 class Score:
     """One candidate against the model without it.

@@ -20,8 +20,8 @@ from longarm_comp.core.dataset import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify import noise as noise_step
-from longarm_comp.core.identify.candidates import Candidate, Columns, Term
-from longarm_comp.core.identify.evidence import Score, key, marginal_without, score
+from longarm_comp.core.identify.candidates import Candidate, Term
+from longarm_comp.core.identify.evidence import Score, columns_at, key, marginal_without, score
 from longarm_comp.core.identify.fit import Fit, fit, unfitted
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.noise import Noise
@@ -155,7 +155,7 @@ class _State:
         first = (
             unfitted(self._start, self.session) if self.chosen else fit(self._start, self.session)
         )
-        every = self._columns_of(first).of(_distinct(self.candidates, self.chosen))
+        every = columns_at(first).of(_distinct(self.candidates, self.chosen))
         judged, weights = noise_step.from_residual(first, every)
         if self.known is not None:
             judged = noise_step.agreed(self.known, judged)
@@ -164,14 +164,8 @@ class _State:
             first.model, self.session, sigma=judged.sigma, rho=judged.rho, weights=weights
         )
         self._start = self.fit.model
-        self.columns = self._columns_of(self.fit)
+        self.columns = columns_at(self.fit)
         self.columns.of(_distinct(self.candidates, self.chosen))  # all at once: much faster
-
-    @staticmethod
-    def _columns_of(fitted: Fit) -> Columns:
-        rows = fitted.session
-        q = [rows.q[:, j] for j in range(rows.n)]
-        return Columns(fitted.model, fitted.model.posture(q, rows.context()))
 
     def marginal(self, without: Sequence[tuple[str, str]] = ()) -> Marginal:
         """Evidence on top of all but some chosen terms."""
@@ -350,10 +344,10 @@ class _State:
             now = self.score(marginal, Candidate(name, terms))
             shaped = [self.score(marginal, c) for c in reshaped(terms, self.candidates)]
             options = sorted((*self.scores(places), *shaped), key=lambda s: -s.log_bayes_factor)
+            form = Candidate(name, terms).form
             surplus = now.log_bayes_factor - self.threshold
             for option in options:
                 other = option.candidate
-                form = Candidate(name, (self.chosen[places[0]],)).form
                 if (other.name, other.form) == (name, form):
                     continue  # more places of the same are for `grow`, fewer for `prune`
                 margin = 0.0 if other.name in self._names(places) else SWAP
