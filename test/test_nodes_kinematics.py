@@ -83,6 +83,46 @@ def request(matrix: np.ndarray, arm: Arm, **more: object) -> Compensate.Request:
     return Compensate.Request(**{"target": pose(matrix), "seed": seed, **more})
 
 
+def test_of_a_burst_every_target_and_request_is_answered_once(
+    stage: Bench, arm: Arm, demo_arm_path: Path
+) -> None:
+    """More than may wait: the rest is refused in words, nothing is lost on the way."""
+    stage.start("kinematics", {"arm": demo_arm_path, "queue": 40, "method": "deflection"})
+    trajectories = stage.collect(graph.JOINT_TRAJECTORY)
+    stories = stage.collect(graph.COMPENSATION)
+    targets = graph.TARGET_POSE.publisher(stage.node)
+    client = graph.COMPENSATE.client(stage.node)
+    stage.connected(targets)
+    model, seed = declared_model(arm), joints_message(arm, arm.mid)
+    asked = [pose(model.pose(arm.mid + 0.02 * math.sin(i))) for i in range(150)]
+    first = stage.call(client, Compensate.Request(target=asked[0], seed=seed))
+    assert first.success
+    futures = [client.call_async(Compensate.Request(target=t, seed=seed)) for t in asked]
+    stage.spin(lambda: all(f.done() for f in futures) and len(stories) == 151)
+    answers = [f.result().status for f in futures]
+    assert {Compensate.Response.SUCCESS, Compensate.Response.NOT_READY} == set(answers)
+    assert sorted(answers) == sorted(s.status for s in stories[1:])
+
+    joints = graph.JOINT_STATES.publisher(stage.node)
+    stage.connected(joints)
+    joints.publish(seed)
+
+    def heard() -> bool:
+        joints.publish(seed)
+        return bool(stage.call(client, Compensate.Request(target=asked[0])).success)
+
+    stage.spin(heard)
+    stage.spin(lambda: stories[-1].status == Compensate.Response.SUCCESS)
+    del stories[:]
+    for target in asked:
+        targets.publish(target)
+    stage.spin(lambda: len(stories) == 150)
+    sent = [s for s in stories if s.status == Compensate.Response.SUCCESS]
+    assert len(sent) >= 40
+    assert all(s.message for s in stories if s not in sent)
+    stage.spin(lambda: len(trajectories) == len(sent))
+
+
 def test_every_refusal_has_a_status_and_a_reason(
     stage: Bench, arm: Arm, demo_arm_path: Path
 ) -> None:

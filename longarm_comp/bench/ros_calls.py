@@ -21,6 +21,7 @@ from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.path import slow_path
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_message, pose_message
+from longarm_interfaces.msg import Compensation
 from longarm_interfaces.srv import Compensate, PredictError
 
 _POSES = 400
@@ -29,7 +30,7 @@ _PATIENCE_S = 10.0
 
 
 class Calls:
-    """Every call returns its seconds."""
+    """Every call returns its seconds, and begins once the story of the one before is told."""
 
     def __init__(self, arm: Arm, namespace: str) -> None:
         self._client = ArmClient(arm, namespace, name="caller")
@@ -39,7 +40,7 @@ class Calls:
         self._poses = [_stamped(matrix) for matrix in self._targets]
         self._model, self._known = declared_model(arm), _Known(arm.n)
         ik.warm_up(self._model)
-        self._got = self._echoed = self._predicted = 0
+        self._got = self._echoed = self._predicted = self._stories = 0
         self._joints = graph.JOINT_STATES.publisher(node)
         self._target = graph.TARGET_POSE.publisher(node)
         self._echo_target = node.create_publisher(PoseStamped, "echo_target", _DEPTH)
@@ -47,6 +48,7 @@ class Calls:
             JointTrajectory, graph.JOINT_TRAJECTORY.name, self._on_trajectory, _DEPTH
         )
         node.create_subscription(JointTrajectory, "echo_trajectory", self._on_echo, _DEPTH)
+        node.create_subscription(Compensation, graph.COMPENSATION.name, self._on_story, _DEPTH)
         self._compensate = graph.COMPENSATE.client(node)
         self._echo_compensate = node.create_client(Compensate, "echo_compensate")
         self._predict = graph.PREDICT_ERROR.client(node)
@@ -66,6 +68,9 @@ class Calls:
 
     def _on_echo(self, message: JointTrajectory) -> None:
         self._echoed += 1
+
+    def _on_story(self, message: Compensation) -> None:
+        self._stories += 1
 
     def _on_prediction(self, message: Any) -> None:
         self._predicted += 1
@@ -93,11 +98,13 @@ class Calls:
 
     def topic(self, i: int) -> float:
         """`target_pose` to `joint_trajectory`."""
-        want = self._got + 1
+        want, told = self._got + 1, self._stories + 1
         begin = time.perf_counter()
         self._target.publish(self._poses[i % _POSES])
         self._until(lambda: self._got >= want)
-        return time.perf_counter() - begin
+        seconds = time.perf_counter() - begin
+        self._until(lambda: self._stories >= told)
+        return seconds
 
     def topic_echo(self, i: int) -> float:
         """The same through the echo."""
@@ -109,8 +116,9 @@ class Calls:
 
     def service(self, i: int) -> float:
         """`compensate`, from the last joint states."""
-        request = Compensate.Request(target=self._poses[i % _POSES])
+        request, told = Compensate.Request(target=self._poses[i % _POSES]), self._stories + 1
         seconds, answer = self._call(self._compensate, request)
+        self._until(lambda: self._stories >= told)
         if answer.status != Compensate.Response.SUCCESS:
             raise JobError(f"a target of the benchmark was refused: {answer.message}")
         return seconds

@@ -233,7 +233,9 @@ def target_faults(targets: np.ndarray, position_only: bool, where: str) -> list[
     turned = np.ones(len(targets), bool)
     if targets.ndim == 3 and not position_only:
         T = np.where(finite[:, None, None], targets, 0.0)
-        turned = skewness(_axes(T).T, 0) < ROTATION_TOLERANCE**2
+        columns = _axes(T).T  # of one target as floats, which are quicker than arrays of one
+        skew = skewness(columns[:, 0].tolist() if len(T) == 1 else columns, 0)
+        turned &= skew < ROTATION_TOLERANCE**2
         turned &= (T[:, 3] == [0, 0, 0, 1]).all(axis=1)
     if finite.all() and turned.all():
         return [""] * len(targets)

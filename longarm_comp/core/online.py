@@ -5,7 +5,6 @@ Pure: time and readings are handed in.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -159,6 +158,6 @@ def compensate_now(
         position_only=position_only,
         method=limits.method,
         locked=limits.locked,
-        **dataclasses.asdict(limits.settling),
+        **vars(limits.settling),
     )
     return made, context

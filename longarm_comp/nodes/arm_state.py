@@ -17,6 +17,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.online import Circumstances, arrival
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_of, path_of, tilt_of
+from longarm_comp.nodes.worker import Apart
 
 
 class ArmState:
@@ -26,6 +27,9 @@ class ArmState:
         refused: told of every message that cannot be meant, as (what, why).
         commanded: told where the arm is sent, as joints (n,) and sides (n,).
         moved: told every joint reading (n,).
+
+    Attributes:
+        commands: to be taken by the worker, so that each command is known before the next target.
     """
 
     def __init__(
@@ -43,7 +47,7 @@ class ArmState:
         self._joints: tuple[np.ndarray, float] | None = None
         self._commanded: np.ndarray | None = None
         graph.JOINT_STATES.subscription(node, self._on_joints)
-        graph.JOINT_TRAJECTORY.subscription(node, self._on_trajectory)
+        self.commands = graph.JOINT_TRAJECTORY.subscription(node, self._on_trajectory, Apart())
         graph.TEMPERATURE.subscription(node, self._on_temperature)
         graph.PAYLOAD.subscription(node, self._on_payload)
         graph.INCLINATION.subscription(node, self._on_inclination)

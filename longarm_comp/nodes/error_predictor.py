@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +25,7 @@ from longarm_comp.nodes.model_files import ModelFiles, file_hash
 from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.runner import run
 from longarm_comp.nodes.watch import FileWatch
-from longarm_comp.nodes.worker import Worker
+from longarm_comp.nodes.worker import Apart, Worker
 from longarm_interfaces.srv import PredictError
 
 PARAMS = (
@@ -48,7 +49,7 @@ class Loaded:
 
 
 class ErrorPredictor(Node):
-    """A question takes well below a millisecond and is answered at once; files load on a thread."""
+    """Questions are taken and answered on one thread, files are loaded on another."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__("error_predictor", automatically_declare_parameters_from_overrides=True)
@@ -60,29 +61,40 @@ class ErrorPredictor(Node):
         self._fault = ""
         self._answered = self._refused = self._outside = 0
         self._last = ""
-        self._executor = executor
-        self._worker = Worker(executor, 4, self.survived)
+        self._asked = Worker(self, executor, 100, self.survived)
+        self._files = Worker(self, executor, 4, self.survived)
         self._reload()
         self._errors = graph.PREDICTED_ERROR.publisher(self)
-        graph.PREDICT_ERROR.server(self, self._on_predict)
         graph.RELOAD.server(self, self._on_reload, ReentrantCallbackGroup())
         self._watch = FileWatch((self._path, p["model"]))
         self.create_timer(p["watch_period_s"], self._look)
         self._health = Health(self, {"predictor": self._report}, p[PERIOD.name])
+        self._files.start()
+        self._asked.start(services=[graph.PREDICT_ERROR.server(self, self._on_predict, Apart())])
 
     def close(self) -> None:
-        """Stop the worker."""
-        self._worker.close()
+        """Stop the workers."""
+        self._asked.close()
+        self._files.close()
 
     def survived(self, error: Exception) -> None:
         """Count what a callback let through."""
         self._health.fault(error)
 
     def _on_predict(
-        self, request: PredictError.Request, response: PredictError.Response
-    ) -> PredictError.Response:
-        response.sigma = math.nan
-        response.error = vector_message([math.nan] * 3)
+        self, request: PredictError.Request, reply: Callable[[PredictError.Response], None]
+    ) -> None:
+        response = self._answer(request)
+        reply(response)
+        if not response.success:
+            return
+        message = Vector3Stamped(vector=response.error)
+        message.header.stamp = self.get_clock().now().to_msg()
+        message.header.frame_id = self._base_frame
+        self._errors.publish(message)
+
+    def _answer(self, request: PredictError.Request) -> PredictError.Response:
+        response = PredictError.Response(sigma=math.nan, error=vector_message([math.nan] * 3))
         loaded = self._loaded
         try:
             if loaded is None:
@@ -123,10 +135,6 @@ class ErrorPredictor(Node):
             self._last = found.reason
             return
         self._answered += 1
-        message = Vector3Stamped(vector=response.error)
-        message.header.stamp = self.get_clock().now().to_msg()
-        message.header.frame_id = self._base_frame
-        self._executor.create_task(self._errors.publish, message)  # once the answer is sent
 
     def _reload(self) -> tuple[bool, str]:
         """Read the file; the one in use stays where that fails and the model is still the same."""
@@ -149,12 +157,12 @@ class ErrorPredictor(Node):
 
     def _look(self) -> None:
         if self._watch.changed():
-            self._worker.submit(self._reload)
+            self._files.submit(self._reload)
 
     async def _on_reload(
         self, request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        future = self._worker.ask(self._reload)
+        future = self._files.ask(self._reload)
         if future is None:
             response.message = "a reload is under way"
             return response

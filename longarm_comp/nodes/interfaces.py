@@ -34,6 +34,9 @@ _UNHEARD_SUBSCRIPTION = SubscriptionEventCallbacks(use_default_callbacks=False)
 """rclpy's default events (two a topic, they log a QoS that does not fit; the other side logs it
 too) are looked at before every callback and cost more than all else that its executor does."""
 
+_PATIENT = QoSProfile(depth=200)
+"""Requests that wait on either side: ROS's default of 10 loses those of a burst."""
+
 
 @dataclass(frozen=True)
 class Topic:
@@ -87,22 +90,24 @@ class Service:
         self, node: Node, callback: Callable[..., Any], group: CallbackGroup | None = None
     ) -> Any:
         """Offer it on a node."""
-        return node.create_service(self.type, self.name, callback, callback_group=group)
+        return node.create_service(
+            self.type, self.name, callback, qos_profile=_PATIENT, callback_group=group
+        )
 
     def client(self, node: Node, group: CallbackGroup | None = None, of: str = "") -> Any:
         """Use it from a node; ``of`` names the node that offers a private service."""
         name = self.name.replace("~", of) if of else self.name
-        return node.create_client(self.type, name, callback_group=group)
+        return node.create_client(self.type, name, qos_profile=_PATIENT, callback_group=group)
 
 
 TARGET_POSE = Topic(
-    "target_pose", PoseStamped, 100, RELIABLE, "pose that the tip shall reach, base frame"
+    "target_pose", PoseStamped, 200, RELIABLE, "pose that the tip shall reach, base frame"
 )
 JOINT_TRAJECTORY = Topic(
-    "joint_trajectory", JointTrajectory, 50, RELIABLE, "compensated joints, rad and m"
+    "joint_trajectory", JointTrajectory, 200, RELIABLE, "compensated joints, rad and m"
 )
 COMPENSATION = Topic(
-    "compensation", Compensation, 100, RELIABLE, "the whole story of one target, also of refusals"
+    "compensation", Compensation, 200, RELIABLE, "the whole story of one target, also of refusals"
 )
 JOINT_STATES = Topic(
     "joint_states", JointState, 10, BEST_EFFORT, "joints as the servos report them, rad and m"

@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -43,7 +44,7 @@ from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.predictor_client import NoAnswer, PredictorClient
 from longarm_comp.nodes.runner import run
 from longarm_comp.nodes.watch import FileWatch
-from longarm_comp.nodes.worker import Worker
+from longarm_comp.nodes.worker import Apart, Worker
 from longarm_interfaces.srv import Compensate
 
 PARAMS = (
@@ -71,10 +72,6 @@ PARAMS = (
 )
 
 
-_GIVE_WAY_S = 0.005
-"""Most targets are done by then; the executor is never held up for longer."""
-
-
 @dataclass
 class _Work:
     """One target under way: what is asked, what came of it, whether it was sent to the arm."""
@@ -82,11 +79,10 @@ class _Work:
     request: Compensate.Request
     told: Told | None = None
     sent: bool = False
-    answered: threading.Event = field(default_factory=threading.Event)
 
 
 class Kinematics(Node):
-    """Targets are worked off one after another on a thread; the executor stays free."""
+    """Targets are taken and worked off one after another on a thread; the executor stays free."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__("kinematics", automatically_declare_parameters_from_overrides=True)
@@ -102,9 +98,8 @@ class Kinematics(Node):
         )  # fmt: skip
         self._counts: dict[str, int] = {}
         self._last = ""
-        self._worker = Worker(executor, p["queue"], self.survived)
+        self._worker = Worker(self, executor, p["queue"], self.survived)
         self._predictor = PredictorClient(self, self._arm, p["predictor_timeout_s"])
-        graph.TARGET_POSE.subscription(self, self._on_target)  # the first is looked at first
         self._trajectory = graph.JOINT_TRAJECTORY.publisher(self)
         self._compensation = graph.COMPENSATION.publisher(self)
         self._monitor = TipMonitor(
@@ -119,9 +114,7 @@ class Kinematics(Node):
             self, self._arm, self._count, self._monitor.on_command, self._monitor.on_joints
         )
         graph.TIP_MEASURED.subscription(self, self._on_tip)
-        together = ReentrantCallbackGroup()
-        graph.COMPENSATE.server(self, self._on_compensate, together)
-        graph.RELOAD.server(self, self._on_reload, together)
+        graph.RELOAD.server(self, self._on_reload, ReentrantCallbackGroup())
         self._watch = FileWatch((p["model"],))
         self.create_timer(p["watch_period_s"], self._look)
         if p["markers.period_s"]:
@@ -134,6 +127,11 @@ class Kinematics(Node):
         self._health = Health(self, parts, p[PERIOD.name])
         if p["compiled"]:  # beside the targets, which are solved more slowly until it is done
             threading.Thread(target=ik.warm_up, name="compiler", daemon=True).start()
+        apart = Apart()
+        self._worker.start(
+            [self._state.commands, graph.TARGET_POSE.subscription(self, self._on_target, apart)],
+            [graph.COMPENSATE.server(self, self._on_compensate, apart)],
+        )
 
     def close(self) -> None:
         """Stop the worker."""
@@ -154,29 +152,20 @@ class Kinematics(Node):
             self._serve(work)
             self._tell_story(work)
 
-        if self._worker.submit(serve):
-            self._give_way(work)
-        else:
+        if not self._worker.submit(serve):
             self._refuse_busy(work)
 
-    async def _on_compensate(
-        self, request: Compensate.Request, response: Compensate.Response
-    ) -> Compensate.Response:
+    def _on_compensate(
+        self, request: Compensate.Request, reply: Callable[[Compensate.Response], None]
+    ) -> None:
         work = _Work(request)
 
-        def answer() -> Compensate.Response:
-            return response_of(self._serve(work), self._arm, self._base_frame)
+        def answer() -> None:
+            reply(response_of(self._serve(work), self._arm, self._base_frame))
+            self._tell_story(work)
 
-        future = self._worker.ask(answer, lambda: self._tell_story(work))
-        if future is None:
-            return response_of(self._refuse_busy(work), self._arm, self._base_frame)
-        self._give_way(work)
-        return await future
-
-    def _give_way(self, work: _Work) -> None:
-        """Leave the interpreter to the worker for a moment: the two only slow each other down."""
-        if not self._worker.waiting:
-            work.answered.wait(_GIVE_WAY_S)
+        if not self._worker.submit(answer):
+            reply(response_of(self._refuse_busy(work), self._arm, self._base_frame))
 
     def _refuse_busy(self, work: _Work) -> Told:
         waiting = f"{self._worker.waiting} targets wait already"
@@ -273,7 +262,6 @@ class Kinematics(Node):
         )
 
     def _tell_story(self, work: _Work) -> None:
-        work.answered.set()
         told = work.told
         if told is None:
             return

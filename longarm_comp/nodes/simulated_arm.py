@@ -113,7 +113,8 @@ class SimulatedArm(Node):
         self._workshop = Workshop(room, Path(p["port"]), rng)
         self._started = time.monotonic()
         self._frames = self._late = 0
-        self._worker = Worker(executor, 1, self.survived)
+        self._worker = Worker(self, executor, 1, self.survived)
+        self._worker.start()
         self._images = graph.LEFT_IMAGE.publisher(self), graph.RIGHT_IMAGE.publisher(self)
         self._infos = graph.LEFT_INFO.publisher(self), graph.RIGHT_INFO.publisher(self)
         self._truth = self.create_publisher(PointStamped, "~/true_tip", 20)

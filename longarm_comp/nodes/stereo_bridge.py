@@ -104,7 +104,8 @@ class StereoBridge(Node):
         self._refusals: dict[str, int] = {}
         self._last = "no pair of images yet"
         self._lost = True
-        self._worker = Worker(executor, 2, self.survived)
+        self._worker = Worker(self, executor, 2, self.survived)
+        self._worker.start()
         self._tips = graph.TIP_MEASURED.publisher(self)
         hears = graph.RELIABLE if p["reliable_images"] else graph.BEST_EFFORT
         left, right = Side.LEFT, Side.RIGHT

@@ -1,54 +1,94 @@
-"""Long work beside the executor: jobs one after another on a thread, in the order of arrival."""
+"""Long work beside the executor: jobs one after another on a thread, in the order of arrival.
+
+The thread also takes the messages and requests that such work is made of, from a wait set of its
+own.  Through rclpy's executor each of them costs a wait set of every entity of the node, built in
+Python, and a change of threads, which together take longer than the work.
+"""
 
 from __future__ import annotations
 
-import queue
 import threading
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
+from rclpy.callback_groups import CallbackGroup
+from rclpy.context import Context
 from rclpy.executors import Executor
+from rclpy.guard_condition import GuardCondition
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.service import Service
+from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 Job = Callable[[], Any]
+
+
+class Apart(CallbackGroup):
+    """Of entities that a worker takes: no executor looks at them."""
+
+    def can_execute(self, entity: Any) -> bool:
+        """Never here."""
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        """Never here."""
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        """Nothing was begun."""
 
 
 class Worker:
     """One thread, one bounded queue.
 
     Args:
+        node: whose messages and requests it may take.
         executor: woken when an awaited job is done.
         capacity: jobs that may wait; more are refused.
-        on_error: told what a job let through.
+        on_error: told what a job or a callback let through.
     """
 
     def __init__(
-        self, executor: Executor, capacity: int, on_error: Callable[[Exception], None]
+        self, node: Node, executor: Executor, capacity: int, on_error: Callable[[Exception], None]
     ) -> None:
+        self._context = node.context
         self._executor = executor
         self._on_error = on_error
-        self._jobs: queue.Queue[Job | None] = queue.Queue()
+        self._jobs: deque[Job] = deque()
         self._capacity = capacity
-        self._thread = threading.Thread(target=self._run, name="worker", daemon=True)
-        self._thread.start()
+        self._bell = GuardCondition(None, None, context=node.context)
+        self._closing = False
+        self._thread: threading.Thread | None = None
 
     @property
     def waiting(self) -> int:
         """Jobs that wait."""
-        return self._jobs.qsize()
+        return len(self._jobs)
+
+    def start(self, topics: Sequence[Subscription] = (), services: Sequence[Service] = ()) -> None:
+        """Begin, once; take what comes in here, where the callback group is `Apart`.
+
+        The callbacks run on the thread, before the next job.  That of a service gets the request
+        and a function that sends the response.
+        """
+        inlets = _Inlets(self._context, self._bell, topics, services)
+        self._thread = threading.Thread(target=self._run, args=(inlets,), daemon=True)
+        self._thread.start()
 
     def submit(self, job: Job) -> bool:
         """Queue a job; False when too many wait already."""
-        if self._jobs.qsize() >= self._capacity:
+        if self.waiting >= self._capacity:
             return False
-        self._jobs.put(job)
+        self._jobs.append(job)
+        if threading.current_thread() is not self._thread:  # which looks before it sleeps
+            self._bell.trigger()
         return True
 
-    def ask(self, job: Job, afterwards: Callable[[], None] = lambda: None) -> Future | None:
-        """Queue a job whose result a coroutine can await; None when too many wait already.
-
-        ``afterwards`` is done once the result is on its way.
-        """
+    def ask(self, job: Job) -> Future | None:
+        """Queue a job whose result a coroutine can await; None when too many wait already."""
         future = Future(executor=self._executor)
 
         def answer() -> None:
@@ -57,20 +97,74 @@ class Worker:
             except Exception as error:
                 future.set_exception(error)
             self._executor.wake()
-            afterwards()
 
         return future if self.submit(answer) else None
 
     def close(self) -> None:
         """Finish the job at hand, drop the others."""
-        while not self._jobs.empty():
-            self._jobs.get_nowait()
-        self._jobs.put(None)
-        self._thread.join(timeout=5.0)
+        self._closing = True
+        self._bell.trigger()
+        if self._thread is not None:
+            self._thread.join(timeout=5.0)
 
-    def _run(self) -> None:
-        while (job := self._jobs.get()) is not None:
+    def _run(self, inlets: _Inlets) -> None:
+        while not self._closing and self._context.ok():
             try:
-                job()
+                inlets.empty(self._capacity)
+                if self._jobs:
+                    self._jobs.popleft()()
+                else:
+                    inlets.wait()
             except Exception as error:  # told, and the next job is taken
                 self._on_error(error)
+
+
+class _Inlets:
+    """What a thread takes for itself, and the wait set that it sleeps on."""
+
+    def __init__(
+        self,
+        context: Context,
+        bell: GuardCondition,
+        topics: Sequence[Subscription],
+        services: Sequence[Service],
+    ) -> None:
+        self._bell, self._topics, self._services = bell, tuple(topics), tuple(services)
+        with context.handle:
+            self._set = rclpy_implementation.WaitSet(
+                len(self._topics), 1, 0, 0, len(self._services), 0, context.handle
+            )
+
+    def wait(self) -> None:
+        """Until something comes in or the bell rings."""
+        self._set.clear_entities()
+        self._set.add_guard_condition(self._bell.handle)
+        for topic in self._topics:
+            self._set.add_subscription(topic.handle)
+        for service in self._services:
+            self._set.add_service(service.handle)
+        self._set.wait(_FOREVER_NS)
+
+    def empty(self, at_most: int) -> None:
+        """Call back for all that has come in, so that no middleware's queue overflows."""
+        for topic in self._topics:
+            for _ in range(at_most):
+                with topic.handle:
+                    taken = topic.handle.take_message(topic.msg_type, topic.raw)
+                if taken is None:
+                    break
+                topic.callback(taken[0])
+        for service in self._services:
+            for _ in range(at_most):
+                with service.handle:
+                    request, header = service.handle.service_take_request(service.srv_type.Request)
+                if header is None:
+                    break
+                service.callback(request, partial(_send, service, header))
+
+
+_FOREVER_NS = -1
+
+
+def _send(service: Service, header: Any, response: Any) -> None:
+    service.send_response(response, header)

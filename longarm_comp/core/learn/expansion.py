@@ -52,12 +52,13 @@ class Expander:
         joint = encoding.kept < encoding.joints  # columns that are a joint
         self._moved = encoding.kept[joint]
         self._width = encoding.scale[joint]
-        self._share = predictor.scale / len(w)
-        self._hidden, self._output = v, w
-        self._rates = v[:, :-1][:, joint]  # (M, d, H)
+        share = predictor.scale / len(w)
+        self._hidden = np.concatenate(v, axis=1)  # (d+1, M H): all members in one product
+        self._output = share * np.concatenate(w)  # (M H, 3)
+        self._rates = self._hidden[:-1][joint]
         # second derivatives along steps of at most 1 in every column, summed without cancelling
-        steep = np.abs(self._rates).sum(axis=1) ** 2  # (M, H)
-        self._steep = self._share * steep[:, :, None] * np.abs(w)
+        steep = np.abs(self._rates).sum(axis=0) ** 2  # (M H,)
+        self._steep = steep[:, None] * np.abs(self._output)
 
     def __call__(self, q: np.ndarray, context: Mapping[str, Any] | None = None) -> Expansion:
         """Predict at joints (n,) and around them.
@@ -68,14 +69,13 @@ class Expander:
         predictor, n = self._predictor, len(q)
         found = predictor.predict(q[None], context)
         x = predictor.encoding.standardise(predictor.encoding.raw(q[None], context or {}))
-        z = np.tanh(with_ones(x) @ self._hidden)  # (M, 1, H)
+        z = np.tanh(with_ones(x) @ self._hidden)[0]
         bend = 1.0 - z * z
         jacobian, reach = np.zeros((3, n)), np.zeros(n)
-        slope = ((self._rates * bend) @ self._output).sum(axis=0)  # (d, 3)
-        jacobian[:, self._moved] = (self._share / self._width) * slope.T
+        jacobian[:, self._moved] = (((self._rates * bend) @ self._output) / self._width[:, None]).T
         if found.in_domain[0] and found.doubt[0] * _VARIANCE_GROWS <= 1.0:
-            bent = np.minimum(2.0 * np.abs(z) * bend, _CURVATURE)[:, 0, :, None]
-            curvature = float((self._steep * bent).sum(axis=(0, 1)).max())
+            bent = np.minimum(2.0 * np.abs(z) * bend, _CURVATURE)
+            curvature = float((bent @ self._steep).max())
             step = min(_FARTHEST, math.sqrt(2.0 * LINEAR_M / max(curvature, 1e-12)))
             low, high = predictor.box
             reach = np.minimum(q - low[:n], high[:n] - q)
