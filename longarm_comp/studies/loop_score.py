@@ -38,7 +38,8 @@ def score(setting: Setting, found: Diagnosis) -> dict[str, Any]:
     names = [set(f.names) for f in found.findings]
     best = true_fit(setting) if _knowable(setting) else None
     errors = _errors(setting, found, best)
-    covered = all(any(t in n for n in names) for t in true)
+    said = [n | {p.name for p in f.parts} for n, f in zip(names, found.findings, strict=True)]
+    covered = all(any(t in n for n in said) for t in true)
     sets = [f for f in found.findings if f.alternatives]
     meant = true.union(*(family for family in TWINS if family & true))
     named_wrong = [f.name for f in found.findings if not f.alternatives and f.name not in meant]
@@ -47,6 +48,7 @@ def score(setting: Setting, found: Diagnosis) -> dict[str, Any]:
         "visible": [round(v, 3) for v in setting.visible],
         "found": [list(f.names) for f in found.findings],
         "where": [list(f.where) for f in found.findings],
+        "parts": [[f"{p.what}: {p.name}" for p in f.parts] for f in found.findings],
         "covered": covered,
         "exact": covered and not sets and len(names) == len(true),
         "minimal": covered and len(names) == len(true) and _minimal(setting, sets, best),

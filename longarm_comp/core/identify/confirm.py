@@ -9,7 +9,8 @@ from itertools import combinations, pairwise
 import numpy as np
 from scipy.stats import norm
 
-from longarm_comp.core.identify.candidates import Candidate, Term
+from longarm_comp.core.identify.allowances import allowances
+from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.identify.distinguish import Finding
 from longarm_comp.core.identify.evidence import columns_at, key
 from longarm_comp.core.identify.fit import Fit
@@ -17,6 +18,8 @@ from longarm_comp.core.identify.trace import Traced
 
 RESAMPLES = 300
 BLOCKS = 30
+LOOSE = 3.0
+"""Times a found value that its prior must reach, so that it hardly pulls at the interval."""
 SHARED = 0.5
 """Two findings that lose more of their evidence beside each other than this overlap."""
 
@@ -68,12 +71,14 @@ def confirm(
 ) -> Confirmed:
     """Block bootstrap of the final linear problem, and its stability under doubt.
 
-    For the intervals, the places of a found effect that were dropped as undetermined are
-    put back with their priors: a place that is left out is not a place that is zero.
+    For the intervals, what could have come out otherwise is put beside the fitted parameters with
+    its priors (`allowances`).
     """
     fit = traced.fit
-    design = np.concatenate([fit.design, _dropped(fit, found, candidates)], axis=1)
+    wider = _wider(fit, found)
+    design = np.concatenate([fit.design * wider, allowances(fit, found, candidates)], axis=1)
     gram, right = _blocks(design, fit.data)
+    plain, plain_right = _blocks(fit.design, fit.data)
     p = design.shape[1]
     draws = np.zeros((RESAMPLES, p))
     counts = rng.multinomial(len(gram), np.full(len(gram), 1 / len(gram)), size=RESAMPLES)
@@ -90,9 +95,10 @@ def confirm(
         g = np.tensordot(count, gram, axes=1)
         r = count @ right
         draws[b] = np.linalg.solve(g + np.eye(p), r)
+        g, r = np.tensordot(count, plain, axes=1), count @ plain_right
         for name, own in index.items():
             tests[name][b] = _evidence(g, r, own) if len(own) else count @ whole[name]
-    prior = np.array([s.parameter.prior for s in fit.slots])
+    prior = np.array([s.parameter.prior for s in fit.slots]) * wider
     kept = slice(len(fit.slots))
     inverse = np.linalg.inv(gram.sum(0) + np.eye(p))
     centre = (inverse @ right.sum(0))[kept] * prior
@@ -111,6 +117,19 @@ def confirm(
     return Confirmed(intervals, stable, notes, _overlaps(fit, index))
 
 
+def _wider(fit: Fit, found: Sequence[Finding]) -> np.ndarray:
+    """(p,) how much wider the prior of a found parameter must be not to pull at its value.
+
+    That it is there has been decided; how large it is, the data say.
+    """
+    mine = {key(t) for f in found for t in f.terms}
+    sizes = [
+        abs(value) / slot.parameter.prior if key(slot.owner) in mine else 0.0
+        for value, slot in zip(fit.model.values, fit.slots, strict=True)
+    ]
+    return np.maximum(1.0, LOOSE * np.array(sizes))
+
+
 def _overlaps(fit: Fit, index: dict[str, np.ndarray]) -> tuple[Overlap, ...]:
     """Pairs whose evidence beside each other is less than `SHARED` of what each has alone."""
     gram, right = fit.design.T @ fit.design, fit.design.T @ fit.data
@@ -125,18 +144,6 @@ def _overlaps(fit: Fit, index: dict[str, np.ndarray]) -> tuple[Overlap, ...]:
         if min(shares) > SHARED:
             made.append(Overlap((one, two), (shares[0], shares[1])))
     return tuple(made)
-
-
-def _dropped(fit: Fit, found: Sequence[Finding], candidates: Sequence[Candidate]) -> np.ndarray:
-    """(3M, k) whitened, prior-scaled columns of a found effect's other places."""
-    held = {key(t) for t in fit.model.terms}
-    missing: dict[tuple[str, str], Term] = {}
-    for finding in found:
-        form = Candidate(finding.name, finding.terms).form
-        mine = [c for c in candidates if c.name == finding.name]
-        for candidate in sorted(mine, key=lambda c: c.form != form):
-            missing = {key(t): t for t in candidate.terms if key(t) not in held} | missing
-    return fit.whitened(columns_at(fit).of(tuple(missing.values())))
 
 
 def _blocks(a: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -174,7 +181,7 @@ def _evidence(gram: np.ndarray, right: np.ndarray, own: np.ndarray) -> float:
 
 def _doubts(fit: Fit, found: Finding, own: np.ndarray, stable: float) -> tuple[str, ...]:
     """What a sceptic would say."""
-    said = []
+    said = [f"{part.name} could stand for its {part.what}" for part in found.parts]
     if stable < 0.95:
         said.append(f"its evidence holds in {100 * stable:.0f} % of resampled sessions only")
     if not len(own):

@@ -377,4 +377,6 @@ def _sentence(found: Finding, confirmed: Confirmed, traced: Traced) -> str:
     if found.runner_up is not None and not found.alternatives:
         odds = found.log_bayes_factor - found.runner_up.log_bayes_factor
         other = f", runner-up {found.runner_up.candidate.name} (log odds {odds:.0f})"
+    for part in found.parts[:1]:
+        other += f"; {part.name} could stand for its {part.what}"
     return f"{name}: {', '.join(values[:4])}{', ...' if len(values) > 4 else ''}{other}"

@@ -11,11 +11,9 @@ import numpy as np
 from longarm_comp.core.identify.candidates import Candidate, Columns, Term
 from longarm_comp.core.identify.evidence import Score, columns_at, key, marginal_without, score
 from longarm_comp.core.identify.linear import Marginal
+from longarm_comp.core.identify.parts import CLOSE, Part, parts
 from longarm_comp.core.identify.sharpen import reshaped
 from longarm_comp.core.identify.trace import Traced
-
-CLOSE = 3.0
-"""Log evidence (or log likelihood) within which two explanations are not told apart."""
 
 ALIASES: tuple[frozenset[str], ...] = (
     frozenset({"joint_compliance", "servo_droop"}),  # proportional sag is a compliance
@@ -41,6 +39,7 @@ class Finding:
         alternatives: other effects that explain the same, best first.
         runner_up: the best other effect, told apart or not; None if there is none.
         effect_m: RMS shift of the tip that it stands for, m.
+        parts: effects that could stand for a part of it, best first.
     """
 
     name: str
@@ -49,6 +48,7 @@ class Finding:
     alternatives: tuple[Score, ...]
     runner_up: Score | None
     effect_m: float
+    parts: tuple[Part, ...] = ()
 
     @property
     def where(self) -> tuple[str, ...]:
@@ -142,6 +142,7 @@ def _finding(
             close[other.name] = scored
     ranked = sorted(best.values(), key=lambda s: -s.log_bayes_factor)
     alternatives = sorted(close.values(), key=lambda s: -s.log_bayes_factor)
+    taken = (*dict.fromkeys(t.name for t in traced.chosen), *close)
     return Finding(
         name,
         terms,
@@ -149,6 +150,7 @@ def _finding(
         tuple(alternatives),
         ranked[0] if ranked else None,
         own.effect_m,
+        parts(traced, candidates, columns, terms, taken),
     )
 
 

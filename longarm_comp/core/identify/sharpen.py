@@ -14,6 +14,8 @@ from longarm_comp.core.identify.linear import Marginal
 
 LOOKS = 9
 """Values looked at side by side; then as many again around the best of them."""
+WORTH = 0.5
+"""Log evidence that a form must bring to be taken instead of the one that is there."""
 SWEEPS = 2
 """Times that every scale is gone along, where a term has several."""
 
@@ -48,6 +50,8 @@ def sharpened(
 ) -> Score:
     """The term in the form of highest evidence between the neighbouring tried values.
 
+    As it is, where that is hardly better: a refit costs more than it brings.
+
     Args:
         fit: whose rows, noise and weights count.
         marginal: what is in the model beside the term.
@@ -60,14 +64,10 @@ def sharpened(
         columns.of(terms)  # all at once: much faster
         return [score(fit, marginal, Candidate(term.name, (t,)), columns) for t in terms]
 
-    best = scored([term])[0]
-    same = [t for c in candidates if c.name == term.name for t in c.terms]
+    start = best = scored([term])[0]
     for _ in range(min(len(term.tunable), SWEEPS)):
-        for field, (least, largest) in term.tunable.items():
-            value = float(getattr(term, field))
-            tried = {float(getattr(t, field)) for t in same}
-            low = max((v for v in tried if v < value), default=least)
-            high = min((v for v in tried if v > value), default=largest)
+        for field in term.tunable:
+            low, high = neighbours(term, field, candidates)
             for _ in range(2):
                 here = best.candidate.terms[0]
                 values = np.linspace(low, high, LOOKS)
@@ -76,4 +76,14 @@ def sharpened(
                 step = (high - low) / (LOOKS - 1)
                 centre = float(getattr(best.candidate.terms[0], field))
                 low, high = max(low, centre - step), min(high, centre + step)
-    return best
+    return best if best.log_bayes_factor > start.log_bayes_factor + WORTH else start
+
+
+def neighbours(term: Term, field: str, candidates: Sequence[Candidate]) -> tuple[float, float]:
+    """The values of a scale that were tried to either side of a term's, or the scale's ends."""
+    least, largest = term.tunable[field]
+    value = float(getattr(term, field))
+    tried = {float(getattr(t, field)) for c in candidates if c.name == term.name for t in c.terms}
+    low = max((v for v in tried if v < value), default=least)
+    high = min((v for v in tried if v > value), default=largest)
+    return low, high

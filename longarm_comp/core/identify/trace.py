@@ -40,6 +40,8 @@ SHARPENED = 4
 """Times that a term is sharpened at most, each with the rest as it has become."""
 MOST_ACCEPTED = 10
 """Effects that are tried on in all; a residual that asks for more is none of the library's."""
+STEPS = 6
+"""Of every fit on the way; the next one goes on from there, and the last one to the end."""
 MOST_TERMS = 72
 ROUNDS = 4
 
@@ -101,6 +103,7 @@ def search(
             break
         if not (state.sharpen(say) | state.merge(say) | state.swap(say) | state.prune()):
             break
+    state.settle()
     return Traced(
         state.fit,
         base,
@@ -161,11 +164,21 @@ class _State:
             judged = noise_step.agreed(self.known, judged)
         self.noise = judged
         self.fit = fit(
-            first.model, self.session, sigma=judged.sigma, rho=judged.rho, weights=weights
-        )
+            first.model, self.session, sigma=judged.sigma, rho=judged.rho, weights=weights,
+            max_iterations=STEPS,
+        )  # fmt: skip
         self._start = self.fit.model
         self.columns = columns_at(self.fit)
         self.columns.of(_distinct(self.candidates, self.chosen))  # all at once: much faster
+
+    def settle(self) -> None:
+        """Take the last fit to its end."""
+        was = self.fit
+        if not was.converged:
+            self.fit = fit(
+                was.model, self.session, sigma=was.sigma, rho=was.rho, weights=was.weights
+            )
+            self.columns = columns_at(self.fit)
 
     def marginal(self, without: Sequence[tuple[str, str]] = ()) -> Marginal:
         """Evidence on top of all but some chosen terms."""

@@ -1,0 +1,46 @@
+"""Another effect in the place of a part of a finding: said, and allowed for in the intervals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from longarm_comp.core.arm import Arm
+from longarm_comp.studies.loop import run_case
+from longarm_comp.studies.loop_cases import Case
+
+
+def result(arm_path: Path, *effects: str, group: str = "pair") -> dict[str, Any]:
+    case = Case(group, effects, False, "usual", "grid", 300, 1.0, 0, 0)
+    made: dict[str, Any] = run_case(case, Arm.load(arm_path))["result"]
+    return made
+
+
+@pytest.fixture(scope="module")
+def play_and_droop(demo_arm_path: Path) -> dict[str, Any]:
+    return result(demo_arm_path, "backlash", "servo_droop")
+
+
+def test_a_deadband_that_could_be_play_says_so(play_and_droop: dict[str, Any]) -> None:
+    """At the same joints the two are one number; the deadband takes both."""
+    assert [names[0] for names in play_and_droop["found"]] == ["servo_droop"]
+    assert "deadband: backlash" in play_and_droop["parts"][0]
+    assert play_and_droop["covered"]
+    assert not play_and_droop["exact"]
+
+
+def test_what_could_be_another_effects_widens_the_interval(play_and_droop: dict[str, Any]) -> None:
+    """Fitted alone, the deadbands are two to four times too large, and sure of it."""
+    deadbands = [i for i in play_and_droop["intervals"] if i["of"].endswith("deadband")]
+    assert len(deadbands) == 5
+    assert all(i["low"] <= i["true"] <= i["high"] for i in deadbands)
+    assert any(i["value"] > 2.0 * i["true"] for i in deadbands)
+
+
+def test_an_effect_that_stands_alone_has_no_parts_of_others(demo_arm_path: Path) -> None:
+    gain = result(demo_arm_path, "joint_gain", group="single")
+    assert gain["exact"]
+    assert gain["parts"] == [[]]
+    assert all(i["high"] - i["low"] < 0.1 * abs(i["true"]) + 2e-3 for i in gain["intervals"])
