@@ -2,7 +2,8 @@
 
 Columns that are put beside those of the final fit before its data are resampled: places of a found
 effect that were dropped (left out is not zero), forms on a scale that were chosen and could have
-come out otherwise, and other effects that could stand for a part of a finding.
+come out otherwise, and other effects that stand for a part of a finding so much better that they
+nearly pay for a name of their own.
 """
 
 from __future__ import annotations
@@ -50,8 +51,9 @@ def _dropped(
 
 
 def _standing_in(found: Sequence[Finding]) -> dict[tuple[str, str], Term]:
-    """Effects that could stand for a part of a finding."""
-    return {key(t): t for f in found for part in f.parts for t in part.score.candidate.terms}
+    """Effects that may well be there instead of a part of a finding."""
+    rivals = [part.score.candidate for f in found for part in f.parts if part.rival]
+    return {key(t): t for rival in rivals for t in rival.terms}
 
 
 def _slopes(

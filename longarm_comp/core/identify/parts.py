@@ -26,12 +26,16 @@ class Part:
     """Another effect in the place of a part of a finding.
 
     Attributes:
-        what: the part, in words: ``deadband``, ``joint 4``.
+        what: the part, in words: ``deadband``, ``part at joint 4``.
         score: the other effect, with the rest of the finding in the model.
+        ahead: log evidence of the other effect beyond that of the part, its name not yet paid for.
+        rival: whether it comes close to paying for its name as well.
     """
 
     what: str
     score: Score
+    ahead: float
+    rival: bool
 
     @property
     def name(self) -> str:
@@ -76,7 +80,8 @@ def parts(
             if found.log_bayes_factor > own - CLOSE and (
                 held is None or found.log_bayes_factor > held.score.log_bayes_factor
             ):
-                best[other.name] = Part(what, found)
+                ahead = found.log_bayes_factor - own
+                best[other.name] = Part(what, found, ahead, ahead > traced.threshold - CLOSE)
     return tuple(sorted(best.values(), key=lambda p: -p.score.log_bayes_factor))
 
 
@@ -87,6 +92,6 @@ def _slots_of_parts(traced: Traced, terms: Sequence[Term]) -> dict[str, list[int
     whole = [k for k, slot in enumerate(traced.fit.slots) if key(slot.owner) in mine]
     for k in whole:
         slot = traced.fit.slots[k]
-        for what in (slot.parameter.name, slot.owner.where):
+        for what in (slot.parameter.name, f"part at {slot.owner.where}"):
             made.setdefault(what, []).append(k)
     return {what: taken for what, taken in made.items() if len(taken) < len(whole)}
