@@ -1,4 +1,4 @@
-"""The report: the record's schema, the page's words and tables, and the page in a browser."""
+"""The report as it is written: the record, and the page's words and tables."""
 
 from __future__ import annotations
 
@@ -8,30 +8,21 @@ import dataclasses
 import json
 import re
 import xml.etree.ElementTree as ElementTree
-from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from report_samples import VERDICTS, Diagnosis, named
+from report_pages import page_of, sample
+from report_samples import VERDICTS
 
-from longarm_comp.core.errors import InputError
-from longarm_comp.report import Detail, Input, Rows, record, tables, write_report
-from longarm_comp.report.arrows import MOST, arrows, exaggeration
-from longarm_comp.report.figures import ladder_figure, table1_figure
-from longarm_comp.report.scene import scene_json
+from longarm_comp.report import Input, Rows, record, tables, write_report
 
-SEED = 5
 SECTIONS = [
     *("verdict", "errors", "distribution", "scene", "guilty", "candidates", "parameters"),
     *("correlation", "sets", "outliers", "detectable", "provenance"),
 ]
-
-
-def sample(verdict: str) -> Diagnosis:
-    return VERDICTS[verdict](np.random.default_rng(SEED))
 
 
 @pytest.fixture(scope="module")
@@ -42,59 +33,6 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         made[verdict] = tmp_path_factory.mktemp(verdict)
         write_report(*sample(verdict), made[verdict])
     return made
-
-
-class Page(HTMLParser):
-    """What the tests ask of a page: elements in order, tables as text, text, and open elements."""
-
-    VOID = frozenset({"meta", "img", "input", "br", "hr", "link"})
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.elements: list[tuple[str, dict[str, str | None]]] = []
-        self.tables: dict[str, list[list[str]]] = {}
-        self.faults: list[str] = []
-        self.text: list[str] = []
-        self._open: list[str] = []
-        self._section = ""
-        self.feed(text)
-        self.close()
-        self.faults += [f"{tag} is never closed" for tag in self._open]
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        found = dict(attrs)
-        self.elements.append((tag, found))
-        if tag not in self.VOID:
-            self._open.append(tag)
-        if tag == "section":
-            self._section = found["id"] or ""
-        if tag == "tr":
-            self.tables.setdefault(self._section, []).append([])
-        if tag in {"td", "th"}:
-            self.tables[self._section][-1].append("")
-
-    def handle_endtag(self, tag: str) -> None:
-        if not self._open or self._open[-1] != tag:
-            self.faults.append(f"</{tag}> where {self._open[-1:]} is open")
-        else:
-            self._open.pop()
-
-    def handle_data(self, data: str) -> None:
-        if {"script", "style"} & set(self._open):
-            return
-        self.text.append(data)
-        if {"td", "th"} & set(self._open):
-            self.tables[self._section][-1][-1] += " ".join(data.split())
-
-    def all(self, tag: str) -> list[dict[str, str | None]]:
-        return [attrs for name, attrs in self.elements if name == tag]
-
-    def words(self) -> str:
-        return " ".join(" ".join(self.text).split())
-
-
-def page_of(folder: Path) -> Page:
-    return Page((folder / "report.html").read_text("utf-8"))
 
 
 # The record
@@ -139,82 +77,11 @@ def test_same_diagnosis_gives_same_bytes_whatever_the_order_of_keys(
         assert (tmp_path / file).read_bytes() == (folders["set"] / file).read_bytes(), file
 
 
-BAD: list[tuple[str, tuple[str | int, ...], Any, str]] = [
-    ("not a number", ("held_out", "rows", 0, "mean_mm"), float("nan"), "mean_mm"),
-    ("infinite", ("findings", 0, "log_bayes_factor"), float("inf"), "log_bayes_factor"),
-    ("unknown verdict", ("verdict",), "maybe", "'noise', 'named'"),
-    ("unknown key", ("noise", "sigma"), 1.0, "known: rho, sigma_mm, source"),
-    ("unknown key in a list", ("findings", 0, "place"), "x", "compensated, effect"),
-    ("unknown model", ("held_out", "rows", 0, "model"), "best", "'nominal'"),
-    ("another schema", ("schema",), "longarm/diagnosis/2", "longarm/diagnosis/1"),
-    ("negative length", ("held_out", "rows", 0, "max_mm"), -1.0, "max_mm"),
-    ("p above one", ("structure_left", "p_value"), 1.2, "p_value"),
-]
-
-
-@pytest.mark.parametrize(("path", "value", "said"), [b[1:] for b in BAD], ids=[b[0] for b in BAD])
-def test_bad_record_is_refused_and_nothing_written(
-    path: tuple[str | int, ...], value: Any, said: str, tmp_path: Path
-) -> None:
-    report, detail = sample("named")
-    report = copy.deepcopy(report)
-    node: Any = report
-    for step in path[:-1]:
-        node = node[step]
-    node[path[-1]] = value
-    with pytest.raises(InputError) as caught:
-        write_report(report, detail, tmp_path)
-    assert said in str(caught.value)
-    assert not list(tmp_path.iterdir())
-
-
-def test_missing_key_is_named(tmp_path: Path) -> None:
-    report, detail = sample("named")
-    del report["noise"]
-    with pytest.raises(InputError, match=r"report\.json: noise: .*required"):
-        write_report(report, detail, tmp_path)
-
-
-def test_table_that_contradicts_the_errors_is_refused(tmp_path: Path) -> None:
-    report, detail = sample("named")
-    report = copy.deepcopy(report)
-    report["held_out"]["rows"][3]["mean_mm"] *= 0.9
-    with pytest.raises(InputError, match=r"held_out\.with_effects\.mean_mm"):
-        write_report(report, detail, tmp_path)
-
-
-def test_unwritable_folder_is_a_clear_error(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="output folder"):
-        write_report(*sample("bad_data"), tmp_path / "file")
-
-
 def test_plots_of_an_earlier_report_go(tmp_path: Path) -> None:
     (tmp_path / "plots").mkdir()
     (tmp_path / "plots" / "against_q5.svg").write_text("<svg/>")
     write_report(*sample("bad_data"), tmp_path)
     assert not list((tmp_path / "plots").iterdir())
-
-
-def test_detail_refuses_what_cannot_be_drawn() -> None:
-    rows = named(np.random.default_rng(SEED))[1].held_out
-    assert rows is not None
-    with pytest.raises(InputError, match="errors_m"):
-        dataclasses.replace(rows, errors_m={"calibrated": np.zeros((3, 3))})
-    with pytest.raises(InputError, match="nominal, frames_only"):
-        dataclasses.replace(rows, errors_m={"best": np.zeros((60, 3))})
-    with pytest.raises(InputError, match="not finite"):
-        dataclasses.replace(rows, measured_m=np.full((60, 3), np.nan))
-    with pytest.raises(InputError, match="input q1"):
-        dataclasses.replace(rows, inputs=(Input("q1", "rad", np.zeros(2)),))
-    with pytest.raises(InputError, match="joint_units"):
-        Detail(joints=("q1",))
-
-
-def test_unknown_guilty_input_is_refused(tmp_path: Path) -> None:
-    report, detail = sample("named")
-    with pytest.raises(InputError, match="q9"):
-        write_report(report, dataclasses.replace(detail, guilty=("q9",)), tmp_path)
 
 
 # The page
@@ -373,80 +240,3 @@ def test_one_row_without_error_and_no_row_at_all_are_drawn(tmp_path: Path) -> No
     report["held_out"] = {"n": 0, "rows": [], "before_after_ci95_mm": None}
     write_report(report, dataclasses.replace(detail, held_out=empty), tmp_path)
     assert "No hold-out was opened." in page_of(tmp_path).words()
-
-
-# Arrows and scene
-
-
-def test_arrows_point_along_the_error(rng: np.random.Generator) -> None:
-    rows = named(rng)[1].held_out
-    assert rows is not None
-    times = exaggeration(rows, ("calibrated",))
-    found = arrows(rows, "calibrated", times)
-    assert found.stop_m - found.start_m == pytest.approx(times * rows.errors_m["calibrated"])
-    assert found.start_m == pytest.approx(rows.measured_m)
-    assert float(f"{times:.0e}"[0]) in {1, 2, 5}
-
-
-def test_few_arrows_of_many_rows(rng: np.random.Generator) -> None:
-    n = 5000
-    rows = Rows(np.arange(n), rng.random((n, 3)), {"nominal": 1e-3 * rng.normal(size=(n, 3))})
-    found = arrows(rows, "nominal", 1.0)
-    assert len(found.index) == MOST and found.index[0] == 0 and found.index[-1] == n - 1
-
-
-def test_errors_of_zero_have_arrows_of_no_length() -> None:
-    rows = Rows(np.arange(3), np.eye(3), {"nominal": np.zeros((3, 3))})
-    assert exaggeration(rows, ("nominal",)) == 1.0
-    trace = json.loads(scene_json(rows, "nominal"))["data"][0]
-    assert trace["x"][:2] == [1.0, 1.0] and "NaN" not in json.dumps(trace)
-
-
-def test_scene_has_every_stage_at_both_scales_and_shows_one(rng: np.random.Generator) -> None:
-    rows = named(rng)[1].held_out
-    assert rows is not None
-    traces = json.loads(scene_json(rows, "calibrated"))["data"]
-    arms = [trace for trace in traces if "meta" not in trace]
-    staged = [trace for trace in traces if "meta" in trace]
-    assert len(arms) == len(rows.arms_m)
-    assert {(t["meta"]["stage"], t["meta"]["scale"]) for t in staged} == {
-        (stage, scale) for stage in rows.errors_m for scale in ("own", "same")
-    }
-    assert [t["meta"]["stage"] for t in staged if t["visible"]] == ["calibrated"]
-    (shown,) = (t for t in staged if t["visible"])
-    ends = np.column_stack([shown[k] for k in "xyz"])[1::10].astype(float)
-    times = shown["meta"]["times"]
-    assert ends == pytest.approx(rows.measured_m + times * rows.errors_m["calibrated"], abs=1e-5)
-
-
-# Figures of studies
-
-
-def test_study_figures_are_drawn_the_same_each_time(tmp_path: Path) -> None:
-    rows: Any = [
-        {"row": "Original error", "mean_abs_z_mm": [15.0, 19.0, 16.0], "paper_mm": 17.7},
-        {"row": "Gaussian process, 300", "mean_abs_z_mm": [2.0], "paper_mm": None},
-    ]
-    rungs: Any = [
-        {"model": "frames_only", "mean_mm": 25.0, "rms_mm": 28.0, "max_mm": 60.0},
-        {"model": "joint_compliance", "mean_mm": 4.6, "rms_mm": 5.1, "max_mm": 13.0},
-    ]
-    for draw, data in ((table1_figure, rows), (ladder_figure, {"justin": rungs})):
-        for ending in ("png", "svg", "pdf"):
-            assert len(draw(data, tmp_path / f"one.{ending}").read_bytes()) > 3000
-        again = draw(data, tmp_path / "two.svg").read_bytes()
-        assert again == (tmp_path / "one.svg").read_bytes()
-
-
-def test_study_figures_refuse_nothing_and_not_a_number(tmp_path: Path) -> None:
-    row: Any = {"row": "a", "mean_abs_z_mm": [1.0, float("nan")], "paper_mm": None}
-    for rows, said in (([], "at least one row"), ([row], "finite")):
-        with pytest.raises(InputError, match=said):
-            table1_figure(rows, tmp_path / "a.png")
-    with pytest.raises(InputError, match="one value an arm"):
-        table1_figure([row | {"mean_abs_z_mm": []}], tmp_path / "a.png")
-    with pytest.raises(InputError, match="rung"):
-        ladder_figure({"wam": []}, tmp_path / "a.png")
-    with pytest.raises(InputError, match="ending"):
-        table1_figure([row | {"mean_abs_z_mm": [1.0]}], tmp_path / "a.gif")
-    assert not list(tmp_path.iterdir())

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bag_robot import command, header, robot, sighting, state
 from small_arm import ARM
-from test_sessions_bag import command, header, robot, sighting, state
 
 from longarm_comp.bench.bag_made import PERIOD_S, recording, write_raw
 from longarm_comp.sessions.bag import read_bag

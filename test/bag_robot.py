@@ -1,0 +1,101 @@
+"""Bags as a robot records them, message by message, for tests of reading."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from small_arm import ARM
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.sessions.bag import read_bag
+from longarm_comp.sessions.message_types import message_types
+
+STORAGES = ("mcap", "sqlite3")
+
+
+@contextmanager
+def robot(path: Path, namespace: str = "") -> Iterator[Any]:
+    """Write a bag as a recorder does: `put(topic, type, seconds, message)`."""
+    types = message_types()
+    connections: dict[str, Any] = {}
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+
+        def put(topic: str, kind: str, t: float, **fields: Any) -> None:
+            name = f"{namespace}/{topic}"
+            if name not in connections:
+                connections[name] = writer.add_connection(name, kind, typestore=types)
+            message = types.types[kind](**fields)
+            stamp = round((1000 + t) * 1e9)
+            writer.write(connections[name], stamp, types.serialize_cdr(message, kind))
+
+        yield put
+
+
+def header(t: float = 0.0, frame: str = "base") -> Any:
+    """A header, stamped so many seconds after the beginning; not stamped at 0."""
+    types = message_types().types
+    nanos = round((1000 + t) * 1e9) if t else 0
+    stamp = types["builtin_interfaces/msg/Time"](sec=nanos // 10**9, nanosec=nanos % 10**9)
+    return types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame)
+
+
+def command(put: Any, t: float, *points: list[float], names: tuple[str, ...] | None = None) -> None:
+    """Command the arm through these points, a second apart."""
+    types = message_types().types
+    none = np.array([])
+    made = [
+        types["trajectory_msgs/msg/JointTrajectoryPoint"](
+            positions=np.array(p, dtype=float),
+            velocities=none,
+            accelerations=none,
+            effort=none,
+            time_from_start=types["builtin_interfaces/msg/Duration"](sec=k, nanosec=0),
+        )
+        for k, p in enumerate(points)
+    ]
+    names = ARM.joint_names if names is None else names
+    kind = "trajectory_msgs/msg/JointTrajectory"
+    put("joint_trajectory", kind, t, header=header(), joint_names=list(names), points=made)
+
+
+def state(put: Any, t: float, q: list[float]) -> None:
+    """The joints as read back, in another order and with one that is not the arm's."""
+    none = np.array([])
+    names = [*reversed(ARM.joint_names), "gripper"]
+    position = np.array([*reversed(q), 0.3])
+    kind = "sensor_msgs/msg/JointState"
+    put(
+        "joint_states", kind, t, header=header(t), name=names, position=position,
+        velocity=none, effort=none,
+    )  # fmt: skip
+
+
+def sighting(put: Any, t: float, xyz: list[float], sd: float = 0.0, frame: str = "base") -> None:
+    """The tip as measured, with so large a standard deviation in every direction, m."""
+    types = message_types().types
+    x, y, z = map(float, xyz)
+    covariance = np.zeros(36)
+    covariance[[0, 7, 14]] = sd**2
+    pose = types["geometry_msgs/msg/Pose"](
+        position=types["geometry_msgs/msg/Point"](x=x, y=y, z=z),
+        orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+    )
+    whole = types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=covariance)
+    kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
+    put("tip_measured", kind, t, header=header(t, frame), pose=whole)
+
+
+def refusal(path: Path, **how: Any) -> str:
+    """What is said of a bag that must be refused: one line that begins with its path."""
+    with pytest.raises(InputError) as caught:
+        read_bag(path, ARM, **how)
+    message = str(caught.value)
+    assert message.startswith(str(path)), message
+    assert "\n" not in message, message
+    return message

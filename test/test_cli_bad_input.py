@@ -1,0 +1,135 @@
+"""Bad input on the command line: one line that says what is wrong, and its exit code."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+from cli_shell import Shell, made_by_commands
+from small_arm import ARM
+
+from longarm_comp.core.dataset import Session
+from longarm_comp.sessions.csv import read_csv, write_csv
+
+
+@pytest.fixture
+def shell(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> Shell:
+    monkeypatch.chdir(tmp_path)
+    return Shell(tmp_path, capsys)
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return made_by_commands(tmp_path_factory.mktemp("work"))
+
+
+def edited(work: Path, old: str, new: str) -> str:
+    """samples.csv with something replaced, in the present folder."""
+    text = (work / "samples.csv").read_text()
+    assert old in text
+    Path("bad.csv").write_text(text.replace(old, new))
+    return "bad.csv"
+
+
+def test_misspelt_column(work: Path, shell: Shell) -> None:
+    bad = edited(work, "repeat_id", "repeatid")
+    line = shell.refused("calibrate", work / "arm.yaml", bad)
+    assert line == (
+        "longarm: bad.csv: column repeatid: 'unknown, close to repeat_id'; "
+        "allowed: repeat_id, or another name"
+    )
+    assert not Path("model.yaml").exists()
+
+
+def test_millimetres_for_metres(work: Path, shell: Shell) -> None:
+    session = read_csv(work / "samples.csv", ARM)
+    write_csv(Session.record(session.q, 1e3 * session.xyz), "mm.csv")
+    for command in (
+        ("calibrate", work / "arm.yaml", "mm.csv"),
+        ("train", work / "arm.yaml", "mm.csv"),
+        ("evaluate", work / "arm.yaml", "--test", "mm.csv"),
+    ):
+        assert "millimetres" in shell.refused(*command)
+
+
+def test_one_row_is_enough_to_evaluate_but_not_to_calibrate(work: Path, shell: Shell) -> None:
+    write_csv(read_csv(work / "test.csv", ARM).take([0]), "one.csv")
+    assert shell("evaluate", work / "arm.yaml", "--test", "one.csv") == 0
+    assert "rows: 1" in shell.refused("calibrate", work / "arm.yaml", "one.csv")
+
+
+def test_corrupt_predictor(work: Path, shell: Shell) -> None:
+    whole = (work / "predictor.npz").read_bytes()
+    Path("cut.npz").write_bytes(whole[: len(whole) // 2])
+    evaluate = ("evaluate", work / "arm.yaml", "--test", work / "test.csv")
+    line = shell.refused(*evaluate, "--model", work / "model.yaml", "--predictor", "cut.npz")
+    assert "cut.npz" in line
+
+
+def test_predictor_of_another_model(work: Path, shell: Shell) -> None:
+    evaluate = ("evaluate", work / "arm.yaml", "--test", work / "test.csv")
+    line = shell.refused(*evaluate, "--predictor", work / "predictor.npz")
+    assert "model_hash" in line
+
+
+def test_model_of_another_arm(work: Path, shell: Shell) -> None:
+    text = (work / "arm.yaml").read_text()
+    Path("other.yaml").write_text(text.replace("d_m: 0.4", "d_m: 0.41"))
+    line = shell.refused("evaluate", "other.yaml", "--test", work / "test.csv", "--model",
+                         work / "model.yaml")  # fmt: skip
+    assert "arm.hash" in line
+
+
+def test_model_that_is_not_there(work: Path, shell: Shell) -> None:
+    with_predictor = ("--model", "none.yaml", "--predictor", work / "predictor.npz")
+    for command in (
+        ("train", work / "arm.yaml", work / "samples.csv", "--model", "none.yaml"),
+        ("evaluate", work / "arm.yaml", "--test", work / "test.csv", *with_predictor),
+        ("compensate", work / "arm.yaml", 0.5, 0, 0.2, *with_predictor),
+    ):
+        assert shell.refused(*command).startswith("longarm: none.yaml: file: ")
+
+
+def test_unreachable_target(work: Path, shell: Shell) -> None:
+    Path("t.csv").write_text("x,y,z\n9,0,0\n0.5,0,0.2\n")
+    line = shell.refused("compensate", work / "arm.yaml", "--targets", "t.csv", code=3)
+    assert "target 0: unreachable" in line
+    with open("commands.csv", newline="") as file:
+        statuses = [row["status"] for row in csv.DictReader(file)]
+    assert statuses[0] == "unreachable"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("1", "2"), "target"),
+        (("1", "2", "nan"), "target"),
+        (("1", "2", "--metod"), "--metod"),
+        (("1", "2", "3", "--seed-q", "1,2"), "--seed-q"),
+        (("1", "2", "3", "--method", "network"), "--predictor"),
+        ((), "X Y Z, or --targets"),
+    ],
+)
+def test_bad_targets(words: tuple[str, ...], said: str, work: Path, shell: Shell) -> None:
+    assert said in shell.refused("compensate", work / "arm.yaml", *words)
+
+
+def test_outputs_that_cannot_be_written(work: Path, shell: Shell) -> None:
+    for command in (
+        ("calibrate", work / "arm.yaml", work / "samples.csv"),
+        ("train", work / "arm.yaml", work / "samples.csv", "--ensemble", 1, "--hidden", 2),
+        ("plan", work / "arm.yaml", "--kind", "sobol", "-n", 3),
+        ("compensate", work / "arm.yaml", 0.5, 0, 0.2),
+        ("bag", "from-csv", work / "arm.yaml", work / "test.csv"),
+    ):
+        assert "output folder" in shell.refused(*command, "-o", "/proc/longarm/out")
+
+
+def test_arm_that_is_none(work: Path, shell: Shell) -> None:
+    text = (work / "arm.yaml").read_text()
+    Path("typo.yaml").write_text(text.replace("convention", "convntion"))
+    line = shell.refused("calibrate", "typo.yaml", work / "samples.csv")
+    assert "convntion" in line or "convention" in line

@@ -1,0 +1,44 @@
+"""The path of a trajectory: its peak velocity, its extremes, its slopes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from longarm_comp.devices.joint_path import plan_path
+
+
+def _sampled(function: Callable[[float], np.ndarray], duration: float) -> np.ndarray:
+    return np.array([function(t) for t in np.linspace(0.0, duration, 4001)])
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_peak_velocity_and_extremes_agree_with_sampling(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(rng.uniform(0.2, 1.0, 5))
+    positions = rng.uniform(-1, 1, (5, 3))
+    velocities = rng.normal(size=(5, 3)) if seed % 2 else None
+    path = plan_path(rng.uniform(-1, 1, 3), times, positions, velocities, np.full(3, 0.7))
+    dense = _sampled(path.at, path.duration)
+    low, high = path.extremes()
+    assert low == pytest.approx(dense.min(axis=0), abs=1e-4)
+    assert high == pytest.approx(dense.max(axis=0), abs=1e-4)
+    speed = np.abs(np.diff(dense, axis=0)).max(axis=0) / (path.duration / 4000)
+    assert path.peak_velocity() == pytest.approx(speed, rel=2e-3, abs=1e-6)
+    assert path.peak_velocity().max() <= 0.7 * (1 + 1e-9)
+
+
+def test_without_velocities_the_path_equals_scipys_monotone_interpolation() -> None:
+    interpolate = pytest.importorskip("scipy.interpolate")
+    rng = np.random.default_rng(3)
+    times = np.array([1.0, 1.5, 3.0, 3.5])
+    positions = rng.uniform(-0.1, 0.1, (4, 2))
+    start = rng.uniform(-0.1, 0.1, 2)
+    path = plan_path(start, times, positions, None, np.full(2, 10.0))
+    assert path.stretch == 1.0
+    scipys = interpolate.PchipInterpolator(path.times, path.positions)
+    inner = scipys.derivative()(path.times)[1:-1]
+    assert path.slopes[1:-1] == pytest.approx(inner)
+    assert path.slopes[[0, -1]] == pytest.approx(np.zeros((2, 2)))

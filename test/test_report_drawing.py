@@ -1,0 +1,93 @@
+"""What is drawn: arrows and scene of the report, figures of the studies."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from report_samples import named
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.report import Rows
+from longarm_comp.report.arrows import MOST, arrows, exaggeration
+from longarm_comp.report.figures import ladder_figure, table1_figure
+from longarm_comp.report.scene import scene_json
+
+# Arrows and scene
+
+
+def test_arrows_point_along_the_error(rng: np.random.Generator) -> None:
+    rows = named(rng)[1].held_out
+    assert rows is not None
+    times = exaggeration(rows, ("calibrated",))
+    found = arrows(rows, "calibrated", times)
+    assert found.stop_m - found.start_m == pytest.approx(times * rows.errors_m["calibrated"])
+    assert found.start_m == pytest.approx(rows.measured_m)
+    assert float(f"{times:.0e}"[0]) in {1, 2, 5}
+
+
+def test_few_arrows_of_many_rows(rng: np.random.Generator) -> None:
+    n = 5000
+    rows = Rows(np.arange(n), rng.random((n, 3)), {"nominal": 1e-3 * rng.normal(size=(n, 3))})
+    found = arrows(rows, "nominal", 1.0)
+    assert len(found.index) == MOST and found.index[0] == 0 and found.index[-1] == n - 1
+
+
+def test_errors_of_zero_have_arrows_of_no_length() -> None:
+    rows = Rows(np.arange(3), np.eye(3), {"nominal": np.zeros((3, 3))})
+    assert exaggeration(rows, ("nominal",)) == 1.0
+    trace = json.loads(scene_json(rows, "nominal"))["data"][0]
+    assert trace["x"][:2] == [1.0, 1.0] and "NaN" not in json.dumps(trace)
+
+
+def test_scene_has_every_stage_at_both_scales_and_shows_one(rng: np.random.Generator) -> None:
+    rows = named(rng)[1].held_out
+    assert rows is not None
+    traces = json.loads(scene_json(rows, "calibrated"))["data"]
+    arms = [trace for trace in traces if "meta" not in trace]
+    staged = [trace for trace in traces if "meta" in trace]
+    assert len(arms) == len(rows.arms_m)
+    assert {(t["meta"]["stage"], t["meta"]["scale"]) for t in staged} == {
+        (stage, scale) for stage in rows.errors_m for scale in ("own", "same")
+    }
+    assert [t["meta"]["stage"] for t in staged if t["visible"]] == ["calibrated"]
+    (shown,) = (t for t in staged if t["visible"])
+    ends = np.column_stack([shown[k] for k in "xyz"])[1::10].astype(float)
+    times = shown["meta"]["times"]
+    assert ends == pytest.approx(rows.measured_m + times * rows.errors_m["calibrated"], abs=1e-5)
+
+
+# Figures of studies
+
+
+def test_study_figures_are_drawn_the_same_each_time(tmp_path: Path) -> None:
+    rows: Any = [
+        {"row": "Original error", "mean_abs_z_mm": [15.0, 19.0, 16.0], "paper_mm": 17.7},
+        {"row": "Gaussian process, 300", "mean_abs_z_mm": [2.0], "paper_mm": None},
+    ]
+    rungs: Any = [
+        {"model": "frames_only", "mean_mm": 25.0, "rms_mm": 28.0, "max_mm": 60.0},
+        {"model": "joint_compliance", "mean_mm": 4.6, "rms_mm": 5.1, "max_mm": 13.0},
+    ]
+    for draw, data in ((table1_figure, rows), (ladder_figure, {"justin": rungs})):
+        for ending in ("png", "svg", "pdf"):
+            assert len(draw(data, tmp_path / f"one.{ending}").read_bytes()) > 3000
+        again = draw(data, tmp_path / "two.svg").read_bytes()
+        assert again == (tmp_path / "one.svg").read_bytes()
+
+
+def test_study_figures_refuse_nothing_and_not_a_number(tmp_path: Path) -> None:
+    row: Any = {"row": "a", "mean_abs_z_mm": [1.0, float("nan")], "paper_mm": None}
+    for rows, said in (([], "at least one row"), ([row], "finite")):
+        with pytest.raises(InputError, match=said):
+            table1_figure(rows, tmp_path / "a.png")
+    with pytest.raises(InputError, match="one value an arm"):
+        table1_figure([row | {"mean_abs_z_mm": []}], tmp_path / "a.png")
+    with pytest.raises(InputError, match="rung"):
+        ladder_figure({"wam": []}, tmp_path / "a.png")
+    with pytest.raises(InputError, match="ending"):
+        table1_figure([row | {"mean_abs_z_mm": [1.0]}], tmp_path / "a.gif")
+    assert not list(tmp_path.iterdir())

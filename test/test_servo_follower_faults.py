@@ -1,0 +1,191 @@
+"""Every way the trajectory follower must stop, and how it goes on."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from follower_rig import DT, SLIDE, TURN, Rig, kinds, servo_state
+
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.devices.servo_bus import ServoAlarm
+from longarm_comp.devices.servo_follower import EventKind, FollowerState, Step
+from longarm_comp.devices.servo_watch import Trouble
+
+
+@pytest.fixture
+def rig() -> Rig:
+    return Rig()
+
+
+def _troubles(steps: list[Step]) -> list[tuple[Trouble, str]]:
+    findings = [event.finding for step in steps for event in step.events]
+    return [(f.trouble, f.joint) for f in findings if f is not None]
+
+
+def _moving(rig: Rig) -> Rig:
+    rig.send((4.0, {"turn": 0.9, "slide": 0.09}))
+    rig.run(1.0)
+    return rig
+
+
+def test_a_missing_read_back_freezes_and_then_goes_on(rig: Rig) -> None:
+    _moving(rig)
+    before = rig.trace[-1]
+    steps = rig.run(0.1, hide=(9,))
+    assert all(s.goals is None and s.set_points == before for s in steps)
+    assert kinds(steps) == [EventKind.DOUBTFUL]
+    assert rig.step().goals is not None
+    rig.run(5.0)
+    assert rig.column("slide")[-1] == pytest.approx(0.09)
+
+
+def test_a_silent_servo_is_a_fault_that_holds_the_others(rig: Rig) -> None:
+    _moving(rig)
+    here = {5: rig.states[5].position_ticks}  # the silent one keeps its last goal
+    steps = rig.run(0.6, hide=(9,))
+    assert _troubles(steps) == [(Trouble.SILENT, "slide")]
+    sent = [s.goals for s in steps if s.goals is not None]
+    assert sent == [here]
+    assert rig.follower.state is FollowerState.FAULT
+    assert all(s.goals is None for s in rig.run(1.0))
+
+
+def test_a_stalled_servo_is_a_fault_and_stops_pushing(rig: Rig) -> None:
+    rig.obeys.discard(5)
+    _moving(rig)
+    stuck = rig.states[5].position_ticks
+    rig.states[5] = replace(rig.states[5], load=0.95)
+    steps = rig.run(1.5)
+    assert _troubles(steps) == [(Trouble.STALLED, "turn")]
+    hold = next(s.goals for s in steps if s.state is FollowerState.FAULT)
+    assert hold is not None and hold[5] == stuck
+
+
+def test_a_short_peak_of_load_is_no_stall(rig: Rig) -> None:
+    _moving(rig)
+    rig.states[5] = replace(rig.states[5], load=1.0)
+    assert _troubles(rig.run(2.0)) == []
+
+
+def test_a_servo_that_does_not_follow_is_a_fault_without_load(rig: Rig) -> None:
+    rig.obeys.discard(5)
+    steps = _moving(rig).run(4.0)
+    assert _troubles(steps) == [(Trouble.NOT_FOLLOWING, "turn")]
+
+
+@pytest.mark.parametrize(
+    ("changes", "trouble"),
+    [
+        ({"temperature_c": 66.0}, Trouble.OVERHEATED),
+        ({"temperature_c": math.nan}, Trouble.OVERHEATED),
+        ({"error_flags": ServoAlarm.OVERLOAD}, Trouble.ALARM),
+    ],
+)
+def test_heat_and_alarms_are_faults_also_while_holding(
+    rig: Rig, changes: dict[str, Any], trouble: Trouble
+) -> None:
+    rig.send((0.5, {"turn": 0.3}))
+    rig.run(2.0)
+    assert rig.follower.state is FollowerState.HOLDING
+    healthy = rig.states[9]
+    rig.states[9] = replace(healthy, **changes)
+    assert _troubles(rig.run(0.1)) == [(trouble, "slide")]
+    with pytest.raises(JobError, match=trouble.value):
+        rig.follower.reset(rig.now)
+    with pytest.raises(JobError, match="reset"):
+        rig.send((0.5, {"turn": 0.3}))
+    rig.states[9] = healthy
+    rig.step()
+    rig.follower.reset(rig.now)
+    assert rig.follower.state is FollowerState.IDLE
+    rig.send((0.5, {"turn": 0.1}))
+    rig.run(2.0)
+    assert rig.column("turn")[-1] == pytest.approx(0.1)
+
+
+def test_a_read_back_that_jumps_is_not_believed(rig: Rig) -> None:
+    _moving(rig)
+    true = rig.states[5]
+    before = rig.trace[-1]
+    rig.states[5] = replace(true, position_ticks=true.position_ticks + 1500)
+    step = rig.step()
+    assert step.goals is None and step.set_points == before
+    rig.states[5] = true
+    assert rig.step().goals is not None
+    rig.obeys.discard(5)
+    rig.states[5] = replace(true, position_ticks=true.position_ticks + 1500)
+    assert _troubles(rig.run(0.6)) == [(Trouble.SILENT, "turn")]
+
+
+def test_while_idle_one_false_read_back_is_not_believed_but_a_hand_is(rig: Rig) -> None:
+    true = rig.states[5]
+    rig.states[5] = replace(true, position_ticks=true.position_ticks + 500)
+    rig.step()
+    with pytest.raises(JobError, match="fresh read-back"):
+        rig.send((1.0, {"turn": 0.0}))
+    rig.step()  # the same again: somebody moved the arm
+    rig.send((1.0, {"turn": 0.0}))
+    step = rig.step()
+    assert step.goals is not None
+    assert abs(step.goals[5] - true.position_ticks - 500) <= TURN.max_speed_ticks_s * DT + 1
+
+
+def test_the_emergency_stop_commands_nothing_until_reset(rig: Rig) -> None:
+    _moving(rig)
+    rig.follower.estop()
+    steps = rig.run(1.0)
+    assert all(s.goals is None and s.state is FollowerState.ESTOP for s in steps)
+    with pytest.raises(JobError, match="reset"):
+        rig.send((1.0, {"turn": 0.0}))
+    rig.states[5] = servo_state(2100)  # fell while the torque was off
+    rig.run(0.1)
+    rig.follower.reset(rig.now)
+    rig.send((1.0, {"turn": 0.0}))
+    step = rig.step()
+    assert step.goals is not None and abs(step.goals[5] - 2100) < 5
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_whatever_happens_goals_stay_within_limits_and_steps(seed: int) -> None:
+    """Random targets, lost and false read-backs, resets: every goal sent obeys every bound."""
+    rng = np.random.default_rng(seed)
+    rig, sent, last_sent = Rig(), 0, dict[int, tuple[float, int]]()
+    for _ in range(1500):
+        with contextlib.suppress(InputError, JobError):
+            if rng.random() < 0.1:
+                rig.send((float(rng.uniform(0, 2)), {"turn": float(rng.uniform(-1.1, 1.1))}))
+            if rig.follower.state is FollowerState.FAULT:
+                rig.follower.reset(rig.now)
+        true = dict(rig.states)
+        if rng.random() < 0.03:
+            false = int(rng.integers(-9000, 9000))
+            rig.states[5] = replace(true[5], position_ticks=true[5].position_ticks + false)
+        hide = (9,) if rng.random() < 0.05 else ()
+        step = rig.step(dt=float(rng.choice([0.01, 0.02, 0.3], p=[0.49, 0.5, 0.01])), hide=hide)
+        believed = step.goals if step.state is not FollowerState.FAULT else None
+        for servo_id, goal in (believed or {}).items():
+            joint = TURN if servo_id == 5 else SLIDE
+            low, high = joint.tick_limits
+            assert low <= goal <= high
+            then, before = last_sent.get(servo_id, (rig.now, true[servo_id].position_ticks))
+            gap = max(rig.now - then, 0.01)
+            assert abs(goal - before) <= joint.max_speed_ticks_s * gap + 1.5
+            last_sent[servo_id] = (rig.now, goal)
+            sent += 1
+        if step.state is FollowerState.FAULT:
+            last_sent.clear()
+        rig.states = {i: rig.states[i] if i in (step.goals or {}) else true[i] for i in true}
+    assert sent > 500
+
+
+def test_a_servo_that_let_go_is_a_fault(rig: Rig) -> None:
+    _moving(rig)
+    rig.now += DT
+    assert rig.follower.step(rig.now, rig.states, {5: True, 9: True}).goals is not None
+    step = rig.follower.step(rig.now + DT, rig.states, {5: True, 9: False})
+    assert _troubles([step]) == [(Trouble.LET_GO, "slide")]

@@ -1,0 +1,99 @@
+"""Trajectories that the follower refuses, and states in which it takes none."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from follower_rig import CONFIG, TURN, Rig, servo_state
+
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
+from longarm_comp.devices.servo_follower import TrajectoryFollower
+
+
+@pytest.fixture
+def rig() -> Rig:
+    return Rig()
+
+
+def _points(*rows: tuple[float, tuple[float, ...]], **kwargs: Any) -> JointTrajectory:
+    names = kwargs.get("names", ("turn", "slide"))
+    return JointTrajectory(names, tuple(TrajectoryPoint(t, q) for t, q in rows))
+
+
+@pytest.mark.parametrize(
+    ("trajectory", "said"),
+    [
+        (_points((1.0, (0.1,)), names=("elbow",)), "one of turn, slide"),
+        (_points((1.0, (0.1, 0.1)), names=("turn", "turn")), "each joint once"),
+        (_points((1.0, ()), names=()), "at least one of"),
+        (_points((1.0, (0.1,))), "2 values"),
+        (_points((1.0, (math.nan, 0.01))), "points[0].positions of turn"),
+        (_points((1.0, (0.1, math.inf))), "points[0].positions of slide"),
+        (_points((1.0, (1.1, 0.01))), "-1 to 1 rad"),
+        (_points((1.0, (0.1, -0.01))), "0 to 0.1 m"),
+        (_points((-1.0, (0.1, 0.01))), "points[0].time_from_start"),
+        (_points((math.nan, (0.1, 0.01))), "points[0].time_from_start"),
+        (_points((1.0, (0.1, 0.01)), (1.0, (0.2, 0.01))), "points[1].time_from_start"),
+        (
+            JointTrajectory(
+                ("turn",),
+                (TrajectoryPoint(1.0, (0.1,), (0.0,)), TrajectoryPoint(2.0, (0.1,))),
+            ),
+            "at every point or at none",
+        ),
+        (
+            JointTrajectory(("turn",), (TrajectoryPoint(1.0, (0.1,), (math.inf,)),)),
+            "points[0].velocities of turn",
+        ),
+        (
+            JointTrajectory(
+                ("turn",),
+                (TrajectoryPoint(2.0, (0.95,), (0.7,)), TrajectoryPoint(4.0, (0.9,), (0.0,))),
+            ),
+            "turn on the way",
+        ),
+    ],
+)
+def test_a_bad_trajectory_is_refused_with_a_reason_and_changes_nothing(
+    rig: Rig, trajectory: JointTrajectory, said: str
+) -> None:
+    rig.send((3.0, {"turn": 0.6}))
+    rig.run(0.5)
+    with pytest.raises(InputError) as caught:
+        rig.follower.accept(trajectory, rig.now)
+    assert said in str(caught.value)
+    rig.run(3.0)
+    assert rig.column("turn")[-1] == pytest.approx(0.6)
+
+
+def test_nothing_is_taken_before_every_servo_was_heard() -> None:
+    follower = TrajectoryFollower(CONFIG)
+    target = _points((1.0, (0.1, 0.01)))
+    with pytest.raises(JobError, match="fresh read-back"):
+        follower.accept(target, 0.0)
+    follower.step(0.0, {5: servo_state(2048)})
+    with pytest.raises(JobError, match="fresh read-back"):
+        follower.accept(target, 0.0)
+    follower.step(0.02, {5: servo_state(2048), 9: servo_state(3900)})
+    with pytest.raises(JobError, match="fresh read-back"):
+        follower.accept(target, 5.0)
+    follower.accept(target, 0.02)
+
+
+def test_an_arm_outside_its_limits_or_too_hot_is_not_moved(rig: Rig) -> None:
+    rig.states[5] = servo_state(TURN.to_ticks(1.0) + 200)
+    rig.run(0.1)
+    with pytest.raises(InputError, match="by hand"):
+        rig.send((1.0, {"turn": 0.0}))
+    rig.states[5] = servo_state(2048, temperature_c=80.0)
+    rig.run(0.1)
+    with pytest.raises(JobError, match="overheated"):
+        rig.send((1.0, {"turn": 0.0}))
+
+
+def test_a_clock_that_is_not_finite_is_refused(rig: Rig) -> None:
+    with pytest.raises(InputError, match="finite seconds"):
+        rig.follower.step(math.nan, {})

@@ -1,0 +1,155 @@
+"""The mathematics under the stereo measurement, hand-eye, and calibration from pictures."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from stereo_head import HEAD, PLATE, TAG, marker_pose
+
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.devices.stereo import (
+    Camera,
+    CharucoTarget,
+    StereoEye,
+    StereoRig,
+    calibrate_stereo,
+    fit_rigid,
+    hand_eye,
+    triangulate,
+)
+from longarm_comp.sim.cameras import render
+from longarm_comp.sim.plates import charuco_plate
+
+# ---- mathematics --------------------------------------------------------------------------------
+
+
+def test_projection_and_jacobian_against_opencv_and_differences() -> None:
+    rng = np.random.default_rng(6)
+    d = (0.2, -0.1, 0.002, -0.001, 0.03, 0.1, 0.02, -0.01)
+    turn = cv2.Rodrigues(np.array([0.1, -0.2, 0.05]))[0]
+    camera = Camera(
+        [[700, 0.0, 300], [0, 710, 250], [0, 0, 1]], turn, [0.1, 0, 0.02], (640, 480), d
+    )
+    points = rng.uniform([-0.5, -0.4, 1.0], [0.5, 0.4, 2.0], (20, 3))
+    pixels, jacobian = camera.project(points)
+    known = cv2.projectPoints(points, turn, camera.translation, camera.k, camera.d)[0]
+    np.testing.assert_allclose(pixels, known.reshape(-1, 2), atol=1e-9)
+    step = 1e-6
+    for axis in range(3):
+        moved = np.eye(3)[axis] * step
+        slope = (camera.project(points + moved)[0] - camera.project(points - moved)[0]) / (2 * step)
+        np.testing.assert_allclose(jacobian[:, :, axis], slope, rtol=1e-5, atol=1e-4)
+
+
+def test_triangulation_is_exact_and_its_covariance_is_what_noise_does() -> None:
+    head = dataclasses.replace(
+        HEAD, d=(-0.2, 0.05, 0.0, 0.0, 0.0), right_turn_rad=(0.0, -0.03, 0.0)
+    )
+    rig = StereoRig.from_camera_info(*head.camera_infos(), rectified=False)
+    points = np.repeat([[0.1, -0.05, 1.5]], 4000, axis=0)
+    left, right = rig.left.project(points)[0], rig.right.project(points)[0]
+    exact = triangulate(rig, left[:3], right[:3])
+    np.testing.assert_allclose(exact.points, points[:3], atol=1e-9)
+    rng = np.random.default_rng(9)
+    noisy = triangulate(
+        rig, left + rng.normal(0, 0.2, left.shape), right + rng.normal(0, 0.2, right.shape)
+    )
+    assert noisy.sigma_px == pytest.approx(0.2, rel=0.05)
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(np.cov(noisy.points.T))),
+        np.sqrt(np.diag(noisy.covariances.mean(axis=0))),
+        rtol=0.05,
+    )
+
+
+def test_rigid_fit_recovers_a_motion_and_knows_its_error() -> None:
+    rng = np.random.default_rng(10)
+    truth = np.eye(4)
+    truth[:3, :3] = cv2.Rodrigues(np.array([2.0, -1.0, 0.4]))[0]
+    truth[:3, 3] = [0.75, -1.7, 0.3]
+    source = rng.uniform(-0.4, 0.4, (30, 3))
+    covariance = np.broadcast_to(np.diag([1e-4, 1e-4, 1e-3]) ** 2, (30, 3, 3))
+    normalised = []
+    for _ in range(60):
+        noise = rng.normal(0.0, [1e-4, 1e-4, 1e-3], (30, 3))
+        fit = fit_rigid(source, source @ truth[:3, :3].T + truth[:3, 3] + noise, covariance)
+        turn = cv2.Rodrigues(fit.transform[:3, :3] @ truth[:3, :3].T)[0].ravel()
+        error = np.concatenate([fit.transform[:3, 3] - truth[:3, 3], turn])
+        normalised.append(error @ np.linalg.solve(fit.covariance, error))
+    assert 4.5 < np.mean(normalised) < 7.5  # chi-square with 6 degrees of freedom, 60 draws
+    with pytest.raises(InputError, match="line"):
+        fit_rigid(np.outer(np.arange(4.0), [1, 2, 3]), np.outer(np.arange(4.0), [1, 2, 3]))
+
+
+# ---- hand-eye -----------------------------------------------------------------------------------
+
+CAMERA = HEAD.camera_in_base
+SIGMA_M = np.array([1e-4, 1e-4, 5e-4])
+
+
+def session(rng: np.random.Generator, marker_in_tip: np.ndarray, count: int = 25) -> Any:
+    """Tip poses (N, 4, 4) all over the workspace, markers seen with noise, and its covariance."""
+    tips = np.tile(np.eye(4), (count, 1, 1))
+    for tip in tips:
+        tip[:3, :3] = cv2.Rodrigues(rng.uniform(-0.8, 0.8, 3))[0]
+        tip[:3, 3] = rng.uniform([0.4, -0.3, 0.1], [1.1, 0.3, 0.7])
+    marker = tips[:, :3, :3] @ marker_in_tip + tips[:, :3, 3]
+    seen = (marker - CAMERA[:3, 3]) @ CAMERA[:3, :3] + rng.normal(0.0, SIGMA_M, (count, 3))
+    return tips, seen, np.broadcast_to(np.diag(SIGMA_M**2), (count, 3, 3))
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["marker known", "marker unknown"])
+def test_hand_eye_finds_the_camera_with_an_honest_covariance(known: bool) -> None:
+    rng = np.random.default_rng(12)
+    place = np.array([0.03, -0.05, 0.02])
+    normalised = []
+    for _ in range(40):
+        fit = hand_eye(*session(rng, place), marker_in_tip=place if known else None)
+        turn = cv2.Rodrigues(fit.camera_in_base[:3, :3] @ CAMERA[:3, :3].T)[0].ravel()
+        error = np.concatenate([fit.camera_in_base[:3, 3] - CAMERA[:3, 3], turn])
+        if not known:
+            error = np.concatenate([error, fit.marker_in_tip - place])
+        normalised.append(error @ np.linalg.solve(fit.covariance, error) / len(error))
+        assert not fit.outliers
+    assert 0.75 < np.mean(normalised) < 1.25
+
+
+def test_hand_eye_leaves_an_outlier_out_and_refuses_what_it_cannot_tell() -> None:
+    rng = np.random.default_rng(13)
+    tips, seen, covariances = session(rng, np.zeros(3))
+    seen[7] += [0.0, 0.05, 0.0]
+    fit = hand_eye(tips, seen, covariances)
+    assert fit.outliers == (7,)
+    assert fit.rms_m < 1e-3 and np.linalg.norm(fit.residuals[7]) > 0.04
+    tips[:, :3, :3] = np.eye(3)  # the tip never turns: place and camera cannot be told apart
+    with pytest.raises(JobError, match="turn the tip"):
+        hand_eye(tips, seen, covariances)
+    with pytest.raises(InputError, match="postures"):
+        hand_eye(tips[:2], seen[:2], covariances[:2])
+
+
+# ---- calibration --------------------------------------------------------------------------------
+
+
+def test_a_rendered_calibration_session_gives_the_cameras_back() -> None:
+    """Distorted lenses, a ChArUco board partly out of view: focal, baseline and a held-out tag."""
+    rng = np.random.default_rng(14)
+    head = dataclasses.replace(HEAD, d=(-0.15, 0.05, 0.0, 0.0, 0.0))
+    board, plate = CharucoTarget(0.04, 0.028, 7, 5), charuco_plate(0.04, 0.028, 7, 5)
+    pairs = []
+    for _ in range(7):
+        pose = marker_pose(head, rng.uniform(0.7, 1.1), rng)
+        left, right = render(pose, plate, head, rng)
+        pairs.append((board.detect(left), board.detect(right)))
+    found = calibrate_stereo(board, pairs, head.size)
+    assert found.rms_px < 0.05
+    assert found.rig.left.k[0, 0] == pytest.approx(head.focal_px, rel=0.003)
+    assert found.rig.baseline_m == pytest.approx(head.baseline_m, rel=0.003)
+    truth = marker_pose(head, 1.0, rng)
+    eye = StereoEye(found.rig, TAG, head.left_in_base)
+    seen = eye.measure(*render(truth, PLATE, head, rng), 0)
+    assert np.linalg.norm(seen.point - truth[:3, 3]) < 3e-3
