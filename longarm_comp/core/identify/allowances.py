@@ -27,13 +27,9 @@ def allowances(fit: Fit, found: Sequence[Finding], candidates: Sequence[Candidat
     """(3M, k) whitened, prior-scaled columns."""
     columns = columns_at(fit)
     other = {**_dropped(fit, found, candidates), **_standing_in(found)}
-    made = [fit.whitened(columns.of(tuple(other.values())))]
-    for finding in found:
-        for term in finding.terms:
-            made += [
-                fit.whitened(slope[..., None]) for slope in _slopes(fit, columns, term, candidates)
-            ]
-    return np.concatenate(made, axis=1)
+    made = [columns.of(tuple(other.values()))]
+    made += _slopes(fit, columns, [t for f in found for t in f.terms], candidates)
+    return fit.whitened(np.concatenate(made, axis=-1))
 
 
 def _dropped(
@@ -57,24 +53,25 @@ def _standing_in(found: Sequence[Finding]) -> dict[tuple[str, str], Term]:
 
 
 def _slopes(
-    fit: Fit, columns: Columns, term: Term, candidates: Sequence[Candidate]
+    fit: Fit, columns: Columns, terms: Sequence[Term], candidates: Sequence[Candidate]
 ) -> list[np.ndarray]:
-    """(N, 3) shift of the tip as each scale moves half way to the next tried value."""
-    values = np.array(
-        [
-            fit.model.values[k] / slot.parameter.prior
-            for k, slot in enumerate(fit.slots)
+    """(N, 3, 1) shift of the tip as each scale moves half way to the next tried value."""
+    ways: list[tuple[Term, Term, float]] = []
+    for term in terms:
+        for field in term.tunable:
+            low, high = neighbours(term, field, candidates)
+            here = float(getattr(term, field))
+            step = STEP if here < 0.5 * (low + high) else -STEP
+            moved = dataclasses.replace(term, **{field: here + step * (high - low)})
+            ways.append((term, moved, 0.5 / step))
+    columns.of([t for term, moved, _ in ways for t in (term, moved)])  # all at once: much faster
+    made = []
+    for term, moved, times in ways:
+        values = [
+            v / slot.parameter.prior
+            for v, slot in zip(fit.model.values, fit.slots, strict=True)
             if key(slot.owner) == key(term)
         ]
-    )
-    if not len(values):
-        return []
-    made = []
-    for field in term.tunable:
-        low, high = neighbours(term, field, candidates)
-        here = float(getattr(term, field))
-        way = STEP * (high - low) * (1.0 if here < 0.5 * (low + high) else -1.0)
-        moved = dataclasses.replace(term, **{field: here + way})
-        change = (columns.of([moved]) - columns.of([term])) @ values
-        made.append(change * (0.5 * (high - low) / way))
+        change = (columns.of([moved]) - columns.of([term])) @ np.array(values)
+        made.append(times * change[..., None])
     return made

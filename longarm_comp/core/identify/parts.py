@@ -28,13 +28,11 @@ class Part:
     Attributes:
         what: the part, in words: ``deadband``, ``part at joint 4``.
         score: the other effect, with the rest of the finding in the model.
-        ahead: log evidence of the other effect beyond that of the part, its name not yet paid for.
-        rival: whether it comes close to paying for its name as well.
+        rival: whether it is so much better than the part that it nearly pays for its name as well.
     """
 
     what: str
     score: Score
-    ahead: float
     rival: bool
 
     @property
@@ -80,8 +78,8 @@ def parts(
             if found.log_bayes_factor > own - CLOSE and (
                 held is None or found.log_bayes_factor > held.score.log_bayes_factor
             ):
-                ahead = found.log_bayes_factor - own
-                best[other.name] = Part(what, found, ahead, ahead > traced.threshold - CLOSE)
+                rival = found.log_bayes_factor - own > traced.threshold - CLOSE
+                best[other.name] = Part(what, found, rival)
     return tuple(sorted(best.values(), key=lambda p: -p.score.log_bayes_factor))
 
 
