@@ -3,7 +3,7 @@
 Columns that are put beside those of the final fit before its data are resampled: places of a found
 effect that were dropped (left out is not zero), forms on a scale that were chosen and could have
 come out otherwise, and other effects that stand for a part of a finding so much better that they
-nearly pay for a name of their own.
+may well be there instead.
 """
 
 from __future__ import annotations

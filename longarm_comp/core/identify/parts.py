@@ -15,7 +15,7 @@ from longarm_comp.core.identify.candidates import Candidate, Columns, Term
 from longarm_comp.core.identify.evidence import Score, key, score
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.sharpen import reshaped
-from longarm_comp.core.identify.trace import Traced
+from longarm_comp.core.identify.trace import ODDS, Traced
 
 CLOSE = 3.0
 """Log evidence within which two explanations are not told apart."""
@@ -28,7 +28,8 @@ class Part:
     Attributes:
         what: the part, in words: ``deadband``, ``part at joint 4``.
         score: the other effect, with the rest of the finding in the model.
-        rival: whether it is so much better than the part that it nearly pays for its name as well.
+        rival: whether it is so much better than the part that it may well be there instead: one
+            in twenty, all candidates being as likely beforehand.
     """
 
     what: str
@@ -78,7 +79,7 @@ def parts(
             if found.log_bayes_factor > own - CLOSE and (
                 held is None or found.log_bayes_factor > held.score.log_bayes_factor
             ):
-                rival = found.log_bayes_factor - own > traced.threshold - CLOSE
+                rival = found.log_bayes_factor - own > traced.threshold - ODDS - CLOSE
                 best[other.name] = Part(what, found, rival)
     return tuple(sorted(best.values(), key=lambda p: -p.score.log_bayes_factor))
 
