@@ -11,7 +11,7 @@ from longarm_comp.core.identify.detectable import IMPLAUSIBLE, Smallest, detecta
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.distinguish import Finding, without
 from longarm_comp.core.identify.evidence import columns_at, key, score
-from longarm_comp.core.identify.trace import ODDS
+from longarm_comp.core.identify.search_state import ODDS
 
 Label = tuple[str, str]
 

@@ -14,8 +14,9 @@ import numpy as np
 from longarm_comp.core.identify.candidates import Candidate, Columns, Term
 from longarm_comp.core.identify.evidence import Score, key, score
 from longarm_comp.core.identify.linear import Marginal
+from longarm_comp.core.identify.search_state import ODDS
 from longarm_comp.core.identify.sharpen import reshaped
-from longarm_comp.core.identify.trace import ODDS, Traced
+from longarm_comp.core.identify.trace import Traced
 
 CLOSE = 3.0
 """Log evidence within which two explanations are not told apart."""

@@ -1,0 +1,234 @@
+"""The state of a search: what is chosen so far, its fit, noise, and every candidate's columns."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from longarm_comp.core.dataset import Session
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.errors import JobError
+from longarm_comp.core.identify import noise as noise_step
+from longarm_comp.core.identify.candidates import Candidate, Term
+from longarm_comp.core.identify.evidence import Score, columns_at, key, marginal_without, score
+from longarm_comp.core.identify.fit import fit, unfitted
+from longarm_comp.core.identify.linear import Marginal
+from longarm_comp.core.identify.noise import Noise
+from longarm_comp.core.identify.sharpen import sharpened
+from longarm_comp.core.model import Model, slots_of
+
+ODDS = math.log(20.0)
+"""An effect must be this much (log) more probable than none after paying for the choice."""
+LOCATED = 2.0
+"""Within an effect, a place must be this much (log) more probable with it than without."""
+SHARPENED = 4
+"""Times that a term is sharpened at most, each with the rest as it has become."""
+MOST_ACCEPTED = 10
+"""Effects that are tried on in all; a residual that asks for more is none of the library's."""
+STEPS = 6
+"""Of every fit on the way; the next one goes on from there, and the last one to the end."""
+MOST_TERMS = 72
+
+
+class State:
+    """The model on its way: chosen terms, fit, noise and columns of every candidate."""
+
+    def __init__(
+        self,
+        base: Model,
+        session: Session,
+        candidates: Sequence[Candidate],
+        known: Noise | None,
+    ) -> None:
+        self.base, self.session, self.candidates = base, session, candidates
+        self.known = known
+        self.chosen: dict[tuple[str, str], Term] = {}
+        self.threshold = math.log(max(len(candidates), 1)) + ODDS
+        self._start = base
+        self.refused: set[str] = set()
+        self.accepted = 0
+        self.sharp: Counter[tuple[str, str]] = Counter()
+
+    def refit(self) -> None:
+        """Judge the noise by all that the library could explain, then fit geometry and terms."""
+        first = (
+            unfitted(self._start, self.session) if self.chosen else fit(self._start, self.session)
+        )
+        every = columns_at(first).of(_distinct(self.candidates, self.chosen))
+        judged, weights = noise_step.from_residual(first, every)
+        if self.known is not None:
+            judged = noise_step.agreed(self.known, judged)
+        self.noise = judged
+        self.fit = fit(
+            first.model, self.session, sigma=judged.sigma, rho=judged.rho, weights=weights,
+            max_iterations=STEPS,
+        )  # fmt: skip
+        self._start = self.fit.model
+        self.columns = columns_at(self.fit)
+        self.columns.of(_distinct(self.candidates, self.chosen))  # all at once: much faster
+
+    def settle(self) -> None:
+        """Take the last fit to its end."""
+        was = self.fit
+        if not was.converged:
+            self.fit = fit(
+                was.model, self.session, sigma=was.sigma, rho=was.rho, weights=was.weights
+            )
+            self.columns = columns_at(self.fit)
+
+    def marginal(self, without: Sequence[tuple[str, str]] = ()) -> Marginal:
+        """Evidence on top of all but some chosen terms."""
+        return marginal_without(self.fit, self.columns, set(without))
+
+    def scores(self, without: Sequence[tuple[str, str]] = ()) -> tuple[Score, ...]:
+        """Every candidate that is not in the model already, best first."""
+        marginal = self.marginal(without)
+        held = {k: t for k, t in self.chosen.items() if k not in without}
+        made = []
+        for candidate in self.candidates:
+            new = tuple(t for t in candidate.terms if key(t) not in held)
+            if len(new) > 1 or new == candidate.terms:
+                made.append(self.score(marginal, Candidate(candidate.name, new)))
+        return tuple(sorted(made, key=lambda s: -s.log_bayes_factor))
+
+    def score(self, marginal: Marginal, candidate: Candidate) -> Score:
+        """One candidate on top of a marginal."""
+        return score(self.fit, marginal, candidate, self.columns)
+
+    def need(self, name: str, without: Sequence[tuple[str, str]] = ()) -> float:
+        """Evidence that pays for the choice: among all, or among the forms of a known effect."""
+        if any(k[0] == name for k in self.chosen if k not in without):
+            return math.log(sum(c.name == name for c in self.candidates)) + ODDS
+        return self.threshold
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether no more may be added."""
+        return self.accepted >= MOST_ACCEPTED
+
+    def best(self) -> Score | None:
+        """The candidate to accept, if any pays for the choice."""
+        for found in self.scores():
+            if found.candidate.label in self.refused:
+                continue
+            enough = found.log_bayes_factor >= self.need(found.candidate.name)
+            if enough and len(self.chosen) < MOST_TERMS:
+                return found
+        return None
+
+    def grow(self, say: Callable[[str], None]) -> None:
+        """Add effects until none pays; one that did not last is not tried again."""
+        while not self.exhausted:
+            best = self.best()
+            if best is None:
+                return
+            self.accepted += 1
+            say(best.candidate.label)
+            before = dict(self.chosen), self._start, self.fit, self.columns, self.noise
+            try:
+                self.accept(best)
+                while self.sharpen(say):
+                    pass
+                self.prune()
+            except JobError:
+                self.chosen, self._start, self.fit, self.columns, self.noise = before
+            if not any(key(t) in self.chosen for t in best.candidate.terms):
+                self.refused.add(best.candidate.label)
+
+    def accept(self, found: Score) -> None:
+        """Add its terms, started at their estimates, and fit."""
+        self._put(found)
+        self._rebuild()
+
+    def _put(self, found: Score) -> None:
+        start = 0
+        for term in found.candidate.terms:
+            slots = slots_of(self.base.arm, [term])
+            values = {
+                s.parameter.name: float(
+                    np.clip(found.mean[start + k], s.parameter.lower, s.parameter.upper)
+                )
+                for k, s in enumerate(slots)
+            }
+            start += len(slots)
+            self.chosen[key(term)] = term.with_values(values)
+
+    def _rebuild(self) -> None:
+        known = {(key(t), repr(t.placement)): t for t in self._start.terms}
+        geometry = [t for t in self._start.terms if key(t) in {key(b) for b in self.base.terms}]
+        kept = [known.get((k, repr(t.placement)), t) for k, t in self.chosen.items()]
+        effects = [t for t in (*geometry, *kept) if isinstance(t, Effect)]
+        biases = [t for t in (*geometry, *kept) if isinstance(t, Bias)]
+        self._start = Model(
+            self.base.arm,
+            tuple(effects),
+            tuple(biases),
+            self.base.passes,
+            self.base.elements_per_beam,
+        )
+        self.refit()
+
+    def sharpen(self, say: Callable[[str], None]) -> bool:
+        """Move forms that lie on a scale to where the evidence is highest; whether any moved."""
+        better: list[Score] = []
+        for place, term in self.chosen.items():
+            if term.tunable and self.sharp[place] < SHARPENED:
+                best = self.sharpened_form(term, [place])
+                self.sharp[place] += 1
+                if best.candidate.terms != (term,):
+                    better.append(best)
+        for best in better:
+            say(best.candidate.label)
+            self._put(best)
+        if better:
+            self._rebuild()
+        return bool(better)
+
+    def sharpened_form(self, term: Term, without: Sequence[tuple[str, str]]) -> Score:
+        marginal = self.marginal(without)
+        return sharpened(self.fit, marginal, self.columns, term, self.candidates)
+
+    def prune(self) -> bool:
+        """Drop terms that the rest makes superfluous; whether anything went."""
+        gone: list[tuple[str, str]] = []
+        while len(gone) < len(self.chosen):
+            worst, low = None, math.inf
+            for place, term in self.chosen.items():
+                if place in gone:
+                    continue
+                mates = sum(name == place[0] for name, _ in self.chosen if (name, _) not in gone)
+                need = self.threshold if mates == 1 else self._located(term)
+                single = Candidate(term.name, (term,))
+                gain = self.score(self.marginal([*gone, place]), single).log_bayes_factor - need
+                if gain < low:
+                    worst, low = place, gain
+            if worst is None or low >= 0:
+                break
+            gone.append(worst)
+        for place in gone:
+            del self.chosen[place]
+        if gone:
+            self._rebuild()
+        return bool(gone)
+
+    def _located(self, term: Term) -> float:
+        """What a place must gain to stay; with nothing to fit, it must only not contradict."""
+        return LOCATED if slots_of(self.base.arm, [term]) else -1.0
+
+    def names(self, without: Sequence[tuple[str, str]]) -> set[str]:
+        return {name for name, _ in self.chosen if (name, _) not in without}
+
+
+def _distinct(
+    candidates: Sequence[Candidate], chosen: dict[tuple[str, str], Term]
+) -> tuple[Term, ...]:
+    """Each instance once, those already in the model left out."""
+    made: dict[tuple[object, ...], Term] = {}
+    for candidate in candidates:
+        for term in candidate.terms:
+            if key(term) not in chosen:
+                made.setdefault((*key(term), repr(term.placement)), term)
+    return tuple(made.values())
