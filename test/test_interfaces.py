@@ -62,6 +62,7 @@ SPEC = {
         "error": "geometry_msgs/Vector3",
         "sigma": "double",
         "in_domain": "boolean",
+        "beside_deflection": "boolean",
         "jacobian": "sequence<double>",
         "reach": "sequence<double>",
     },

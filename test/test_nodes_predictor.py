@@ -14,6 +14,8 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from geometry_msgs.msg import PoseStamped
 from nodes_bench import Bench, bench, own_graph
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
 from std_srvs.srv import Trigger
 
 from longarm_comp.core import quaternion
@@ -169,6 +171,29 @@ def test_a_predictor_of_another_model_is_refused(
     trained(arm, -BIAS, model_hash=file_hash(model)).save(path)
     stage.spin(good)
     assert stage.call(ask, question(arm, arm.mid)).error.z < 0
+
+
+def test_a_predictor_that_learned_the_sag_too_is_not_added_to_it(
+    stage: Bench, arm: Arm, demo_arm_path: Path, tmp_path: Path
+) -> None:
+    trained(arm, BIAS, deflection=False).save(tmp_path / "network.npz")
+    files = {"arm": demo_arm_path, "predictor": tmp_path / "network.npz"}
+    stage.start("error_predictor", files, namespace="rigid")
+    stage.start("kinematics", {"arm": demo_arm_path}, namespace="rigid")
+    compensate = stage.node.create_client(Compensate, "/rigid/compensate")
+    request = Compensate.Request(
+        target=posed(declared_model(arm).pose(arm.mid)), seed=joints_message(arm, arm.mid)
+    )
+    stage.spin(lambda: "'network'" in stage.call(compensate, request).message)
+    answer = stage.call(compensate, request)
+    assert answer.status == Compensate.Response.NO_PREDICTOR
+    assert answer.command.position == answer.ideal.position
+
+    change = stage.node.create_client(SetParameters, "/rigid/kinematics/set_parameters")
+    value = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="network")
+    stage.call(change, SetParameters.Request(parameters=[Parameter(name="method", value=value)]))
+    answer = stage.call(compensate, request)
+    assert answer.status == Compensate.Response.SUCCESS, answer.message
 
 
 def test_every_joint_has_a_side_of_its_own(

@@ -71,13 +71,15 @@ def command(
     wanted = read_targets(targets) if targets else Targets.one([_number(v) for v in numbers])
     learned, deflection = trained(predictor, declared, model) if predictor else (None, True)
     if method is None:
-        method = ("both" if deflection else "network") if learned else "deflection"
+        fits = Method.learned_beside(deflection=deflection) if learned else Method.DEFLECTION
+        method = fits.value
     chosen = Method(method)
     if chosen.learned and learned is None:
         raise InputError("compensate", "--predictor", "missing", f"a file for --method {method}")
     if chosen.learned and chosen.physics != deflection:
-        fits = "both" if deflection else "network"
-        raise InputError("compensate", "--method", method, f"{fits}: as the predictor was trained")
+        fits = Method.learned_beside(deflection=deflection)
+        allowed = f"{fits.value}: as the predictor was trained"
+        raise InputError("compensate", "--method", method, allowed)
     commands = compensated(
         base,
         learned,

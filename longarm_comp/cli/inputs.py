@@ -57,7 +57,7 @@ def trained(path: Path, arm: Arm, model_path: Path | None) -> tuple[Predictor, b
     from longarm_comp.core.learn.predictor_file import belongs, load
 
     predictor = load(path, arm_hash=arm.hash, joint_names=arm.joint_names)
-    deflection = bool(predictor.provenance.settings.get("deflection", True))
+    deflection = predictor.provenance.beside_deflection
     wanted = str(physics_mark(model_path, deflection)["model_hash"])
     to = f"the --model that it was trained with, not {model_path or 'none'}"
     belongs(predictor, path, wanted, to)

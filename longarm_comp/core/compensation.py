@@ -28,6 +28,11 @@ class Method(Enum):
         """Whether the inverse kinematics knows the effects beyond geometry."""
         return self in (Method.DEFLECTION, Method.BOTH)
 
+    @classmethod
+    def learned_beside(cls, *, deflection: bool) -> Method:
+        """The method of a predictor that was trained on what physics with or without it leaves."""
+        return cls.BOTH if deflection else cls.NETWORK
+
     @property
     def learned(self) -> bool:
         """Whether the predictor's expected error is taken off."""

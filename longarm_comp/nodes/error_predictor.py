@@ -130,6 +130,7 @@ class ErrorPredictor(Node):
         response.message = loaded.hash if found.in_domain else found.reason
         response.jacobian = found.jacobian.ravel()
         response.reach = found.reach
+        response.beside_deflection = loaded.predictor.provenance.beside_deflection
         if not response.success:
             self._outside += 1
             self._last = found.reason

@@ -215,7 +215,8 @@ class Kinematics(Node):
         if client is not None and not client.present:
             client, why = None, ": no error_predictor is running"
         try:
-            near = None if client is None else Nearby(client.ask)  # mostly one call a target
+            ask = None if client is None else partial(client.ask, deflection=limits.method.physics)
+            near = None if ask is None else Nearby(ask)  # mostly one call a target
             outcome, context = compensate_now(loaded.model, near, target, **options)
         except NoAnswer as absent:
             client, why = None, f": {absent.reason}"

@@ -11,6 +11,7 @@ import numpy as np
 from rclpy.node import Node
 
 from longarm_comp.core.arm import Arm
+from longarm_comp.core.compensation import Method
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.learn.expansion import Expansion
 from longarm_comp.nodes.asking import Asking
@@ -58,8 +59,17 @@ class PredictorClient:
         """Whether a predictor is on the graph."""
         return bool(self._client.service_is_ready())
 
-    def ask(self, q: np.ndarray, context: Mapping[str, Any] | None = None) -> Expansion:
+    def ask(
+        self,
+        q: np.ndarray,
+        context: Mapping[str, Any] | None = None,
+        *,
+        deflection: bool = True,
+    ) -> Expansion:
         """Expected error at joints (n,) and around them; context of one posture.
+
+        Args:
+            deflection: whether the physics that it is to be added to has link deflection.
 
         Raises:
             NoAnswer: why.
@@ -74,6 +84,9 @@ class PredictorClient:
         answer = self._call(request)
         if not answer.success and math.isnan(answer.sigma):
             raise NoAnswer(answer.message)
+        if answer.success and answer.beside_deflection != deflection:
+            fits = Method.learned_beside(deflection=answer.beside_deflection)
+            raise NoAnswer(f"its predictor was trained for method {fits.value!r}")
         self.file_hash = answer.message if answer.success else self.file_hash
         n, e = self._arm.n, answer.error
         told = len(answer.jacobian) == 3 * n and len(answer.reach) == n

@@ -47,6 +47,11 @@ class Provenance:
     joint_names: tuple[str, ...] = ()
     settings: Mapping[str, object] = field(default_factory=dict)
 
+    @property
+    def beside_deflection(self) -> bool:
+        """Whether it learned what the physics with link deflection leaves, not the rigid arm."""
+        return bool(self.settings.get("deflection", True))
+
 
 @dataclass(frozen=True)
 class Predictor:
