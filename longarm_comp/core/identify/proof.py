@@ -25,8 +25,9 @@ class Proof:
         errors: by model name, (N, 3) measured - predicted, m.
         rows: by model name, their figures.
         gain_ci95: of the mean 3-D error, calibrated minus with effects, m; None without both.
-        better: whether the effects lowered the held-out squared error beyond chance (95 %,
-            one-sided); a model may not grow on a gain that the hold-out does not support.
+        better: whether the effects lowered the held-out squared error, each axis in units of its
+            noise, beyond chance (95 %, one-sided); a model may not grow on a gain that the
+            hold-out does not support.
         misfit: median held-out error of the final model over what noise and the fit's own
             uncertainty would give.
         excess_m: its RMS beyond the noise, outliers clipped, m.
@@ -70,7 +71,8 @@ def prove(
     after = np.linalg.norm(errors["with_effects"], axis=1)
     means = _resampled(before - after, rng)
     low, high = np.percentile(means, [2.5, 97.5])
-    squared = _resampled(before**2 - after**2, rng)
+    gain = (errors["calibrated"] ** 2 - errors["with_effects"] ** 2) / spread["with_effects"] ** 2
+    squared = _resampled(gain.sum(axis=1), rng)
     better = bool(np.percentile(squared, 5.0) > 0)
     name = "with_effects" if better else "calibrated"
     misfit, excess = _misfit(errors[name], spread[name])
