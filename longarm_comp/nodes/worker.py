@@ -8,6 +8,7 @@ Python, and a change of threads, which together take longer than the work.
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -117,6 +118,11 @@ class Worker:
                     inlets.wait()
             except Exception as error:  # told, and the next job is taken
                 self._on_error(error)
+                time.sleep(_PAUSE_S)
+
+
+_PAUSE_S = 0.01
+"""A fault that comes back at once must not take the whole processor."""
 
 
 class _Inlets:
