@@ -1,4 +1,4 @@
-"""Another effect in the place of a part of a finding: said, and allowed for in the intervals."""
+"""Other effects in the place of a part of a finding, or two in the place of one."""
 
 from __future__ import annotations
 
@@ -46,3 +46,12 @@ def test_an_effect_that_stands_alone_has_no_parts_of_others(demo_arm_path: Path)
     assert gain["exact"]
     assert gain["parts"] == [[]]
     assert all(i["high"] - i["low"] < 0.1 * abs(i["true"]) + 2e-3 for i in gain["intervals"])
+
+
+def test_two_effects_take_the_place_of_the_compromise_between_them(demo_arm_path: Path) -> None:
+    """Soft beams do for a payload and a soft base what neither of the two does alone."""
+    found = result(demo_arm_path, "tip_payload", "base_compliance")
+    assert found["first"][0][0].startswith("link_stiffness")
+    assert found["found"][0] == ["tip_payload"]
+    assert "base_compliance" in found["found"][1]
+    assert not found["flag"]

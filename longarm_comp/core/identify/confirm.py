@@ -20,6 +20,8 @@ RESAMPLES = 300
 BLOCKS = 30
 LOOSE = 3.0
 """Times a found value that its prior must reach, so that it hardly pulls at the interval."""
+HOLDS = 3.0
+"""Log Bayes factor above which the evidence of a resample holds."""
 SHARED = 0.5
 """Two findings that lose more of their evidence beside each other than this overlap."""
 
@@ -52,7 +54,7 @@ class Confirmed:
 
     Attributes:
         intervals: by position in the fit's slots.
-        stable: by effect, share of resamples in which its evidence stays above `ODDS`-like 3.
+        stable: by effect, share of resamples in which its evidence stays above `HOLDS`.
         notes: by effect, what to doubt, in words.
         overlaps: pairs of effects that explain much of the same.
     """
@@ -69,20 +71,10 @@ def confirm(
     candidates: Sequence[Candidate],
     rng: np.random.Generator,
 ) -> Confirmed:
-    """Block bootstrap of the final linear problem, and its stability under doubt.
-
-    For the intervals, what could have come out otherwise is put beside the fitted parameters with
-    its priors (`allowances`).
-    """
+    """Block bootstrap of the final linear problem, and its stability under doubt."""
     fit = traced.fit
-    wider = _wider(fit, found)
-    design = np.concatenate([fit.design * wider, allowances(fit, found, candidates)], axis=1)
-    gram, right = _blocks(design, fit.data)
-    plain, plain_right = _blocks(fit.design, fit.data)
-    p = design.shape[1]
-    draws = np.zeros((RESAMPLES, p))
-    counts = rng.multinomial(len(gram), np.full(len(gram), 1 / len(gram)), size=RESAMPLES)
-    tests = {f.name: np.zeros(RESAMPLES) for f in found}
+    blocks = len(_block_rows(len(fit.design) // 3))
+    counts = rng.multinomial(blocks, np.full(blocks, 1 / blocks), size=RESAMPLES)
     index = {
         f.name: np.array(
             [k for k, s in enumerate(fit.slots) if key(s.owner) in set(map(key, f.terms))],
@@ -90,31 +82,59 @@ def confirm(
         )
         for f in found
     }
-    whole = {f.name: _block_gains(fit, f) for f in found if not len(index[f.name])}
-    for b, count in enumerate(counts):
-        g = np.tensordot(count, gram, axes=1)
-        r = count @ right
-        draws[b] = np.linalg.solve(g + np.eye(p), r)
-        g, r = np.tensordot(count, plain, axes=1), count @ plain_right
-        for name, own in index.items():
-            tests[name][b] = _evidence(g, r, own) if len(own) else count @ whole[name]
-    prior = np.array([s.parameter.prior for s in fit.slots]) * wider
+    stable = _stability(fit, found, index, counts)
+    notes = {f.name: _doubts(fit, f, index[f.name], stable[f.name]) for f in found}
+    return Confirmed(
+        _intervals(fit, found, candidates, counts), stable, notes, _overlaps(fit, index)
+    )
+
+
+def _intervals(
+    fit: Fit, found: Sequence[Finding], candidates: Sequence[Candidate], counts: np.ndarray
+) -> dict[int, Interval]:
+    """By position in the fit's slots; counts (R, B): how often each block is drawn.
+
+    What could have come out otherwise is put beside the fitted parameters with its priors
+    (`allowances`).
+    """
+    wider = _wider(fit, found)
+    design = np.concatenate([fit.design * wider, allowances(fit, found, candidates)], axis=1)
+    gram, right = _blocks(design, fit.data)
+    prior_gram = np.eye(design.shape[1])
+    draws = np.array(
+        [
+            np.linalg.solve(np.tensordot(count, gram, axes=1) + prior_gram, count @ right)
+            for count in counts
+        ]
+    )
+    inverse = np.linalg.inv(gram.sum(0) + prior_gram)
     kept = slice(len(fit.slots))
-    inverse = np.linalg.inv(gram.sum(0) + np.eye(p))
-    centre = (inverse @ right.sum(0))[kept] * prior
-    laplace = np.sqrt(np.diag(inverse))[kept] * prior
-    half = norm.ppf(0.975) * np.maximum(draws.std(axis=0)[kept] * prior, laplace)
-    intervals = {}
-    for k, slot in enumerate(fit.slots):
-        value = float(fit.model.values[k])
+    scale = np.array([s.parameter.prior for s in fit.slots]) * wider
+    centre = (inverse @ right.sum(0))[kept] * scale
+    sd = np.maximum(draws.std(axis=0), np.sqrt(np.diag(inverse)))[kept] * scale
+    half = norm.ppf(0.975) * sd
+    made = {}
+    for k, (slot, value) in enumerate(zip(fit.slots, fit.model.values, strict=True)):
         low, high = min(centre[k] - half[k], value), max(centre[k] + half[k], value)
         bounds = slot.parameter
-        intervals[k] = Interval(
-            value, max(float(low), bounds.lower), min(float(high), bounds.upper)
+        made[k] = Interval(
+            float(value), max(float(low), bounds.lower), min(float(high), bounds.upper)
         )
-    stable = {name: float((values > 3.0).mean()) for name, values in tests.items()}
-    notes = {f.name: _doubts(fit, f, index[f.name], stable[f.name]) for f in found}
-    return Confirmed(intervals, stable, notes, _overlaps(fit, index))
+    return made
+
+
+def _stability(
+    fit: Fit, found: Sequence[Finding], index: dict[str, np.ndarray], counts: np.ndarray
+) -> dict[str, float]:
+    """By effect, share of the resamples in which its evidence stays."""
+    gram, right = _blocks(fit.design, fit.data)
+    whole = {f.name: _block_gains(fit, f) for f in found if not len(index[f.name])}
+    tests: dict[str, list[float]] = {f.name: [] for f in found}
+    for count in counts:
+        g, r = np.tensordot(count, gram, axes=1), count @ right
+        for name, own in index.items():
+            tests[name].append(_evidence(g, r, own) if len(own) else float(count @ whole[name]))
+    return {name: float((np.array(values) > HOLDS).mean()) for name, values in tests.items()}
 
 
 def _wider(fit: Fit, found: Sequence[Finding]) -> np.ndarray:
