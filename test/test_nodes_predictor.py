@@ -95,6 +95,8 @@ def test_the_learned_error_is_predicted_taken_off_and_replaced(
     request = Compensate.Request(
         target=posed(target), seed=joints_message(arm, arm.mid), position_only=True
     )
+    met = lambda: stage.call(compensate, request).status == Compensate.Response.SUCCESS  # noqa: E731
+    stage.spin(met)  # kinematics hears of the predictor on its own, not when this process does
     answer = stage.call(compensate, request)
     assert answer.status == Compensate.Response.SUCCESS, answer.message
     assert answer.in_domain and answer.passes >= 1
