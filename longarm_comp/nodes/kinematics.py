@@ -161,8 +161,10 @@ class Kinematics(Node):
         work = _Work(request)
 
         def answer() -> None:
-            reply(response_of(self._serve(work), self._arm, self._base_frame))
-            self._tell_story(work)
+            try:
+                reply(response_of(self._serve(work), self._arm, self._base_frame))
+            finally:  # told also where the client is gone
+                self._tell_story(work)
 
         if not self._worker.submit(answer):
             reply(response_of(self._refuse_busy(work), self._arm, self._base_frame))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -50,7 +51,7 @@ class Promise:
 
 
 class TipMonitor:
-    """Fed by the executor (`on_...`); `judge` runs on the worker's thread.
+    """Fed by the executor and the worker (`on_...`), one at a time; the worker judges.
 
     Args:
         advice: the commands to run once it has drifted.
@@ -62,6 +63,7 @@ class TipMonitor:
     ) -> None:  # fmt: skip
         self._client = client
         self._watch = RestWatch(settle_s, sightings)
+        self._feeding = threading.Lock()
         self._sigma_m, self._run_length, self._advice = sigma_m, run_length, advice
         self._monitor = Monitor(run_length)
         self._last = "no rest pose measured yet"
@@ -73,16 +75,19 @@ class TipMonitor:
 
     def on_command(self, q: np.ndarray, side: np.ndarray) -> None:
         """The arm is sent somewhere."""
-        self._watch.commanded(q, side)
+        with self._feeding:
+            self._watch.commanded(q, side)
 
     def on_joints(self, q: np.ndarray) -> None:
         """The joints are there now."""
-        self._watch.joints(q, time.monotonic())
+        with self._feeding:
+            self._watch.joints(q, time.monotonic())
 
     def on_tip(self, message: PoseWithCovarianceStamped) -> RestPose | None:
         """A sighting; a rest pose now and then."""
         tip, variance = sighting_of(message)
-        return self._watch.sighted(tip, variance, time.monotonic())
+        with self._feeding:
+            return self._watch.sighted(tip, variance, time.monotonic())
 
     def judge(self, rest: RestPose, model: Model, context: Context) -> None:
         """Take a rest pose into the sequential test."""

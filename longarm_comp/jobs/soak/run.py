@@ -37,7 +37,7 @@ _PATH = 2000
 _SAMPLE_S = 1.0
 _PATIENCE_S = 60.0
 _MOST_WAITING = 50
-"""Half the depth of the topics: what is too much for a queue is lost where nobody can answer it."""
+"""Far below the depth of the topics: what is too much for a queue is lost where nobody answers."""
 Say = Callable[[str, float], None]
 
 
