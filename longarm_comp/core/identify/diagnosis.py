@@ -19,7 +19,7 @@ from longarm_comp.core.identify import noise as noise_step
 from longarm_comp.core.identify.calibrate import declared_model, errors
 from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.confirm import Confirmed, confirm
-from longarm_comp.core.identify.distinguish import Finding, findings, on_few_levels
+from longarm_comp.core.identify.distinguish import Finding, findings, on_few_levels, with_parts
 from longarm_comp.core.identify.evidence import key
 from longarm_comp.core.identify.fit import Fit, align, fit, frames, geometry
 from longarm_comp.core.identify.next_poses import NextPoses, next_poses
@@ -242,7 +242,7 @@ def _told_apart(
         stronger = {f.name for f in found[:k]}
         if len(finding.names) > MOST_NAMES and stronger & set(finding.names):
             return _told_apart(dropped(traced, {key(t) for t in finding.terms}), candidates)
-    return traced, tuple(found)
+    return traced, with_parts(traced, candidates, found)
 
 
 def _other_signs(structure: Structure, traced: Traced, proof: Proof) -> Structure:

@@ -71,6 +71,20 @@ def findings(traced: Traced, candidates: Sequence[Candidate]) -> list[Finding]:
     return sorted(made, key=lambda f: -f.log_bayes_factor)
 
 
+def with_parts(
+    traced: Traced, candidates: Sequence[Candidate], found: Sequence[Finding]
+) -> tuple[Finding, ...]:
+    """Findings with what could stand for a part of each."""
+    columns = columns_at(traced.fit)
+    chosen = {t.name for t in traced.chosen}
+    return tuple(
+        dataclasses.replace(
+            f, parts=parts(traced, candidates, columns, f.terms, chosen.union(f.names))
+        )
+        for f in found
+    )
+
+
 def on_few_levels(
     traced: Traced, candidates: Sequence[Candidate], found: Finding, levels: np.ndarray
 ) -> Finding:
@@ -142,7 +156,6 @@ def _finding(
             close[other.name] = scored
     ranked = sorted(best.values(), key=lambda s: -s.log_bayes_factor)
     alternatives = sorted(close.values(), key=lambda s: -s.log_bayes_factor)
-    taken = (*dict.fromkeys(t.name for t in traced.chosen), *close)
     return Finding(
         name,
         terms,
@@ -150,7 +163,6 @@ def _finding(
         tuple(alternatives),
         ranked[0] if ranked else None,
         own.effect_m,
-        parts(traced, candidates, columns, terms, taken),
     )
 
 

@@ -38,9 +38,7 @@ def merge(state: State, say: Callable[[str], None]) -> bool:
         best = max(options, key=lambda s: s.log_bayes_factor, default=None)
         if best is not None and best.log_bayes_factor >= now.log_bayes_factor:
             say(f"{best.candidate.label} alone")
-            for place in places:
-                del state.chosen[place]
-            state.accept(best)
+            state.exchange(places, best)
             merged = True
     return merged
 
@@ -49,15 +47,13 @@ def swap(state: State, say: Callable[[str], None]) -> bool:
     """Exchange a family for a better one, a better form, or more of what is there anyhow."""
     changed = False
     for name in dict.fromkeys(name for name, _ in state.chosen):
-        places = [c for c in state.chosen if c[0] == name]
-        if not places:
-            continue
-        terms = tuple(state.chosen[p] for p in places)
-        marginal = state.marginal(places)
-        now = state.score(marginal, Candidate(name, terms))
+        if name not in state.names(()):
+            continue  # pruned while others were exchanged
+        places, marginal, now = state.family(name)
+        terms = now.candidate.terms
         shaped = [state.score(marginal, c) for c in reshaped(terms, state.candidates)]
         options = sorted((*state.scores(places), *shaped), key=lambda s: -s.log_bayes_factor)
-        form = Candidate(name, terms).form
+        form = now.candidate.form
         surplus = now.log_bayes_factor - state.threshold
         for option in options:
             other = option.candidate
@@ -66,9 +62,7 @@ def swap(state: State, say: Callable[[str], None]) -> bool:
             margin = 0.0 if other.name in state.names(places) else SWAP
             if option.log_bayes_factor - state.need(other.name, places) > surplus + margin:
                 say(f"{other.label} instead of {name}")
-                for place in places:
-                    del state.chosen[place]
-                state.accept(option)
+                state.exchange(places, option)
                 changed = True
                 break
     return changed
@@ -80,9 +74,7 @@ def split(state: State, say: Callable[[str], None]) -> bool:
     A search that adds one effect at a time finds the compromise first.
     """
     for name in dict.fromkeys(name for name, _ in state.chosen):
-        places = [c for c in state.chosen if c[0] == name]
-        marginal = state.marginal(places)
-        now = state.score(marginal, Candidate(name, tuple(state.chosen[p] for p in places)))
+        places, marginal, now = state.family(name)
         least = now.log_bayes_factor - state.threshold + SWAP
         forms: dict[str, list[Candidate]] = {}
         for option in state.scores(places):
@@ -100,8 +92,6 @@ def split(state: State, say: Callable[[str], None]) -> bool:
         names = {t.name for t in best.candidate.terms}
         if best.log_bayes_factor - sum(state.need(n, places) for n in names) > least:
             say(f"{best.candidate.label} instead of {name}")
-            for place in places:
-                del state.chosen[place]
-            state.accept(best)
+            state.exchange(places, best)
             return True
     return False

@@ -6,7 +6,7 @@ it is, though either of them alone explains less than the two kinds of parameter
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,7 +48,7 @@ def parts(
     candidates: Sequence[Candidate],
     columns: Columns,
     terms: Sequence[Term],
-    known: Sequence[str],
+    known: Set[str],
 ) -> tuple[Part, ...]:
     """What could stand for a part of a finding without loss; the best of each effect.
 

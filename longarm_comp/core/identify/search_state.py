@@ -67,8 +67,12 @@ class State:
             max_iterations=STEPS,
         )  # fmt: skip
         self._start = self.fit.model
+        self._look()
+
+    def _look(self) -> None:
+        """Columns of every candidate at the fit, all at once: much faster than one by one."""
         self.columns = columns_at(self.fit)
-        self.columns.of(_distinct(self.candidates, self.chosen))  # all at once: much faster
+        self.columns.of(_distinct(self.candidates, self.chosen))
 
     def settle(self) -> None:
         """Take the last fit to its end."""
@@ -77,7 +81,7 @@ class State:
             self.fit = fit(
                 was.model, self.session, sigma=was.sigma, rho=was.rho, weights=was.weights
             )
-            self.columns = columns_at(self.fit)
+            self._look()
 
     def marginal(self, without: Sequence[tuple[str, str]] = ()) -> Marginal:
         """Evidence on top of all but some chosen terms."""
@@ -142,6 +146,19 @@ class State:
         """Add its terms, started at their estimates, and fit."""
         self._put(found)
         self._rebuild()
+
+    def exchange(self, places: Sequence[tuple[str, str]], found: Score) -> None:
+        """Accept it in the place of what is chosen at some places."""
+        for place in places:
+            del self.chosen[place]
+        self.accept(found)
+
+    def family(self, name: str) -> tuple[list[tuple[str, str]], Marginal, Score]:
+        """Where an effect is chosen, the model without it, and its evidence there."""
+        places = [place for place in self.chosen if place[0] == name]
+        marginal = self.marginal(places)
+        terms = tuple(self.chosen[place] for place in places)
+        return places, marginal, self.score(marginal, Candidate(name, terms))
 
     def _put(self, found: Score) -> None:
         start = 0
