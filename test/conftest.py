@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_shell import Shell, made_by_commands
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("LONGARM_DATA", ROOT.parent / "shared" / "data"))
@@ -54,6 +55,21 @@ def unprivileged() -> Iterator[None]:
 def rng() -> np.random.Generator:
     """A generator with a fixed seed, new for every test."""
     return np.random.default_rng(20240521)
+
+
+@pytest.fixture
+def shell(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> Shell:
+    """The program ``longarm``, run in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    return Shell(tmp_path, capsys)
+
+
+@pytest.fixture(scope="session")
+def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with an arm, sessions, a model and a predictor; to be read only."""
+    return made_by_commands(tmp_path_factory.mktemp("work"))
 
 
 @contextmanager

@@ -16,14 +16,6 @@ from longarm_comp.cli import registry, run
 HEAVY = ("torch", "numpy", "scipy", "matplotlib", "rclpy", "rich", "pydantic", "sklearn")
 
 
-@pytest.fixture
-def shell(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> Shell:
-    monkeypatch.chdir(tmp_path)
-    return Shell(tmp_path, capsys)
-
-
 def test_help_loads_nothing_heavy() -> None:
     program = (
         "import sys\nfrom longarm_comp.cli.run import run\ncode = run(['--help'])\n"

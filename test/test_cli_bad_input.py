@@ -6,24 +6,11 @@ import csv
 from pathlib import Path
 
 import pytest
-from cli_shell import Shell, made_by_commands
+from cli_shell import Shell
 from small_arm import ARM
 
 from longarm_comp.core.dataset import Session
 from longarm_comp.sessions.csv import read_csv, write_csv
-
-
-@pytest.fixture
-def shell(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> Shell:
-    monkeypatch.chdir(tmp_path)
-    return Shell(tmp_path, capsys)
-
-
-@pytest.fixture(scope="module")
-def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return made_by_commands(tmp_path_factory.mktemp("work"))
 
 
 def edited(work: Path, old: str, new: str) -> str:

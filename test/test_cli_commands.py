@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from cli_shell import Shell, made_by_commands, real
+from cli_shell import Shell, real
 from small_arm import ARM
 
 from longarm_comp.bench import catalogue
@@ -19,19 +19,6 @@ from longarm_comp.core.model import Model
 from longarm_comp.core.plan import Plan
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sessions.poses import write_poses
-
-
-@pytest.fixture
-def shell(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> Shell:
-    monkeypatch.chdir(tmp_path)
-    return Shell(tmp_path, capsys)
-
-
-@pytest.fixture(scope="module")
-def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return made_by_commands(tmp_path_factory.mktemp("work"))
 
 
 def test_calibrate_reports_the_ladder_and_writes_the_model(work: Path, shell: Shell) -> None:
