@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.core.alignment import roll_pitch_yaw
+from longarm_comp.core.arm.spatial import rpy_frame
+from longarm_comp.core.data.alignment import roll_pitch_yaw
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.spatial import rpy_frame
 
 _MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 

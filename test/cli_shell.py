@@ -12,8 +12,8 @@ import yaml
 from small_arm import ARM, measured
 
 from longarm_comp.cli import run
-from longarm_comp.core.dataset import Session
-from longarm_comp.core.model import Model
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import write_csv
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from Pynite import FEModel3D
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
 
 
 def stiffened(arm: Arm, factor: float) -> Arm:

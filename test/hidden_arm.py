@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from small_arm import ARM
 
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.data.session import Session
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import Context
 from longarm_comp.sim.hidden.base import HiddenEffect

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.dataset import Session
-from longarm_comp.core.model import Model
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.model.model import Model
 
 ARM = Arm.parse(
     {

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from small_arm import ARM, measured
 
-from longarm_comp.core.admission import Admission, admit
-from longarm_comp.core.arm import Arm, Marker
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.arm.arm import Arm, Marker
+from longarm_comp.core.arm.spatial import rpy_frame
+from longarm_comp.core.data.admission import Admission, admit
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.model import Model
-from longarm_comp.core.spatial import rpy_frame
+from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import read_csv
 
 

@@ -16,12 +16,12 @@ import yaml
 from click.testing import CliRunner
 
 from longarm_comp.cli.schema import command as schema_command
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.context import Context
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.effects.dh_error import DhError
 from longarm_comp.core.effects.tip_offset import TipOffset
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.model import Model, unstack
+from longarm_comp.core.model.model import Model, unstack
 
 
 def mdh(alpha: float, a: float, theta: float, d: float) -> np.ndarray:

@@ -10,7 +10,7 @@ import pytest
 
 from longarm_comp.bench import compensation, forward, ik_peers, kinematics
 from longarm_comp.bench.arms import demo_arm
-from longarm_comp.core.model import Model
+from longarm_comp.core.model.model import Model
 
 FAST = importlib.util.find_spec("llvmlite") is not None
 

@@ -9,7 +9,7 @@ import pytest
 from cli_shell import Shell
 from small_arm import ARM
 
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.data.session import Session
 from longarm_comp.sessions.csv import read_csv, write_csv
 
 

@@ -14,9 +14,9 @@ from cli_shell import Shell, real
 from small_arm import ARM
 
 from longarm_comp.bench import catalogue
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.model import Model
-from longarm_comp.core.plan import Plan
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.plan import Plan
+from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sessions.poses import write_poses
 

@@ -13,9 +13,9 @@ from hidden_arm import at, session, tip, white
 from small_arm import ARM
 
 from longarm_comp.cli.run import run
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.learn.predictor_file import load
-from longarm_comp.core.modelfile import load_model
+from longarm_comp.core.model.model_file import load_model
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sessions.poses import read_poses
 from longarm_comp.sim.hidden import drives

@@ -18,11 +18,11 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from nodes_bench import Bench, bench
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.plan import Plan, sobol
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import declared_model, errors
-from longarm_comp.core.plan import Plan, sobol
-from longarm_comp.jobs.visits import RUN_UP, Visit, visits
+from longarm_comp.jobs.measurement_schedule import RUN_UP, Visit, visits
 from longarm_comp.nodes.bringup import BringUp, running
 from longarm_comp.nodes.messages import joints_message
 from longarm_comp.sessions.bag import open_bag

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.context import Context
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.effects.catalogue import BY_NAME
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.link_deflection import LinkDeflection
-from longarm_comp.core.model import Model, unstack
+from longarm_comp.core.model.model import Model, unstack
 
 N = 25
 

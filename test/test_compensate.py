@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.compensate import Method, Status, compensate, compensate_many
-from longarm_comp.core.context import Context
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.compensate import Method, Status, compensate, compensate_many
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.model import Model
+from longarm_comp.core.model.model import Model
 
 
 @pytest.fixture

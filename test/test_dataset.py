@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_arm import measured
 
-from longarm_comp.core.dataset import Session, derive_approach
+from longarm_comp.core.data.holdout import Sealed, SealedError, blocked_split, random_split
+from longarm_comp.core.data.session import Session, derive_approach
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.holdout import Sealed, SealedError, blocked_split, random_split
 
 
 def test_direction_comes_from_the_row_before() -> None:

@@ -12,12 +12,12 @@ from finite_elements import fe_sag, stiffened
 from scipy.optimize import brentq
 from scipy.special import ellipeinc, ellipkinc
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.context import Context
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.effects.catalogue import BY_NAME
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.link_deflection import LinkDeflection
-from longarm_comp.core.model import Model, unstack
+from longarm_comp.core.model.model import Model, unstack
 from longarm_comp.sim.arm_truth import TrueArm
 
 G = 9.81

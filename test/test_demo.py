@@ -15,8 +15,8 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.modelfile import load_model
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.model.model_file import load_model
 from longarm_comp.jobs.demo import table
 from longarm_comp.jobs.demo.trial import Trial
 from longarm_comp.sessions.read import read_session

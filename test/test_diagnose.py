@@ -14,11 +14,11 @@ from hidden_arm import at, session
 from small_arm import ARM
 
 from longarm_comp.cli.run import run
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.context import Context
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.identify.diagnosis import diagnose
-from longarm_comp.core.modelfile import load_model, undo
+from longarm_comp.core.model.model_file import load_model, undo
 from longarm_comp.report.record import checked
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sim.hidden import drives

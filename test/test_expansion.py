@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from small_arm import ARM
 
-from longarm_comp.core.compensate import Status, compensate, compensate_many
-from longarm_comp.core.context import Context
-from longarm_comp.core.declared_model import declared_model
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.compensate import Status, compensate, compensate_many
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.expansion import LINEAR_M, Expander, Nearby
 from longarm_comp.core.learn.predictor import Predictor
+from longarm_comp.core.model.declared_model import declared_model
 
 SPAN = ARM.upper - ARM.lower
 FROM_BELOW = {"approach": np.ones((1, ARM.n))}

@@ -12,8 +12,8 @@ import pytest
 from scipy.stats import multivariate_normal
 from small_arm import ARM as SMALL
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.base_pose import BasePose
 from longarm_comp.core.effects.joint_compliance import JointCompliance
@@ -26,7 +26,7 @@ from longarm_comp.core.identify import linear
 from longarm_comp.core.identify.fit import align, fit, fit_together, frames, geometry
 from longarm_comp.core.identify.noise import from_repeats, lag_correlation
 from longarm_comp.core.identify.weights import whiten
-from longarm_comp.core.model import Model
+from longarm_comp.core.model.model import Model
 
 SIGMA = 4e-4
 

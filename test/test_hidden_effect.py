@@ -13,9 +13,9 @@ from hidden_arm import SIGMA, at, session, tip, white
 from small_arm import ARM
 
 import longarm_comp.sim
-from longarm_comp.core.compensate import compensate_many
-from longarm_comp.core.context import Context
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.compensate import compensate_many
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
@@ -24,7 +24,7 @@ from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.identify.detectable import detectable
 from longarm_comp.core.identify.diagnosis import Diagnosis, diagnose
 from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.model import Model
+from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives, geometry
 
 GAIN = (drives.JointGain(at(2, 0.02)),)

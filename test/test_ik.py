@@ -10,14 +10,14 @@ import pickle
 import numpy as np
 import pytest
 
-from longarm_comp.core import ik_engines
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.context import Context
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.ik import Engine, Reason, solve, solve_many
-from longarm_comp.core.model import Model
+from longarm_comp.core.ik import engines as ik_engines
+from longarm_comp.core.ik.solver import Engine, Reason, solve, solve_many
+from longarm_comp.core.model.model import Model
 
 FAST = Engine.COMPILED if importlib.util.find_spec("llvmlite") else Engine.ARRAYS
 EXACT = 1e-6  # m and rad, the acceptance of issue 2

@@ -15,7 +15,7 @@ from small_arm import ARM, measured
 from longarm_comp.bench.calibration import made_session
 from longarm_comp.cli.registry import COMMANDS
 from longarm_comp.cli.run import run
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.nodes.bringup import SIMULATED, folder
 from longarm_comp.sessions.csv import write_csv
 
@@ -45,7 +45,7 @@ def test_help_and_the_list_of_commands_load_nothing_heavy() -> None:
 
 
 def test_the_core_of_a_control_program_is_light() -> None:
-    code = "import longarm_comp.core, longarm_comp.core.compensate, longarm_comp.core.modelfile\n"
+    code = "import longarm_comp.core.compensation.compensate, longarm_comp.core.model.model_file\n"
     assert loaded(code + "import longarm_comp.core.learn.predictor_file\n") == set()
 
 

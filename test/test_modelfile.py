@@ -13,14 +13,14 @@ from conftest import unprivileged
 from small_arm import ARM as SMALL
 
 from longarm_comp.core import files
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.catalogue import BY_NAME
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.model import Model
-from longarm_comp.core.modelfile import (
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model_file import (
     load_model,
     previous,
     read_stored,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from longarm_comp.core.compensation.drift import Monitor
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.monitor import Monitor
 
 SIGMA = np.array([3e-4, 5e-4, 4e-4])
 

@@ -19,11 +19,11 @@ from nodes_bench import Bench, bench, own_graph
 from visualization_msgs.msg import Marker
 
 from longarm_comp.cli.run import root
-from longarm_comp.core import quaternion
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.declared_model import declared_model
+from longarm_comp.core.arm import quaternion
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.model import Model
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import SIMULATED, BringUp, running
 from longarm_comp.nodes.health import WARN

@@ -18,13 +18,13 @@ from sensor_msgs.msg import Imu, Temperature
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from longarm_comp.core import quaternion
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.context import Context
-from longarm_comp.core.declared_model import declared_model
+from longarm_comp.core.arm import quaternion
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
-from longarm_comp.core.modelfile import save_model, store
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_message
 from longarm_interfaces.srv import Compensate

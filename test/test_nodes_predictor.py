@@ -18,13 +18,13 @@ from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from std_srvs.srv import Trigger
 
-from longarm_comp.core import quaternion
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.compensate import rigid
-from longarm_comp.core.declared_model import declared_model
+from longarm_comp.core.arm import quaternion
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.predictor import Predictor, Provenance
-from longarm_comp.core.modelfile import save_model, store
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_message
 from longarm_comp.nodes.model_files import file_hash

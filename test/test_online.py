@@ -6,21 +6,26 @@ import numpy as np
 import pytest
 from small_arm import ARM
 
-from longarm_comp.core.compensate import Status
+from longarm_comp.core.compensation.compensate import Status
+from longarm_comp.core.compensation.online import (
+    Readings,
+    StaleContext,
+    arrival,
+    compensate_now,
+)
+from longarm_comp.core.data.rest_pose import RestWatch
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.measured_tilt import MeasuredTilt
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.model import Model
-from longarm_comp.core.online import Circumstances, StaleContext, arrival, compensate_now
-from longarm_comp.core.outline import exaggerated, outline
-from longarm_comp.core.rest_pose import RestWatch
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.outline import exaggerated, outline
 
 WARM = Model(ARM, (ThermalGrowth(8e-5),))
 
 
-def told(**columns: float) -> Circumstances:
-    made = Circumstances(started_s=90.0)
+def told(**columns: float) -> Readings:
+    made = Readings(started_s=90.0)
     for name, value in columns.items():
         made = made.told(name, {name: value}, 100.0)
     return made
@@ -38,9 +43,9 @@ def test_only_what_the_model_needs_must_be_fresh() -> None:
 
 def test_an_inclinometer_belongs_to_its_frame() -> None:
     tilted = Model(ARM, (MeasuredTilt(frame=0),))
-    reading = Circumstances().told("0", {"incl_0_x": 0.01, "incl_0_y": 0.0}, 1.0)
+    reading = Readings().told("0", {"incl_0_x": 0.01, "incl_0_y": 0.0}, 1.0)
     assert reading.context(tilted, 2.0, 5.0).columns["incl_0_x"] == 0.01
-    other = Circumstances().told("3", {"incl_3_x": 0.01, "incl_3_y": 0.0}, 1.0)
+    other = Readings().told("3", {"incl_3_x": 0.01, "incl_3_y": 0.0}, 1.0)
     with pytest.raises(StaleContext, match="incl_0_x"):
         other.context(tilted, 2.0, 5.0)
 

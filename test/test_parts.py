@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.studies.loop import run_case
 from longarm_comp.studies.loop_cases import Case
 

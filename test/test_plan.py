@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from small_arm import ARM
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.plan import grid, paper_grid, random_targets, sobol
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.model import Model
-from longarm_comp.core.plan import grid, paper_grid, random_targets, sobol
+from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.poses import read_poses, write_poses
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from longarm_comp.bench.smooth import LOWER, UPPER, smooth_residual, smooth_set
-from longarm_comp.core.dataset import derive_approach
+from longarm_comp.core.data.session import derive_approach
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.predictor import Provenance

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from longarm_comp.core import quaternion
+from longarm_comp.core.arm import quaternion
 
 TURNS = Rotation.random(40, random_state=4)
 HALF_TURNS = Rotation.from_rotvec(np.pi * np.eye(3))

@@ -11,8 +11,8 @@ from bag_robot import STORAGES, command, header, refusal, robot, sighting, state
 from rosbags.typesys import get_types_from_msg
 from small_arm import ARM, measured
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.session import Session
 from longarm_comp.sessions.bag import read_bag
 from longarm_comp.sessions.bag_info import bag_info
 from longarm_comp.sessions.bag_write import write_bag

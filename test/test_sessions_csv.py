@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from small_arm import ARM, measured
 
 from longarm_comp.core import files
-from longarm_comp.core.admission import admit
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.admission import admit
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sessions.targets import Command, Targets, read_targets, write_commands

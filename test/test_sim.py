@@ -11,7 +11,7 @@ import pytest
 from finite_elements import fe_sag, stiffened
 from scipy.integrate import solve_bvp
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import Context

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.context import Context as ModelContext
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context as ModelContext
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.base_compliance import BaseCompliance
 from longarm_comp.core.effects.base_pose import BasePose
@@ -39,12 +39,12 @@ from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
 from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.effects.tip_payload import TipPayload
-from longarm_comp.core.model import Model
+from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State
 from longarm_comp.sim.hidden.catalogue import draw, typical_context
 from longarm_comp.sim.measure import Camera
-from longarm_comp.sim.variety import Mix
+from longarm_comp.sim.random_arms import Mix
 
 SIZE_MM = 3.0
 TURNING, SLIDING = (1, 2, 4, 5, 6), (3, 7)

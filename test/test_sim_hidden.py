@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import Context, State
@@ -22,7 +22,7 @@ from longarm_comp.sim.hidden.catalogue import (
     shift,
     typical_context,
 )
-from longarm_comp.sim.variety import Mix, paper_mix, random_arm
+from longarm_comp.sim.random_arms import Mix, paper_mix, random_arm
 
 G = 9.81
 LIBRARY = (

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import Context

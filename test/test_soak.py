@@ -14,8 +14,8 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.jobs.soak.books import Books
 from longarm_comp.jobs.soak.leaks import LeakWatch
+from longarm_comp.jobs.soak.ledger import Books
 from longarm_comp.jobs.soak.setting import Setting
 
 Q = (0.1, 0.2)

@@ -10,8 +10,8 @@ import pytest
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
-from longarm_comp.core import spatial
-from longarm_comp.core.spatial import IDENTITY, ZERO_TWIST, Frame, Twist
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.spatial import IDENTITY, ZERO_TWIST, Frame, Twist
 
 N = 200
 EPS = 2e-16

@@ -12,9 +12,10 @@ from scipy import stats
 from stereo_head import HEAD, PLATE, eye_for, marker_pose, pair
 
 from longarm_comp.devices.stereo import CharucoTarget, Limits, TagBoard
-from longarm_comp.sim import cameras, plates
+from longarm_comp.sim import cameras
+from longarm_comp.sim import marker_images as plates
 from longarm_comp.sim.cameras import render
-from longarm_comp.sim.plates import charuco_plate, tag_plate
+from longarm_comp.sim.marker_images import charuco_plate, tag_plate
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from longarm_comp.devices.stereo import (
     triangulate,
 )
 from longarm_comp.sim.cameras import render
-from longarm_comp.sim.plates import charuco_plate
+from longarm_comp.sim.marker_images import charuco_plate
 
 # ---- mathematics --------------------------------------------------------------------------------
 

@@ -25,7 +25,7 @@ from longarm_comp.devices.stereo import (
     TagBoard,
 )
 from longarm_comp.sim.cameras import Conditions, render
-from longarm_comp.sim.plates import tag_plate
+from longarm_comp.sim.marker_images import tag_plate
 
 # ---- refusals -----------------------------------------------------------------------------------
 

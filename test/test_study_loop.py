@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from longarm_comp.cli.run import run as command_line
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.catalogue import BY_NAME
 from longarm_comp.core.errors import InputError
 from longarm_comp.sim.hidden.catalogue import hidden
@@ -80,7 +80,7 @@ def test_visible_means_left_after_a_geometry_refit(arm, name):
 
 def test_geometry_errors_are_not_visible_effects(arm):
     """A joint zero is taken up by the refit whole."""
-    from longarm_comp.core.plan import grid
+    from longarm_comp.core.data.plan import grid
     from longarm_comp.sim.measure import Camera
     from longarm_comp.studies.loop_setting import _Gauge
 

@@ -10,8 +10,8 @@ import pytest
 from click.testing import CliRunner
 
 from longarm_comp.cli.study_table1 import command
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.compensate import Method
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.compensation.compensate import Method
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.studies import table1, table1_summary
 

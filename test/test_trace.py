@@ -1,4 +1,4 @@
-"""Traced programs give the numbers of the model they were traced from."""
+"""SearchResult programs give the numbers of the model they were traced from."""
 
 from __future__ import annotations
 
@@ -8,16 +8,19 @@ import math
 import numpy as np
 import pytest
 
-from longarm_comp.core import angles, emit, emit_llvm, newton, spatial
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.context import Context
+from longarm_comp.core.arm import angles, spatial
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.effects.catalogue import BY_NAME
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
-from longarm_comp.core.kernel import Kernel, Layout, kernel_of, tip_and_jacobian
-from longarm_comp.core.model import Model
-from longarm_comp.core.trace import Symbol, Tape
+from longarm_comp.core.ik import newton
+from longarm_comp.core.ik.codegen import llvm as emit_llvm
+from longarm_comp.core.ik.codegen import python as emit
+from longarm_comp.core.ik.codegen.symbolic import Graph, Symbol
+from longarm_comp.core.ik.kernel import Kernel, Layout, kernel_of, tip_and_jacobian
+from longarm_comp.core.model.model import Model
 
 N = 12
 
@@ -211,12 +214,12 @@ def test_every_operation_in_every_language():
         steps = s.floor(3.0 * a) + s.sign(b) + s.minimum(a, b) * s.maximum(a, 0.25)
         return smooth + steps + s.where(a > b, a, -b) + s.where(a <= 0.1, 2.0, b) + s.atan2(a, b)
 
-    tape = Tape()
-    a, b = tape.input("0"), tape.input("1")
+    graph = Graph()
+    a, b = graph.input("0"), graph.input("1")
     outputs = {2: work(a, b), 3: a - a, 4: 0.0 * b + 1.0}
     on_floats, on_arrays = dict(emit.FLOATS), dict(emit.ARRAYS)
-    exec(emit.python("f", tape, outputs), on_floats)
-    exec(emit.python("f", tape, outputs, arrays=True), on_arrays)
+    exec(emit.python("f", graph, outputs), on_floats)
+    exec(emit.python("f", graph, outputs, arrays=True), on_arrays)
     s = np.zeros((5, 50))
     s[:2] = np.random.default_rng(2).normal(size=(2, 50))
     on_arrays["f"](s)
@@ -227,10 +230,10 @@ def test_every_operation_in_every_language():
         assert made[2:] == pytest.approx([work(x, y), 0.0, 1.0], abs=1e-14)
         assert column == pytest.approx(made, abs=1e-13)
     pytest.importorskip("llvmlite")
-    from longarm_comp.core.machine_code import compile_module
+    from longarm_comp.core.ik.codegen.machine_code import compile_module
 
     for width in (1, 2, 4, 8):
-        text = emit_llvm.module({"f": (tape, outputs)}, {}, {"s": range(5)}, width)
+        text = emit_llvm.module({"f": (graph, outputs)}, {}, {"s": range(5)}, width)
         blocks = np.zeros((-(-50 // width), 5, width))
         for k in range(50):
             blocks[k // width, :2, k % width] = s[:2, k]
@@ -252,8 +255,8 @@ def test_angles_in_arithmetic():
 
 
 def test_constants_fold_and_common_work_is_shared():
-    tape = Tape()
-    a = tape.input("0")
+    graph = Graph()
+    a = graph.input("0")
     assert 0.0 * a == 0.0
     assert (a + 0.0) is a
     assert 1.0 * a is a
@@ -261,21 +264,21 @@ def test_constants_fold_and_common_work_is_shared():
     negative = -a
     assert -negative is a
     assert (a * 2.0 + 3.0) is (3.0 + 2.0 * a)
-    assert len(tape.needed([a * 2.0])) == 2
+    assert len(graph.needed([a * 2.0])) == 2
     assert isinstance(np.float64(2.0) * a, Symbol)
 
 
 def test_a_number_is_not_taken_for_a_node():
     """Node 1 and the constant 1.0 are equal and hash alike, but are not the same operand."""
-    tape = Tape()
-    a, b = tape.input("0"), tape.input("1")
+    graph = Graph()
+    a, b = graph.input("0"), graph.input("1")
     assert (a < b) is not (a < 1.0)
-    assert tape.operation((a - b).node) == ("sub", (a.node, b.node))
-    assert type(tape.operation((a - 1.0).node)[1][1]) is float
+    assert graph.operation((a - b).node) == ("sub", (a.node, b.node))
+    assert type(graph.operation((a - 1.0).node)[1][1]) is float
 
 
 def test_a_branch_on_a_traced_number_is_refused():
-    a = Tape().input("0")
+    a = Graph().input("0")
     with pytest.raises(TypeError, match="where"):
         bool(a > 0)
     with pytest.raises(TypeError):

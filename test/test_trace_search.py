@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.joint_compliance import JointCompliance
@@ -18,8 +18,8 @@ from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.fit import geometry
-from longarm_comp.core.identify.trace import Traced, search
-from longarm_comp.core.model import Model
+from longarm_comp.core.identify.search import SearchResult, search
+from longarm_comp.core.model.model import Model
 
 KINDS = (JointCompliance, JointGain, GearEccentricity, ThermalGrowth)
 N = 90
@@ -39,7 +39,7 @@ def session_of(arm: Arm, seed: int, *hidden: Effect) -> Session:
     return Session.record(q, truth.tip(q) + 4e-4 * rng.standard_normal((N, 3)))
 
 
-def searched(arm: Arm, session: Session) -> Traced:
+def searched(arm: Arm, session: Session) -> SearchResult:
     base = Model(arm, (LinkDeflection(), *geometry(arm, session)))
     candidates = library(arm, session.context(), KINDS, base.terms)
     assert [name for name, _ in candidates.not_testable] == ["thermal_growth"]  # no temperature

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.camera_radial import CameraRadial
 from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
@@ -22,7 +22,7 @@ from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
 from longarm_comp.core.identify.calibrate import declared_model, errors, ladder
 from longarm_comp.core.identify.fit import fit, geometry
 from longarm_comp.core.learn.ensemble import train
-from longarm_comp.core.model import Model
+from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import read_csv
 from longarm_comp.sessions.residual_inputs import predictor_context
 

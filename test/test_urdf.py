@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import yaml
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.model import Model, unstack
+from longarm_comp.core.model.model import Model, unstack
 from longarm_comp.urdf import import_urdf
 
 ROBOTS = (

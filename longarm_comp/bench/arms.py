@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.nodes.bringup import folder
 
 

@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.model import Model
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.model.model import Model
+from longarm_comp.sessions.message_buffer import TYPES
 from longarm_comp.sessions.message_types import message_types
-from longarm_comp.sessions.tape import TYPES
 
 STATES_HZ, SIGHTINGS_HZ, MOVE_S, PERIOD_S = 100, 15, 1.0, 4.0
 _START_NS = 1_000_000_000_000

@@ -22,12 +22,12 @@ from longarm_comp.bench.apart import cost_of
 from longarm_comp.bench.arms import demo_arm
 from longarm_comp.bench.bag_made import Raw, recording, write_raw
 from longarm_comp.bench.rows import Result, beside, missing
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.data.session import Session
 from longarm_comp.sessions.bag import read_bag
 from longarm_comp.sessions.bag_segments import SegmentedBag
 from longarm_comp.sessions.bag_write import write_bag
+from longarm_comp.sessions.message_buffer import TYPES
 from longarm_comp.sessions.message_types import message_types
-from longarm_comp.sessions.tape import TYPES
 
 MESSAGES, REPEATS = 40_000, 3
 LONG_BYTES = 1_000_000_000

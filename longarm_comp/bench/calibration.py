@@ -17,13 +17,13 @@ from longarm_comp.bench.apart import cost_of
 from longarm_comp.bench.arms import demo_arm
 from longarm_comp.bench.calibration_peers import by_finite_differences, pybotics
 from longarm_comp.bench.rows import Result, alone, beside, missing
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.dataset import Session
-from longarm_comp.core.declared_model import declared_model
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify.fit import fit, geometry
-from longarm_comp.core.model import Model
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
 from longarm_comp.studies.real_sessions import declared
 
 NOISE_M = 3e-4

@@ -12,11 +12,11 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from longarm_comp.bench.python_apart import python_of
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify.fit import priors
-from longarm_comp.core.model import Model
+from longarm_comp.core.model.model import Model
 
 PYBOTICS = ("pybotics==3.1.2",)
 

@@ -11,8 +11,8 @@ import numpy as np
 from longarm_comp.bench.arms import demo_arm
 from longarm_comp.bench.kinematics import random_joints, soft_model, timed
 from longarm_comp.bench.rows import Result, alone
-from longarm_comp.core import ik
-from longarm_comp.core.compensate import Method, compensate, compensate_many
+from longarm_comp.core.compensation.compensate import Method, compensate, compensate_many
+from longarm_comp.core.ik import solver as ik
 
 
 class _Smooth:

@@ -13,13 +13,13 @@ from longarm_comp.bench.arms import demo_arm
 from longarm_comp.bench.ik_peers import Pinocchio, Toolbox
 from longarm_comp.bench.kinematics import random_joints, soft_model, timed
 from longarm_comp.bench.rows import Result, alone, beside, missing
-from longarm_comp.core import ik
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.catalogue import BY_NAME
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.kernel import Kernel, Layout, kernel_of
-from longarm_comp.core.model import Model, unstack
-from longarm_comp.core.newton import LEVELS, evaluation
+from longarm_comp.core.ik import solver as ik
+from longarm_comp.core.ik.kernel import Kernel, Layout, kernel_of
+from longarm_comp.core.ik.newton import LEVELS, evaluation
+from longarm_comp.core.model.model import Model, unstack
 
 COUNT = 4096
 REPEATS = 7

@@ -12,9 +12,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.quaternion import from_rotation
-from longarm_comp.core.spatial import IDENTITY
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.quaternion import from_rotation
+from longarm_comp.core.arm.spatial import IDENTITY
 
 
 class Peer(Protocol):

@@ -20,12 +20,12 @@ import numpy as np
 from longarm_comp.bench.arms import demo_arm
 from longarm_comp.bench.ik_peers import IkPy, Peer, Pinocchio, RoboPlan, Toolbox, TracIk
 from longarm_comp.bench.rows import Result, alone, beside, missing
-from longarm_comp.core import ik
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.link_deflection import LinkDeflection
-from longarm_comp.core.ik import Engine
-from longarm_comp.core.model import Model
+from longarm_comp.core.ik import solver as ik
+from longarm_comp.core.ik.solver import Engine
+from longarm_comp.core.model.model import Model
 
 TOLERANCE = 1e-7  # m and rad, ten times closer than what is asked of the peers
 BLOCKS = 8

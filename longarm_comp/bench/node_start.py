@@ -81,7 +81,7 @@ def ready_times(repeats: int = REPEATS, *, warm: bool = True) -> dict[str, list[
 
 def _commands(folder: Path, nodes: Sequence[str]) -> dict[str, list[str]]:
     """What starts the floor and each node, which ends by itself once it serves."""
-    from longarm_comp.jobs.stand_in import train_stand_in
+    from longarm_comp.jobs.dummy_predictor import train_stand_in
     from longarm_comp.nodes.bringup import BringUp
 
     predictor = folder / "predictor.npz"

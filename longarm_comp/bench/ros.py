@@ -23,8 +23,8 @@ import numpy as np
 
 from longarm_comp.bench.arms import demo_arm
 from longarm_comp.bench.rows import Result, alone, beside
-from longarm_comp.core.arm import Arm
-from longarm_comp.jobs.stand_in import train_stand_in
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.jobs.dummy_predictor import train_stand_in
 
 PEER = "bare rclpy echo of the same messages"
 BLOCKS, PER_BLOCK = 8, 50

@@ -11,12 +11,12 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.qos import QoSProfile
 from trajectory_msgs.msg import JointTrajectory
 
-from longarm_comp.core import ik
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.compensate import compensate
-from longarm_comp.core.declared_model import declared_model
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.compensation.compensate import compensate
 from longarm_comp.core.errors import JobError
+from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.learn.expansion import Expansion, Nearby
+from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.path import slow_path
 from longarm_comp.nodes import interfaces as graph

@@ -39,11 +39,14 @@ def start_help(repeats: int = REPEATS) -> Result:
 
 def start_import_core(repeats: int = REPEATS) -> Result:
     """What a control program imports, model and inverse kinematics, beside numpy alone."""
-    ours, peer = ("-c", "import longarm_comp.core.compensate"), "python -c 'import numpy'"
+    ours, peer = (
+        ("-c", "import longarm_comp.core.compensation.compensate"),
+        "python -c 'import numpy'",
+    )
     return _ends_beside("start_import_core", ours, peer, NUMPY, repeats)
 
 
 def start_import_arm(repeats: int = REPEATS) -> Result:
     """The arm's declaration and its checks beside the two libraries that it stands on."""
-    ours, peer = ("-c", "import longarm_comp.core.arm"), "python -c 'import numpy, pydantic'"
+    ours, peer = ("-c", "import longarm_comp.core.arm.arm"), "python -c 'import numpy, pydantic'"
     return _ends_beside("start_import_arm", ours, peer, NUMPY_PYDANTIC, repeats)

@@ -31,7 +31,7 @@ from longarm_comp.devices.stereo import (
     Target,
 )
 from longarm_comp.sim.cameras import CameraPair, Conditions, render
-from longarm_comp.sim.plates import Plate, charuco_plate, tag_plate
+from longarm_comp.sim.marker_images import Plate, charuco_plate, tag_plate
 
 APRIL = "DICT_APRILTAG_36h11"
 MARKERS: dict[str, tuple[Target, Plate]] = {

@@ -28,7 +28,7 @@ def command(
     Example:
       longarm bag from-csv arm.yaml samples.csv -o session_bag
     """
-    from longarm_comp.core.arm import Arm
+    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.sessions.bag_write import write_bag
     from longarm_comp.sessions.read import read_session
 

@@ -25,7 +25,7 @@ def command(arm: Path, bag: Path, output: Path, namespace: str | None, as_json: 
     Example:
       longarm bag to-csv arm.yaml session_bag -o samples.csv
     """
-    from longarm_comp.core.arm import Arm
+    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.sessions.bag import read_bag
     from longarm_comp.sessions.csv import write_csv
 

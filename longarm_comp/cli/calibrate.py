@@ -11,7 +11,7 @@ from longarm_comp.cli import options
 from longarm_comp.cli.output import error_row, note, print_json, print_rows, print_table, progress
 
 if TYPE_CHECKING:
-    from longarm_comp.core.arm import Arm
+    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.effects.effect import Bias, Effect
     from longarm_comp.core.identify.fit import Fit
 
@@ -53,11 +53,11 @@ def command(
     """
     from longarm_comp import __version__
     from longarm_comp.cli.inputs import admitted
-    from longarm_comp.core.arm import Arm
-    from longarm_comp.core.holdout import blocked_split
+    from longarm_comp.core.arm.arm import Arm
+    from longarm_comp.core.data.holdout import blocked_split
     from longarm_comp.core.identify.calibrate import ladder
     from longarm_comp.core.identify.fit import fit
-    from longarm_comp.core.modelfile import save_model, store
+    from longarm_comp.core.model.model_file import save_model, store
 
     declared = Arm.load(arm)
     chosen = [(name, _instances(name, declared)) for name in effects]

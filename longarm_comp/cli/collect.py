@@ -50,10 +50,10 @@ def command(
       longarm collect arm.yaml poses.csv -o session_1 --both-sides --repeats 10 --resume
     """
     from longarm_comp.cli.signals import stop_on_signals
-    from longarm_comp.core.arm import Arm
+    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.jobs.client import ArmClient
     from longarm_comp.jobs.collect import Pace, collect
-    from longarm_comp.jobs.visits import visits
+    from longarm_comp.jobs.measurement_schedule import visits
     from longarm_comp.sessions.poses import read_poses
 
     declared = Arm.load(arm)

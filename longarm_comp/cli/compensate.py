@@ -13,7 +13,7 @@ from longarm_comp.cli.output import note, print_json, print_rows
 if TYPE_CHECKING:
     import numpy as np
 
-    from longarm_comp.core.arm import Arm
+    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.sessions.targets import Command
 
 
@@ -58,8 +58,8 @@ def command(
       longarm compensate arm.yaml --targets targets.csv --model model.yaml --lock 7
     """
     from longarm_comp.cli.inputs import physics, trained
-    from longarm_comp.core.arm import Arm
-    from longarm_comp.core.compensate import Method
+    from longarm_comp.core.arm.arm import Arm
+    from longarm_comp.core.compensation.compensate import Method
     from longarm_comp.core.errors import InputError, JobError
     from longarm_comp.sessions.compensated import compensated
     from longarm_comp.sessions.targets import Targets, read_targets, write_commands

@@ -44,7 +44,7 @@ def command(
       longarm diagnose arm.yaml samples.csv --test test.csv -o diagnosis
       longarm diagnose arm.yaml bag --model model.yaml -o diagnosis
     """
-    from longarm_comp.core.arm import Arm
+    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.jobs.diagnose import Request, run
 
     request = Request(Arm.load(arm), session, test, model, seed, not no_network)

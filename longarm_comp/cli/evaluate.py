@@ -31,7 +31,7 @@ def command(
     import numpy as np
 
     from longarm_comp.cli.inputs import admitted, physics, trained
-    from longarm_comp.core.arm import Arm
+    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.identify.calibrate import Errors, errors
     from longarm_comp.sessions.residual_inputs import predictor_context
 

@@ -27,7 +27,7 @@ def command(urdf: Path, base: str, tip: str, output: Path) -> None:
     """
     import yaml
 
-    from longarm_comp.core.arm import Arm
+    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.files import write_text
     from longarm_comp.urdf import import_urdf
 

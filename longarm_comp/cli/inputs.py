@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from longarm_comp.cli.output import note
-from longarm_comp.core.admission import FEW_POSES, admit
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.compensate import rigid
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.compensation.compensate import rigid
+from longarm_comp.core.data.admission import FEW_POSES, admit
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.calibrate import declared_model
-from longarm_comp.core.model import Model
-from longarm_comp.core.modelfile import load_model
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model_file import load_model
 from longarm_comp.sessions.read import read_session
 
 if TYPE_CHECKING:

@@ -39,9 +39,9 @@ def command(
       longarm plan arm.yaml --kind grid -n 300 -o poses.csv
       longarm plan arm.yaml --kind next -n 20 --report diagnosis -o poses.csv
     """
-    from longarm_comp.core.arm import Arm
+    from longarm_comp.core.arm.arm import Arm
+    from longarm_comp.core.data.plan import grid, sobol
     from longarm_comp.core.errors import InputError
-    from longarm_comp.core.plan import grid, sobol
     from longarm_comp.sessions.next_poses import read_next_poses
     from longarm_comp.sessions.poses import write_poses
 

@@ -18,7 +18,7 @@ def command() -> None:
     Example:
       longarm schema > arm.schema.json
     """
-    from longarm_comp.core.arm import Arm
+    from longarm_comp.core.arm.arm import Arm
 
     print_json(
         {"$schema": "https://json-schema.org/draft/2020-12/schema", **Arm.model_json_schema()}

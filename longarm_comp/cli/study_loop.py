@@ -50,7 +50,7 @@ def command(
       longarm study loop -o loop.jsonl --groups none --rows 300 --repeats 12
       longarm study loop -o loop.jsonl --dask tcp://head:8786
     """
-    from longarm_comp.core.arm import Arm
+    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.nodes.bringup import folder
     from longarm_comp.studies.loop import run
     from longarm_comp.studies.loop_cases import NAMES, Design

@@ -44,7 +44,7 @@ def command(
     import time
     from typing import Any
 
-    from longarm_comp.core.arm import Arm
+    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.files import write_text
     from longarm_comp.nodes.bringup import folder
     from longarm_comp.studies import table1_summary as summary

@@ -63,7 +63,7 @@ def command(
     import numpy as np
 
     from longarm_comp.cli.inputs import admitted, physics, physics_mark
-    from longarm_comp.core.arm import Arm
+    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.identify.calibrate import Errors, errors
     from longarm_comp.core.learn.ensemble import train
     from longarm_comp.core.learn.predictor import Provenance

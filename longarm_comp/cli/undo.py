@@ -18,7 +18,7 @@ def command(model: Path) -> None:
     Example:
       longarm undo model.yaml
     """
-    from longarm_comp.core.modelfile import undo
+    from longarm_comp.core.model.model_file import undo
 
     undo(model)
     note(f"{model} is the version before")

@@ -51,7 +51,7 @@ def command(
     import signal
     import threading
 
-    from longarm_comp.core.arm import Arm
+    from longarm_comp.core.arm.arm import Arm
     from longarm_comp.nodes.bringup import BringUp, running
 
     Arm.load(arm)

@@ -17,11 +17,11 @@ import numpy as np
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64, String
 
-from longarm_comp.core.dataset import SAME_POSE
+from longarm_comp.core.data.session import SAME_POSE
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.jobs.client import ArmClient
+from longarm_comp.jobs.measurement_schedule import Visit
 from longarm_comp.jobs.recorder import Recorder
-from longarm_comp.jobs.visits import Visit
 from longarm_comp.sessions.bag import open_bag
 from longarm_comp.sessions.bag_segments import SegmentedBag
 from longarm_comp.sessions.message_types import message_types

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from longarm_comp import __version__
-from longarm_comp.core.admission import FEW_POSES, admit
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.context import Context
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.data.admission import FEW_POSES, admit
+from longarm_comp.core.data.plan import Plan
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path
 from longarm_comp.core.identify.calibrate import errors
@@ -25,9 +26,14 @@ from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.inputs import CONTEXT_NAMES
 from longarm_comp.core.learn.predictor import Prediction, Predictor, Provenance
-from longarm_comp.core.model import Model
-from longarm_comp.core.modelfile import StoredModel, load_model, read_stored, save_model, store
-from longarm_comp.core.plan import Plan
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model_file import (
+    StoredModel,
+    load_model,
+    read_stored,
+    save_model,
+    store,
+)
 from longarm_comp.report.assemble import assemble, refused
 from longarm_comp.report.drawing import SPLITS
 from longarm_comp.report.write import write_report

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.identify.calibrate import declared_model
 
 _REACH = 0.15  # of each joint's range, to either side of its middle

@@ -12,12 +12,12 @@ from sensor_msgs.msg import Imu, JointState, Temperature
 from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.compensation.online import Readings, arrival
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.online import Circumstances, arrival
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_of, path_of, tilt_of
-from longarm_comp.nodes.worker import Apart
+from longarm_comp.nodes.worker import ManualCallbackGroup
 
 
 class ArmState:
@@ -42,12 +42,14 @@ class ArmState:
     ) -> None:
         self._arm, self._refused = arm, refused
         self._tell_commanded, self._tell_moved = commanded, moved
-        self.circumstances = Circumstances(started_s=time.monotonic())
+        self.circumstances = Readings(started_s=time.monotonic())
         self.side = np.zeros(arm.n)
         self._joints: tuple[np.ndarray, float] | None = None
         self._commanded: np.ndarray | None = None
         graph.JOINT_STATES.subscription(node, self._on_joints)
-        self.commands = graph.JOINT_TRAJECTORY.subscription(node, self._on_trajectory, Apart())
+        self.commands = graph.JOINT_TRAJECTORY.subscription(
+            node, self._on_trajectory, ManualCallbackGroup()
+        )
         graph.TEMPERATURE.subscription(node, self._on_temperature)
         graph.PAYLOAD.subscription(node, self._on_payload)
         graph.INCLINATION.subscription(node, self._on_inclination)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from longarm_comp.core.arm import read_yaml
+from longarm_comp.core.arm.arm import read_yaml
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes.supervisor import Supervisor
 

@@ -25,7 +25,7 @@ from longarm_comp.nodes.model_files import ModelFiles, file_hash
 from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.runner import run
 from longarm_comp.nodes.watch import FileWatch
-from longarm_comp.nodes.worker import Apart, Worker
+from longarm_comp.nodes.worker import ManualCallbackGroup, Worker
 from longarm_interfaces.srv import PredictError
 
 PARAMS = (
@@ -70,7 +70,9 @@ class ErrorPredictor(Node):
         self.create_timer(p["watch_period_s"], self._look)
         self._health = Health(self, {"predictor": self._report}, p[PERIOD.name])
         self._files.start()
-        self._asked.start(services=[graph.PREDICT_ERROR.server(self, self._on_predict, Apart())])
+        self._asked.start(
+            services=[graph.PREDICT_ERROR.server(self, self._on_predict, ManualCallbackGroup())]
+        )
 
     def close(self) -> None:
         """Stop the workers."""

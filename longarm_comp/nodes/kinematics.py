@@ -17,12 +17,12 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from longarm_comp.core import ik
-from longarm_comp.core.compensate import Method, Settling, Status
-from longarm_comp.core.context import Context
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.compensate import Method, Settling, Status
+from longarm_comp.core.compensation.online import CompensationOptions, StaleContext, compensate_now
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.learn.expansion import Nearby
-from longarm_comp.core.online import Limits, StaleContext, compensate_now
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes import markers, monitoring
 from longarm_comp.nodes.arm_state import ArmState
@@ -44,7 +44,7 @@ from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.predictor_client import NoAnswer, PredictorClient
 from longarm_comp.nodes.runner import run
 from longarm_comp.nodes.watch import FileWatch
-from longarm_comp.nodes.worker import Apart, Worker
+from longarm_comp.nodes.worker import ManualCallbackGroup, Worker
 from longarm_interfaces.srv import Compensate
 
 PARAMS = (
@@ -127,7 +127,7 @@ class Kinematics(Node):
         self._health = Health(self, parts, p[PERIOD.name])
         if p["compiled"]:  # beside the targets, which are solved more slowly until it is done
             threading.Thread(target=ik.warm_up, name="compiler", daemon=True).start()
-        apart = Apart()
+        apart = ManualCallbackGroup()
         self._worker.start(
             [self._state.commands, graph.TARGET_POSE.subscription(self, self._on_target, apart)],
             [graph.COMPENSATE.server(self, self._on_compensate, apart)],
@@ -236,9 +236,9 @@ class Kinematics(Node):
             context,
         )
 
-    def _limits(self) -> Limits:
+    def _limits(self) -> CompensationOptions:
         once = bool(self.get_parameter("single_pass").value)
-        return Limits(
+        return CompensationOptions(
             Method(self.get_parameter("method").value),
             replace(self._settling, single_pass=once) if once else self._settling,
         )

@@ -20,11 +20,11 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from longarm_comp.core import quaternion
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.compensate import Compensation as Outcome
-from longarm_comp.core.compensate import Status
-from longarm_comp.core.context import Context
+from longarm_comp.core.arm import quaternion
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.compensate import Compensation as Outcome
+from longarm_comp.core.compensation.compensate import Status
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.devices import joint_path as devices
 from longarm_interfaces.msg import Compensation

@@ -6,11 +6,11 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.declared_model import declared_model
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, LongarmError
-from longarm_comp.core.model import Model
-from longarm_comp.core.modelfile import load_model
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model_file import load_model
 from longarm_comp.nodes.health import OK, WARN, Report
 
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 
-from longarm_comp.core.context import Context
-from longarm_comp.core.model import Model
-from longarm_comp.core.monitor import Monitor
-from longarm_comp.core.rest_pose import RestPose, RestWatch
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.drift import Monitor
+from longarm_comp.core.data.rest_pose import RestPose, RestWatch
+from longarm_comp.core.model.model import Model
 from longarm_comp.nodes.health import OK, WARN, Report
 from longarm_comp.nodes.messages import sighting_of
 from longarm_comp.nodes.params import Param

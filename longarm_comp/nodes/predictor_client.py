@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from rclpy.node import Node
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.compensation import Method
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.learn.expansion import Expansion
 from longarm_comp.nodes.asking import Asking

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import OK, PERIOD, Health, Report
@@ -25,8 +25,8 @@ from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.runner import run
 from longarm_comp.nodes.worker import Worker
 from longarm_comp.sim.cameras import CameraPair, tag_plate
+from longarm_comp.sim.plant import Room, Workshop, hidden_effects, mounting
 from longarm_comp.sim.servo_emulator import MotorSpec, read_arm
-from longarm_comp.sim.workshop import Room, Workshop, hidden_effects, mounting
 
 PARAMS = (
     Param("arm", "", "arm.yaml: what everybody believes stands there"),

@@ -13,7 +13,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
-from longarm_comp.core import quaternion
+from longarm_comp.core.arm import quaternion
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.devices.stereo import (
     CharucoTarget,

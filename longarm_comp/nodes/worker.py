@@ -27,7 +27,7 @@ from rclpy.task import Future
 Job = Callable[[], Any]
 
 
-class Apart(CallbackGroup):
+class ManualCallbackGroup(CallbackGroup):
     """Of entities that a worker takes: no executor looks at them."""
 
     def can_execute(self, entity: Any) -> bool:
@@ -70,7 +70,7 @@ class Worker:
         return len(self._jobs)
 
     def start(self, topics: Sequence[Subscription] = (), services: Sequence[Service] = ()) -> None:
-        """Begin, once; take what comes in here, where the callback group is `Apart`.
+        """Begin, once; take what comes in here, where the callback group is `ManualCallbackGroup`.
 
         The callbacks run on the thread, before the next job.  That of a service gets the request
         and a function that sends the response.

@@ -10,9 +10,9 @@ import numpy as np
 from longarm_comp import __version__
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.aliasing import Finding
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.distinguish import Finding
 from longarm_comp.core.identify.evidence import key
 from longarm_comp.report.candidate_states import candidate_rows, sizes
 from longarm_comp.report.detail import Detail

@@ -6,10 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from longarm_comp.core.identify.aliasing import Finding, without
 from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.identify.detectable import IMPLAUSIBLE, Smallest, detectable
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.distinguish import Finding, without
 from longarm_comp.core.identify.evidence import columns_at, key, score
 from longarm_comp.core.identify.search_state import ODDS
 

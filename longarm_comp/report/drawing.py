@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.candidates import Term
 from longarm_comp.core.identify.confirm import RESAMPLES
 from longarm_comp.core.identify.detectable import Smallest
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.evidence import key
 from longarm_comp.core.identify.next_poses import NextPoses
-from longarm_comp.core.outline import outline
+from longarm_comp.core.model.outline import outline
 from longarm_comp.report.candidate_states import best_forms
 from longarm_comp.report.detail import (
     Check,

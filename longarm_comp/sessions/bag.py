@@ -22,13 +22,13 @@ from typing import Any
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.joint_states import JointStates
+from longarm_comp.sessions.message_buffer import TYPES, MessageBuffer
 from longarm_comp.sessions.message_types import message_types
 from longarm_comp.sessions.rows import Rows
-from longarm_comp.sessions.tape import TYPES, Tape
 
 
 def read_bag(path: str | Path, arm: Arm, namespace: str | None = None) -> Session:
@@ -44,12 +44,12 @@ def read_bag(path: str | Path, arm: Arm, namespace: str | None = None) -> Sessio
     """
     where = str(path)
     with open_bag(path) as reader:
-        tape, rows = _wind(reader, arm, namespace, where)
-    for topic, found in (("joint_trajectory", tape.commanded), ("tip_measured", tape.sighted)):
+        buffer, rows = _read_messages(reader, arm, namespace, where)
+    for topic, found in (("joint_trajectory", buffer.commanded), ("tip_measured", buffer.sighted)):
         if not found:
             raise InputError(where, topic, "no message", "commands and the sightings they led to")
-    if len(tape.frames) > 1:
-        raise InputError(where, "tip_measured frame_id", sorted(tape.frames), "one frame")
+    if len(buffer.frames) > 1:
+        raise InputError(where, "tip_measured frame_id", sorted(buffer.frames), "one frame")
     return rows.session()
 
 
@@ -84,7 +84,9 @@ def _broken(where: str, error: Exception) -> InputError:
     return InputError(where, "bag", said, "a complete rosbag2 (mcap or sqlite3)")
 
 
-def _wind(reader: Reader, arm: Arm, namespace: str | None, where: str) -> tuple[Tape, Rows]:
+def _read_messages(
+    reader: Reader, arm: Arm, namespace: str | None, where: str
+) -> tuple[MessageBuffer, Rows]:
     chosen = {}
     for connection in reader.connections:
         space, _, name = connection.topic.rpartition("/")
@@ -98,14 +100,14 @@ def _wind(reader: Reader, arm: Arm, namespace: str | None, where: str) -> tuple[
         topics = ", ".join(sorted({c.topic for c in reader.connections})) or "no topic"
         raise InputError(where, "topics", topics, ", ".join(TYPES))
     told = any(_name(c) == "session_row" and c.msgcount for c in chosen.values())
-    tape = Tape(arm, where, reader.start_time, every_command=told)
-    rows = Rows(tape)
+    buffer = MessageBuffer(arm, where, reader.start_time, every_command=told)
+    rows = Rows(buffer)
     for name, stamp, message in _messages(reader, list(chosen.values()), arm, where):
-        tape.take(name, stamp, message)
+        buffer.take(name, stamp, message)
         if name == "joint_trajectory":
             rows.close()
     rows.close(everything=True)
-    return tape, rows
+    return buffer, rows
 
 
 def _messages(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from longarm_comp.sessions.bag import open_bag
-from longarm_comp.sessions.tape import TYPES
+from longarm_comp.sessions.message_buffer import TYPES
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from typing import Any, Literal
 import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.dataset import SAME_POSE, Session, derive_approach
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.session import SAME_POSE, Session, derive_approach
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.message_types import message_types
 

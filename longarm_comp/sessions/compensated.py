@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from longarm_comp.core.compensate import Compensation, Predictor, compensate_many
-from longarm_comp.core.model import Model
+from longarm_comp.core.compensation.compensate import Compensation, Predictor, compensate_many
+from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.targets import Command, Targets
 
 

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.dataset import Session, derive_approach
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.session import Session, derive_approach
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.names import check_header, check_unknown
 from longarm_comp.sessions.table import Table, read_table, write_table

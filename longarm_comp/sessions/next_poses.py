@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.plan import Plan
 from longarm_comp.sessions.poses import read_poses
 
 FILE = "next_poses.csv"

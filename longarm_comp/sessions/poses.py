@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.plan import Plan
 from longarm_comp.sessions.csv import joint_names
 from longarm_comp.sessions.names import check_header
 from longarm_comp.sessions.table import read_table, write_table

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.session import Session
 from longarm_comp.sessions.csv import read_csv
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.learn.inputs import CONTEXT_NAMES
 
 

@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.core.dataset import Session, derive_approach
+from longarm_comp.core.data.session import Session, derive_approach
 from longarm_comp.core.errors import InputError
+from longarm_comp.sessions.message_buffer import CLOCKS_APART, MessageBuffer, Row
 from longarm_comp.sessions.settled import Sighting, settled
-from longarm_comp.sessions.tape import CLOCKS_APART, Row, Tape
 
 
 class Rows:
-    """What the arm did, command by command, taken off a tape."""
+    """What the arm did, command by command, taken off a buffer."""
 
-    def __init__(self, tape: Tape) -> None:
-        self._tape = tape
+    def __init__(self, buffer: MessageBuffer) -> None:
+        self._buffer = buffer
         self._path = array("d")  # every point passed, rows and vias
         self._count = array("q")  # its place; a step of two is a gap
         self._at_row: list[int] = []
@@ -30,11 +30,11 @@ class Rows:
         self._place, self._passed = 0, False
 
     def close(self, *, everything: bool = False) -> None:
-        """Finish every command whose time is over, so that the tape can forget it.
+        """Finish every command whose time is over, so that the buffer can forget it.
 
         A sighting may be recorded up to `CLOCKS_APART` after it was taken.
         """
-        commands = self._tape.commands
+        commands = self._buffer.commands
         while len(commands) > 1 and (
             everything or commands[-1][0] >= commands[1][0] + CLOCKS_APART
         ):
@@ -44,10 +44,10 @@ class Rows:
 
     def _finish(self, end: float) -> None:
         """The oldest command, which the next one followed at `end` (s)."""
-        tape = self._tape
-        begin, points = tape.commands.popleft()
-        sightings, rows = tape.sightings_between(begin, end), tape.rows_between(begin, end)
-        seen = settled(sightings, *tape.states_between(begin, end), begin)
+        buffer = self._buffer
+        begin, points = buffer.commands.popleft()
+        sightings, rows = buffer.sightings_between(begin, end), buffer.rows_between(begin, end)
+        seen = settled(sightings, *buffer.states_between(begin, end), begin)
         row = rows[0][1] if rows else Row()
         last = self._index[-1] if self._index else -1
         number = row.index if row.index is not None else last + 1
@@ -62,8 +62,8 @@ class Rows:
             self._made.append(seen)
             self._told.append(row)
             self._index.append(number)
-            self._held.append({name: held.at(seen.t) for name, held in tape.columns.items()})
-        tape.forget(end)
+            self._held.append({name: held.at(seen.t) for name, held in buffer.columns.items()})
+        buffer.forget(end)
 
     def session(self) -> Session:
         """All rows.
@@ -71,14 +71,14 @@ class Rows:
         Raises:
             InputError: there is none.
         """
-        tape = self._tape
+        buffer = self._buffer
         if not self._made:
             allowed = "a sighting per command"
-            raise InputError(tape.where, "tip_measured", "none after a command", allowed)
-        q = np.array(self._path).reshape(-1, tape.arm.n)
+            raise InputError(buffer.where, "tip_measured", "none after a command", allowed)
+        q = np.array(self._path).reshape(-1, buffer.arm.n)
         variance = np.array([seen.variance for seen in self._made])
         columns = {"t_s": np.array([seen.t for seen in self._made])}
-        for name, held in tape.columns.items():
+        for name, held in buffer.columns.items():
             columns[name] = np.array([row.get(name, held.first) for row in self._held])
         columns |= _told([row.columns for row in self._told])
         return Session(
@@ -90,7 +90,7 @@ class Rows:
             sigma=np.sqrt(variance) if (variance > 0).all() else None,
             columns=columns,
             labels=_told([row.labels for row in self._told]),
-            source=tape.where,
+            source=buffer.where,
         )
 
 

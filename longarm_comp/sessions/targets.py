@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from longarm_comp.core.context import Context
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import UNITS, XYZ, joint_names, recorded_besides
 from longarm_comp.sessions.names import check_header, check_unknown

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.sim.context import Context, State
 from longarm_comp.sim.hidden.base import HiddenEffect
+from longarm_comp.sim.rod_chain import Settled, Walk
 from longarm_comp.sim.rods import STEPS
-from longarm_comp.sim.walk import Settled, Walk
 
 Array = np.ndarray
 

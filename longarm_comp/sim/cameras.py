@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from longarm_comp.sim.plates import Plate, charuco_plate, tag_plate
+from longarm_comp.sim.marker_images import Plate, charuco_plate, tag_plate
 
 __all__ = [
     "CameraInfo",

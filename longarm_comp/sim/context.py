@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 
 Array = np.ndarray

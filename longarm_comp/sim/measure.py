@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_text
 from longarm_comp.sim.arm_truth import TrueArm

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.identify.diagnosis import diagnose

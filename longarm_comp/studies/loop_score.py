@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import BY_NAME, LIBRARY
 from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.identify.aliasing import ALIASES, Finding
 from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.identify.candidates import Term, library
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.distinguish import ALIASES, Finding
 from longarm_comp.core.identify.evidence import Score
 from longarm_comp.core.identify.fit import Fit, fit, geometry
-from longarm_comp.core.model import Model
+from longarm_comp.core.model.model import Model
 from longarm_comp.studies.loop_setting import Setting
 from longarm_comp.studies.loop_truth import places, values
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.plan import grid, sobol
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.identify.fit import Fit, fit, geometry
 from longarm_comp.core.identify.linear import Marginal
-from longarm_comp.core.plan import grid, sobol
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import Context
 from longarm_comp.sim.hidden.base import HiddenEffect
@@ -21,7 +21,7 @@ from longarm_comp.sim.hidden.camera import CameraEffect
 from longarm_comp.sim.hidden.catalogue import Hidden, hidden
 from longarm_comp.sim.measure import Camera, Noise, arrival, measure_session
 from longarm_comp.sim.measure import Session as Measured
-from longarm_comp.sim.variety import random_arm
+from longarm_comp.sim.random_arms import random_arm
 from longarm_comp.studies.loop_cases import SPOILED, Case
 from longarm_comp.studies.loop_truth import at_one_place, size
 

@@ -20,7 +20,7 @@ from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.identify.calibrate import Errors, declared_model, errors, warm
 from longarm_comp.core.identify.fit import Fit, align, fit_together, frames, geometry
-from longarm_comp.core.model import Slot
+from longarm_comp.core.model.model import Slot
 from longarm_comp.studies.real_sessions import Measured, justin, laser_tracked
 from longarm_comp.studies.selection import select
 

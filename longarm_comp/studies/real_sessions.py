@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.spatial import Frame
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.model import Model
-from longarm_comp.core.spatial import Frame
+from longarm_comp.core.model.model import Model
 
 
 @dataclass(frozen=True)

@@ -20,22 +20,22 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.compensate import Method, compensate_many, rigid
-from longarm_comp.core.context import Context
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.compensate import Method, compensate_many, rigid
+from longarm_comp.core.data.plan import grid, random_joints
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.calibrate import Errors, declared_model, errors
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.fit import geometry
-from longarm_comp.core.identify.trace import search
+from longarm_comp.core.identify.search import search
 from longarm_comp.core.learn.ensemble import train
-from longarm_comp.core.model import Model
-from longarm_comp.core.plan import grid, random_joints
+from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.residual_inputs import predictor_context
 from longarm_comp.sim import context as sim_context
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.measure import Camera, measure_session
-from longarm_comp.sim.variety import paper_mix, random_arm
+from longarm_comp.sim.random_arms import paper_mix, random_arm
 from longarm_comp.studies.peers import train_gaussian_process
 
 TARGETS = 40

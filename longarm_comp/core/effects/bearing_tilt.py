@@ -7,12 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from longarm_comp.core import spatial
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.arm.spatial import Scalar, Twist
 from longarm_comp.core.effects.effect import Parameter, parameter
 from longarm_comp.core.effects.joint_term import JointTerm, typical_loads, with_prior
-from longarm_comp.core.posture import Posture
-from longarm_comp.core.spatial import Scalar, Twist
 
 
 @dataclass(frozen=True)

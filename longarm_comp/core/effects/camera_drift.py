@@ -7,10 +7,10 @@ from typing import ClassVar
 
 from typing_extensions import Self
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.context import Context
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.spatial import Vec
 from longarm_comp.core.effects.effect import Bias, parameter
-from longarm_comp.core.spatial import Vec
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from typing_extensions import Self
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.spatial import Scalar, Vec, add, dot, scale, sub
 from longarm_comp.core.effects.effect import Bias
-from longarm_comp.core.spatial import Scalar, Vec, add, dot, scale, sub
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ from typing import ClassVar
 import numpy as np
 from typing_extensions import Self
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.effects.effect import Effect, parameter
 from longarm_comp.core.effects.link_deflection import cantilever
-from longarm_comp.core.posture import Posture
-from longarm_comp.core.spatial import Twist
 
 TIMES_S = (900.0, 3600.0, 14400.0)
 

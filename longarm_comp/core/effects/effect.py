@@ -16,11 +16,11 @@ from typing import Any, ClassVar
 
 from typing_extensions import Self
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.context import Context
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.posture import Lumped, Posture
+from longarm_comp.core.arm.spatial import Twist, Vec
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.posture import Lumped, Posture
-from longarm_comp.core.spatial import Twist, Vec
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from longarm_comp.core import spatial
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.effects.effect import Parameter, parameter
 from longarm_comp.core.effects.joint_term import JointTerm, with_prior
-from longarm_comp.core.posture import Posture
-from longarm_comp.core.spatial import Twist
 
 
 @dataclass(frozen=True)

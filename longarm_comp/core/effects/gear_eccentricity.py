@@ -8,12 +8,12 @@ from typing import ClassVar
 
 from typing_extensions import Self
 
-from longarm_comp.core import spatial
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.effects.effect import parameter
 from longarm_comp.core.effects.joint_term import JointTerm
-from longarm_comp.core.posture import Posture
-from longarm_comp.core.spatial import Twist
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from typing import ClassVar
 
 from typing_extensions import Self
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.arm.spatial import Twist, Vec, add, cross
 from longarm_comp.core.effects.effect import Effect, parameter
-from longarm_comp.core.posture import Posture
-from longarm_comp.core.spatial import Twist, Vec, add, cross
 
 
 @dataclass(frozen=True)

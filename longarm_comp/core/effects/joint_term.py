@@ -10,11 +10,11 @@ from functools import lru_cache
 import numpy as np
 from typing_extensions import Self
 
-from longarm_comp.core import spatial
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.arm.spatial import Scalar, Twist
 from longarm_comp.core.effects.effect import Effect, Parameter
-from longarm_comp.core.posture import Posture
-from longarm_comp.core.spatial import Scalar, Twist
 
 GATES = (0.0, 0.03, 0.075, 0.15, 0.3)
 """Loads below which friction may hold a joint (`JointTerm.side`), of the arm's typical ones."""

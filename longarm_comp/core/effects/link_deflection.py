@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
+from longarm_comp.core.arm.posture import Element, Posture, abs_
+from longarm_comp.core.arm.spatial import Scalar, Twist, Vec, cross
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.posture import Element, Posture, abs_
-from longarm_comp.core.spatial import Scalar, Twist, Vec, cross
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ from typing import ClassVar
 
 from typing_extensions import Self
 
-from longarm_comp.core import spatial
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.effects.joint_term import JointTerm
-from longarm_comp.core.posture import Posture
-from longarm_comp.core.spatial import Twist
 
 STEPS_PER_TURN = (
     *(180, 200, 256, 300, 360, 400, 500, 512, 600, 720, 800, 900, 1000, 1024, 1080),

@@ -8,11 +8,11 @@ from typing import ClassVar
 
 from typing_extensions import Self
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.posture import Lumped, Posture
+from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.effects.effect import Effect, Parameter, parameter
 from longarm_comp.core.effects.joint_term import typical_loads, with_prior
-from longarm_comp.core.posture import Lumped, Posture
-from longarm_comp.core.spatial import Twist
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.dataset import Session
-from longarm_comp.core.declared_model import declared_model
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.fit import Fit, align, fit, frames, geometry
-from longarm_comp.core.model import Model
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.context import Context
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.model import Model, Slot, slots_of
-from longarm_comp.core.posture import Posture
+from longarm_comp.core.model.model import Model, Slot, slots_of
 
 Term = Effect | Bias
 

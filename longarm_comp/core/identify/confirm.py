@@ -9,12 +9,12 @@ from itertools import combinations, pairwise
 import numpy as np
 from scipy.stats import norm
 
-from longarm_comp.core.identify.allowances import allowances
+from longarm_comp.core.identify.aliasing import Finding
 from longarm_comp.core.identify.candidates import Candidate
-from longarm_comp.core.identify.distinguish import Finding
 from longarm_comp.core.identify.evidence import columns_at, key
 from longarm_comp.core.identify.fit import Fit
-from longarm_comp.core.identify.trace import Traced
+from longarm_comp.core.identify.nuisance_columns import allowances
+from longarm_comp.core.identify.search import SearchResult
 
 RESAMPLES = 300
 BLOCKS = 30
@@ -66,7 +66,7 @@ class Confirmed:
 
 
 def confirm(
-    traced: Traced,
+    traced: SearchResult,
     found: list[Finding],
     candidates: Sequence[Candidate],
     rng: np.random.Generator,

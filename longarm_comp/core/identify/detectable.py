@@ -12,7 +12,7 @@ from longarm_comp.core.identify.candidates import Candidate, Columns
 from longarm_comp.core.identify.evidence import columns_at, score
 from longarm_comp.core.identify.fit import Fit
 from longarm_comp.core.identify.linear import Marginal
-from longarm_comp.core.identify.trace import Traced
+from longarm_comp.core.identify.search import SearchResult
 
 IMPLAUSIBLE = 5.0
 """Prior standard deviations beyond which nobody believes a size."""
@@ -75,7 +75,7 @@ def smallest(
     return Smallest(candidate, scored, size, size * length if length else math.inf)
 
 
-def detectable(traced: Traced, candidates: Sequence[Candidate]) -> tuple[Smallest, ...]:
+def detectable(traced: SearchResult, candidates: Sequence[Candidate]) -> tuple[Smallest, ...]:
     """`smallest` of candidates on top of everything that was found, in the order given."""
     fit, columns = traced.fit, columns_at(traced.fit)
     marginal = Marginal(fit.design, fit.data)

@@ -9,24 +9,24 @@ from typing import Protocol
 
 import numpy as np
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.context import Context
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.data.holdout import Sealed, blocked_split
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.holdout import Sealed, blocked_split
 from longarm_comp.core.identify import noise as noise_step
+from longarm_comp.core.identify.aliasing import Finding, findings, on_few_levels, with_parts
 from longarm_comp.core.identify.calibrate import declared_model, errors
 from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.confirm import Confirmed, confirm
-from longarm_comp.core.identify.distinguish import Finding, findings, on_few_levels, with_parts
 from longarm_comp.core.identify.evidence import key
 from longarm_comp.core.identify.fit import Fit, align, fit, frames, geometry
 from longarm_comp.core.identify.next_poses import NextPoses, next_poses
 from longarm_comp.core.identify.proof import Proof, prove
+from longarm_comp.core.identify.search import SearchResult, dropped, search
 from longarm_comp.core.identify.structure import Structure, examine
-from longarm_comp.core.identify.trace import Traced, dropped, search
-from longarm_comp.core.model import Model
+from longarm_comp.core.model.model import Model
 
 POSES_TO_SPLIT = 12
 MOST_NAMES = 7
@@ -83,7 +83,7 @@ class Diagnosis:
     verdict: str
     summary: str
     arm: Arm
-    traced: Traced
+    traced: SearchResult
     findings: tuple[Finding, ...]
     confirmed: Confirmed
     structure: Structure
@@ -230,8 +230,8 @@ def diagnose(
 
 
 def _told_apart(
-    traced: Traced, candidates: Sequence[Candidate]
-) -> tuple[Traced, tuple[Finding, ...]]:
+    traced: SearchResult, candidates: Sequence[Candidate]
+) -> tuple[SearchResult, tuple[Finding, ...]]:
     """Findings with their look-alikes; what could be anything, one found already too, is dropped.
 
     Such a finding is the remainder of a stronger one whose form is not quite the library's: it
@@ -245,7 +245,7 @@ def _told_apart(
     return traced, with_parts(traced, candidates, found)
 
 
-def _other_signs(structure: Structure, traced: Traced, proof: Proof) -> Structure:
+def _other_signs(structure: Structure, traced: SearchResult, proof: Proof) -> Structure:
     """What shows that something is left where the test of the fitted rows does not."""
     out = traced.fit.weights == 0
     rejected = float(np.sqrt((traced.fit.residual[out] ** 2).sum() / len(out)))
@@ -331,7 +331,7 @@ def summary(
     found: tuple[Finding, ...],
     structure: Structure,
     confirmed: Confirmed,
-    traced: Traced,
+    traced: SearchResult,
     proof: Proof,
     rolled_back: bool,
 ) -> str:
@@ -362,7 +362,7 @@ def summary(
     return f"{text}; {left} and has no name." if left else f"{text}."
 
 
-def _sentence(found: Finding, confirmed: Confirmed, traced: Traced) -> str:
+def _sentence(found: Finding, confirmed: Confirmed, traced: SearchResult) -> str:
     values = []
     places = {(t.name, t.where) for t in found.terms}
     for k, slot in enumerate(traced.fit.slots):

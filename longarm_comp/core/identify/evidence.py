@@ -12,7 +12,7 @@ from scipy.stats import norm
 from longarm_comp.core.identify.candidates import Candidate, Columns, Term
 from longarm_comp.core.identify.fit import Fit
 from longarm_comp.core.identify.linear import Marginal
-from longarm_comp.core.model import Slot, slots_of
+from longarm_comp.core.model.model import Slot, slots_of
 
 
 def columns_at(fitted: Fit) -> Columns:

@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.fit import Fit
 
 

@@ -15,9 +15,10 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.context import Context
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.spatial import Scalar
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.base_pose import BasePose
 from longarm_comp.core.effects.dh_error import DhError
 from longarm_comp.core.effects.effect import Effect
@@ -26,8 +27,7 @@ from longarm_comp.core.effects.tip_offset import TipOffset
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify import linear
 from longarm_comp.core.identify.weights import inliers, spread, whiten
-from longarm_comp.core.model import Model, Slot, unstack
-from longarm_comp.core.spatial import Scalar
+from longarm_comp.core.model.model import Model, Slot, unstack
 
 
 @dataclass(frozen=True)

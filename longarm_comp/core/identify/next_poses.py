@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
-from longarm_comp.core.context import Context
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.identify.aliasing import Finding
 from longarm_comp.core.identify.candidates import Columns
-from longarm_comp.core.identify.distinguish import Finding
 from longarm_comp.core.identify.evidence import Score, key
 from longarm_comp.core.identify.fit import Fit
-from longarm_comp.core.identify.trace import Traced
+from longarm_comp.core.identify.search import SearchResult
 
 POOL = 512
 
@@ -37,7 +37,7 @@ class NextPoses:
 
 
 def next_poses(
-    traced: Traced, found: Finding, other: Score, count: int, seed: int = 0
+    traced: SearchResult, found: Finding, other: Score, count: int, seed: int = 0
 ) -> NextPoses:
     """Greedy choice of the poses that the alternative explains worst.
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import f
 
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify import linear
 from longarm_comp.core.identify.fit import Fit
 from longarm_comp.core.identify.weights import OUTLIER, whiten

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify import noise as noise_step
@@ -17,8 +17,8 @@ from longarm_comp.core.identify.evidence import Score, columns_at, key, marginal
 from longarm_comp.core.identify.fit import fit, unfitted
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.noise import Noise
-from longarm_comp.core.identify.sharpen import sharpened
-from longarm_comp.core.model import Model, slots_of
+from longarm_comp.core.identify.refine_forms import sharpened
+from longarm_comp.core.model.model import Model, slots_of
 
 ODDS = math.log(20.0)
 """An effect must be this much (log) more probable than none after paying for the choice."""

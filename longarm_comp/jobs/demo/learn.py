@@ -6,18 +6,18 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from longarm_comp.core.admission import admit
-from longarm_comp.core.arm import Arm
-from longarm_comp.core.dataset import Session
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.admission import admit
+from longarm_comp.core.data.holdout import blocked_split
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.holdout import blocked_split
 from longarm_comp.core.identify.calibrate import Rung, errors, ladder
 from longarm_comp.core.identify.diagnosis import diagnose
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.predictor import Provenance
-from longarm_comp.core.model import Model
-from longarm_comp.core.modelfile import save_model, store
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.jobs.demo.setting import Setting
 from longarm_comp.nodes.model_files import file_hash
 from longarm_comp.sessions.read import read_session

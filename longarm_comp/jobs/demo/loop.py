@@ -13,22 +13,22 @@ from typing import Any
 import numpy as np
 from std_srvs.srv import Trigger
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.plan import random_targets, sobol
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify.calibrate import declared_model
-from longarm_comp.core.plan import random_targets, sobol
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.collect import collect
 from longarm_comp.jobs.demo import table
 from longarm_comp.jobs.demo.learn import Learned, learn
 from longarm_comp.jobs.demo.setting import NAMESPACE, PACE, Setting, declared
 from longarm_comp.jobs.demo.trial import Course, Trial
-from longarm_comp.jobs.visits import visits
+from longarm_comp.jobs.measurement_schedule import visits
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import running
 from longarm_comp.nodes.simulated_arm import sizes
 from longarm_comp.sessions.poses import write_poses
-from longarm_comp.sim.workshop import hidden_effects
+from longarm_comp.sim.plant import hidden_effects
 
 Say = Callable[[str, float], None]
 

@@ -16,16 +16,16 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from trajectory_msgs.msg import JointTrajectory
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.identify.calibrate import declared_model
-from longarm_comp.core.modelfile import save_model, store
+from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.jobs.client import ArmClient
+from longarm_comp.jobs.dummy_predictor import train_stand_in
 from longarm_comp.jobs.path import slow_path
-from longarm_comp.jobs.soak.books import Books
 from longarm_comp.jobs.soak.faults import BreakFile, EmergencyStop, Fault, Kill, bad_target
 from longarm_comp.jobs.soak.leaks import LeakWatch
+from longarm_comp.jobs.soak.ledger import Books
 from longarm_comp.jobs.soak.setting import NAMESPACE, Setting
-from longarm_comp.jobs.stand_in import train_stand_in
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import running
 from longarm_comp.nodes.images import stamp_ns, stamp_of

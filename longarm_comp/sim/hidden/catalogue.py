@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from longarm_comp.core.arm import Arm
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import Context, State

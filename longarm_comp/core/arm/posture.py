@@ -1,0 +1,347 @@
+"""The arm at one q, already computed: stations along the chain, and the weight they carry.
+
+An arm is a chain of *stations*: the base, a bearing and a frame per row, and one
+station at the far end of every beam element.  `Chain` knows their order; `Posture`
+holds where they are (deflected) and what hangs on them.  Whoever holds a `Posture`
+knows that the geometry is current.
+
+Only weight loads the arm, so all a station has to carry is the mass beyond it and
+its first moment: ``force = m g`` and ``moment about p = (S - m p) x g``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.arm import Arm, Beam
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.spatial import IDENTITY, ZERO, Frame, Scalar, Twist, Vec
+
+Twists = Mapping[int, Twist]
+LineLoads = dict[int, list[tuple[Scalar, Scalar]]]
+_UNIT: tuple[Vec, Vec, Vec] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+@dataclass(frozen=True)
+class Element:
+    """A piece of a beam, ending at one station; `axis` is 0 (role a) or 2 (role d)."""
+
+    beam: Beam
+    station: int
+    axis: int
+    share: float
+    covers: tuple[Beam, ...] = ()  # beams of which a sliding body may lie inside this element
+
+
+@dataclass(frozen=True)
+class Row:
+    """Stations of one row: its bearing (after Rz, before Tz) and its frame."""
+
+    bearing: int
+    frame: int
+    elements_a: tuple[Element, ...]
+    elements_d: tuple[Element, ...]
+
+
+@dataclass(frozen=True)
+class Lumped:
+    """A mass at a point of a station (position in its frame, m)."""
+
+    station: int
+    mass: Scalar
+    position: Vec
+
+
+class Chain:
+    """The order of an arm's stations.
+
+    Args:
+        arm: the declared arm.
+        elements_per_beam: pieces that each beam is cut in (1 leaves 0.008 mm at
+            18 mm of sag; see docs/physics.md).
+    """
+
+    def __init__(self, arm: Arm, elements_per_beam: int = 2) -> None:
+        self.arm = arm
+        self.rows: list[Row] = []
+        count = 1
+        for joint in arm.joints:
+            made: dict[str, tuple[Element, ...]] = {}
+            bearing = 0
+            for role, axis in (("a", 0), ("d", 2)):
+                if role == "d":
+                    bearing, count = count, count + 1
+                beams = [b for b in arm.links if b.row == joint.id and b.role == role]
+                elements = []
+                for k, beam in enumerate(beams):
+                    later = tuple(
+                        b for b in beams[k + 1 :] if b.mass_kg > 0 and b.body_length_m is not None
+                    )
+                    for _ in range(elements_per_beam):
+                        elements.append(Element(beam, count, axis, 1 / elements_per_beam, later))
+                        count += 1
+                made[role] = tuple(elements)
+            self.rows.append(Row(bearing, count, made["a"], made["d"]))
+            count += 1
+        self.stations = count
+        self.mixing, self.offset = arm.mixing
+
+    def frame_station(self, row: int) -> int:
+        """Station of row `row`'s frame; row 0 is the base."""
+        return 0 if row == 0 else self.rows[row - 1].frame
+
+    def values(self, q: Sequence[Scalar]) -> list[Scalar]:
+        """Joint value of every row (rad or m) from the commanded q (passive joints follow)."""
+        values: list[Scalar] = []
+        for weights, offset in zip(self.mixing, self.offset, strict=True):
+            value: Scalar = float(offset)
+            for weight, qi in zip(weights, q, strict=True):
+                if weight != 0.0:
+                    value = value + (qi if weight == 1.0 else float(weight) * qi)
+            values.append(value)
+        return values
+
+    @cached_property
+    def row_of_joint(self) -> tuple[int, ...]:
+        """Row id of each commanded joint."""
+        return self.arm.commanded
+
+    def place(self, q: Sequence[Scalar], twists: Twists) -> tuple[list[Frame], list[Scalar]]:
+        """Every station's frame in the base frame, and every element's length by station.
+
+        The twists are composed inside the chain (the paper's Eq. 1-2, exactly):
+        ``T_1 exp(x_1) T_2 exp(x_2) ...``.
+        """
+        arm = self.arm
+        frames: list[Frame] = [IDENTITY] * self.stations
+        lengths: list[Scalar] = [0.0] * self.stations
+
+        def deflect(frame: Frame, station: int) -> Frame:
+            twist = twists.get(station)
+            exp = spatial.exp if station else spatial.exp_large  # a base may stand anywhere
+            frame = frame if twist is None else frame @ exp(twist)
+            frames[station] = frame
+            return frame
+
+        def run(frame: Frame, elements: tuple[Element, ...], axis: int, size: Scalar) -> Frame:
+            sign = -1.0 if type(size) is float and size < 0 else 1.0
+            fixed = sum(e.share * e.beam.length_m for e in elements if e.beam.length_m != "rest")
+            left = size
+            for e in elements:
+                whole = e.beam.length_m
+                length = e.share * (sign * size - fixed if whole == "rest" else float(whole))
+                lengths[e.station] = sign * length
+                frame = deflect(frame.along(axis, sign * length), e.station)
+                left = left - sign * length
+            if any(e.beam.length_m == "rest" for e in elements):
+                return frame
+            return frame if type(left) is float and left == 0.0 else frame.along(axis, left)
+
+        frame = deflect(arm.base.frame(), 0)
+        for joint, row, value in zip(arm.joints, self.rows, self.values(q), strict=True):
+            if joint.type == "fixed" and joint.pose is not None:
+                frame = deflect(frame @ joint.pose.frame(), row.bearing)
+            else:
+                theta: Scalar = float(np.radians(joint.theta_offset_deg))
+                d: Scalar = joint.d_m
+                if joint.type == "revolute":
+                    theta = theta + value
+                elif joint.type == "prismatic":
+                    d = d + value
+                frame = frame.turned_x(float(np.radians(joint.alpha_deg)))
+                frame = run(frame, row.elements_a, 0, joint.a_m)
+                frame = deflect(frame.turned_z(theta), row.bearing)
+                frame = run(frame, row.elements_d, 2, d)
+            frame = deflect(frame, row.frame)
+        return frames, lengths
+
+
+@dataclass(frozen=True)
+class Posture:
+    """The arm at one q (or at N: scalars are then (N,) arrays).
+
+    Attributes:
+        chain: the arm's stations.
+        q: commanded joints, n scalars (rad, m).
+        context: approach, temperature, payload and what else was recorded.
+        frames: every station's frame in the base frame (m).
+        lengths: element length by station (m).
+        gravity: in the base frame (m/s^2).
+        extra: masses that effects add.
+    """
+
+    chain: Chain
+    q: tuple[Scalar, ...]
+    context: Context
+    frames: list[Frame]
+    lengths: list[Scalar]
+    gravity: Vec
+    extra: tuple[Lumped, ...] = ()
+    _cache: dict[tuple[str, int], Vec] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def arm(self) -> Arm:
+        """The declared arm."""
+        return self.chain.arm
+
+    @cached_property
+    def values(self) -> list[Scalar]:
+        """Joint value of every row, passive joints included."""
+        return self.chain.values(self.q)
+
+    def _station_masses(self) -> dict[int, list[tuple[Scalar, Vec]]]:
+        arm, chain, context = self.arm, self.chain, self.context
+        masses: dict[int, list[tuple[Scalar, Vec]]] = {}
+        for m in arm.point_masses:
+            at = m.position_m if m.position_columns is None else context.vector(m.position_columns)
+            masses.setdefault(chain.frame_station(m.frame), []).append((m.mass_kg, at))
+        if arm.payload is not None:
+            mass = context.payload_kg(arm.payload.mass_kg)
+            at_station = chain.frame_station(arm.payload.frame)
+            masses.setdefault(at_station, []).append((mass, arm.payload.position_m))
+        for station, behind, centre in self._overhangs():
+            masses.setdefault(station, []).append((behind, centre))
+        for lump in self.extra:
+            masses.setdefault(lump.station, []).append((lump.mass, lump.position))
+        return masses
+
+    @cached_property
+    def line_loads(self) -> LineLoads:
+        """By element station: (mass per length kg/m, loaded length m back from its far end).
+
+        A sliding body lies in its own beam and, for the rest of its length, inside the
+        beams before it.
+        """
+        loads: LineLoads = {}
+        for row in self.chain.rows:
+            for elements in (row.elements_a, row.elements_d):
+                self._spread(elements, loads)
+        return loads
+
+    def _spread(self, elements: tuple[Element, ...], loads: LineLoads) -> None:
+        for k, e in enumerate(elements):
+            length = abs_(self.lengths[e.station])
+            own = loads.setdefault(e.station, [])
+            if e.beam.mass_kg > 0 and e.beam.body_length_m is None:
+                own.append((e.beam.mass_kg / float(e.beam.length_m), length))
+            for beam in (e.beam, *e.covers):
+                if beam.mass_kg > 0 and beam.body_length_m is not None:
+                    reach = clip(beam.body_length_m - self._beyond(elements, k, beam), length)
+                    own.append((beam.mass_kg / beam.body_length_m, reach))
+
+    def _overhangs(self) -> Iterator[tuple[int, Scalar, Vec]]:
+        """Weight of bodies that reach back behind their row's first beam: (station, mass, at)."""
+        for number, row in enumerate(self.chain.rows):
+            before = self.chain.frame_station(number)
+            for elements, station in ((row.elements_a, before), (row.elements_d, row.bearing)):
+                for beam in {e.beam.name: e.beam for e in elements}.values():
+                    if beam.mass_kg == 0 or beam.body_length_m is None:
+                        continue
+                    last = max(j for j, e in enumerate(elements) if e.beam is beam)
+                    inside: Scalar = 0.0
+                    for e in elements[: last + 1]:
+                        inside = inside + abs_(self.lengths[e.station])
+                    behind = clip(beam.body_length_m - inside, beam.body_length_m)
+                    if type(behind) is float and behind == 0.0:
+                        continue
+                    at = [0.0, 0.0, 0.0]
+                    at[elements[0].axis] = -0.5 * behind  # type: ignore[call-overload]
+                    density = beam.mass_kg / beam.body_length_m
+                    yield station, density * behind, (at[0], at[1], at[2])
+
+    def _beyond(self, elements: tuple[Element, ...], k: int, beam: Beam) -> Scalar:
+        """Length from element k's far end to the far end of `beam`."""
+        last = max(j for j, e in enumerate(elements) if e.beam is beam)
+        beyond: Scalar = 0.0
+        for e in elements[k + 1 : last + 1]:
+            beyond = beyond + abs_(self.lengths[e.station])
+        return beyond
+
+    @cached_property
+    def carried(self) -> tuple[list[Scalar], list[Vec]]:
+        """Mass (kg) at and beyond every station, and its first moment in the base frame (kg m).
+
+        A beam element's own weight belongs to the stations before its end.
+        """
+        own = self._station_masses()
+        mass: Scalar = 0.0
+        moment: Vec = ZERO
+        masses: list[Scalar] = [0.0] * self.chain.stations
+        moments: list[Vec] = [ZERO] * self.chain.stations
+        axes = {e.station: e.axis for r in self.chain.rows for e in r.elements_a + r.elements_d}
+        for station in range(self.chain.stations - 1, -1, -1):
+            frame = self.frames[station]
+            for m, at in own.get(station, ()):
+                mass = mass + m
+                moment = spatial.add(moment, spatial.scale(m, frame.transform(at)))
+            masses[station], moments[station] = mass, moment
+            for density, length in self.line_loads.get(station, ()):
+                m = density * length
+                sign = 1.0 if not _negative(self.lengths[station]) else -1.0
+                centre = frame.along(axes[station], -0.5 * sign * length).p
+                mass = mass + m
+                moment = spatial.add(moment, spatial.scale(m, centre))
+        return masses, moments
+
+    def _cached(self, kind: str, station: int, make: Callable[[], Vec]) -> Vec:
+        key = (kind, station)
+        if key not in self._cache:
+            self._cache[key] = make()
+        return self._cache[key]
+
+    def gravity_in(self, station: int) -> Vec:
+        """Gravity seen in a station's axes (m/s^2)."""
+        return self._cached("gravity", station, lambda: self.frames[station].unrotate(self.gravity))
+
+    def force(self, station: int) -> Vec:
+        """Weight of all that is carried at a station, in its axes (N)."""
+        return self._cached(
+            "force",
+            station,
+            lambda: spatial.scale(self.carried[0][station], self.gravity_in(station)),
+        )
+
+    def moment(self, station: int) -> Vec:
+        """Moment of all that is carried at a station, about its origin, in its axes (N m)."""
+
+        def make() -> Vec:
+            mass, first = self.carried[0][station], self.carried[1][station]
+            frame = self.frames[station]
+            lever = spatial.sub(first, spatial.scale(mass, frame.p))
+            return frame.unrotate(spatial.cross(lever, self.gravity))
+
+        return self._cached("moment", station, make)
+
+    def bearing(self, row: int) -> int:
+        """Station of a row's bearing."""
+        return self.chain.rows[row - 1].bearing
+
+    def frame(self, row: int) -> int:
+        """Station of a row's frame; row 0 is the base."""
+        return self.chain.frame_station(row)
+
+
+def abs_(x: Scalar) -> Scalar:
+    """Absolute value of an element's length; a sliding one (an array) is positive by its limits."""
+    return abs(x) if type(x) is float else x
+
+
+def _negative(x: Scalar) -> bool:
+    return type(x) is float and x < 0
+
+
+def clip(x: Scalar, upper: Scalar) -> Scalar:
+    """x within [0, upper]."""
+    if type(x) is float and type(upper) is float:
+        return min(max(x, 0.0), upper)
+    return np.minimum(np.maximum(x, 0.0), upper)
+
+
+def unit(axis: int) -> Vec:
+    """Unit vector of an axis."""
+    return _UNIT[axis]

@@ -1,0 +1,240 @@
+"""What goes into a compensation and what comes out of it: method, predictor, status, story."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+from typing import Any, Protocol
+
+import numpy as np
+
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.ik.solver import Solution
+
+
+class Method(Enum):
+    """What is compensated: rows of the paper's Table I."""
+
+    NONE = "none"
+    DEFLECTION = "deflection"
+    NETWORK = "network"
+    BOTH = "both"
+
+    @property
+    def physics(self) -> bool:
+        """Whether the inverse kinematics knows the effects beyond geometry."""
+        return self in (Method.DEFLECTION, Method.BOTH)
+
+    @classmethod
+    def learned_beside(cls, *, deflection: bool) -> Method:
+        """The method of a predictor that was trained on what physics with or without it leaves."""
+        return cls.BOTH if deflection else cls.NETWORK
+
+    @property
+    def learned(self) -> bool:
+        """Whether the predictor's expected error is taken off."""
+        return self in (Method.NETWORK, Method.BOTH)
+
+
+class Status(IntEnum):
+    """Outcome; the numbers of `longarm_interfaces/srv/Compensate`."""
+
+    SUCCESS = 0
+    NO_PREDICTOR = 1
+    OUT_OF_DOMAIN = 2
+    UNREACHABLE = 3
+    BAD_TARGET = 4
+    BAD_FRAME = 5
+    STALE_CONTEXT = 6
+    NOT_READY = 7
+    NOT_CONVERGED = 8
+    CORRECTION_TOO_LARGE = 9
+    INTERNAL_ERROR = 10
+
+    @property
+    def success(self) -> bool:
+        """Whether the command is fit to be sent."""
+        return self <= Status.OUT_OF_DOMAIN
+
+    @property
+    def physics_only(self) -> bool:
+        """Whether the learned error was wanted and is left out."""
+        return self in (Status.NO_PREDICTOR, Status.OUT_OF_DOMAIN)
+
+
+@dataclass(frozen=True)
+class Settling:
+    """When the passes of the pseudo-target end.
+
+    Attributes:
+        single_pass: correct once, as in the paper.
+        tol_m: the expected error may change by so much between passes at the end.
+        max_passes: pseudo-target passes permitted.
+        max_correction_m: length of the expected error that may be corrected.
+    """
+
+    single_pass: bool = False
+    tol_m: float = 1e-5
+    max_passes: int = 10
+    max_correction_m: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name in ("tol_m", "max_correction_m"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise InputError("compensate", name, value, "a length above 0 m")
+        if self.max_passes < 1:
+            raise InputError("compensate", "max_passes", self.max_passes, "1 or more")
+
+    def too_large(self, size_m: float) -> str:
+        """Why an expected error is not corrected."""
+        return (
+            f"expected error {1e3 * size_m:.2f} mm is above the permitted correction of "
+            f"{1e3 * self.max_correction_m:g} mm"
+        )
+
+    @property
+    def unsettled(self) -> str:
+        """Why it is given up."""
+        return (
+            f"the expected error still changes by more than {1e3 * self.tol_m:g} mm "
+            f"after {self.max_passes} passes"
+        )
+
+
+class Prediction(Protocol):
+    """Expected error at N postures."""
+
+    @property
+    def error(self) -> np.ndarray:
+        """(N, 3), measured - predicted, m, base frame."""
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """(N, 3), m."""
+
+    @property
+    def in_domain(self) -> np.ndarray:
+        """(N,) bool."""
+
+
+class Predictor(Protocol):
+    """The learned residual, as far as compensation knows it."""
+
+    def predict(self, q: np.ndarray, context: Mapping[str, Any] | None = None) -> Prediction:
+        """Expected error at joints (N, n); context: approach (N, n), temperature_c, ..."""
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """One target's story.
+
+    Attributes:
+        target: as asked: (3,) m or (4, 4).
+        ideal: (n,) joints that the physics alone gives.
+        predicted_error: (3,) m, expected at the command (at `ideal` in the single pass); zero
+            where none is applied.
+        sigma: (3,) m; NaN without a predictor.
+        in_domain: the predictor answered for joints inside its training data.
+        pseudo_target: ``target - predicted_error``, of the target's shape.
+        command: (n,) joints to send; `ideal` where the status is no success.
+        passes: pseudo-target passes used.
+        status, reason: the outcome, and why in one sentence (empty on plain success).
+    """
+
+    target: np.ndarray
+    ideal: np.ndarray
+    predicted_error: np.ndarray
+    sigma: np.ndarray
+    in_domain: bool
+    pseudo_target: np.ndarray
+    command: np.ndarray
+    passes: int
+    status: Status
+    reason: str
+
+    @property
+    def success(self) -> bool:
+        """Whether the command is fit to be sent."""
+        return self.status.success
+
+
+@dataclass(frozen=True)
+class Compensations:
+    """N targets: the fields of `Compensation` with a leading axis. Index it for one."""
+
+    target: np.ndarray
+    ideal: np.ndarray
+    predicted_error: np.ndarray
+    sigma: np.ndarray
+    in_domain: np.ndarray
+    pseudo_target: np.ndarray
+    command: np.ndarray
+    passes: np.ndarray
+    status: np.ndarray
+    reason: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.ideal)
+
+    @property
+    def success(self) -> np.ndarray:
+        """(N,) bool: the command is fit to be sent."""
+        made: np.ndarray = self.status <= Status.OUT_OF_DOMAIN
+        return made
+
+    def __getitem__(self, i: int) -> Compensation:
+        return Compensation(
+            self.target[i],
+            self.ideal[i],
+            self.predicted_error[i],
+            self.sigma[i],
+            bool(self.in_domain[i]),
+            self.pseudo_target[i],
+            self.command[i],
+            int(self.passes[i]),
+            Status(int(self.status[i])),
+            self.reason[i],
+        )
+
+
+NO_PREDICTOR = "no predictor: compensated with physics only"
+_PREDICTOR_COLUMNS = ("temperature_c", "payload_kg", "t_s")
+
+
+def outside(reason: str) -> str:
+    """Why the learned error is left out."""
+    text = "outside the predictor's training data, compensated with physics only"
+    return f"{text}: {reason}" if reason else text
+
+
+def missed(what: str, found: Solution) -> str:
+    """How far a target or pseudo-target is missed, and why."""
+    return (
+        f"{what} missed by {1e3 * found.position_residual_m:.3f} mm, "
+        f"{np.degrees(found.angle_residual_rad):.4f} deg: {found.reason.value}"
+    )
+
+
+def shifted(targets: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Pseudo-targets: positions (..., 3) or poses (..., 4, 4) less an error (..., 3)."""
+    pseudo = targets.copy()
+    if pseudo.shape[-2:] == (4, 4):
+        pseudo[..., :3, 3] -= error
+    else:
+        pseudo -= error
+    return pseudo
+
+
+def predictor_context(context: Context, count: int) -> dict[str, Any]:
+    """What a predictor is told of N postures: approach (N, n), and columns as they are."""
+    made = {k: context.columns[k] for k in _PREDICTOR_COLUMNS if k in context.columns}
+    if context.approach:
+        sides = np.empty((count, len(context.approach)))
+        for joint, side in enumerate(context.approach):
+            sides[:, joint] = side
+        made["approach"] = sides
+    return made

@@ -1,0 +1,1 @@
+"""Sessions in memory: admission, hold-outs, plans of poses."""

@@ -1,0 +1,295 @@
+"""Admission: is a session what it claims to be?  Nothing is repaired here.
+
+What cannot be meant (millimetres, degrees, mirrored axes, rows out of order, no measurement)
+is refused with an `InputError` that says what it looks like.  What can be worked with but
+limits the answer (a joint that never moved, lost markers, gross outliers) is a finding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.spatial import Frame
+from longarm_comp.core.data.alignment import (
+    Alignment,
+    align,
+    best_axes,
+    best_rotation,
+    roll_pitch_yaw,
+)
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.model import Model
+
+FEW_POSES = 4
+_OUTLIER = 8.0  # robust standard deviations, before any fit
+_FAR = 0.5  # of a joint's range beyond its limits
+_TILTED = np.radians(20.0)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something to know about a session that is admitted.
+
+    Attributes:
+        check: which check found it, in one word.
+        field: the columns or rows concerned.
+        message: in one sentence.
+    """
+
+    check: str
+    field: str
+    message: str
+
+    def __str__(self) -> str:
+        """One line."""
+        return f"{self.field}: {self.message}"
+
+
+@dataclass(frozen=True)
+class Admission:
+    """A session that may be used, and what to know about it."""
+
+    session: Session
+    findings: tuple[Finding, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Case:
+    session: Session
+    arm: Arm
+    seen: Session
+    predicted: np.ndarray  # (M, 3) of the seen rows
+
+    def refuse(self, field: str, value: object, allowed: str) -> InputError:
+        return InputError(self.session.source, field, value, allowed)
+
+
+def admit(
+    session: Session, arm: Arm, model: Model | None = None, min_poses: int = FEW_POSES
+) -> Admission:
+    """Check a session against the arm that it claims to show.
+
+    Args:
+        session: as read.
+        arm: declared arm.
+        model: what predicts the tip; the rigid declared arm by default.
+        min_poses: distinct poses with a marker that are needed at least.
+
+    Raises:
+        InputError: it cannot be what it claims to be; says what it looks like.
+    """
+    findings: list[Finding] = []
+    case = _Case(session, arm, session, np.empty((0, 3)))
+    for check in _BEFORE:
+        findings += check(case) or ()
+    seen = session.take(session.seen)
+    poses = len(np.unique(seen.pose_id))
+    if poses < min_poses:
+        field = "rows" if len(session) < 2 else "poses with a marker"
+        raise case.refuse(field, poses, f"at least {min_poses} distinct poses")
+    predicted = (model or Model(arm)).measured(seen.q, seen.context())
+    case = _Case(session, arm, seen, predicted)
+    for check in _AFTER:
+        findings += check(case) or ()
+    return Admission(session, tuple(findings))
+
+
+# ------------------------------------------------------------------ before any prediction
+
+
+def _same_arm(case: _Case) -> None:
+    if case.session.n != case.arm.n:
+        allowed = f"{case.arm.n} commanded joints of arm {case.arm.name}"
+        raise case.refuse("joints", case.session.n, allowed)
+    for marker in np.unique(case.session.labels.get("marker", np.array([], dtype=str))):
+        if case.arm.markers and marker not in case.arm.markers:
+            raise case.refuse("marker", str(marker), f"one of {', '.join(case.arm.markers)}")
+    for mass in case.arm.point_masses:
+        for column in mass.position_columns or ():
+            if column not in case.session.columns:
+                raise case.refuse(f"column {column}", "missing", f"where {mass.name} is, m")
+
+
+def _plausible_context(case: _Case) -> None:
+    for name, lowest in (("temperature_c", -273.15), ("payload_kg", 0.0)):
+        values = case.session.columns.get(name)
+        if values is not None and (values < lowest).any():
+            raise case.refuse(name, float(values.min()), f"{lowest} or more")
+
+
+def _order(case: _Case) -> None:
+    session = case.session
+    groups = session.labels.get("group", np.full(len(session), ""))
+    markers = session.labels.get("marker", np.full(len(session), ""))
+    for group in np.unique(groups):
+        rows = np.flatnonzero(groups == group)
+        for name, values in (("t_s", session.t_s), ("index", session.index)):
+            if values is None:
+                continue
+            back = np.flatnonzero(np.diff(values[rows]) < 0)
+            if len(back):
+                at = rows[back[0] + 1]
+                raise case.refuse(
+                    f"{name} of row {at + 1}",
+                    f"{values[at]:g} after {values[rows[back[0]]]:g}",
+                    "rows in the order of recording: what a joint did before is read from it",
+                )
+        keys = list(zip(session.index[rows], markers[rows], strict=True))
+        if len(set(keys)) < len(keys):
+            twice = next(k for k, key in enumerate(keys) if key in keys[:k])
+            raise case.refuse(
+                f"index of row {rows[twice] + 1}", int(keys[twice][0]), "each index once"
+            )
+
+
+def _joint_units(case: _Case) -> Iterator[Finding]:
+    q, arm = case.session.q, case.arm
+    reach = arm.upper - arm.lower
+    beyond = np.maximum(np.maximum(arm.lower - q, q - arm.upper), 0.0)
+    joints = zip(arm.commanded, range(arm.n), strict=True)
+    turning = np.array([arm.joints[row - 1].type == "revolute" for row, _ in joints])
+    for kind, factor, hint in (
+        (turning, np.pi / 180, "radians (this looks like degrees)"),
+        (~turning, 1e-3, "metres (this looks like millimetres)"),
+    ):
+        far = (beyond > _FAR * reach) & kind
+        if not far.any():
+            continue
+        scaled = q[:, kind] * factor
+        slack = 0.05 * reach[kind]
+        within = (scaled > arm.lower[kind] - slack) & (scaled < arm.upper[kind] + slack)
+        row, j = np.unravel_index(np.argmax(np.where(far, beyond / reach, 0)), q.shape)
+        limits = f"{arm.lower[j]:.6g} to {arm.upper[j]:.6g} of {arm.joint_names[j]}"
+        allowed = f"{hint}: {limits}" if within.mean() > 0.95 else limits
+        raise case.refuse(f"row {row + 1}, q{j + 1}", float(q[row, j]), allowed)
+    for j in np.flatnonzero((beyond > 1e-6).any(0)):
+        count, worst = int((beyond[:, j] > 1e-6).sum()), beyond[:, j].max()
+        yield Finding("limits", f"q{j + 1}", f"{count} rows up to {worst:.3g} beyond its limits")
+
+
+def _measured_at_all(case: _Case) -> Iterator[Finding]:
+    lost = int((~case.session.seen).sum())
+    if lost == len(case.session):
+        raise case.refuse("x, y, z", f"blank in all {lost} rows", "measured tip positions (m)")
+    if lost:
+        share = lost / len(case.session)
+        yield Finding("blanks", "x, y, z", f"marker lost in {lost} rows ({share:.0%})")
+
+
+def _constant(case: _Case) -> Iterator[Finding]:
+    for j in np.flatnonzero(np.ptp(case.session.q, axis=0) < 1e-9):
+        yield Finding("constant", f"q{j + 1}", "never moved: what it causes cannot be told")
+    for name, values in case.session.columns.items():
+        if len(case.session) > 1 and np.ptp(values) == 0:
+            yield Finding("constant", name, "never changed: what it causes cannot be told")
+
+
+def _copies(case: _Case) -> Iterator[Finding]:
+    seen = case.session.take(case.session.seen)
+    first: dict[bytes, int] = {}
+    copies = frozen = 0
+    marker = seen.labels.get("marker", np.full(len(seen), ""))
+    for i in range(len(seen)):
+        key = seen.xyz[i].tobytes()
+        before = first.setdefault(key, i)
+        if before == i or marker[before] != marker[i]:
+            continue
+        if seen.pose_id[before] == seen.pose_id[i]:
+            copies += 1
+        else:
+            frozen += 1
+    if 2 * copies > len(seen):
+        raise case.refuse("rows", f"{copies} of {len(seen)} are copies", "measured rows, once each")
+    if copies:
+        yield Finding(
+            "duplicates", "rows", f"{copies} repeat pose and measurement to the last digit"
+        )
+    if frozen:
+        yield Finding(
+            "duplicates", "x, y, z", f"{frozen} rows repeat another pose's measurement exactly"
+        )
+
+
+# ------------------------------------------------------------------ against the prediction
+
+
+def _lengths(case: _Case) -> None:
+    expected, found = _spread(case.predicted), _spread(case.seen.xyz)
+    if expected < 1e-6:
+        return
+    ratio = found / expected
+    for unit, size in (("millimetres", 1e3), ("centimetres", 1e2), ("inches", 39.37)):
+        if size / 2 < ratio < size * 2:
+            raise case.refuse("x, y, z", f"spread {found:.4g}", f"metres (this looks like {unit})")
+    if not 0.4 < ratio < 2.5:
+        allowed = f"positions in m that spread as arm {case.arm.name} does, {expected:.4g} m"
+        raise case.refuse("x, y, z", f"spread {found:.4g}", allowed)
+    if case.seen.sigma is not None and np.median(case.seen.sigma) > 0.2 * expected:
+        value = float(np.median(case.seen.sigma))
+        raise case.refuse("sigma_x, sigma_y, sigma_z", value, "metres, well below the arm's reach")
+
+
+def _frame(case: _Case) -> Iterator[Finding]:
+    groups = case.seen.labels.get("group", np.full(len(case.seen), ""))
+    for group in np.unique(groups):
+        rows = groups == group
+        if len(np.unique(case.seen.pose_id[rows])) < 2 * FEW_POSES:
+            continue
+        yield from _frame_of(case, case.predicted[rows], case.seen.xyz[rows], str(group))
+
+
+def _frame_of(
+    case: _Case, predicted: np.ndarray, measured: np.ndarray, group: str
+) -> Iterator[Finding]:
+    field = "x, y, z" + (f" of group {group}" if group else "")
+    straight = align(predicted, measured, np.eye(3))
+    turned = best_rotation(predicted, measured)
+    axes, name = best_axes(predicted, measured)
+    clear = 0.3 * straight.misfit
+    if axes.mirrored and axes.misfit < min(clear, 0.5 * turned.misfit):
+        raise case.refuse(field, f"axes like {name}", "a right-handed x,y,z in the base frame")
+    away = np.linalg.norm(straight.offset)
+    if turned.misfit < clear and turned.angle > _TILTED:
+        like = f", axes like {name}" if axes.misfit < clear else ""
+        text = f"turned by {np.degrees(turned.angle):.0f} deg against the declared arm{like}"
+        yield Finding("frame", field, f"{text}; as {_base(case.arm, turned)}")
+    elif away > 0.3 * _spread(predicted):
+        yield Finding("frame", field, f"{away:.3f} m away from where the declared arm is")
+    distance = np.linalg.norm(measured - predicted @ turned.rotation.T - turned.offset, axis=1)
+    far = distance > max(_OUTLIER * 1.4826 * turned.misfit, 1e-9)
+    if far.any():
+        worst = 1e3 * distance.max()
+        text = f"{far.sum()} gross outliers ({far.mean():.1%}), the worst {worst:.0f} mm"
+        yield Finding("outliers", field, text)
+
+
+def _base(arm: Arm, turned: Alignment) -> str:
+    """The `base` entry of arm.yaml that would explain a turned frame."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = turned.rotation, turned.offset
+    frame = Frame.from_matrix(matrix) @ arm.base.frame()
+    rpy = np.degrees(roll_pitch_yaw(frame.matrix()[:3, :3]))
+    xyz = ", ".join(f"{v:.3f}" for v in frame.p)
+    return f"base: {{xyz_m: [{xyz}], rpy_deg: [{', '.join(f'{v:.1f}' for v in rpy)}]}}"
+
+
+def _spread(points: np.ndarray) -> float:
+    """Median distance from the middle, m."""
+    return float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
+
+
+_BEFORE: tuple[Callable[[_Case], Iterable[Finding] | None], ...] = (
+    _same_arm,
+    _plausible_context,
+    _joint_units,
+    _order,
+    _measured_at_all,
+    _constant,
+    _copies,
+)
+_AFTER: tuple[Callable[[_Case], Iterable[Finding] | None], ...] = (_lengths, _frame)

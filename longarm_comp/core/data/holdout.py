@@ -1,0 +1,127 @@
+"""Hold-outs: split by whole blocks and whole poses, and kept under lock until the fit is done."""
+
+from __future__ import annotations
+
+from typing import NoReturn
+
+import numpy as np
+
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.errors import InputError, LongarmError
+
+
+def blocked_split(
+    session: Session,
+    fraction: float = 0.2,
+    min_poses: int = 30,
+    rng: np.random.Generator | int = 0,
+) -> tuple[Session, Session]:
+    """Train and hold-out in whole blocks of time.
+
+    The poses, in the order of their first visit, are cut in about 25 blocks; a pose belongs
+    with all its later visits to the block of its first one, so neither repeats nor equal
+    poses straddle. Blocks are drawn until the hold-out has `fraction` of the rows and
+    `min_poses` poses with a marker, but never more than a third of the poses.
+
+    Raises:
+        InputError: fewer than two poses.
+    """
+    return _split(session, fraction, min_poses, rng, blocks=25)
+
+
+def random_split(
+    session: Session,
+    fraction: float = 0.2,
+    min_poses: int = 1,
+    rng: np.random.Generator | int = 0,
+) -> tuple[Session, Session]:
+    """Train and hold-out by single poses drawn at random; otherwise as `blocked_split`."""
+    return _split(session, fraction, min_poses, rng, blocks=None)
+
+
+def _split(
+    session: Session,
+    fraction: float,
+    min_poses: int,
+    rng: np.random.Generator | int,
+    blocks: int | None,
+) -> tuple[Session, Session]:
+    if not 0 < fraction < 1:
+        raise InputError("split", "fraction", fraction, "between 0 and 1")
+    _, first, inverse = np.unique(session.pose_id, return_index=True, return_inverse=True)
+    poses = len(first)
+    if poses < 2:
+        raise InputError(session.source, "poses", poses, "at least 2 distinct poses to split")
+    block = _block_numbers(first, blocks)[inverse]
+    held = np.zeros(len(session), dtype=bool)
+    for drawn in np.random.default_rng(rng).permutation(np.unique(block)):
+        more = held | (block == drawn)
+        if len(np.unique(session.pose_id[more])) > max(1, poses // 3) and held.any():
+            continue
+        held = more
+        seen_poses = len(np.unique(session.pose_id[held & session.seen]))
+        if held.sum() >= fraction * len(session) and seen_poses >= min_poses:
+            break
+    return session.take(~held), session.take(held)
+
+
+def _block_numbers(first_visit: np.ndarray, blocks: int | None) -> np.ndarray:
+    """Block of every pose, from its place in the order of first visits."""
+    place = np.empty(len(first_visit), dtype=np.int64)
+    place[np.argsort(first_visit)] = np.arange(len(first_visit))
+    if blocks is None:
+        return place
+    return place * min(blocks, len(first_visit)) // len(first_visit)
+
+
+class SealedError(LongarmError):
+    """A hold-out was read before the work that it is to prove was finished."""
+
+
+class Sealed:
+    """A hold-out under lock.  Only its size and hash can be read until `release`.
+
+    `open(reason)` hands it out and is counted: a hold-out that was used often proves little.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._finished: str | None = None
+        self._uses: list[str] = []
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self._session)
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of the rows."""
+        return self._session.hash
+
+    @property
+    def uses(self) -> tuple[str, ...]:
+        """The reasons it was opened for, in order."""
+        return tuple(self._uses)
+
+    def release(self, finished: str) -> None:
+        """State what is finished and to be proved (a model's hash); `open` works from now on."""
+        if not finished:
+            raise InputError("hold-out", "finished", finished, "the hash of what is to be proved")
+        self._finished = finished
+
+    def open(self, reason: str) -> Session:
+        """The rows.
+
+        Raises:
+            SealedError: before `release`.
+        """
+        if self._finished is None:
+            raise SealedError(f"the hold-out is sealed until the fit is finished: {reason}")
+        self._uses.append(reason)
+        return self._session
+
+    def __getattr__(self, name: str) -> NoReturn:
+        """Everything else stays closed."""
+        if name.startswith("__"):
+            raise AttributeError(name)
+        raise SealedError(f"the hold-out is sealed: {name} can be read through open(reason) only")

@@ -1,0 +1,119 @@
+"""Which poses to measure: the paper's grid, space-filling points, random targets.
+
+Every plan is an array of commanded joints (N, n) inside the joint box, and the side each
+pose shall be approached from.  Poses that separate two effects are planned by the diagnosis.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.model import Model
+
+PAPER_STROKES = np.array(
+    [[0, 0], [0, 63], [60, 10], [53, 63], [104, 18], [105, 63]], dtype=float
+) / np.array([105.0, 63.0])
+"""Section III.B: the six pairs of prismatic strokes, as shares of each stroke."""
+
+LARGEST_GRID = 1_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Poses to measure, in the order to drive them.
+
+    Attributes:
+        q: (N, n) commanded joints, rad and m.
+        approach: (N,) +1 all joints arrive from below, -1 from above, 0 from anywhere.
+        payload_kg: (N,) mass to carry, or None for as it is.
+    """
+
+    q: np.ndarray
+    approach: np.ndarray
+    payload_kg: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        """Number of poses."""
+        return len(self.q)
+
+
+def paper_grid(arm: Arm) -> np.ndarray:
+    """The paper's training grid (Section III.B) for any arm, (N, n).
+
+    Each revolute joint takes its lower limit, its middle and its upper limit.  Two prismatic
+    joints take the paper's six pairs of strokes scaled to their limits; any other number of
+    them takes three levels each like a revolute joint.  (The paper puts -25 deg for joint 5
+    where its middle is -22.5 deg.)  The paper's arm gives 3^5 * 6 = 1458 poses.
+
+    Raises:
+        InputError: the grid would exceed a million poses.
+    """
+    sliding = [k for k, row in enumerate(arm.commanded) if arm.joints[row - 1].type == "prismatic"]
+    pairs = (
+        PAPER_STROKES
+        if len(sliding) == 2
+        else np.array(list(itertools.product((0.0, 0.5, 1.0), repeat=len(sliding))))
+    )
+    turning = [k for k in range(arm.n) if k not in sliding]
+    count = 3 ** len(turning) * len(pairs)
+    if count > LARGEST_GRID:
+        raise InputError(
+            "plan", "kind", "grid", f"sobol: a grid of {arm.n} joints is {count} poses"
+        )
+    levels = np.array(list(itertools.product((0.0, 0.5, 1.0), repeat=len(turning))))
+    shares = np.empty((len(levels), len(pairs), arm.n))
+    shares[:, :, turning] = levels[:, None, :]
+    shares[:, :, sliding] = pairs[None, :, :]
+    return _in_box(arm, shares.reshape(-1, arm.n))
+
+
+def grid(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
+    """n poses of the paper's grid in random order, none twice.
+
+    Raises:
+        InputError: n is not between 1 and the size of the grid.
+    """
+    rng = np.random.default_rng(rng)
+    poses = paper_grid(arm)
+    if not 1 <= n <= len(poses):
+        raise InputError("plan", "n", n, f"1 to {len(poses)} (the grid of {arm.name})")
+    return _with_sides(poses[rng.permutation(len(poses))[:n]], rng)
+
+
+def sobol(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
+    """n scrambled Sobol points in the joint box, which fill it evenly.
+
+    Raises:
+        InputError: n is below 1 or above 2^20.
+    """
+    if not 1 <= n <= 2**20:
+        raise InputError("plan", "n", n, f"1 to {2**20}")
+    rng = np.random.default_rng(rng)
+    engine = qmc.Sobol(d=arm.n, scramble=True, seed=int(rng.integers(2**31)))
+    shares = engine.random_base2(max(0, (n - 1).bit_length()))[:n]
+    return _with_sides(_in_box(arm, shares), rng)
+
+
+def random_joints(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> np.ndarray:
+    """n uniformly random joint vectors in the box, (n, arm.n)."""
+    return _in_box(arm, np.random.default_rng(rng).random((n, arm.n)))
+
+
+def random_targets(model: Model, n: int, rng: np.random.Generator | int = 0) -> np.ndarray:
+    """n random reachable points (n, 3), m: the tip of a model at random joints."""
+    return model.tip(random_joints(model.arm, n, rng))
+
+
+def _in_box(arm: Arm, shares: np.ndarray) -> np.ndarray:
+    """Shares 0..1 of the joint box as joints; the limits are hit exactly."""
+    return np.where(shares == 1.0, arm.upper, arm.lower + shares * (arm.upper - arm.lower))
+
+
+def _with_sides(q: np.ndarray, rng: np.random.Generator) -> Plan:
+    return Plan(q, rng.choice(np.array([-1, 1]), size=len(q)))

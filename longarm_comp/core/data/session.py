@@ -1,0 +1,298 @@
+"""A session: what was commanded, what was measured, and under which circumstances.
+
+Rows keep the order in which they were recorded.  What depends on that order (the side a
+joint arrived from) is derived once, here, so that any subset may be taken afterwards.
+Splits and the sealed hold-out: `core/data/holdout.py`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.errors import InputError
+
+SAME_POSE = 1e-6
+"""Commanded joints that differ by less are the same pose (rad, m)."""
+
+Rows = np.ndarray | Sequence[int] | slice
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """N measurements of an arm with n commanded joints. Arrays are read-only.
+
+    Attributes:
+        index: (N,) counter of the recording; a step other than 0 or 1 is a gap.
+        q: (N, n) commanded joints, rad and m.
+        xyz: (N, 3) measured tip, m; NaN in a whole row is a lost marker.
+        approach: (N, n) side each joint arrived from: +1 from below, -1 from above, 0 unknown.
+        repeat_id: (N,) rows of one number revisit one pose; -1 is none.
+        sigma: (N, 3) standard deviation of the measurement in m, or None.
+        columns: further numbers by name, (N,) each, finite: `t_s`, `temperature_c`,
+            `payload_kg`, `incl_<frame>_x`, any other quantity that was recorded.
+        labels: text by name, (N,) each: `group`, `marker`, `role`, any other.
+        source: file or bag that it came from, for messages.
+        travel: (N, n) signed way of each joint since it last turned round, rad and m, over the
+            rows before (the approach's own last bit not counted); 0 unknown.
+    """
+
+    index: np.ndarray
+    q: np.ndarray
+    xyz: np.ndarray
+    approach: np.ndarray
+    repeat_id: np.ndarray
+    sigma: np.ndarray | None = None
+    columns: Mapping[str, np.ndarray] = field(default_factory=dict)
+    labels: Mapping[str, np.ndarray] = field(default_factory=dict)
+    source: str = "session"
+    travel: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        """Check the shapes and freeze the arrays."""
+        q = _joints(self.source, self.q)
+        n_rows, n = q.shape
+        xyz = np.asarray(self.xyz, dtype=float)
+        lost = np.isnan(xyz)
+        if xyz.shape == (n_rows, 3) and (np.isinf(xyz).any() or (lost.any(1) != lost.all(1)).any()):
+            raise InputError(self.source, "xyz", "not finite", "three numbers in m, or three NaN")
+        self._set("index", np.asarray(self.index, dtype=np.int64), (n_rows,))
+        self._set("q", q, (n_rows, n))
+        self._set("xyz", xyz, (n_rows, 3))
+        self._set("approach", np.asarray(self.approach, dtype=np.int8), (n_rows, n))
+        travel = np.zeros((n_rows, n)) if self.travel is None else self.travel
+        self._set("travel", np.asarray(travel, dtype=float), (n_rows, n))
+        self._set("repeat_id", np.asarray(self.repeat_id, dtype=np.int64), (n_rows,))
+        if self.sigma is not None:
+            self._set("sigma", np.asarray(self.sigma, dtype=float), (n_rows, 3))
+        columns = {k: np.asarray(v, dtype=float) for k, v in self.columns.items()}
+        labels = {k: np.asarray(v, dtype=str) for k, v in self.labels.items()}
+        for kind, held in (("columns", columns), ("labels", labels)):
+            for name, values in held.items():
+                _check_shape(self.source, name, values, (n_rows,))
+                values.flags.writeable = False
+            object.__setattr__(self, kind, held)
+        for name, values in columns.items():
+            if not np.isfinite(values).all():
+                raise InputError(self.source, name, "not finite", "a finite number in every row")
+
+    def _set(self, name: str, values: np.ndarray, shape: tuple[int, ...]) -> None:
+        _check_shape(self.source, name, values, shape)
+        frozen = values.view()
+        frozen.flags.writeable = False
+        object.__setattr__(self, name, frozen)
+
+    @classmethod
+    def record(
+        cls,
+        q: np.ndarray,
+        xyz: np.ndarray,
+        *,
+        index: np.ndarray | None = None,
+        approach: np.ndarray | None = None,
+        repeat_id: np.ndarray | None = None,
+        sigma: np.ndarray | None = None,
+        columns: Mapping[str, np.ndarray] | None = None,
+        labels: Mapping[str, np.ndarray] | None = None,
+        source: str = "session",
+    ) -> Session:
+        """From rows in the order of recording; the approach of each joint is derived.
+
+        Args:
+            q: (N, n), rad and m.
+            xyz: (N, 3), m.
+            index: (N,); counted from 0 when not given.
+            approach: as recorded: (N,) for all joints at once or (N, n), with 0 or NaN for
+                "from the row before". Not given: every row is.
+            repeat_id: as in `Session`, and so are the rest.
+
+        Raises:
+            InputError: shapes do not fit, or a number is not finite.
+        """
+        q = _joints(source, q)
+        n_rows = len(q)
+        index = np.arange(n_rows) if index is None else np.asarray(index)
+        _check_shape(source, "index", index, (n_rows,))
+        repeat_id = np.full(n_rows, -1) if repeat_id is None else repeat_id
+        directions = derive_approach(q, index, approach)
+        return cls(
+            index,
+            q,
+            xyz,
+            directions,
+            repeat_id,
+            sigma,
+            columns or {},
+            labels or {},
+            source,
+            derive_travel(q, index),
+        )
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.q)
+
+    @property
+    def n(self) -> int:
+        """Number of commanded joints."""
+        return self.q.shape[1]
+
+    @property
+    def t_s(self) -> np.ndarray | None:
+        """Time of each row in s, (N,), where recorded."""
+        return self.columns.get("t_s")
+
+    @property
+    def temperature_c(self) -> np.ndarray | None:
+        """Temperature of each row in degrees Celsius, (N,), where recorded."""
+        return self.columns.get("temperature_c")
+
+    @property
+    def payload_kg(self) -> np.ndarray | None:
+        """Carried mass of each row in kg, (N,), where recorded."""
+        return self.columns.get("payload_kg")
+
+    @cached_property
+    def seen(self) -> np.ndarray:
+        """(N,) whether the marker was seen."""
+        return ~np.isnan(self.xyz[:, 0])
+
+    @cached_property
+    def pose_id(self) -> np.ndarray:
+        """(N,) a number per pose: rows of equal joints, or of one `repeat_id`, share it."""
+        keys = np.round(self.q / SAME_POSE).astype(np.int64)
+        _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+        pose = first[inverse.reshape(-1)]
+        for repeat in np.unique(self.repeat_id[self.repeat_id >= 0]):
+            alike = np.unique(pose[self.repeat_id == repeat])
+            pose[np.isin(pose, alike)] = alike[0]
+        return pose
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 of the contents: the same rows give the same hash, whatever file they are in."""
+        digest = hashlib.sha256()
+        parts: list[tuple[str, np.ndarray | None]] = [
+            ("index", self.index),
+            ("q", self.q),
+            ("xyz", self.xyz),
+            ("approach", self.approach),
+            ("repeat_id", self.repeat_id),
+            ("sigma", self.sigma),
+            *((name, self.columns[name]) for name in sorted(self.columns)),
+        ]
+        for name, values in parts:
+            if values is not None:
+                digest.update(f"{name}{values.shape}".encode())
+                digest.update(np.ascontiguousarray(values).tobytes())
+        for name in sorted(self.labels):
+            digest.update("\0".join([name, *self.labels[name]]).encode())
+        return digest.hexdigest()
+
+    def context(self, rows: Rows | None = None) -> Context:
+        """What effects may need besides q, for some rows or all: scalars are (N,) arrays.
+
+        Approach is absent when no joint's direction is known in the whole session.
+        """
+        at: Rows = slice(None) if rows is None else rows
+        known = bool(self.approach.any())
+        return Context(
+            approach=tuple(self.approach[at, j].astype(float) for j in range(self.n))
+            if known
+            else (),
+            travel=tuple(self.travel[at, j] for j in range(self.n))
+            if known and self.travel is not None
+            else (),
+            columns={name: values[at] for name, values in self.columns.items()},
+            labels={name: values[at] for name, values in self.labels.items()},
+        )
+
+    def take(self, rows: Rows) -> Session:
+        """Some of the rows: a mask (N,), indices or a slice."""
+        return dataclasses.replace(
+            self,
+            index=self.index[rows],
+            q=self.q[rows],
+            xyz=self.xyz[rows],
+            approach=self.approach[rows],
+            travel=None if self.travel is None else self.travel[rows],
+            repeat_id=self.repeat_id[rows],
+            sigma=None if self.sigma is None else self.sigma[rows],
+            columns={name: values[rows] for name, values in self.columns.items()},
+            labels={name: values[rows] for name, values in self.labels.items()},
+        )
+
+    def where(self, label: str, value: str) -> Session:
+        """The rows whose text column `label` holds `value`.
+
+        Raises:
+            InputError: there is no such column.
+        """
+        if label not in self.labels:
+            known = ", ".join(self.labels) or "none"
+            raise InputError(self.source, label, "missing", f"a text column (there are: {known})")
+        return self.take(self.labels[label] == value)
+
+
+def derive_approach(
+    q: np.ndarray, index: np.ndarray, recorded: np.ndarray | None = None
+) -> np.ndarray:
+    """Side (-1, 0, +1) that every joint arrived from, (N, n).
+
+    A recorded +1 or -1 stands. Else it is the direction of motion from the row before; a joint
+    that did not move keeps its direction; after a gap of the index, and in the first row,
+    nothing is known.
+
+    Args:
+        q: (N, n) commanded joints in the order of recording.
+        index: (N,) counter of the recording.
+        recorded: (N,) or (N, n) with 0 or NaN where nothing was recorded.
+    """
+    given = np.zeros(q.shape, dtype=np.int8)
+    if recorded is not None:
+        marks = np.nan_to_num(np.asarray(recorded, dtype=float))
+        given[:] = np.sign(marks if marks.ndim == 2 else marks[:, None])
+    made = given.copy()
+    for i in range(1, len(q)):
+        if not 0 <= index[i] - index[i - 1] <= 1:
+            continue
+        step = q[i] - q[i - 1]
+        moved = np.where(np.abs(step) < SAME_POSE, made[i - 1], np.sign(step))
+        made[i] = np.where(given[i] != 0, given[i], moved)
+    return made
+
+
+def derive_travel(q: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Signed way of every joint since it last turned round, (N, n), from the rows before.
+
+    After a gap of the index, and in the first row, nothing is known: 0.
+    """
+    made = np.zeros(q.shape)
+    for i in range(1, len(q)):
+        if not 0 <= index[i] - index[i - 1] <= 1:
+            continue
+        step = q[i] - q[i - 1]
+        step[np.abs(step) < SAME_POSE] = 0.0
+        onward = made[i - 1] * step >= 0
+        made[i] = np.where(onward, made[i - 1] + step, step)
+    return made
+
+
+def _check_shape(where: str, name: str, values: np.ndarray, shape: tuple[int, ...]) -> None:
+    if values.shape != shape:
+        raise InputError(where, name, f"shape {values.shape}", f"shape {shape}")
+
+
+def _joints(where: str, q: np.ndarray) -> np.ndarray:
+    q = np.asarray(q, dtype=float)
+    if q.ndim != 2 or q.shape[1] < 1:
+        raise InputError(where, "q", f"shape {q.shape}", "(N, n) commanded joints")
+    if not np.isfinite(q).all():
+        raise InputError(where, "q", "not finite", "finite numbers in rad or m")
+    return q

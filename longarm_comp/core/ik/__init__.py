@@ -1,0 +1,1 @@
+"""Inverse kinematics of the deflected arm, and the engines that run it."""

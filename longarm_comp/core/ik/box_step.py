@@ -1,0 +1,133 @@
+"""One damped least-squares step inside a box: the linear algebra of the inverse kinematics.
+
+Written on flat buffers, without a branch on data, so that the same lines serve floats, arrays
+whose entries are (N,) slices, and traced numbers.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from longarm_comp.core.arm.spatial import atan2, sqrt
+
+Buffer = Any  # list of floats, (k,) array, or (k, N) array
+
+
+def solve_damped(
+    J: Buffer,
+    e: Buffer,
+    free: Buffer,
+    damping: Any,
+    m: int,
+    n: int,
+    A: Buffer,
+    y: Buffer,
+    u: Buffer,
+) -> None:
+    """Smallest u with ``J F u = e`` in the damped sense: ``u = F J' (J F J' + damping 1)^-1 e``.
+
+    Args:
+        J: m x n, row after row.
+        e: m.
+        free: n; 1 where an unknown is free, 0 where it is held (F is its diagonal).
+        damping: above 0, so that the Cholesky factor exists.
+        A: m x m, work; keeps the factor (below the diagonal) and the inverse pivots.
+        y: m, work.
+        u: n, the result.
+    """
+    for i in range(m):
+        for j in range(i + 1):
+            s = (J[j * n] * free[0]) * J[i * n]
+            for k in range(1, n):
+                s = s + (J[j * n + k] * free[k]) * J[i * n + k]
+            A[i * m + j] = s
+        A[i * m + i] = A[i * m + i] + damping
+    for j in range(m):  # A = L D L'
+        pivot = A[j * m + j]
+        for k in range(j):
+            pivot = pivot - A[j * m + k] * A[j * m + k] * A[k * m + k]
+        A[j * m + j] = pivot
+        for i in range(j + 1, m):
+            s = A[i * m + j]
+            for k in range(j):
+                s = s - A[i * m + k] * A[j * m + k] * A[k * m + k]
+            A[i * m + j] = s / pivot
+    for i in range(m):
+        s = e[i]
+        for k in range(i):
+            s = s - A[i * m + k] * y[k]
+        y[i] = s
+    for i in range(m - 1, -1, -1):
+        s = y[i] / A[i * m + i]
+        for k in range(i + 1, m):
+            s = s - A[k * m + i] * y[k]
+        y[i] = s
+    for k in range(n):
+        s = J[k] * y[0]
+        for i in range(1, m):
+            s = s + J[i * n + k] * y[i]
+        u[k] = s * free[k]
+
+
+def rotation_error(R: Buffer, r: int, target: Buffer, t: int, e: Buffer, at: int) -> Any:
+    """Rotation vector (rad, base frame) from R to the target, written to ``e[at:at+3]``.
+
+    Args:
+        R, target: axes n, o, a one after the other, 9 numbers each, from index r and t on.
+
+    Returns:
+        The angle (rad), 0 to pi.  At pi the direction is lost (the vector is 0), the angle is not.
+    """
+    x = 0.5 * (
+        R[r + 1] * target[t + 2]
+        - R[r + 2] * target[t + 1]
+        + R[r + 4] * target[t + 5]
+        - R[r + 5] * target[t + 4]
+        + R[r + 7] * target[t + 8]
+        - R[r + 8] * target[t + 7]
+    )
+    y = 0.5 * (
+        R[r + 2] * target[t]
+        - R[r] * target[t + 2]
+        + R[r + 5] * target[t + 3]
+        - R[r + 3] * target[t + 5]
+        + R[r + 8] * target[t + 6]
+        - R[r + 6] * target[t + 8]
+    )
+    z = 0.5 * (
+        R[r] * target[t + 1]
+        - R[r + 1] * target[t]
+        + R[r + 3] * target[t + 4]
+        - R[r + 4] * target[t + 3]
+        + R[r + 6] * target[t + 7]
+        - R[r + 7] * target[t + 6]
+    )
+    trace = R[r] * target[t] + R[r + 1] * target[t + 1] + R[r + 2] * target[t + 2]
+    trace = trace + R[r + 3] * target[t + 3] + R[r + 4] * target[t + 4] + R[r + 5] * target[t + 5]
+    trace = trace + R[r + 6] * target[t + 6] + R[r + 7] * target[t + 7] + R[r + 8] * target[t + 8]
+    s = sqrt(x * x + y * y + z * z)
+    angle = atan2(s, 0.5 * (trace - 1.0))
+    ratio = angle / (s + 1e-300)
+    e[at], e[at + 1], e[at + 2] = ratio * x, ratio * y, ratio * z
+    return angle
+
+
+def skewness(R: Buffer, r: int) -> Any:
+    """How far the axes n, o, a (9 numbers from index r on) are from a right-handed rotation.
+
+    Returns:
+        Sum of the squares of ``R'R - 1`` (once each) and of ``n x o - a``.
+    """
+    s = 0.0
+    for i in range(3):
+        for j in range(i + 1):
+            d = R[r + 3 * i] * R[r + 3 * j]
+            d = d + R[r + 3 * i + 1] * R[r + 3 * j + 1] + R[r + 3 * i + 2] * R[r + 3 * j + 2]
+            if i == j:
+                d = d - 1.0
+            s = s + d * d
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        d = R[r + j] * R[r + 3 + k] - R[r + k] * R[r + 3 + j] - R[r + 6 + i]
+        s = s + d * d
+    return s

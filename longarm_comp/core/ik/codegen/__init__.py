@@ -1,0 +1,1 @@
+"""Straight-line code from the package's own Python: Python text, NumPy, LLVM."""

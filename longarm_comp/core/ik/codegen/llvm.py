@@ -1,0 +1,191 @@
+"""Straight-line code of a graph as LLVM's assembly, several columns side by side in lanes.
+
+Every program is ``void name(ptr s)`` over a block of columns: number k of lane l is
+``s[k * width + l]``.  A flow of programs becomes a function of loops around calls, and for
+each ``many_name(blocks, count)`` runs it on blocks that follow each other in memory.
+A product and a sum may be fused, nothing may be reordered: the numbers are those of Python but
+for their last digits.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator, Mapping
+from itertools import count
+from typing import Any
+
+from longarm_comp.core.arm.angles import arc_tangent2, cosine, sine
+from longarm_comp.core.ik.codegen.python import Outputs
+from longarm_comp.core.ik.codegen.symbolic import Graph, Operand, Symbol
+from longarm_comp.core.ik.newton import Flow
+
+_INTRINSIC = ("fabs", "sqrt", "floor")
+_LIBRARY = {"tan": 1, "tanh": 1, "exp": 1, "log": 1, "pow": 2}
+_IN_ARITHMETIC: dict[str, Callable[..., Any]] = {"sin": sine, "cos": cosine, "atan2": arc_tangent2}
+_ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
+_COMPARE = {"lt": "olt", "le": "ole"}
+
+
+def module(
+    programs: Mapping[str, tuple[Graph, Outputs]],
+    flows: Mapping[str, Flow],
+    place: Mapping[str, range],
+    width: int,
+) -> str:
+    """A module of programs and of flows of them, `width` columns at a time."""
+    writer = _Writer(width)
+    lines = writer.outside()
+    for name, (graph, outputs) in programs.items():
+        lines += [f"define void @{name}(ptr %s) #0 {{"]
+        lines += [*writer.program(*lowered(graph, outputs)), "ret void", "}"]
+    for name, work in flows.items():
+        lines += [f"define void @{name}(ptr %s) #0 {{"]
+        lines += [*writer.flow(work, place, count()), "ret void", "}"]
+    size = width * (1 + max(r[-1] for r in place.values() if r))
+    for name in (*programs, *flows):
+        lines += _many(name, size)
+    return "\n".join(
+        [*lines, "attributes #0 = { nounwind }", "attributes #1 = { nounwind memory(none) }", ""]
+    )
+
+
+def lowered(graph: Graph, outputs: Outputs) -> tuple[Graph, Outputs]:
+    """The same with angles' functions as arithmetic, which lanes can do side by side."""
+    low = Graph()
+    made: dict[int, Any] = {}
+    for node in graph.needed(list(outputs.values())):
+        op, operands = graph.nodes[node]
+        args = [made[o] if type(o) is int else o for o in operands]
+        if op == "input":
+            made[node] = low.input(operands[0])
+        elif op in _IN_ARITHMETIC:
+            made[node] = _IN_ARITHMETIC[op](*args)
+        else:
+            made[node] = low.apply(op, *args)
+    return low, {k: made[o.node] if isinstance(o, Symbol) else o for k, o in outputs.items()}
+
+
+class _Writer:
+    """Lines of assembly for one width."""
+
+    def __init__(self, width: int) -> None:
+        self.width = width
+        self.kind = f"<{width} x double>"
+        self.flag = f"<{width} x i1>"
+
+    def outside(self) -> list[str]:
+        """What is called: intrinsics take all lanes, the library of C one at a time."""
+        width, kind = self.width, self.kind
+        lines = [f"declare {kind} @llvm.{f}.v{width}f64({kind}) #1" for f in _INTRINSIC]
+        for name, arguments in _LIBRARY.items():
+            lines.append(f"declare double @{name}({', '.join(['double'] * arguments)}) #1")
+            given = ", ".join(f"{kind} %a{k}" for k in range(arguments))
+            lines.append(f"define internal {kind} @lanes_{name}({given}) #1 {{")
+            held = "poison"
+            for lane in range(width):
+                args = []
+                for k in range(arguments):
+                    lines.append(f"%x{k}_{lane} = extractelement {kind} %a{k}, i32 {lane}")
+                    args.append(f"double %x{k}_{lane}")
+                lines.append(f"%y{lane} = call double @{name}({', '.join(args)})")
+                lines.append(f"%r{lane} = insertelement {kind} {held}, double %y{lane}, i32 {lane}")
+                held = f"%r{lane}"
+            lines += [f"ret {kind} {held}", "}"]
+        return lines
+
+    def program(self, graph: Graph, outputs: Outputs) -> list[str]:
+        """Straight-line code."""
+        lines = []
+        for node in graph.needed(list(outputs.values())):
+            lines += self._instructions(node, *graph.nodes[node])
+        for k, (place, out) in enumerate(outputs.items()):
+            value = self._value(out.node if isinstance(out, Symbol) else float(out))
+            lines += [self._address(f"o{k}", place)]
+            lines += [f"store {self.kind} {value}, ptr %o{k}, align 8"]
+        return lines
+
+    def flow(self, work: Flow, place: Mapping[str, range], number: Iterator[int]) -> list[str]:
+        """Calls, and loops for as long as a row holds anything but 0 in any lane."""
+        lines: list[str] = []
+        for step in work:
+            if isinstance(step, str):
+                lines.append(f"call void @{step}(ptr %s)")
+                continue
+            k = next(number)
+            lines += [f"br label %look{k}", f"look{k}:", self._address(f"p{k}", place[step.row][0])]
+            lines += [f"%v{k} = load {self.kind}, ptr %p{k}, align 8"]
+            lines += [f"%f{k} = fcmp une {self.kind} %v{k}, zeroinitializer"]
+            lines += [f"%i{k} = bitcast {self.flag} %f{k} to i{self.width}"]
+            lines += [f"%b{k} = icmp ne i{self.width} %i{k}, 0"]
+            lines += [f"br i1 %b{k}, label %body{k}, label %end{k}", f"body{k}:"]
+            lines += [*self.flow(step.body, place, number), f"br label %look{k}", f"end{k}:"]
+        return lines
+
+    def _instructions(self, node: int, op: str, operands: tuple[Operand, ...]) -> list[str]:
+        v, kind, flag = f"%v{node}", self.kind, self.flag
+        if op == "input":
+            return [
+                self._address(f"p{node}", int(operands[0])),
+                f"{v} = load {kind}, ptr %p{node}, align 8",
+            ]
+        a = [self._value(o) for o in operands]
+        if op in _ARITHMETIC:
+            return [f"{v} = {_ARITHMETIC[op]} contract {kind} {a[0]}, {a[1]}"]
+        if op == "neg":
+            return [f"{v} = fneg {kind} {a[0]}"]
+        if op in _COMPARE:  # conditions are numbers, 1.0 or 0.0, as elsewhere
+            return [
+                f"%c{node} = fcmp {_COMPARE[op]} {kind} {a[0]}, {a[1]}",
+                f"{v} = uitofp {flag} %c{node} to {kind}",
+            ]
+        if op == "select":
+            return [
+                f"%c{node} = fcmp une {kind} {a[0]}, zeroinitializer",
+                f"{v} = select {flag} %c{node}, {kind} {a[1]}, {kind} {a[2]}",
+            ]
+        if op in ("minimum", "maximum"):
+            order = "olt" if op == "minimum" else "ogt"
+            return [
+                f"%c{node} = fcmp {order} {kind} {a[1]}, {a[0]}",
+                f"{v} = select {flag} %c{node}, {kind} {a[1]}, {kind} {a[0]}",
+            ]
+        if op == "sign":
+            return [
+                f"%c{node} = fcmp ogt {kind} {a[0]}, zeroinitializer",
+                f"%d{node} = fcmp olt {kind} {a[0]}, zeroinitializer",
+                f"%e{node} = uitofp {flag} %c{node} to {kind}",
+                f"%g{node} = uitofp {flag} %d{node} to {kind}",
+                f"{v} = fsub {kind} %e{node}, %g{node}",
+            ]
+        given = ", ".join(f"{kind} {x}" for x in a)
+        called = f"llvm.{op}.v{self.width}f64" if op in _INTRINSIC else f"lanes_{op}"
+        return [f"{v} = call {kind} @{called}({given})"]
+
+    def _address(self, name: str, place: int) -> str:
+        return f"%{name} = getelementptr double, ptr %s, i64 {place * self.width}"
+
+    def _value(self, operand: Operand) -> str:
+        if type(operand) is int:
+            return f"%v{operand}"
+        number = f"double 0x{struct.unpack('<Q', struct.pack('<d', operand))[0]:016X}"
+        return f"<{', '.join([number] * self.width)}>"
+
+
+def _many(name: str, size: int) -> list[str]:
+    return [
+        f"define void @many_{name}(ptr %blocks, i64 %count) #0 {{",
+        "entry:",
+        "%any = icmp sgt i64 %count, 0",
+        "br i1 %any, label %loop, label %end",
+        "loop:",
+        "%i = phi i64 [ 0, %entry ], [ %next, %loop ]",
+        f"%by = mul i64 %i, {size}",
+        "%s = getelementptr double, ptr %blocks, i64 %by",
+        f"call void @{name}(ptr %s)",
+        "%next = add i64 %i, 1",
+        "%more = icmp slt i64 %next, %count",
+        "br i1 %more, label %loop, label %end",
+        "end:",
+        "ret void",
+        "}",
+    ]

@@ -1,0 +1,233 @@
+"""Run the model's own Python once on symbols and keep what it computed, as straight-line code.
+
+`Symbol` is one more kind of scalar: it records every operation on a `Graph`, folds constants
+(what is multiplied by zero never existed) and shares common subexpressions.  `emit` writes
+what is needed for given outputs as Python (for floats with `math`, for (N,) arrays with
+NumPy) or as LLVM's assembly.  No maths is written twice: change the model, trace again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+Operand = Any  # node number (int) or constant (float)
+
+_COMMUTES = {"add", "mul", "minimum", "maximum"}
+_FOLD: dict[str, Callable[..., float]] = {
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul": lambda a, b: a * b,
+    "div": lambda a, b: a / b,
+}
+_UFUNCS = {
+    np.add: "add",
+    np.subtract: "sub",
+    np.multiply: "mul",
+    np.true_divide: "div",
+    np.negative: "neg",
+    np.absolute: "fabs",
+    np.fabs: "fabs",
+    np.sin: "sin",
+    np.cos: "cos",
+    np.tan: "tan",
+    np.tanh: "tanh",
+    np.exp: "exp",
+    np.log: "log",
+    np.sqrt: "sqrt",
+    np.floor: "floor",
+    np.arctan2: "atan2",
+    np.sign: "sign",
+    np.minimum: "minimum",
+    np.maximum: "maximum",
+    np.less: "lt",
+    np.less_equal: "le",
+    np.power: "pow",
+}
+
+
+class Graph:
+    """What was computed, in order: node k is ``(operation, operands)``, inputs first."""
+
+    def __init__(self) -> None:
+        self.nodes: list[tuple[str, tuple[Operand, ...]]] = []
+        self._known: dict[tuple[Any, ...], int] = {}
+        self._symbols: dict[int, Symbol] = {}
+
+    def input(self, text: str) -> Symbol:
+        """A symbol for a given value; `text` is how the emitted function reads it."""
+        return self._node("input", (text,))
+
+    def apply(self, op: str, *args: Any) -> Any:
+        """The result of an operation on symbols and numbers: a symbol, or a float if constant."""
+        args = tuple(a if isinstance(a, Symbol) else float(a) for a in args)
+        simple = _simplified(self, op, args)
+        if simple is not None:
+            return simple
+        operands = tuple(a.node if isinstance(a, Symbol) else a for a in args)
+        if op in _COMMUTES and _order(operands[1]) < _order(operands[0]):
+            operands = (operands[1], operands[0])
+        return self._node(op, operands)
+
+    def _node(self, op: str, operands: tuple[Operand, ...]) -> Symbol:
+        key = (op, operands, *map(type, operands))  # node 2 is not the number 2.0
+        node = self._known.get(key)
+        if node is None:
+            node = self._known[key] = len(self.nodes)
+            self.nodes.append((op, operands))
+            self._symbols[node] = Symbol(self, node)
+        return self._symbols[node]
+
+    def operation(self, node: int) -> tuple[str, tuple[Operand, ...]]:
+        """Operation and operands of a node."""
+        return self.nodes[node]
+
+    def needed(self, outputs: Sequence[Any]) -> list[int]:
+        """The nodes that the outputs depend on, in order."""
+        keep = [False] * len(self.nodes)
+        for out in outputs:
+            if isinstance(out, Symbol):
+                keep[out.node] = True
+        for node in range(len(self.nodes) - 1, -1, -1):
+            if keep[node]:
+                for operand in self.nodes[node][1]:
+                    if type(operand) is int:
+                        keep[operand] = True
+        return [node for node, kept in enumerate(keep) if kept]
+
+
+class Symbol:
+    """A traced number."""
+
+    __slots__ = ("graph", "node")
+
+    def __init__(self, graph: Graph, node: int) -> None:
+        self.graph, self.node = graph, node
+
+    def __add__(self, other: Any) -> Any:
+        return self.graph.apply("add", self, other)
+
+    def __radd__(self, other: Any) -> Any:
+        return self.graph.apply("add", other, self)
+
+    def __sub__(self, other: Any) -> Any:
+        return self.graph.apply("sub", self, other)
+
+    def __rsub__(self, other: Any) -> Any:
+        return self.graph.apply("sub", other, self)
+
+    def __mul__(self, other: Any) -> Any:
+        return self.graph.apply("mul", self, other)
+
+    def __rmul__(self, other: Any) -> Any:
+        return self.graph.apply("mul", other, self)
+
+    def __truediv__(self, other: Any) -> Any:
+        return self.graph.apply("div", self, other)
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return self.graph.apply("div", other, self)
+
+    def __pow__(self, other: Any) -> Any:
+        if isinstance(other, int) and 1 <= other <= 8:
+            made: Any = self
+            for _ in range(other - 1):
+                made = made * self
+            return made
+        return self.graph.apply("pow", self, other)
+
+    def __neg__(self) -> Any:
+        return self.graph.apply("neg", self)
+
+    def __pos__(self) -> Symbol:
+        return self
+
+    def __abs__(self) -> Any:
+        return self.graph.apply("fabs", self)
+
+    def __lt__(self, other: Any) -> Any:
+        return self.graph.apply("lt", self, other)
+
+    def __le__(self, other: Any) -> Any:
+        return self.graph.apply("le", self, other)
+
+    def __gt__(self, other: Any) -> Any:
+        return self.graph.apply("lt", other, self)
+
+    def __ge__(self, other: Any) -> Any:
+        return self.graph.apply("le", other, self)
+
+    def where(self, yes: Any, no: Any) -> Any:
+        """`yes` where this condition holds, else `no`."""
+        return self.graph.apply("select", self, yes, no)
+
+    def __bool__(self) -> bool:
+        raise TypeError("a traced number decides no branch: use spatial.where, minimum, maximum")
+
+    def __float__(self) -> float:
+        raise TypeError("a traced number has no value yet: leave floats, arrays and symbols alike")
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
+        if method != "__call__" or options:
+            return NotImplemented
+        if ufunc in (np.greater, np.greater_equal):
+            return self.graph.apply("lt" if ufunc is np.greater else "le", inputs[1], inputs[0])
+        if ufunc is np.square:
+            return self.graph.apply("mul", inputs[0], inputs[0])
+        if ufunc not in _UFUNCS:
+            raise TypeError(f"numpy.{ufunc.__name__} is not among the traced operations")
+        return self.graph.apply(_UFUNCS[ufunc], *inputs)
+
+
+def _order(operand: Operand) -> tuple[bool, float]:
+    return type(operand) is float, operand
+
+
+def _simplified(graph: Graph, op: str, args: tuple[Any, ...]) -> Any:
+    """The result without a new node, or None."""
+    a, b = args[0], args[1] if len(args) > 1 else None
+    fa, fb = type(a) is float, type(b) is float
+    if op in _FOLD and fa and fb:
+        return _FOLD[op](a, b)
+    if op == "add":
+        return b if fa and a == 0.0 else a if fb and b == 0.0 else _signed_sum(graph, a, b)
+    if op == "sub":
+        if fb and b == 0.0:
+            return a
+        if a is b:
+            return 0.0
+        if fa and a == 0.0:
+            return graph.apply("neg", b)
+        inner = _negated(graph, b)
+        return None if inner is None else graph.apply("add", a, inner)
+    if op == "mul":
+        for x, y in ((a, b), (b, a)):
+            if type(x) is float and x in (0.0, 1.0, -1.0):
+                return 0.0 if x == 0.0 else y if x == 1.0 else graph.apply("neg", y)
+        return None
+    if op == "div":
+        return 0.0 if fa and a == 0.0 else graph.apply("mul", a, 1.0 / b) if fb and b else None
+    if op == "neg":
+        return -a if fa else _negated(graph, a)
+    if op == "select" and args[1] is args[2]:
+        return args[1]
+    return None
+
+
+def _negated(graph: Graph, x: Any) -> Any:
+    """y where x is the symbol -y, else None."""
+    if not isinstance(x, Symbol):
+        return None
+    op, operands = graph.operation(x.node)
+    return graph._symbols[operands[0]] if op == "neg" else None
+
+
+def _signed_sum(graph: Graph, a: Any, b: Any) -> Any:
+    """a + b where one of them is a negated symbol, else None."""
+    for x, y in ((a, b), (b, a)):
+        inner = _negated(graph, y)
+        if inner is not None:
+            return graph.apply("sub", x, inner)
+    return None

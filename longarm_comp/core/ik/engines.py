@@ -1,0 +1,319 @@
+"""The ways to run a search: machine code, plain Python, arrays, and the model's own code.
+
+All take a `Problem` and give joints (N, n) and a report (N, 4): position residual (m), angle
+residual (rad), iterations, starts.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections import ChainMap
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from enum import Enum
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.ik import newton
+from longarm_comp.core.ik.kernel import Kernel, Layout, kernel_of, tip_and_jacobian
+from longarm_comp.core.model.model import Model
+
+_CHUNK = 4096  # targets at a time: fewer cost calls, more cost cache
+_FEW = 4  # targets up to which plain Python is ahead of arrays
+_COMPILE_AFTER = 500  # single targets' worth of work for a model before it is compiled unasked
+_WORTH = 1 / 16  # of a target among many, beside one alone
+_NOTHING = Layout.of(Context.empty())
+_THIN = 0.7  # share of the columns still at work below which the others are put aside
+
+
+@dataclass(frozen=True)
+class Problem:
+    """N searches.
+
+    Attributes:
+        targets: position (m) and axes n, o, a, (N, 12).
+        m: 3 for position tasks, 6 for poses.
+        starts, lower, upper: (N, n); a locked joint has both limits at its start.
+        points: restarts (S, n + 1): a point in the unit box and how far to go to it (0 to 1).
+        length: metres that a radian of tool angle counts for.
+        tol: on position (m) and angle (rad).
+        max_iterations: per start.
+        threads: at work at once in machine code.
+    """
+
+    targets: np.ndarray
+    m: int
+    starts: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    points: np.ndarray
+    length: float
+    tol: float
+    max_iterations: int
+    threads: int
+
+
+class Engine(Enum):
+    """How to run the search; they differ in speed only."""
+
+    AUTO = "the fastest at hand for so many targets"
+    COMPILED = "machine code (needs llvmlite)"
+    PYTHON = "the traced model in plain Python, target after target"
+    ARRAYS = "the traced model on arrays of targets"
+    MODEL = "the model's own code on arrays of targets: what the others are checked against"
+
+
+class _LongLived:
+    """Whether `warm_up` was called: then every model is compiled when it is first used."""
+
+    now = False
+
+
+@cache
+def compiler_at_hand() -> bool:
+    """Whether llvmlite is installed; a ROS workspace may lack it, and is slower then."""
+    return importlib.util.find_spec("llvmlite") is not None
+
+
+def warm_up(model: Model | None = None, context: Context | None = None) -> bool:
+    """Have models compiled from now on when they are first used; False without the compiler.
+
+    For a process that lives long: a model takes about a second. Given here, it takes it now.
+    """
+    if compiler_at_hand():
+        _LongLived.now = True
+        if model is not None:
+            kernel_of(model, Layout.of(context or Context.empty())).code  # noqa: B018 - is kept
+    return compiler_at_hand()
+
+
+def is_compiled(kernel: Kernel, engine: Engine) -> bool:
+    """Whether one target would be solved by machine code."""
+    if engine is Engine.AUTO:
+        return "code" in kernel.__dict__
+    return engine is Engine.COMPILED and compiler_at_hand()
+
+
+def run(
+    model: Model, context: Context, problem: Problem, engine: Engine
+) -> tuple[np.ndarray, np.ndarray]:
+    """Search from the starts, then from elsewhere for those that failed."""
+    p, count = problem, len(problem.targets)
+    if engine is Engine.AUTO:
+        engine = _chosen(model, Layout.of(context), count)
+    search = _SEARCH[engine]
+    chunk = count if engine is Engine.COMPILED else _CHUNK
+    q, report = np.empty_like(p.starts), np.zeros((count, 4))
+    report[:, :2] = 1e300
+    for first in range(0, count, max(chunk, 1)):
+        ids = np.arange(first, min(first + chunk, count))
+        for s in range(1 + len(p.points)):
+            start = p.starts[ids]
+            if s > 0:
+                low, high = p.lower[ids], p.upper[ids]
+                point, radius = p.points[s - 1, :-1], p.points[s - 1, -1]
+                start = start + radius * (low + point * (high - low) - start)
+                start = np.clip(start, low, high)
+            here = context.take(ids)
+            given = _given(here, p, ids, start)
+            found, left, used = search(model, here, p, given, ids.size)
+            report[ids, 2] += used
+            report[ids, 3] += 1
+            won = left @ (1.0, p.length) < report[ids, :2] @ (1.0, p.length)
+            q[ids[won]], report[ids[won], :2] = found[won], left[won]
+            ids = ids[~(left <= p.tol).all(axis=1)]
+            if not ids.size:
+                break
+    return q, report
+
+
+def _chosen(model: Model, layout: Layout, count: int) -> Engine:
+    if not layout.traceable:
+        return Engine.MODEL
+    kernel = kernel_of(model, layout)
+    kernel.asked += count if count <= _FEW else _WORTH * count
+    pays = _LongLived.now or kernel.asked > _COMPILE_AFTER
+    if compiler_at_hand() and (pays or is_compiled(kernel, Engine.AUTO)):
+        return Engine.COMPILED
+    return Engine.PYTHON if count <= _FEW else Engine.ARRAYS
+
+
+Programs = Mapping[str, Callable[[Any], None]]
+Given = dict[str, np.ndarray]
+Found = tuple[np.ndarray, np.ndarray, np.ndarray]  # joints (K, n), residuals (K, 2), iterations
+
+
+def _given(context: Context, p: Problem, ids: np.ndarray, start: np.ndarray) -> Given:
+    """What a search starts from, by name: (K, k) or one row for all."""
+    return {
+        "target": p.targets[ids],
+        "lower": p.lower[ids],
+        "upper": p.upper[ids],
+        "q": start,
+        "live": np.ones((ids.size, 1)),
+        "tol": np.array([p.tol]),
+        "permitted": np.array([p.max_iterations]),
+        "c": Layout.of(context).pack(context, ids.size),
+    }
+
+
+def _filled(given: dict[str, np.ndarray], kernel: Kernel, count: int) -> np.ndarray:
+    """Columns of state, (size, K)."""
+    s = np.zeros((kernel.size, count))
+    for name, values in given.items():
+        s[kernel.slice(name)] = values.T if values.ndim == 2 else values[:, None]
+    return s
+
+
+def _read(s: np.ndarray, kernel: Kernel) -> Found:
+    q, size, used = (s[kernel.slice(name)] for name in ("q", "size", "used"))
+    return q.T, size.T, used[0]
+
+
+class Column:
+    """A list of state, and programs on it."""
+
+    def __init__(self, programs: Programs, place: dict[str, range], s: list[float]) -> None:
+        self.programs, self.place, self.s = programs, place, s
+
+    def call(self, name: str) -> None:
+        """Run a program."""
+        self.programs[name](self.s)
+
+    def repeat(self, row: str, body: newton.Flow) -> None:
+        """Run until the row is 0."""
+        at = self.place[row][0]
+        while self.s[at]:
+            newton.run(body, self.call, self.repeat)
+
+
+class Columns:
+    """Rows (size, K) of state, and programs on them."""
+
+    def __init__(
+        self, programs: Programs, place: dict[str, range], s: np.ndarray, thin: float = _THIN
+    ) -> None:
+        self.programs, self.place, self.s, self.thin = programs, place, s, thin
+
+    def repeat(self, row: str, body: newton.Flow) -> None:
+        """Run until the row is 0 everywhere; columns that are done are put aside."""
+        aside: list[tuple[np.ndarray, np.ndarray]] = []
+        at = self.place[row][0]
+        while (todo := self.s[at] != 0.0).any():
+            if todo.mean() < self.thin:
+                aside.append((self.s, todo))
+                self.s = self.s[:, todo]
+            newton.run(body, self.call, self.repeat)
+        for whole, which in reversed(aside):
+            whole[:, which] = self.s
+            self.s = whole
+
+    def call(self, name: str) -> None:
+        """Run a program."""
+        self.programs[name](self.s)
+
+
+def _arrays(model: Model, context: Context, p: Problem, given: Given, count: int) -> Found:
+    kernel = kernel_of(model, Layout.of(context))
+    columns = Columns(kernel.arrays, kernel.place, _filled(given, kernel, count))
+    newton.run(kernel.flows[f"search{p.m}"], columns.call, columns.repeat)
+    return _read(columns.s, kernel)
+
+
+def _python(model: Model, context: Context, p: Problem, given: Given, count: int) -> Found:
+    kernel = kernel_of(model, Layout.of(context))
+    made = []
+    for s in _filled(given, kernel, count).T.tolist():
+        column = Column(kernel.floats, kernel.place, s)
+        newton.run(kernel.flows[f"search{p.m}"], column.call, column.repeat)
+        made.append(s)
+    return _read(np.array(made).T, kernel)
+
+
+def _compiled(model: Model, context: Context, p: Problem, given: Given, count: int) -> Found:
+    if not compiler_at_hand():
+        allowed = "another engine: machine code needs llvmlite (pip install llvmlite)"
+        raise InputError("ik", "engine", Engine.COMPILED.name, allowed)
+    kernel = kernel_of(model, Layout.of(context))
+    width = kernel.code.width
+    number, rest = -(-count // width), count % width
+    blocks = np.empty((number, kernel.size, width))
+    blocks[-1] = 0.0  # the last need not be full
+    for name, values in given.items():
+        part = blocks[:, kernel.slice(name)]
+        if values.ndim == 1:
+            part[:] = values[:, None]
+        else:
+            even = values[: count - rest].reshape(count // width, width, part.shape[1])
+            part[: count // width] = even.swapaxes(1, 2)
+            part[count // width :, :, :rest] = values[count - rest :].T
+    search = kernel.code.function(f"many_search{p.m}")  # Python's lock is let go meanwhile
+    if p.threads == 1:
+        search(blocks.ctypes.data, number)
+    else:
+        parts = np.array_split(blocks, p.threads)
+        with ThreadPoolExecutor(p.threads) as pool:
+            list(pool.map(lambda part: search(part.ctypes.data, len(part)), parts))
+    q, size, used = (
+        blocks[:, kernel.slice(name)].swapaxes(1, 2).reshape(number * width, -1)[:count]
+        for name in ("q", "size", "used")
+    )
+    return q, size, used[:, 0]
+
+
+def _model(model: Model, context: Context, p: Problem, given: Given, count: int) -> Found:
+    """The search on arrays, the model by its own code with all load passes at every step."""
+    kernel = kernel_of(Model(model.arm), _NOTHING)
+    out = kernel.slice("out")
+
+    def evaluate(s: np.ndarray) -> None:
+        posture = model.posture(tuple(s[kernel.slice("trial")]), context)
+        for row, value in zip(s[out], tip_and_jacobian(model, posture), strict=True):
+            row[:] = value
+
+    own: dict[str, Any] = {"rigid": evaluate, "tip": evaluate, "first": _nothing, "again": _nothing}
+    s = _filled({**given, "c": np.zeros(0)}, kernel, count)
+    columns = Columns(ChainMap(own, kernel.arrays), kernel.place, s, thin=0.0)
+    newton.run(kernel.flows[f"search{p.m}"], columns.call, columns.repeat)
+    return _read(s, kernel)
+
+
+def _nothing(s: np.ndarray) -> None:
+    """No twists are carried."""
+
+
+_SEARCH: dict[Engine, Callable[[Model, Context, Problem, Given, int], Found]] = {
+    Engine.COMPILED: _compiled,
+    Engine.PYTHON: _python,
+    Engine.ARRAYS: _arrays,
+    Engine.MODEL: _model,
+}
+
+
+@cache
+def restart_points(n: int, count: int) -> np.ndarray:
+    """(count, n + 1): points of the unit box and how far to go from the seed to each.
+
+    An additive recurrence on the plastic number's generalisation (M. Roberts' R_d), the same
+    every time.  The first stay near the seed; every other one is stretched so that many joints
+    start on a limit, where taught poses tend to be.
+    """
+    g = 2.0
+    for _ in range(40):
+        g = (1 + g) ** (1 / (n + 1))
+    steps = (1 / g) ** np.arange(1, n + 1)
+    return with_radii((0.5 + np.arange(1, count + 1)[:, None] * steps) % 1.0)
+
+
+def with_radii(points: np.ndarray) -> np.ndarray:
+    """Points (S, n) stretched and with their radii, (S, n + 1)."""
+    made = np.ones((len(points), points.shape[1] + 1))
+    made[:, :-1] = points
+    made[1::2, :-1] = np.clip(0.5 + 1.6 * (points[1::2] - 0.5), 0.0, 1.0)
+    made[:2, -1] = (0.25, 0.5)[: len(points)]
+    return made

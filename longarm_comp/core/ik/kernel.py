@@ -1,0 +1,241 @@
+"""The model as small programs, for the inverse kinematics.
+
+At the trial joints, `rigid` gives the tip and its Jacobian without what loads and context do,
+`first` the twists under the rigid arm's loads, `again` those under the loads of the arm with
+given twists, `tip` its tip and Jacobian; the others are the search of `newton`.  All are traced
+from the package's own Python, so they give its numbers; parameters are constants in them,
+joints and context are inputs.  They run on floats, on arrays, or (with llvmlite) as machine
+code, compiled in about a second.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.ik import newton
+from longarm_comp.core.ik.codegen import python as emit
+from longarm_comp.core.ik.codegen.symbolic import Graph, Symbol
+from longarm_comp.core.ik.jacobian import geometric
+from longarm_comp.core.model.model import Model
+
+Fixed = dict[tuple[int, int], float]
+Slots = dict[tuple[int, int], int]
+_KEPT = 32  # kernels held, the latest used
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which context a kernel reads: column k of its context rows."""
+
+    approach: int
+    columns: tuple[str, ...]
+    labels: tuple[tuple[str, object], ...]
+
+    @classmethod
+    def of(cls, context: Context) -> Layout:
+        """The layout that fits a context; its text columns become constants."""
+        labels = tuple(sorted(context.labels.items()))
+        return cls(len(context.approach), tuple(sorted(context.columns)), labels)
+
+    @property
+    def traceable(self) -> bool:
+        """Whether one kernel serves all rows: no text column changes from row to row."""
+        return all(isinstance(value, str) for _, value in self.labels)
+
+    @property
+    def count(self) -> int:
+        """Numbers of context a target."""
+        return self.approach + len(self.columns)
+
+    def symbols(self, made: Sequence[Any]) -> Context:
+        """The context whose `count` numbers are inputs of a kernel."""
+        named = dict(zip(self.columns, made[self.approach :], strict=True))
+        return Context(tuple(made[: self.approach]), named, dict(self.labels))
+
+    def pack(self, context: Context, count: int) -> np.ndarray:
+        """Context of N targets as rows, (N, columns)."""
+        values = [*context.approach, *(context.columns[name] for name in self.columns)]
+        rows = np.empty((count, len(values)))
+        for k, value in enumerate(values):
+            rows[:, k] = value
+        return rows
+
+
+class Kernel:
+    """The traced programs of one arm and, where it is traceable, of one model.
+
+    Attributes:
+        place: where a search keeps what (`newton.rows`); size: how many numbers that is.
+        passes: load passes of the model.
+        layout: the context it reads; lower, upper, mid: the joint box.
+        asked: single targets' worth of work that it was asked for before it was compiled.
+        flows: `search3` and `search6` from joints q, `solve3` and `solve6` from a seed and a
+            matrix.
+    """
+
+    def __init__(self, model: Model, layout: Layout) -> None:
+        self.layout, self.n = layout, model.arm.n
+        self.lower, self.upper, self.mid = model.arm.lower, model.arm.upper, model.arm.mid
+        fixed, slot = _twist_slots(model, layout)
+        self.place = newton.rows(self.n, layout.count, len(slot))
+        self.size = 1 + max(r[-1] for r in self.place.values() if r)
+        self.passes, self.asked = model.load_passes, 0.0
+        self.flows: dict[str, newton.Flow] = {}
+        for m in (3, 6):
+            search = newton.flow(self.passes, m)
+            self.flows |= {f"search{m}": search, f"solve{m}": (f"accept{m}", *search)}
+        self.programs: dict[str, tuple[Graph, emit.Outputs]] = {}
+        self._trace_model(model, fixed, slot)
+        self._trace_search(model)
+
+    def slice(self, name: str) -> slice:
+        """Where a search keeps a thing."""
+        return slice(self.place[name].start, self.place[name].stop)
+
+    def _trace(self, name: str, work: Callable[[newton.State], newton.Outcome]) -> None:
+        graph = Graph()
+        state = {k: [graph.input(str(i)) for i in r] for k, r in self.place.items()}
+        self.programs[name] = (
+            graph,
+            {
+                self.place[name][k]: value
+                for name, values in work(state).items()
+                for k, value in enumerate(values)
+                if value is not state[name][k]  # what stays as it is needs no writing
+            },
+        )
+
+    def _trace_search(self, model: Model) -> None:
+        span = [float(v) for v in model.arm.upper - model.arm.lower]
+        length = characteristic_length(model)
+        self._trace("begin", lambda s: newton.begin(self.n))
+        self._trace("open", newton.opening)
+        for m in (3, 6):
+            self._trace(f"accept{m}", partial(newton.accept, m=m))
+            for level in newton.LEVELS:
+                of_level = partial(newton.judge, span=span, length=length, m=m, level=level)
+                self._trace(f"judge{m}_{level.evaluate}", of_level)
+            self._trace(f"round{m}", partial(newton.step_in_box, span=span, m=m))
+
+    def _trace_model(self, model: Model, fixed: Fixed, slot: Slots) -> None:
+        def seen(posture: Posture) -> newton.Outcome:
+            return {"out": tip_and_jacobian(model, posture)}
+
+        def at(s: newton.State, x: Sequence[Any] | None) -> Posture:
+            context = self.layout.symbols(s["c"])
+            if x is None:
+                return model.loaded(tuple(s["trial"]), context, {})
+            stations = {station for station, _ in (*fixed, *slot)}
+            twists = {
+                station: tuple(
+                    fixed[station, i] if (station, i) in fixed else x[slot[station, i]]
+                    for i in range(6)
+                )
+                for station in stations
+            }
+            return model.loaded(tuple(s["trial"]), context, twists)  # type: ignore[arg-type]
+
+        def carried(posture: Posture) -> newton.Outcome:
+            twists = model.twists(posture)
+            return {"x": [twists[station][i] for station, i in slot]}
+
+        self._trace("rigid", lambda s: seen(at(s, [0.0] * len(slot))))
+        self._trace("first", lambda s: carried(at(s, None)))
+        self._trace("again", lambda s: carried(at(s, s["x"])))
+        self._trace("tip", lambda s: seen(at(s, s["x"])))
+
+    @cached_property
+    def floats(self) -> dict[str, Any]:
+        """The programs by name, on a list of floats."""
+        return _Python(self.programs, arrays=False)
+
+    @cached_property
+    def arrays(self) -> dict[str, Any]:
+        """The programs by name, on rows (size, N)."""
+        return _Python(self.programs, arrays=True)
+
+    @cached_property
+    def code(self) -> Any:
+        """The programs and flows as machine code: see `machine_code`."""
+        from longarm_comp.core.ik.codegen import llvm as emit_llvm
+        from longarm_comp.core.ik.codegen import machine_code
+
+        width = machine_code.lanes()
+        text = emit_llvm.module(self.programs, self.flows, self.place, width)
+        return machine_code.compile_module(text, width)
+
+
+class _Python(dict[str, Any]):
+    """Programs as Python functions, each written when it is first called for."""
+
+    def __init__(self, programs: Mapping[str, tuple[Graph, emit.Outputs]], arrays: bool) -> None:
+        super().__init__()
+        self.programs, self.arrays = programs, arrays
+
+    def __missing__(self, name: str) -> Any:
+        space = dict(emit.ARRAYS if self.arrays else emit.FLOATS)
+        text = emit.python(name, *self.programs[name], self.arrays)
+        exec(compile(text, f"<traced {name}>", "exec"), space)
+        self[name] = space[name]
+        return self[name]
+
+
+def tip_and_jacobian(model: Model, posture: Posture) -> list[Any]:
+    """Tip, its axes n, o, a, and the Jacobian row after row, 12 + 6 n."""
+    tip = model.tip_frame(posture)
+    columns = geometric(posture, tip.p)
+    axes = [*tip.p, *tip.n, *tip.o, *tip.a]
+    return axes + [column[i // 3][i % 3] for i in range(6) for column in columns]
+
+
+def characteristic_length(model: Model) -> float:
+    """Metres that a radian of tool angle counts for: a quarter of the stretched arm."""
+    size = sum(abs(j.a_m) + abs(j.d_m) for j in model.arm.joints)
+    return max(0.25 * size, 0.01)
+
+
+def _twist_slots(model: Model, layout: Layout) -> tuple[Fixed, Slots]:
+    """Components of twists (station, number): those that nothing moves, and places of the rest.
+
+    Neither joints nor context nor loads move the fixed ones.
+    """
+    graph = Graph()
+    q = tuple(graph.input(f"q{i}") for i in range(model.arm.n))
+    context = layout.symbols([graph.input(f"c{k}") for k in range(layout.count)])
+    start = model.twists(model.loaded(q, context, {}))
+    free = {s: tuple(graph.input(f"x{s}, {i}") for i in range(6)) for s in start}
+    again = model.twists(model.loaded(q, context, free))  # type: ignore[arg-type]
+    fixed: Fixed = {}
+    slot: Slots = {}
+    for s in sorted(start):
+        for i in range(6):
+            if not isinstance(again[s][i], Symbol) and again[s][i] == start[s][i]:
+                fixed[s, i] = float(start[s][i])
+            else:
+                slot[s, i] = len(slot)
+    return fixed, slot
+
+
+_kernels: OrderedDict[tuple[Any, ...], Kernel] = OrderedDict()
+
+
+def kernel_of(model: Model, layout: Layout) -> Kernel:
+    """The kernel of a model, traced on first use and kept by content."""
+    held: dict[Layout, Kernel] = model.__dict__.setdefault("_kernels", {})
+    if layout not in held:
+        key = (model.arm.hash, repr(model.effects), model.passes, model.elements_per_beam, layout)
+        if key not in _kernels:
+            _kernels[key] = Kernel(model, layout)
+        _kernels.move_to_end(key)
+        while len(_kernels) > _KEPT:
+            _kernels.popitem(last=False)
+        held[layout] = _kernels[key]
+    return held[layout]

@@ -1,0 +1,249 @@
+"""Newton-Raphson in the joint box: one search, written once, run by every engine.
+
+What a search knows stands in a column of numbers (`Rows`).  The functions here read and write
+it without a branch on data, so that they can be traced like the model itself; what is traced
+serves one target in plain Python, many in NumPy, and lanes of a processor in machine code.
+`flow` is the order in which these programs run.
+
+Three levels of truth bring the tip home: the rigid arm while it is far; then the deflected
+arm with the twists carried from one iterate to the next, a load pass a step; near the target
+the model itself with all its passes.  There Broyden's rule corrects the Jacobian, which
+otherwise holds the sag.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from longarm_comp.core.arm.spatial import absolute, maximum, minimum, sqrt, where
+from longarm_comp.core.ik.box_step import rotation_error, skewness, solve_damped
+
+Scalars = Sequence[Any]
+State = Mapping[str, Scalars]
+Outcome = dict[str, Scalars]
+
+UNKNOWN = 1e300  # energy (m^2) before anything was evaluated
+POOR = 0.1  # of the squared residual left after a step: too much where twists are carried
+FLOOR = 1e-13  # least damping, in (m per joint range)^2
+STALL_AFTER = 6  # iterations without a fifth of progress that end a level
+FIRST_DAMPING = 0.05
+ROTATION_TOLERANCE = 1e-6
+
+
+class Level(NamedTuple):
+    """How the tip is evaluated, down to which residual.
+
+    Attributes:
+        evaluate: "rigid", "carried" or "full".
+        near: position (m) and angle (rad) at which the level has done its work; None: `tol`.
+        skip: the same for where it starts, which a finer level may find to be the answer.
+        hasty: a step that gains little ends it too.
+        learns: Broyden's rule holds, as the residual is a function of the joints alone.
+    """
+
+    evaluate: str
+    near: float | None
+    skip: float | None
+    hasty: bool
+    learns: bool
+
+
+LEVELS = (
+    Level("rigid", 0.1, 0.1, False, False),
+    Level("carried", 1e-6, 5e-3, True, True),  # a first load pass may miss by 4 mm of 100
+    Level("full", None, None, False, True),
+)
+
+
+def rows(n: int, context: int, twists: int) -> dict[str, range]:
+    """Where a search keeps what: n joints, numbers of context and of twists.
+
+    First what is given, then what is answered, then work.  `live` is 0 in a column that is
+    there but has nothing to do.
+    """
+    sizes = {
+        "given": 16, "seed": n, "live": 1, "tol": 1, "permitted": 1, "lower": n, "upper": n,
+        "c": context, "q": n, "size": 2, "used": 1, "stuck": 1, "fault": 1, "target": 12,
+        "trial": n, "x": twists, "out": 12 + 6 * n, "e": 6, "J": 6 * n, "sag": 6 * n, "left": 6,
+        "free": n, "energy": 1, "mu": 1, "marked": 1, "since": 1, "open": 1, "more": 1,
+    }  # fmt: skip
+    made, at = {}, 0
+    for name, size in sizes.items():
+        made[name] = range(at, at + size)
+        at += size
+    return made
+
+
+# ------------------------------------------------------------------ what is traced
+
+
+def accept(s: State, m: int) -> Outcome:
+    """Take a target (4 x 4, row after row) and a seed; fault: 1 not finite, 2 no rotation."""
+    T = s["given"]
+    axes = [T[4 * i + j] for j in range(3) for i in range(3)]
+    size: Any = 0.0
+    for v in (*T, *s["seed"]):
+        size = size + absolute(v)
+    fault: Any = where(size < UNKNOWN, 0.0, 1.0)
+    if m == 6:
+        bottom = absolute(T[12]) + absolute(T[13]) + absolute(T[14]) + absolute(T[15] - 1.0)
+        whole = (skewness(axes, 0) < ROTATION_TOLERANCE**2) * (bottom <= 0.0)
+        fault = fault + where(whole, 0.0, 2.0)
+    q = [
+        minimum(maximum(v, low), high)
+        for v, low, high in zip(s["seed"], s["lower"], s["upper"], strict=True)
+    ]
+    return {"target": [T[3], T[7], T[11], *axes], "q": q, "fault": [fault]}
+
+
+def begin(n: int) -> Outcome:
+    """A search that has seen nothing yet."""
+    return {
+        "e": [0.0] * 6, "J": [0.0] * (6 * n), "sag": [0.0] * (6 * n), "used": [0.0],
+        "mu": [FIRST_DAMPING], "size": [UNKNOWN, UNKNOWN],
+    }  # fmt: skip
+
+
+def opening(s: State) -> Outcome:
+    """Enter a level: the joints have to be evaluated anew."""
+    return {
+        "trial": s["q"], "energy": [UNKNOWN], "marked": [UNKNOWN], "since": [0.0],
+        "open": s["live"],
+    }  # fmt: skip
+
+
+def judge(s: State, span: Sequence[float], length: float, m: int, level: Level) -> Outcome:
+    """Accept or refuse the trial after its evaluation (Levenberg-Marquardt); set up the next."""
+    n, out, J, sag = len(span), s["out"], s["J"], s["sag"]
+    e: list[Any] = [s["target"][i] - out[i] for i in range(3)] + [0.0] * 3
+    size: list[Any] = [sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]), 0.0]
+    if m == 6:
+        size[1] = rotation_error(out, 3, s["target"], 3, e, 3)
+        e[3:] = [length * v for v in e[3:]]
+    energy: Any = 0.0
+    for i in range(m):
+        energy = energy + e[i] * e[i]
+    was, is_open = s["energy"][0], s["open"][0]
+    fresh, better = was >= UNKNOWN, energy < was
+    take = better * is_open
+    go_on = is_open * (1.0 - fresh)
+
+    u = [(t - q) / w for t, q, w in zip(s["trial"], s["q"], span, strict=True)]
+    square: Any = 1e-300  # a step of nothing corrects nothing
+    for v in u:
+        square = square + v * v
+    gain = go_on / square if level.learns else 0.0
+    learnt: list[Any] = []
+    for i in range(m):
+        miss = s["e"][i] - e[i]
+        for j in range(n):
+            miss = miss - (J[i * n + j] + sag[i * n + j]) * u[j]
+        learnt += [sag[i * n + j] + gain * miss * u[j] for j in range(n)]
+
+    weights = [w * (length if i >= 3 else 1.0) for i in range(m) for w in span]
+    J = [where(take, w * out[12 + k], J[k]) for k, w in enumerate(weights)]
+    e = [where(take, new, old) for new, old in zip(e[:m], s["e"], strict=False)]
+    size = [where(take, new, old) for new, old in zip(size, s["size"], strict=True)]
+    q = [where(take, new, old) for new, old in zip(s["trial"], s["q"], strict=True)]
+    used = s["used"][0] + go_on
+    poor = where(better, (energy > POOR * was) * (used > 2.5), 1.0)
+    mu = s["mu"][0]
+    changed = where(better, maximum(0.1 * mu, 1e-6), minimum(8.0 * mu + 1e-3, 1e6))
+    energy = where(take, energy, was)
+    moved = energy < 0.8 * s["marked"][0]
+    since = where(moved, 0.0, s["since"][0] + 1.0)
+    near = s["tol"][0]
+    if level.near is not None:
+        near = where(fresh, level.skip, level.near)
+    arrived = (size[0] <= near) * (size[1] <= near)
+    ended = (used >= s["permitted"][0]) + (since >= STALL_AFTER) + arrived
+    if level.hasty:
+        ended = ended + poor
+    stuck: Any = 0.0
+    for v, low, high in zip(q, s["lower"], s["upper"], strict=True):
+        stuck = stuck + where(minimum(v - low, high - v) <= 0.0, 1.0, 0.0)
+    return {
+        "q": q, "e": e, "J": J, "sag": learnt, "size": size, "used": [used], "stuck": [stuck],
+        "energy": [energy], "mu": [where(go_on, changed, mu)],
+        "marked": [where(moved, energy, s["marked"][0])], "since": [since],
+        "open": [where(ended, 0.0, is_open)],
+        "left": e, "trial": q,
+        "free": [where(a < b, 1.0, 0.0) for a, b in zip(s["lower"], s["upper"], strict=True)],
+    }  # fmt: skip
+
+
+def step_in_box(s: State, span: Sequence[float], m: int) -> Outcome:
+    """A round of the damped least-squares step that stays in the box.
+
+    A joint that would leave is put on its limit and the rest solved again (`more`), the
+    furthest out first: at most n times.  Every joint is free again at the next iteration.
+    """
+    n, free, left = len(span), s["free"], s["left"]
+    J = [a + b for a, b in zip(s["J"][: m * n], s["sag"], strict=False)]
+    u: list[Any] = [0.0] * n
+    damping = s["mu"][0] * sqrt(s["energy"][0]) + FLOOR
+    solve_damped(J, left, free, damping, m, n, [0.0] * (m * m), [0.0] * m, u)
+    trial, out_by = [], []
+    for j in range(n):
+        moved = where(free[j], s["q"][j] + u[j] * span[j], s["trial"][j])
+        inside = minimum(maximum(moved, s["lower"][j]), s["upper"][j])
+        trial.append(inside)
+        out_by.append(free[j] * absolute(moved - inside) / span[j])
+    worst: Any = out_by[0]
+    for by in out_by[1:]:
+        worst = maximum(worst, by)
+    more = where(worst > 0.0, 1.0, 0.0)
+    left, kept, still = list(left[:m]), [], more
+    for j in range(n):  # the first of those that are furthest out
+        put = still * (out_by[j] >= worst)
+        still = still - put
+        kept.append(free[j] - put)
+        change = put * (trial[j] - s["q"][j]) / span[j]
+        left = [left[i] - J[i * n + j] * change for i in range(m)]
+    return {"trial": trial, "free": kept, "left": left, "more": [more]}
+
+
+# ------------------------------------------------------------------ the order of things
+
+
+@dataclass(frozen=True)
+class Repeat:
+    """Programs that run again as long as a row holds anything but 0."""
+
+    row: str
+    body: Flow
+
+
+Flow = tuple["str | Repeat", ...]
+
+
+def flow(passes: int, m: int) -> Flow:
+    """The search from q, which becomes the answer: programs in their order."""
+    steps: list[str | Repeat] = ["begin"]
+    for level in LEVELS:
+        again: Flow = (f"round{m}", Repeat("more", (f"round{m}",)))
+        judged = f"judge{m}_{level.evaluate}"
+        again += (*evaluation(level, passes, False), judged)
+        steps += ["open", *evaluation(level, passes, True), judged]
+        steps.append(Repeat("open", again))
+    return tuple(steps)
+
+
+def evaluation(level: Level, passes: int, anew: bool) -> tuple[str, ...]:
+    """The programs that evaluate the trial; `anew`: no twists are carried yet."""
+    if level.evaluate == "rigid":
+        return ("rigid",)
+    if level.evaluate == "carried":
+        return ("first", "tip") if anew else ("again", "tip")
+    return ("first", *["again"] * (passes - 1), "tip") if passes else ("tip",)
+
+
+def run(work: Flow, call: Callable[[str], None], repeat: Callable[[str, Flow], None]) -> None:
+    """Run a flow on a machine that can call programs and repeat flows."""
+    for step in work:
+        if isinstance(step, str):
+            call(step)
+        else:
+            repeat(step.row, step.body)

@@ -1,0 +1,321 @@
+"""Inverse kinematics of the deflected arm: Newton-Raphson on any model, inside the joint box.
+
+Solved for the *true* tip: what the camera reports wrongly is never compensated.  The seed
+comes first and restarts follow only where it fails, so that a tracked path does not jump to
+another branch.  Limits hold exactly; success is judged on the joints handed out, with the
+model's full load passes; a failure is an answer with the best joints and the reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.spatial import Frame
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.ik.box_step import skewness
+from longarm_comp.core.ik.engines import (
+    Engine,
+    Problem,
+    restart_points,
+    run,
+    warm_up,
+    with_radii,
+)
+from longarm_comp.core.ik.kernel import characteristic_length
+from longarm_comp.core.ik.newton import ROTATION_TOLERANCE
+from longarm_comp.core.ik.single import solve_compiled
+from longarm_comp.core.model.model import Model
+
+__all__ = ["Engine", "Reason", "Solution", "Solutions", "solve", "solve_many", "warm_up"]
+
+TOLERANCE = 1e-9
+MAX_ITERATIONS = 60
+MAX_STARTS = 16
+_MACHINE = (Engine.AUTO, Engine.COMPILED)
+
+
+class Reason(Enum):
+    """Why a search ended."""
+
+    CONVERGED = "converged"
+    AT_LIMITS = "joint limits keep the tip from the target"
+    OUT_OF_REACH = "no joints bring the tip nearer to the target"
+    ITERATIONS = "the permitted iterations are used up"
+
+
+_CONVERGED = Reason.CONVERGED
+
+
+class Solution(NamedTuple):
+    """Joints for one target.
+
+    Attributes:
+        q: (n,), inside the limits; the best found when not `ok`.
+        ok: residuals are within the tolerance.
+        reason: why the search ended.
+        position_residual_m, angle_residual_rad: what is left at q (0 rad for position tasks).
+        iterations: in total, over all starts.
+        active_limits: names of the joints that stand on a limit.
+        starts: how many starts were tried; 1 means that the seed led there.
+    """
+
+    q: np.ndarray
+    ok: bool
+    reason: Reason
+    position_residual_m: float
+    angle_residual_rad: float
+    iterations: int
+    active_limits: tuple[str, ...]
+    starts: int
+
+
+@dataclass(frozen=True)
+class Solutions:
+    """Joints for N targets; the fields of `Solution` as arrays. Index it for one `Solution`."""
+
+    q: np.ndarray
+    ok: np.ndarray
+    reason: tuple[Reason, ...]
+    position_residual_m: np.ndarray
+    angle_residual_rad: np.ndarray
+    iterations: np.ndarray
+    at_limit: np.ndarray
+    starts: np.ndarray
+    joint_names: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def __getitem__(self, i: int) -> Solution:
+        names = tuple(n for n, at in zip(self.joint_names, self.at_limit[i], strict=True) if at)
+        return Solution(
+            self.q[i],
+            bool(self.ok[i]),
+            self.reason[i],
+            float(self.position_residual_m[i]),
+            float(self.angle_residual_rad[i]),
+            int(self.iterations[i]),
+            names,
+            int(self.starts[i]),
+        )
+
+
+def solve(
+    model: Model,
+    target: np.ndarray | Frame,
+    *,
+    seed: np.ndarray | None = None,
+    context: Context | None = None,
+    position_only: bool = False,
+    locked: Sequence[int | str] = (),
+    tol: float = TOLERANCE,
+    max_iterations: int = MAX_ITERATIONS,
+    max_starts: int = MAX_STARTS,
+    rng: np.random.Generator | None = None,
+    engine: Engine = Engine.AUTO,
+) -> Solution:
+    """Joints that bring the tip to one target: see `solve_many`.
+
+    Args:
+        target: position (3,) in m, or pose (4, 4) or `Frame`, base frame.
+        seed: (n,) start, best the current joints; the middle of the box by default.
+    """
+    if isinstance(target, Frame):
+        target = target.matrix()
+    target = np.asarray(target, dtype=float)
+    if target.shape not in ((3,), (4, 4)):
+        raise InputError("ik.solve", "target", f"shape {target.shape}", "shape (3,) or (4, 4)")
+    if rng is None and not locked and engine in _MACHINE:
+        m = 3 if position_only or target.size == 3 else 6
+        found = solve_compiled(model, target, seed, context, (m, tol, max_iterations), engine)
+        if found is not None:
+            q, (position, angle, iterations, stuck, _) = found
+            if position <= tol and angle <= tol:
+                at = _active(model, q) if stuck else ()
+                return Solution(q, True, _CONVERGED, position, angle, int(iterations), at, 1)
+    many = solve_many(
+        model,
+        target[None],
+        seed=seed,
+        context=context,
+        position_only=position_only,
+        locked=locked,
+        tol=tol,
+        max_iterations=max_iterations,
+        max_starts=max_starts,
+        rng=rng,
+        engine=engine,
+    )
+    return many[0]
+
+
+def solve_many(
+    model: Model,
+    targets: np.ndarray,
+    *,
+    seed: np.ndarray | None = None,
+    context: Context | None = None,
+    position_only: bool = False,
+    locked: Sequence[int | str] = (),
+    tol: float = TOLERANCE,
+    max_iterations: int = MAX_ITERATIONS,
+    max_starts: int = MAX_STARTS,
+    rng: np.random.Generator | None = None,
+    engine: Engine = Engine.AUTO,
+    threads: int = 1,
+) -> Solutions:
+    """Joints that bring the tip to each of N targets.
+
+    Args:
+        model: arm and effects; its camera-side biases play no part.
+        targets: positions (N, 3) in m or poses (N, 4, 4), base frame.
+        seed: (n,) or (N, n) starts (rad, m), put inside the limits; default mid-range.
+        context: circumstances of the targets, scalars or (N,) arrays.
+        position_only: leave the orientation free (always so for (N, 3)).
+        locked: joints that stay at their seed: 0-based numbers in q, or names.
+        tol: on the position (m) and on the angle (rad).
+        max_iterations: per start.
+        max_starts: the seed and so many restarts less one; 1 never leaves the seed's branch.
+        rng: draws the restarts; by default a fixed low-discrepancy sequence does.
+        engine: how to run the search; see `warm_up` for the compiled one.
+        threads: so many at once, in machine code only.
+
+    Raises:
+        InputError: wrong shape, numbers that are not finite, no rotation, unknown joint.
+    """
+    arm = model.arm
+    position, axes = checked_targets(targets, position_only)
+    start = checked_seed(model, seed, len(position))
+    if not (np.isfinite(tol) and tol > 0):
+        raise InputError("ik.solve_many", "tol", tol, "a number above 0")
+    lower = np.repeat(arm.lower[None], len(position), axis=0)
+    upper = np.repeat(arm.upper[None], len(position), axis=0)
+    for k in locked_joints(model, locked):
+        lower[:, k] = upper[:, k] = start[:, k]
+    more = max(max_starts - 1, 0)
+    points = restart_points(arm.n, more) if rng is None else with_radii(rng.random((more, arm.n)))
+    targets = np.zeros((len(position), 12))
+    targets[:, :3] = position
+    if axes is not None:
+        targets[:, 3:] = axes
+    problem = Problem(
+        targets,
+        3 if axes is None else 6,
+        start,
+        lower,
+        upper,
+        points,
+        characteristic_length(model),
+        float(tol),
+        int(max_iterations),
+        max(1, threads),
+    )
+    q, report = run(model, context or Context.empty(), problem, engine)
+    return _collect(model, q, report, problem)
+
+
+def target_faults(targets: np.ndarray, position_only: bool, where: str) -> list[str]:
+    """What is wrong with each of N targets; an empty string where nothing is.
+
+    Raises:
+        InputError: the targets are neither (N, 3) nor (N, 4, 4).
+    """
+    if targets.ndim not in (2, 3) or targets.shape[1:] not in ((3,), (4, 4)):
+        allowed = "shape (N, 3) or (N, 4, 4)"
+        raise InputError(where, "targets", f"shape {targets.shape}", allowed)
+    finite = np.isfinite(targets).all(axis=tuple(range(1, targets.ndim)))
+    turned = np.ones(len(targets), bool)
+    if targets.ndim == 3 and not position_only:
+        T = np.where(finite[:, None, None], targets, 0.0)
+        columns = _axes(T).T  # of one target as floats, which are quicker than arrays of one
+        skew = skewness(columns[:, 0].tolist() if len(T) == 1 else columns, 0)
+        turned &= skew < ROTATION_TOLERANCE**2
+        turned &= (T[:, 3] == [0, 0, 0, 1]).all(axis=1)
+    if finite.all() and turned.all():
+        return [""] * len(targets)
+    return [
+        ("" if t else "its orientation is no rotation") if f else "it holds a number not finite"
+        for f, t in zip(finite, turned, strict=True)
+    ]
+
+
+def _axes(T: np.ndarray) -> np.ndarray:
+    """n, o, a one after the other (N, 9) of poses (N, 4, 4)."""
+    return T[:, :3, :3].transpose(0, 2, 1).reshape(-1, 9)
+
+
+def checked_targets(
+    targets: np.ndarray, position_only: bool, where: str = "ik.solve_many"
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Positions (N, 3) and axes n, o, a (N, 9) or None, checked at the door."""
+    targets = np.asarray(targets, dtype=float)
+    faults = target_faults(targets, position_only, where)
+    if any(faults):
+        i = next(i for i, fault in enumerate(faults) if fault)
+        allowed = f"finite numbers in m, a rotation and [0, 0, 0, 1]: {faults[i]}"
+        raise InputError(where, f"target {i}", targets[i].tolist(), allowed)
+    if targets.ndim == 2:
+        return targets, None
+    return targets[:, :3, 3], None if position_only else _axes(targets)
+
+
+def checked_seed(
+    model: Model, seed: np.ndarray | None, count: int, where: str = "ik.solve_many"
+) -> np.ndarray:
+    """Starts (N, n), inside the limits."""
+    arm = model.arm
+    given = np.asarray(arm.mid if seed is None else seed, dtype=float)
+    if given.shape not in ((arm.n,), (count, arm.n)):
+        allowed = f"shape ({arm.n},) or ({count}, {arm.n})"
+        raise InputError(where, "seed", f"shape {given.shape}", allowed)
+    if not np.isfinite(given).all():
+        raise InputError(where, "seed", given, "finite joint values")
+    return np.array(np.clip(np.broadcast_to(given, (count, arm.n)), arm.lower, arm.upper))
+
+
+def locked_joints(model: Model, locked: Sequence[int | str]) -> list[int]:
+    """0-based numbers in q of joints given by number or name."""
+    names = model.arm.joint_names
+    made = []
+    for joint in locked:
+        if isinstance(joint, str) and joint in names:
+            made.append(names.index(joint))
+        elif isinstance(joint, int) and 0 <= joint < model.arm.n:
+            made.append(joint)
+        else:
+            allowed = f"0..{model.arm.n - 1} or one of {', '.join(names)}"
+            raise InputError("ik.solve_many", "locked", joint, allowed)
+    return made
+
+
+def _active(model: Model, q: np.ndarray) -> tuple[str, ...]:
+    at_limit = (q <= model.arm.lower) | (q >= model.arm.upper)
+    return tuple(n for n, at in zip(model.arm.joint_names, at_limit, strict=True) if at)
+
+
+def _reason(ok: bool, exhausted: bool, at_limit: bool) -> Reason:
+    if ok:
+        return Reason.CONVERGED
+    if exhausted:
+        return Reason.ITERATIONS
+    return Reason.AT_LIMITS if at_limit else Reason.OUT_OF_REACH
+
+
+def _collect(model: Model, q: np.ndarray, report: np.ndarray, problem: Problem) -> Solutions:
+    position, angle = report[:, 0], report[:, 1]
+    iterations, starts = report[:, 2].astype(int), report[:, 3].astype(int)
+    at_limit = (q <= model.arm.lower) | (q >= model.arm.upper)
+    ok = (position <= problem.tol) & (angle <= problem.tol)
+    reasons = [Reason.CONVERGED] * len(q)
+    for i in np.flatnonzero(~ok):
+        exhausted = iterations[i] >= starts[i] * problem.max_iterations
+        reasons[i] = _reason(False, bool(exhausted), bool(at_limit[i].any()))
+    return Solutions(
+        q, ok, tuple(reasons), position, angle, iterations, at_limit, starts, model.arm.joint_names
+    )

@@ -1,0 +1,1 @@
+"""The arm with its effects: what it predicts, what a parameter does, its file."""

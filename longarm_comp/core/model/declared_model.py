@@ -1,0 +1,12 @@
+"""The model that an arm has before anything was measured."""
+
+from __future__ import annotations
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.model.model import Model
+
+
+def declared_model(arm: Arm, *, deflection: bool = True) -> Model:
+    """The arm as declared: with its beams' sag, where it has beams."""
+    return Model(arm, (LinkDeflection(),) if deflection and arm.links else ())

@@ -1,0 +1,343 @@
+"""A model: the declared arm and a list of effects.  Predicts the tip, explains an error.
+
+Predict: compose the effects' twists inside the chain, in passes, so that every effect
+sees the loads of the sagged arm (Eq. 1-4).  Explain: Eq. (5) applied to the change of
+twist per unit of a parameter is that parameter's design-matrix column.  The loop below
+knows no effect.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.posture import Chain, Lumped, Posture, Twists
+from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
+from longarm_comp.core.effects.effect import Bias, Effect, Parameter
+
+
+@dataclass(frozen=True)
+class Slot:
+    """One parameter of a model: which term, which of its parameters."""
+
+    term: int
+    owner: Effect | Bias
+    parameter: Parameter
+
+    @property
+    def identity(self) -> tuple[object, ...]:
+        """What makes it one parameter: effect, place, form and name."""
+        return (self.owner.name, *self.owner.placement.items(), self.parameter.name)
+
+    @property
+    def label(self) -> str:
+        """``joint_compliance / joint 2 / compliance``."""
+        return f"{self.owner.name} / {self.owner.place} / {self.parameter.name}"
+
+
+@dataclass(frozen=True)
+class Model:
+    """Arm, arm-side effects and camera-side biases.
+
+    Attributes:
+        arm: as declared.
+        effects: arm side, in any order.
+        biases: camera side, applied in order; they never reach a joint command.
+        passes: load passes (1 leaves 0.14 mm at 18 mm of sag, 2 leave 0.001; docs/physics.md).
+        elements_per_beam: pieces each beam is cut in.
+    """
+
+    arm: Arm
+    effects: tuple[Effect, ...] = ()
+    biases: tuple[Bias, ...] = ()
+    passes: int = 3
+    elements_per_beam: int = 2
+
+    def __getstate__(self) -> dict[str, object]:
+        """Copies and other processes get what was declared, not what was compiled for it."""
+        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+
+    @cached_property
+    def chain(self) -> Chain:
+        """The arm's stations."""
+        return Chain(self.arm, self.elements_per_beam)
+
+    @property
+    def terms(self) -> tuple[Effect | Bias, ...]:
+        """Effects, then biases."""
+        return self.effects + self.biases
+
+    @cached_property
+    def slots(self) -> tuple[Slot, ...]:
+        """Every parameter that is not held, in the order of `values` and of the columns."""
+        return slots_of(self.arm, self.terms)
+
+    @cached_property
+    def values(self) -> np.ndarray:
+        """Parameter values, (p,)."""
+        return np.array([getattr(s.owner, s.parameter.name) for s in self.slots], dtype=float)
+
+    def with_values(self, values: np.ndarray) -> Model:
+        """The same model with other parameter values, (p,)."""
+        changes: list[dict[str, float]] = [{} for _ in self.terms]
+        for slot, value in zip(self.slots, values, strict=True):
+            changes[slot.term][slot.parameter.name] = float(value)
+        return self._with_terms(
+            [t.with_values(c) if c else t for t, c in zip(self.terms, changes, strict=True)]
+        )
+
+    def _with_terms(self, terms: Sequence[Effect | Bias]) -> Model:
+        model = dataclasses.replace(
+            self,
+            effects=tuple(t for t in terms if isinstance(t, Effect)),
+            biases=tuple(t for t in terms if isinstance(t, Bias)),
+        )
+        model.__dict__["chain"] = self.chain
+        return model
+
+    def plus(self, *terms: Effect | Bias) -> Model:
+        """With further terms."""
+        effects = tuple(t for t in terms if isinstance(t, Effect))
+        biases = tuple(t for t in terms if isinstance(t, Bias))
+        return dataclasses.replace(
+            self, effects=self.effects + effects, biases=self.biases + biases
+        )
+
+    # ------------------------------------------------------------------ predict
+
+    def posture(self, q: Sequence[Scalar], context: Context | None = None) -> Posture:
+        """The loaded, deflected arm at q (n scalars, each a float or (N,))."""
+        context = context or Context.empty()
+        posture = self.loaded(q, context, {})
+        for _ in range(self.load_passes):
+            posture = self.loaded(q, context, self.twists(posture))
+        return posture
+
+    @property
+    def load_passes(self) -> int:
+        """Passes that `posture` makes: one is enough where nothing depends on the loads."""
+        return self.passes if any(e.loaded for e in self.effects) else min(1, len(self.effects))
+
+    def loaded(self, q: Sequence[Scalar], context: Context, twists: Twists) -> Posture:
+        """The arm at q with given twists (by station), and the loads it carries there."""
+        frames, lengths = self.chain.place(q, twists)
+        gravity = self._gravity(context)
+        posture = Posture(self.chain, tuple(q), context, frames, lengths, gravity)
+        extra: tuple[Lumped, ...] = ()
+        for effect in self.effects:
+            extra += effect.masses(posture)
+        return dataclasses.replace(posture, extra=extra, _cache={}) if extra else posture
+
+    def _gravity(self, context: Context) -> Vec:
+        """Gravity in the frame that the arm is seen in (m/s^2)."""
+        gravity: Vec = self.arm.gravity_mps2
+        for effect in self.effects:
+            gravity = effect.gravity(gravity)
+        bare = Posture(self.chain, (), context, [], [], gravity)
+        home = self.arm.base.frame()
+        for effect in self.effects:
+            if effect.seen_only:
+                turn = spatial.exp_large(effect.twists(bare)[0])
+                gravity = home.rotate(turn.rotate(home.unrotate(gravity)))
+        return gravity
+
+    def twists(self, posture: Posture) -> Twists:
+        """Sum of all effects' twists, by station."""
+        total: dict[int, spatial.Twist] = {}
+        for effect in self.effects:
+            for station, twist in effect.twists(posture).items():
+                held = total.get(station)
+                total[station] = twist if held is None else spatial.add_twists(held, twist)
+        return total
+
+    def tip_frame(self, posture: Posture) -> Frame:
+        """Pose of the tip (of the marker that the context names) in the base frame."""
+        tip = self.arm.tip
+        frame = posture.frames[posture.frame(tip.frame)] @ tip.pose()
+        if not self.arm.markers or "marker" not in posture.context.labels:
+            return frame
+        p: Vec = spatial.ZERO
+        for name, marker in self.arm.markers.items():
+            mine = posture.context.is_label("marker", name)
+            at = posture.frames[posture.frame(marker.frame)].transform(marker.position_m)
+            p = spatial.add(p, spatial.scale(mine, at))
+        return frame._replace(p=p)
+
+    def seen(self, point: Vec, context: Context) -> Vec:
+        """Where the camera reports the point: the biases, in order."""
+        for bias in self.biases:
+            point = bias.seen(point, context, self.arm)
+        return point
+
+    def tip(self, q: np.ndarray, context: Context | None = None) -> np.ndarray:
+        """True tip position by this model, q (..., n) -> (..., 3) in m, base frame."""
+        return stack(self.tip_frame(self.posture(unstack(q), context)).p)
+
+    def pose(self, q: np.ndarray, context: Context | None = None) -> np.ndarray:
+        """True tip pose by this model, q (..., n) -> (..., 4, 4)."""
+        return self.tip_frame(self.posture(unstack(q), context)).matrix()
+
+    def measured(self, q: np.ndarray, context: Context | None = None) -> np.ndarray:
+        """What the camera should report, q (..., n) -> (..., 3) in m."""
+        context = context or Context.empty()
+        posture = self.posture(unstack(q), context)
+        return stack(self.seen(self.tip_frame(posture).p, context))
+
+    # ------------------------------------------------------------------ explain
+
+    def columns(
+        self, posture: Posture, slots: Sequence[Slot] | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Predicted measurement and its derivative by every parameter.
+
+        Args:
+            posture: the arm at N poses, from `posture`.
+            slots: the parameters wanted; all of them by default.
+
+        Returns:
+            Predicted points (N, 3) in m and columns (N, 3, p), by Eq. (5) with the frames
+            held: exact at zero effect, within a few percent at large ones.
+        """
+        slots = self.slots if slots is None else slots
+        tip = self.tip_frame(posture).p
+        point = self.seen(tip, posture.context)
+        made = []
+        total = self.twists(posture)
+        for slot in slots:
+            term, step = slot.owner, 0.01 * slot.parameter.prior
+            if isinstance(term, Bias):
+                made.append(self._bias_column(slot, tip, posture.context, step))
+                continue
+            raised, lowered = (
+                self._twists_at(slot, value, posture, total) for value in (step, -step)
+            )
+            shift = self._tip_shift(posture, tip, total, raised, lowered, 0.5 / step)
+            made.append(self._seen_shift(tip, shift, posture.context))
+        if not made:
+            return stack(point), np.zeros((*np.shape(stack(point)), 0))
+        shape = np.broadcast_shapes(*(np.shape(c) for c in point))
+        columns = [np.stack([np.broadcast_to(c, shape) for c in v], -1) for v in made]
+        return stack(point), np.stack(columns, axis=-1)
+
+    def shifts(self, posture: Posture, terms: Sequence[Effect | Bias]) -> list[np.ndarray]:
+        """What terms that the model does not hold would each add to the seen tip, (N, 3) in m.
+
+        To first order, by Eq. (5): for terms with nothing to fit.
+        """
+        tip = self.tip_frame(posture).p
+        point = self.seen(tip, posture.context)
+        total = self.twists(posture)
+        made = []
+        for term in terms:
+            if isinstance(term, Bias):
+                seen = spatial.sub(term.seen(point, posture.context, self.arm), point)
+            else:
+                moved = self._tip_shift(posture, tip, total, term.twists(posture), {}, 1.0)
+                seen = self._seen_shift(tip, moved, posture.context)
+            made.append(np.broadcast_to(stack(seen), np.shape(stack(point))))
+        return made
+
+    def _moved(self, slot: Slot, by: float) -> Effect | Bias:
+        name = slot.parameter.name
+        return slot.owner.with_values({name: getattr(slot.owner, name) + by})
+
+    def _twists_at(self, slot: Slot, by: float, posture: Posture, total: Twists) -> Twists:
+        moved = self._moved(slot, by)
+        assert isinstance(moved, Effect)
+        if not moved.changes_loads:
+            return moved.twists(posture)
+        terms = list(self.terms)
+        if slot.term < len(terms) and terms[slot.term] is slot.owner:
+            terms[slot.term] = moved
+            model = self._with_terms(terms)
+        else:
+            model = self.plus(moved)
+            model.__dict__["chain"] = self.chain
+        gravity = model._gravity(posture.context)
+        bare = dataclasses.replace(posture, gravity=gravity, extra=(), _cache={})
+        extra: tuple[Lumped, ...] = ()
+        for effect in model.effects:
+            extra += effect.masses(bare)
+        return model.twists(dataclasses.replace(bare, extra=extra, _cache={}))
+
+    @staticmethod
+    def _tip_shift(
+        posture: Posture, tip: Vec, total: Twists, raised: Twists, lowered: Twists, per: float
+    ) -> Vec:
+        """Eq. (5): the tip's motion under a change of twists, ``sum_i R_i (d_i + delta_i x p_i)``.
+
+        The change is taken about the twist that the station has now (exactly, also where
+        that is large, as for a base that stands elsewhere), the frames after it held.
+        """
+        shift: Vec = spatial.ZERO
+        for station in {*raised, *lowered}:
+            up = raised.get(station, spatial.ZERO_TWIST)
+            down = lowered.get(station, spatial.ZERO_TWIST)
+            change = tuple(0.5 * (a - b) for a, b in zip(up, down, strict=True))
+            if all(type(c) is float and c == 0.0 for c in change):
+                continue
+            now = total.get(station, spatial.ZERO_TWIST)
+            exp = spatial.exp if station else spatial.exp_large
+            frame = posture.frames[station]
+            here = frame.unrotate(spatial.sub(tip, frame.p))
+            ends = [
+                exp(tuple(n + s * c for n, c in zip(now, change, strict=True))).transform(here)  # type: ignore[arg-type]
+                for s in (1.0, -1.0)
+            ]
+            moved = exp(now).unrotate(spatial.sub(ends[0], ends[1]))
+            shift = spatial.add(shift, spatial.scale(per, frame.rotate(moved)))
+        return shift
+
+    def _seen_shift(self, tip: Vec, shift: Vec, context: Context) -> Vec:
+        """The same shift as the camera reports it (chain rule through the biases)."""
+        if not self.biases:
+            return shift
+        h = 1e-3
+        up = self.seen(spatial.add(tip, spatial.scale(h, shift)), context)
+        down = self.seen(spatial.sub(tip, spatial.scale(h, shift)), context)
+        return spatial.scale(0.5 / h, spatial.sub(up, down))
+
+    def _bias_column(self, slot: Slot, tip: Vec, context: Context, step: float) -> Vec:
+        ends = []
+        position = slot.term - len(self.effects)
+        for by in (step, -step):
+            biases = list(self.biases)
+            moved = self._moved(slot, by)
+            assert isinstance(moved, Bias)
+            if 0 <= position < len(biases) and biases[position] is slot.owner:
+                biases[position] = moved
+            else:
+                biases.append(moved)
+            model = dataclasses.replace(self, biases=tuple(biases))
+            ends.append(model.seen(tip, context))
+        return spatial.scale(0.5 / step, spatial.sub(ends[0], ends[1]))
+
+
+def slots_of(arm: Arm, terms: Sequence[Effect | Bias]) -> tuple[Slot, ...]:
+    """The parameters of some terms that are not held."""
+    return tuple(
+        Slot(t, term, p)
+        for t, term in enumerate(terms)
+        for p in term.parameters(arm)
+        if p.prior > 0
+    )
+
+
+def unstack(q: np.ndarray) -> tuple[Scalar, ...]:
+    """(n,) -> n floats; (N, n) -> n arrays of (N,)."""
+    q = np.asarray(q, dtype=float)
+    if q.ndim == 1:
+        return tuple(float(v) for v in q)
+    return tuple(np.ascontiguousarray(q[..., j]) for j in range(q.shape[-1]))
+
+
+def stack(v: Vec) -> np.ndarray:
+    """Three scalars -> (..., 3)."""
+    return np.stack(np.broadcast_arrays(*v), axis=-1)

@@ -1,0 +1,228 @@
+"""`model.yaml`: a calibrated model with units, intervals and where every value came from.
+
+A change is a new version; the file before it is kept beside it, and `undo` puts that
+back byte for byte.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import yaml
+from pydantic import Field
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.effects.catalogue import effect_class
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import atomic_path, write_text
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.yaml_file import Declared, parse_declared, read_yaml
+
+
+class StoredValue(Declared):
+    """One parameter: SI value, unit and 95 % interval."""
+
+    value: float
+    unit: str
+    ci95: tuple[float, float] | None = None
+
+
+class StoredTerm(Declared):
+    """One effect or bias: canonical name, where, its form, its values, where it came from."""
+
+    effect: str
+    where: str
+    form: dict[str, int | float | str] = Field(default_factory=dict)
+    parameters: dict[str, StoredValue] = Field(default_factory=dict)
+    origin: str = ""
+
+
+class ArmReference(Declared):
+    """The arm that a model belongs to."""
+
+    name: str
+    hash: str
+
+
+class StoredModel(Declared):
+    """The whole file; every key is there, so that a file cut short is seen."""
+
+    schema_: Literal["longarm/model/1"] = Field(alias="schema")
+    version: int = Field(ge=1)
+    arm: ArmReference
+    passes: int = Field(ge=1)
+    elements_per_beam: int = Field(ge=1)
+    geometry: list[StoredTerm]
+    effects: list[StoredTerm]
+    camera: list[StoredTerm]
+    provenance: dict[str, str | int | float]
+
+
+def store(
+    model: Model,
+    standard_errors: np.ndarray | None = None,
+    *,
+    version: int = 1,
+    provenance: Mapping[str, str | int | float] | None = None,
+    origins: Mapping[int, str] | None = None,
+    intervals: Mapping[tuple[int, str], tuple[float, float]] | None = None,
+) -> StoredModel:
+    """A model as it is written.
+
+    Args:
+        model: the model.
+        standard_errors: (p,) of its parameters, for normal intervals.
+        version: version number of the file.
+        provenance: session hash, date, verdict, seed, ...
+        origins: by term number, where that term came from.
+        intervals: by (term number, parameter), 95 % intervals that replace the normal ones.
+    """
+    half = {}
+    if standard_errors is not None:
+        for slot, se in zip(model.slots, standard_errors, strict=True):
+            half[slot.term, slot.parameter.name] = 1.96 * float(se)
+    sides: dict[str, list[StoredTerm]] = {"geometry": [], "effects": [], "camera": []}
+    for number, term in enumerate(model.terms):
+        parameters = {}
+        for p in term.parameters(model.arm):
+            value = float(getattr(term, p.name))
+            width = half.get((number, p.name))
+            ci = (intervals or {}).get((number, p.name))
+            if ci is None and width is not None:
+                ci = (max(value - width, p.lower), min(value + width, p.upper))
+            parameters[p.name] = StoredValue(value=value, unit=p.unit, ci95=ci)
+        side = "camera" if isinstance(term, Bias) else "geometry" if term.geometry else "effects"
+        sides[side].append(
+            StoredTerm(
+                effect=term.name,
+                where=term.where,
+                form=term.placement,
+                parameters=parameters,
+                origin=(origins or {}).get(number, ""),
+            )
+        )
+    return StoredModel(
+        schema="longarm/model/1",
+        version=version,
+        arm=ArmReference(name=model.arm.name, hash=model.arm.hash),
+        passes=model.passes,
+        elements_per_beam=model.elements_per_beam,
+        provenance=dict(provenance or {}),
+        **sides,
+    )
+
+
+def save_model(path: str | Path, stored: StoredModel) -> None:
+    """Write atomically; a file already there becomes the previous version.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    data = stored.model_dump(mode="json", by_alias=True)
+    text = (
+        "# Written by longarm; values in SI units. Geometry, effects and camera-side biases.\n"
+        + yaml.safe_dump(data, sort_keys=False, width=100)
+    )
+    path = Path(path)
+    if os.path.isfile(path):  # False where it cannot be looked into: then writing says so
+        with atomic_path(previous(path)) as partial:
+            partial.write_bytes(path.read_bytes())
+    write_text(path, text)
+
+
+def previous(path: str | Path) -> Path:
+    """Where the version before is kept."""
+    path = Path(path)
+    return path.with_name(f"{path.stem}.previous{path.suffix}")
+
+
+def undo(path: str | Path) -> None:
+    """Put the version before back, byte for byte.
+
+    Raises:
+        InputError: there is none.
+    """
+    kept = previous(path)
+    if not kept.is_file():
+        raise InputError(str(path), "previous version", "missing", f"a file {kept.name}")
+    os.replace(kept, path)
+
+
+def read_stored(path: str | Path) -> StoredModel:
+    """The file's contents, validated.
+
+    Raises:
+        InputError: unreadable, unknown key, value not allowed.
+    """
+    return parse_declared(StoredModel, read_yaml(path), str(path))
+
+
+def load_model(path: str | Path, arm: Arm) -> Model:
+    """The model in a file.
+
+    Raises:
+        InputError: as `read_stored`; the file belongs to another arm; an unknown effect,
+            place or parameter.
+    """
+    return restore(read_stored(path), arm, str(path))
+
+
+def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
+    """A model from its stored form."""
+    if stored.arm.hash != arm.hash:
+        raise InputError(
+            where,
+            "arm.hash",
+            f"{stored.arm.name} {stored.arm.hash[:12]}",
+            f"the arm given: {arm.name} {arm.hash[:12]} (calibrate again after editing arm.yaml)",
+        )
+    terms: list[Effect | Bias] = []
+    for entry in (*stored.geometry, *stored.effects, *stored.camera):
+        kind = effect_class(entry.effect, where)
+        known = {f.name for f in dataclasses.fields(kind)}
+        for name in (*entry.form, *entry.parameters):
+            if name not in known:
+                raise InputError(
+                    where, f"{entry.effect}.{name}", "unknown", ", ".join(sorted(known))
+                )
+        values = {name: stored_value.value for name, stored_value in entry.parameters.items()}
+        try:
+            term = kind(**entry.form, **values)
+        except TypeError as error:
+            raise InputError(where, entry.effect, entry.form, str(error)) from error
+        _check_place(term, arm, where)
+        for p in term.parameters(arm):
+            field, value = f"{entry.effect}.{p.name}", getattr(term, p.name)
+            if p.name in values and entry.parameters[p.name].unit != p.unit:
+                raise InputError(where, field, entry.parameters[p.name].unit, p.unit)
+            if not p.lower <= value <= p.upper:
+                raise InputError(where, field, value, f"{p.lower}..{p.upper}")
+        terms.append(term)
+    return Model(
+        arm,
+        tuple(t for t in terms if isinstance(t, Effect)),
+        tuple(t for t in terms if isinstance(t, Bias)),
+        stored.passes,
+        stored.elements_per_beam,
+    )
+
+
+def _check_place(term: Effect | Bias, arm: Arm, where: str) -> None:
+    """Check that the place named in the file exists on this arm."""
+    rows = range(len(arm.joints) + 1)
+    places: dict[str, Any] = {
+        "joint": [j.id for j in arm.joints if j.type != "fixed"],
+        "row": rows[1:],
+        "frame": rows,
+        "beam": [b.name for b in arm.links],
+        "marker": ["", *arm.markers],
+    }
+    for name, allowed in places.items():
+        if name in term.placement and term.placement[name] not in allowed:
+            raise InputError(where, f"{term.name}.{name}", term.placement[name], list(allowed))

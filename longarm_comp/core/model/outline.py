@@ -1,0 +1,21 @@
+"""The arm as a line in space, for pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.model.model import Model, stack, unstack
+
+
+def outline(model: Model, q: np.ndarray, context: Context | None = None) -> np.ndarray:
+    """Points (k, 3) m, base frame: every station of the chain from the foot to the tip, q (n,)."""
+    posture = model.posture(unstack(q), context)
+    points = [stack(frame.p) for frame in posture.frames]
+    return np.array([*points, stack(model.tip_frame(posture).p)])
+
+
+def exaggerated(hanging: np.ndarray, declared: np.ndarray, factor: float) -> np.ndarray:
+    """Points (k, 3) of an arm whose sag is shown so many times larger."""
+    made: np.ndarray = declared + factor * (hanging - declared)
+    return made

@@ -1,0 +1,217 @@
+"""The messages of a bag that make a session, checked and in the order of time.
+
+Only what a row may still need is held: `forget` drops the rest, so that a bag of any length is read
+in bounded memory.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from array import array
+from bisect import bisect_left, bisect_right, insort
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from longarm_comp.core.arm import quaternion
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.session import SAME_POSE
+from longarm_comp.core.errors import InputError
+from longarm_comp.sessions.settled import Sighting
+
+TYPES = {
+    "joint_trajectory": "trajectory_msgs/msg/JointTrajectory",
+    "joint_states": "sensor_msgs/msg/JointState",
+    "tip_measured": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "temperature": "sensor_msgs/msg/Temperature",
+    "payload": "std_msgs/msg/Float64",
+    "inclination": "sensor_msgs/msg/Imu",
+    "session_row": "std_msgs/msg/String",
+}
+"""Topics that are read, by last name, and their types."""
+
+CLOCKS_APART = 60.0
+"""Seconds between stamp and recording above which the stamp is another clock's."""
+
+
+class Row(BaseModel):
+    """What a `session_row` message tells about a row, as JSON."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    index: int | None = None
+    repeat_id: int = -1
+    columns: dict[str, float] = {}
+    labels: dict[str, str] = {}
+
+
+class Held:
+    """A quantity that holds until it is told again."""
+
+    def __init__(self, first: float) -> None:
+        self.first = first
+        self._times, self._values = array("d"), array("d")
+
+    def tell(self, t: float, value: float) -> None:
+        """From `t` (s) on it is this."""
+        self._times.append(t)
+        self._values.append(value)
+
+    def at(self, t: float) -> float:
+        """What was told last; before anything was told, what came first."""
+        place = bisect_right(self._times, t)
+        return self._values[place - 1] if place else self.first
+
+    def forget(self, until: float) -> None:
+        """No time up to `until` is asked for any more."""
+        past = bisect_right(self._times, until) - 1
+        if past > 0:
+            del self._times[:past], self._values[:past]
+
+
+@dataclass
+class MessageBuffer:
+    """What was read and may still be needed; every time in s from `start_ns`.
+
+    `take` puts a message of a topic in `TYPES` where it belongs, or raises `InputError`.
+
+    Attributes:
+        arm, where, start_ns: whose bag, for messages, and its first moment.
+        every_command: one that is sent again counts; otherwise, while the arm is there or on its
+            way, it is the same command.
+        commands: time and points (k, n), oldest first.
+        sightings: by the time they were taken.
+        rows: what `session_row` told, by time.
+        columns: temperature, payload, inclinations.
+        frames: that sightings were in.
+        commanded, sighted: whether there was any.
+    """
+
+    arm: Arm
+    where: str
+    start_ns: int
+    every_command: bool
+    commands: deque[tuple[float, np.ndarray]] = field(default_factory=deque)
+    sightings: list[Sighting] = field(default_factory=list)
+    rows: list[tuple[float, Row]] = field(default_factory=list)
+    columns: dict[str, Held] = field(default_factory=dict)
+    frames: set[str] = field(default_factory=set)
+    commanded: bool = False
+    sighted: bool = False
+
+    def __post_init__(self) -> None:
+        """One reader per topic of `TYPES`."""
+        self._readers = {name: getattr(self, f"_{name}") for name in TYPES}
+        self._times, self._joints = array("d"), array("d")
+        self._sent: np.ndarray | None = None
+
+    def take(self, topic: str, stamp_ns: int, message: Any) -> None:
+        """Read one message of the topic with this last name."""
+        self._readers[topic]((stamp_ns - self.start_ns) * 1e-9, message)
+
+    def sightings_between(self, begin: float, end: float) -> list[Sighting]:
+        """Taken after `begin` and before `end`."""
+        return self.sightings[_within(self.sightings, begin, end)]
+
+    def rows_between(self, begin: float, end: float) -> list[tuple[float, Row]]:
+        """Told after `begin` and before `end`."""
+        return self.rows[_within(self.rows, begin, end)]
+
+    def states_between(self, begin: float, end: float) -> tuple[np.ndarray, np.ndarray]:
+        """Times (m,) and measured joints (m, n) after `begin` and before `end`."""
+        low, high = bisect_right(self._times, begin), bisect_left(self._times, end)
+        n = self.arm.n
+        joints = np.array(self._joints[low * n : high * n]).reshape(-1, n)
+        return np.array(self._times[low:high]), joints
+
+    def forget(self, until: float) -> None:
+        """Nothing up to `until` is asked for any more."""
+        for records in (self.sightings, self.rows):
+            del records[: bisect_right(records, until, key=_time)]  # type: ignore[call-overload]
+        past = bisect_right(self._times, until)
+        del self._times[:past], self._joints[: past * self.arm.n]
+        for held in self.columns.values():
+            held.forget(until)
+
+    def _joint_trajectory(self, t: float, message: Any) -> None:
+        names, known = list(message.joint_names), self.arm.joint_names
+        if sorted(names) != sorted(known):
+            allowed = f"{', '.join(known)} of arm {self.arm.name}"
+            raise self._error("joint_trajectory joint_names", t, ", ".join(names), allowed)
+        points = [np.asarray(point.positions, dtype=float) for point in message.points]
+        good = all(p.shape == (len(names),) and np.isfinite(p).all() for p in points)
+        if not points or not good:
+            allowed = f"points of {self.arm.n} finite positions"
+            raise self._error("joint_trajectory points", t, "positions", allowed)
+        order = [names.index(name) for name in known]
+        q = np.array(points)[:, order]
+        self.commanded = True
+        if (
+            self.every_command
+            or self._sent is None
+            or len(q) > 1
+            or np.abs(q[0] - self._sent).max() >= SAME_POSE
+        ):
+            self.commands.append((t, q))
+            self._sent = q[-1]
+
+    def _joint_states(self, t: float, positions: tuple[float, ...] | None) -> None:
+        """Positions in the arm's order, from `JointStates`; None: not of this arm."""
+        if positions is not None and self.commands:
+            self._times.append(t)
+            self._joints.extend(positions)
+
+    def _tip_measured(self, t: float, message: Any) -> None:
+        p = message.pose.pose.position
+        xyz = np.array([p.x, p.y, p.z])
+        if np.isinf(xyz).any() or np.isnan(xyz).any() != np.isnan(xyz).all():
+            raise self._error("tip_measured", t, xyz, "finite, or NaN in x, y and z")
+        variance = np.asarray(message.pose.covariance, dtype=float)[[0, 7, 14]]
+        stamp = message.header.stamp
+        taken = (stamp.sec * 10**9 + stamp.nanosec - self.start_ns) * 1e-9
+        taken = taken if abs(taken - t) < CLOCKS_APART else t
+        insort(self.sightings, Sighting(taken, xyz, variance), key=_time)
+        self.sighted = True
+        self.frames.add(message.header.frame_id)
+
+    def _temperature(self, t: float, message: Any) -> None:
+        self._hold("temperature_c", t, message.temperature)
+
+    def _payload(self, t: float, message: Any) -> None:
+        self._hold("payload_kg", t, message.data)
+
+    def _inclination(self, t: float, message: Any) -> None:
+        """Tilt about x and y of the frame that the message names, from its orientation."""
+        o = message.orientation
+        frame = re.sub(r"\W+", "_", message.header.frame_id) or "base"
+        roll, pitch = quaternion.tilt(np.array([o.x, o.y, o.z, o.w]))
+        self._hold(f"incl_{frame}_x", t, roll)
+        self._hold(f"incl_{frame}_y", t, pitch)
+
+    def _session_row(self, t: float, message: Any) -> None:
+        try:
+            insort(self.rows, (t, Row.model_validate_json(message.data)), key=_time)
+        except ValidationError as error:
+            fault = error.errors(include_url=False)[0]
+            allowed = f"{' '.join(map(str, fault['loc']))}: {fault['msg']}"
+            raise self._error("session_row", t, message.data, allowed) from error
+
+    def _hold(self, name: str, t: float, value: float) -> None:
+        if not math.isfinite(value):
+            raise self._error(name, t, value, "a finite number")
+        self.columns.setdefault(name, Held(value)).tell(t, value)
+
+    def _error(self, what: str, t: float, value: object, allowed: str) -> InputError:
+        return InputError(self.where, f"{what} at {t:.3f} s", value, allowed)
+
+
+def _time(record: tuple[Any, ...]) -> float:
+    return float(record[0])
+
+
+def _within(records: list[Any], begin: float, end: float) -> slice:
+    return slice(bisect_right(records, begin, key=_time), bisect_left(records, end, key=_time))
