@@ -12,7 +12,7 @@ from longarm_comp.jobs.collect import Pace
 from longarm_comp.nodes.bringup import BringUp, folder
 
 NAMESPACE = "longarm_demo"
-"""ManualCallbackGroup from any real arm on the same network."""
+"""Its own namespace: apart from any real arm on the same network."""
 
 PACE = Pace(sightings=3, dwell_s=0.06, move_s=0.05, arrive_s=20.0, look_s=3.0, tolerance=5e-4)
 _FRAME_RATE_HZ = 15.0
