@@ -13,7 +13,7 @@ import yaml
 from cli_shell import Shell, real
 from small_arm import ARM
 
-from longarm_comp.bench import catalogue
+from bench import catalogue
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.model.model import Model
@@ -196,4 +196,4 @@ def test_bench_gives_the_agreed_rows(shell: Shell, monkeypatch: pytest.MonkeyPat
 
 def test_every_benchmark_is_where_the_list_says() -> None:
     for name, module in catalogue.MODULE_OF.items():
-        assert callable(getattr(importlib.import_module(f"longarm_comp.bench.{module}"), name))
+        assert callable(getattr(importlib.import_module(f"bench.{module}"), name))

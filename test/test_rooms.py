@@ -163,8 +163,8 @@ def reach(graph: dict[str, set[str]], start: str) -> set[str]:
 @cache
 def sources() -> dict[str, Path]:
     """Module name -> file; a package's own file under ``name.__init__``."""
-    files = sorted((ROOT / PACKAGE).rglob("*.py"))
-    return {".".join(file.relative_to(ROOT).with_suffix("").parts): file for file in files}
+    files = [file for folder in (PACKAGE, "bench") for file in (ROOT / folder).rglob("*.py")]
+    return {".".join(file.relative_to(ROOT).with_suffix("").parts): file for file in sorted(files)}
 
 
 @cache
@@ -182,7 +182,7 @@ def in_room(room: str) -> list[str]:
 
 @cache
 def graph() -> dict[str, set[str]]:
-    """The package's modules and what each needs of it.
+    """The modules of the package and of the benchmarks, and what each needs of them.
 
     An import within a function, of a neighbour in the same folder, does not count: a record's own
     ``save`` may hand itself to the file format beside it.
@@ -240,6 +240,15 @@ def test_only_the_entry_point_imports_the_command_line() -> None:
     assert not callers
 
 
+def test_only_its_command_imports_the_benchmarks() -> None:
+    callers = {
+        name
+        for name in sources()
+        if below(name, (PACKAGE,)) and any(below(entry.name, ("bench",)) for entry in read(name))
+    }
+    assert callers == {f"{PACKAGE}.cli.bench"}
+
+
 @pytest.mark.parametrize(
     ("room", "source"),
     [
@@ -253,6 +262,7 @@ def test_only_the_entry_point_imports_the_command_line() -> None:
         ("sim", "from longarm_comp.core.effects.creep import Creep"),
         ("sim", "import importlib\nimportlib.import_module('longarm_comp.core.ik.solver')"),
         ("nodes", "import scipy.linalg"),
+        ("nodes", "from bench import arms"),
         ("report", "from longarm_comp.nodes.kinematics import Kinematics"),
     ],
 )
