@@ -15,7 +15,8 @@ from small_arm import ARM
 
 from bench import catalogue
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.plan import Plan
+from longarm_comp.core.data.plan import Plan, paper_grid
+from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sessions.poses import write_poses
@@ -110,6 +111,23 @@ def test_compensate_takes_the_error_off(work: Path, shell: Shell) -> None:
     before = missed()
     assert shell(*command, "--predictor", work / "predictor.npz") == 0
     assert missed() < 0.5 * before
+
+
+@pytest.mark.parametrize("method", ["none", "deflection"])
+def test_compensate_reaches_the_whole_grid_from_a_file_of_nine_decimals(
+    method: str, demo_arm_path: Path, shell: Shell
+) -> None:
+    arm = Arm.load(demo_arm_path)
+    model = declared_model(arm) if method == "deflection" else Model(arm)
+    targets = model.tip(paper_grid(arm))
+    np.savetxt("grid.csv", targets, fmt="%.9f", delimiter=",", header="x,y,z", comments="")
+    command = ("compensate", demo_arm_path, "--targets", "grid.csv", "-o", "commands.csv")
+    assert shell(*command, "--method", method) == 0
+    with open("commands.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["status"] for row in rows] == ["success"] * 1458
+    q = np.array([[float(row[f"q{j}"]) for j in range(1, 8)] for row in rows])
+    assert np.linalg.norm(model.tip(q) - targets, axis=1).max() < 1e-6
 
 
 def test_compensate_one_target_with_its_options(work: Path, shell: Shell) -> None:
