@@ -58,11 +58,10 @@ MATHS = {
 
 @dataclass(frozen=True)
 class Import:
-    """One import: where, of what, and whether loading the module carries it out."""
+    """One import, for types alone too: where, of what, whether within a function."""
 
     line: int
     name: str
-    typing_only: bool
     in_function: bool
 
 
@@ -78,13 +77,6 @@ def imports(source: str, module: str, known: frozenset[str]) -> Iterator[Import]
     ends in ``.__init__`` for a package's own file, so that relative imports come out right.
     """
     tree = ast.parse(source)
-    typing_only = {
-        id(inner)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
-        for statement in node.body
-        for inner in ast.walk(statement)
-    }
     in_function = {
         id(inner)
         for node in ast.walk(tree)
@@ -104,7 +96,7 @@ def imports(source: str, module: str, known: frozenset[str]) -> Iterator[Import]
         elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
             names = [a.value for a in node.args if isinstance(a, ast.Constant)]
         for name in names:
-            yield Import(node.lineno, name, id(node) in typing_only, id(node) in in_function)
+            yield Import(node.lineno, name, id(node) in in_function)
 
 
 def maths(source: str) -> Iterator[tuple[int, str]]:
@@ -191,9 +183,7 @@ def graph() -> dict[str, set[str]]:
         module.removesuffix(".__init__"): {
             entry.name
             for entry in read(module)
-            if entry.name in known()
-            and not entry.typing_only
-            and not (entry.in_function and neighbours(module, entry.name))
+            if entry.name in known() and not (entry.in_function and neighbours(module, entry.name))
         }
         for module in sources()
     }

@@ -17,6 +17,7 @@ import numpy as np
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64, String
 
+from longarm_comp.core.data.rest_pose import JOINT_REST
 from longarm_comp.core.data.session import SAME_POSE
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.jobs.client import ArmClient
@@ -25,7 +26,6 @@ from longarm_comp.jobs.recorder import Recorder
 from longarm_comp.sessions.bag import open_bag
 from longarm_comp.sessions.bag_segments import SegmentedBag
 from longarm_comp.sessions.message_types import message_types
-from longarm_comp.sessions.settled import JOINT_REST
 
 ROW_TOPIC, ROW_TYPE = "session_row", "std_msgs/msg/String"
 COMMAND_TOPIC = "joint_trajectory"

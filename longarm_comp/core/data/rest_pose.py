@@ -12,7 +12,7 @@ import numpy as np
 from longarm_comp.core.errors import InputError
 
 JOINT_REST = 2e-3
-"""Joints (rad, m) this close to where they were sent are there."""
+"""Joints (rad, m) this close to where they were sent, or to where they end, rest there."""
 
 
 @dataclass(frozen=True)
