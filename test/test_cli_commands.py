@@ -90,6 +90,27 @@ def test_a_bag_does_where_a_csv_does(work: Path, shell: Shell) -> None:
     assert (back.approach == session.approach).all()
 
 
+def test_evaluate_points_out_the_session_that_was_fitted(work: Path, shell: Shell) -> None:
+    """The model and the predictor know the session that they come from, in any file."""
+    both = ("--model", work / "model.yaml", "--predictor", work / "predictor.npz")
+    fresh = shell.json("evaluate", work / "arm.yaml", "--test", work / "test.csv", *both)
+    assert fresh["fitted_to_test"] == []
+    assert "judge on other poses" not in shell.err
+    session = read_csv(work / "samples.csv", ARM)
+    write_csv(session, "copy.csv")
+    known = ("evaluate", work / "arm.yaml", "--test", "copy.csv")
+    assert shell.json(*known, *both)["fitted_to_test"] == ["model", "predictor"]
+    assert shell.json(*known, *both[:2])["fitted_to_test"] == ["model"]
+    assert shell.json(*known)["fitted_to_test"] == []
+    assert shell(*known, *both) == 0
+    assert "the model and the predictor came from this session: judge on other poses" in shell.err
+    shell("calibrate", work / "arm.yaml", work / "test.csv", "-o", "other.yaml")
+    shell("train", work / "arm.yaml", "copy.csv", "--model", "other.yaml", "-o", "p.npz",
+          "--ensemble", 1, "--hidden", 4)  # fmt: skip
+    crossed = ("--model", "other.yaml", "--predictor", "p.npz")
+    assert shell.json(*known, *crossed)["fitted_to_test"] == ["predictor"]
+
+
 def test_compensate_takes_the_error_off(work: Path, shell: Shell) -> None:
     session = read_csv(work / "test.csv", ARM)
     inside = np.abs(session.q - ARM.mid).max(1).argsort()[:5]
