@@ -11,7 +11,8 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from longarm_comp.nodes.bringup import BringUp, folder
+from longarm_comp.nodes.bringup import BringUp
+from longarm_comp.share import folder
 
 ARGUMENTS = (
     ("arm", None, "arm.yaml: the declared arm"),

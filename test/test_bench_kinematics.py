@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from longarm_comp.bench import compensation, forward, ik_peers, kinematics
-from longarm_comp.bench.arms import demo_arm
+from bench import compensation, forward, ik_peers, kinematics
+from bench.arms import demo_arm
 from longarm_comp.core.model.model import Model
 
 FAST = importlib.util.find_spec("llvmlite") is not None

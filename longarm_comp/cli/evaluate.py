@@ -22,7 +22,8 @@ def command(
     """Errors of every stage on measured poses, as in the paper's Table I.
 
     Rows: the rigid declared arm, with its declared deflection, the calibrated model, and with the
-    network. A pose outside the network's training data keeps the physics' prediction.
+    network. A pose outside the network's training data keeps the physics' prediction. A test
+    session that the model or the network was fitted to is pointed out.
 
     \b
     Example:
@@ -33,6 +34,7 @@ def command(
     from longarm_comp.cli.inputs import admitted, physics, trained
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.identify.calibrate import Errors, errors
+    from longarm_comp.sessions.training_rows import fitted_to
 
     declared = Arm.load(arm)
     calibrated = None if model is None else physics(declared, model)
@@ -42,7 +44,7 @@ def command(
         stages["deflection"] = errors(physics(declared, None), session)
     if calibrated is not None:
         stages["calibrated"] = errors(calibrated, session)
-    outside = 0
+    outside, learned = 0, None
     if predictor is not None:
         learned, deflection = trained(predictor, declared, model)
         seen = session.take(session.seen)
@@ -52,8 +54,12 @@ def command(
         expected = np.where(inside[:, None], found.error, 0.0)
         stages["network"] = errors(physics(declared, model, deflection), session) - expected
     rows = [error_row(name, Errors.of(error)) for name, error in stages.items()]
+    known = fitted_to(session, model, learned)
+    if known:
+        note(f"the {' and the '.join(known)} came from this session: judge on other poses")
     if as_json:
-        print_json({"test": str(test), "rows": rows, "outside_training_data": outside})
+        facts = {"outside_training_data": outside, "fitted_to_test": known}
+        print_json({"test": str(test), "rows": rows, **facts})
         return
     print_rows(f"Errors on {test} ({rows[0]['n']} poses)", rows)
     if outside:

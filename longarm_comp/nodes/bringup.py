@@ -19,29 +19,13 @@ from typing import Any
 from longarm_comp.core.arm.arm import read_yaml
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes.supervisor import Supervisor
+from longarm_comp.share import PACKAGE, folder
 
-PACKAGE = "longarm_comp"
 REAL = ("error_predictor", "kinematics", "servo_driver", "stereo_bridge")
 SIMULATED = ("simulated_arm", *REAL)
 
 _PATIENT = {"bus.reply_timeout_s": 0.2, "follower.silence_s": 2.0}
 """Emulated servos share the computer with everything else and may be late."""
-
-
-def folder(name: str) -> Path:
-    """``config`` or ``launch``, as installed or in the source tree.
-
-    Raises:
-        InputError: neither is there.
-    """
-    places = (
-        Path(__file__).resolve().parents[2] / name,
-        Path(sys.prefix) / "share" / PACKAGE / name,
-    )
-    for place in places:
-        if (place / "servo_driver.yaml").is_file() or (name == "launch" and place.is_dir()):
-            return place
-    raise InputError("installation", name, "missing", " or ".join(map(str, places)))
 
 
 @dataclass(frozen=True)

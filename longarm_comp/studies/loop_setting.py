@@ -80,8 +80,8 @@ def set_up(case: Case, declared: Arm) -> Setting:
     gauge = _Gauge(arm, head, plan, sigma, rng)
     drawn = [gauge.sized(_drawn(name, arm, case.one_place, rng), rng) for name in case.effects]
     effects = [effect for effect, _ in drawn]
-    chain = (*effects, *off)  # a servo rounds what it is told; how it is mounted comes after that
-    true = TrueArm(arm, [e for e in chain if isinstance(e, HiddenEffect)], steps=_STEPS)
+    on_arm = [e for e in (*effects, *off) if isinstance(e, HiddenEffect)]
+    true = TrueArm(arm, on_arm, steps=_STEPS)
     eye = dataclasses.replace(
         head, effects=tuple(e for e in effects if isinstance(e, CameraEffect))
     )

@@ -52,6 +52,11 @@ def smooth_residual(q: Array) -> Array:
     return np.stack((x, y, up), axis=1)
 
 
+def rms_mm(error: Array) -> float:
+    """Root mean square of errors in m, of any shape, in mm."""
+    return 1e3 * float(np.sqrt(np.mean(error**2)))
+
+
 def smooth_set(samples: int, seed: int, test: int = 1000) -> SmoothSet:
     """Sobol training poses, uniform random test poses, noise on both; deterministic by ``seed``."""
     rng = np.random.default_rng(seed)

@@ -7,9 +7,9 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from longarm_comp.bench.mealpy_peer import MealpyPeer
-from longarm_comp.bench.rows import Result, beside
-from longarm_comp.bench.smooth import SmoothSet, smooth_set
+from bench.comparison import Result, beside
+from bench.mealpy_peer import MealpyPeer
+from bench.smooth import SmoothSet, smooth_set
 from longarm_comp.core.learn.network import Shape, squared_error
 from longarm_comp.core.learn.sparrow import SparrowSearch
 

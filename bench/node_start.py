@@ -17,8 +17,9 @@ from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 
-from longarm_comp.bench.arms import demo_arm, demo_arm_file
-from longarm_comp.bench.rows import Result, beside, missing
+from bench.apart import environment
+from bench.arms import demo_arm, demo_arm_file
+from bench.comparison import Result, beside, missing
 from longarm_comp.core.errors import JobError
 
 REPEATS = 5
@@ -88,23 +89,23 @@ def _commands(folder: Path, nodes: Sequence[str]) -> dict[str, list[str]]:
     train_stand_in(demo_arm(), predictor)
     space = f"longarm_bench_{os.getpid()}"
     graph = BringUp(demo_arm_file(), predictor=predictor, sim=True, namespace=space)
-    made = {"bare": [sys.executable, "-m", "longarm_comp.bench.bare_node"]}
+    made = {"bare": [sys.executable, "-m", "bench.bare_node"]}
     for node in nodes:
         python, flag, module, *rest = graph.command(node, str(folder / "bus"))
-        made[node] = [python, flag, "longarm_comp.bench.ready_node", module, *rest]
+        made[node] = [python, flag, "bench.ready_node", module, *rest]
     return made
 
 
 def _ready(command: Sequence[str], folder: str) -> float:
     """Seconds until a process says that it is ready."""
-    environment = {
-        **os.environ,
+    variables = {
+        **environment(),
         "ROS_LOG_DIR": folder,
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     }
     begin = time.perf_counter()
     with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=variables
     ) as process:
         assert process.stdout is not None and process.stderr is not None
         said = process.stdout.readline()

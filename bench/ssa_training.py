@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.bench.rows import Result, beside, missing
-from longarm_comp.bench.smooth import SmoothSet, smooth_set
+from bench.comparison import Result, beside, missing
+from bench.smooth import SmoothSet, rms_mm, smooth_set
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.studies.peers import train_gaussian_process, train_mlp
 
@@ -46,12 +46,6 @@ LADDERS: dict[str, tuple[tuple[str, Learner], ...]] = {
 PEERS = {"mlp": "scikit-learn MLPRegressor", "gp": "scikit-learn GaussianProcessRegressor"}
 
 
-def rms_mm(learned: Any, data: SmoothSet) -> float:
-    """Held-out error, mm per axis."""
-    error = learned.predict(data.test_q).error - data.test_truth
-    return 1e3 * float(np.sqrt(np.mean(error**2)))
-
-
 @lru_cache(maxsize=8)
 def reached(kind: str, samples: int, target_mm: float, repeats: int) -> dict[str, Any] | None:
     """The cheapest setting whose median error is below the target: seconds and errors."""
@@ -64,7 +58,7 @@ def reached(kind: str, samples: int, target_mm: float, repeats: int) -> dict[str
                 warnings.simplefilter("ignore")
                 learned = learn(data, seed)
             seconds.append(time.process_time() - begin)
-            errors.append(rms_mm(learned, data))
+            errors.append(rms_mm(learned.predict(data.test_q).error - data.test_truth))
         if np.median(errors) <= target_mm:
             return {"setting": setting, "seconds": seconds, "rms_mm": float(np.median(errors))}
     return None

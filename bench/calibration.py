@@ -13,10 +13,10 @@ from functools import lru_cache
 import numpy as np
 from scipy.stats import qmc
 
-from longarm_comp.bench.apart import cost_of
-from longarm_comp.bench.arms import demo_arm
-from longarm_comp.bench.calibration_peers import by_finite_differences, pybotics
-from longarm_comp.bench.rows import Result, alone, beside, missing
+from bench.apart import cost_of
+from bench.arms import demo_arm
+from bench.calibration_peers import by_finite_differences, pybotics
+from bench.comparison import Result, alone, beside, missing
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect

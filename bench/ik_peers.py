@@ -15,6 +15,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.quaternion import from_rotation
 from longarm_comp.core.arm.spatial import IDENTITY
+from longarm_comp.core.data.alignment import roll_pitch_yaw
 
 
 class Peer(Protocol):
@@ -32,7 +33,7 @@ def rigid_urdf(arm: Arm) -> str:
     for k, joint in enumerate(arm.joints):
         frame = IDENTITY.turned_x(float(np.radians(joint.alpha_deg))).along(0, joint.a_m)
         frame = frame.turned_z(float(np.radians(joint.theta_offset_deg))).along(2, joint.d_m)
-        rpy = _roll_pitch_yaw(frame.matrix()[:3, :3])
+        rpy = roll_pitch_yaw(frame.matrix()[:3, :3])
         xyz, low_high = " ".join(map(repr, map(float, frame.p))), joint.limits
         parts += [
             f'<joint name="joint{k + 1}" type="{joint.type}">',
@@ -42,15 +43,6 @@ def rigid_urdf(arm: Arm) -> str:
             f'</joint><link name="row{k + 1}"/>',
         ]
     return "\n".join([*parts, "</robot>"])
-
-
-def _roll_pitch_yaw(R: np.ndarray) -> tuple[float, float, float]:
-    """Angles (rad) with R = Rz(yaw) Ry(pitch) Rx(roll); yaw 0 where they are not unique."""
-    level = float(np.hypot(R[0, 0], R[1, 0]))
-    pitch = float(np.arctan2(-R[2, 0], level))
-    if level < 1e-9:
-        return float(np.arctan2(-R[1, 2], R[1, 1])), pitch, 0.0
-    return float(np.arctan2(R[2, 1], R[2, 2])), pitch, float(np.arctan2(R[1, 0], R[0, 0]))
 
 
 class Toolbox:

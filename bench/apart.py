@@ -48,17 +48,22 @@ def cost_of(module: str, function: str, *arguments: Any) -> Cost:
     Raises:
         JobError: it did not end well.
     """
-    command = [sys.executable, "-m", "longarm_comp.bench.apart", module, function]
+    command = [sys.executable, "-m", "bench.apart", module, function]
     done = subprocess.run(
         [*command, json.dumps(arguments)],
         capture_output=True,
         text=True,
         check=False,
-        env={**os.environ, **_ONE_THREAD},
+        env=environment() | _ONE_THREAD,
     )
     if done.returncode != 0:
         raise JobError(f"{function} ended with {done.returncode}: {done.stderr.strip()[-300:]}")
     return Cost(**json.loads(done.stdout.splitlines()[-1]))
+
+
+def environment() -> dict[str, str]:
+    """This process's environment, in which another Python finds the same modules."""
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))}
 
 
 def _memory_mb(kind: str) -> float:

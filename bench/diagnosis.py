@@ -10,10 +10,10 @@ import time
 from functools import lru_cache
 from typing import Any
 
-from longarm_comp.bench.apart import Cost, cost_of
-from longarm_comp.bench.arms import demo_arm
-from longarm_comp.bench.calibration import made_session
-from longarm_comp.bench.rows import Result, beside
+from bench.apart import Cost, cost_of
+from bench.arms import demo_arm
+from bench.calibration import made_session
+from bench.comparison import Result, beside
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.effects.joint_compliance import JointCompliance

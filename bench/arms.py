@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.nodes.bringup import folder
+from longarm_comp.share import folder
 
 
 def demo_arm_file() -> Path:

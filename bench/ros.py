@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.bench.arms import demo_arm
-from longarm_comp.bench.rows import Result, alone, beside
+from bench.arms import demo_arm, demo_arm_file
+from bench.comparison import Result, alone, beside
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.jobs.dummy_predictor import train_stand_in
 
@@ -130,7 +130,7 @@ def _share(of: str, **further: object) -> Result:
 @lru_cache(maxsize=1)
 def figures(blocks: int = BLOCKS, per_block: int = PER_BLOCK) -> Figures:
     """Everything, measured once a process."""
-    from longarm_comp.bench.ros_calls import Calls
+    from bench.ros_calls import Calls
 
     arm = demo_arm()
     with _graph(arm) as calls_on:
@@ -157,20 +157,18 @@ def figures(blocks: int = BLOCKS, per_block: int = PER_BLOCK) -> Figures:
 @contextmanager
 def _graph(arm: Arm) -> Iterator[Callable[[Any], Any]]:
     """The processes; gives what makes the caller's side."""
-    from longarm_comp.nodes.bringup import folder
     from longarm_comp.nodes.supervisor import Supervisor
 
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     space = f"longarm_bench_{os.getpid()}"
-    arm_file = folder("config") / "arm_demo.yaml"
     with tempfile.TemporaryDirectory(prefix="longarm_bench_") as scratch:
         os.environ.setdefault("ROS_LOG_DIR", scratch)
         predictor = Path(scratch) / "predictor.npz"
         train_stand_in(arm, predictor)
         module, ros = [sys.executable, "-m"], ["--ros-args", "-r", f"__ns:=/{space}"]
-        file = ["-p", f"arm:='{arm_file}'"]
+        file = ["-p", f"arm:='{demo_arm_file()}'"]
         commands = {
-            "echo": [*module, "longarm_comp.bench.ros_echo", *ros],
+            "echo": [sys.executable, str(Path(__file__).with_name("ros_echo.py")), *ros],
             "kinematics": [*module, "longarm_comp.nodes.kinematics", *ros, *file],
             "error_predictor": [
                 *(*module, "longarm_comp.nodes.error_predictor", *ros, *file),

@@ -144,6 +144,6 @@ def run(name: str) -> Mapping[str, object]:
     """
     if name not in MODULE_OF:
         raise InputError("bench", "name", name, ", ".join(MODULE_OF))
-    module = importlib.import_module(f"longarm_comp.bench.{MODULE_OF[name]}")
+    module = importlib.import_module(f"bench.{MODULE_OF[name]}")
     row: Mapping[str, object] = getattr(module, name)()
     return row

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.bench.arms import demo_arm
-from longarm_comp.bench.ik_peers import Pinocchio, Toolbox
-from longarm_comp.bench.kinematics import random_joints, soft_model, timed
-from longarm_comp.bench.rows import Result, alone, beside, missing
+from bench.arms import demo_arm
+from bench.comparison import Result, alone, beside, missing
+from bench.ik_peers import Pinocchio, Toolbox
+from bench.kinematics import soft_model, timed
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.effects.catalogue import BY_NAME
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.ik import solver as ik

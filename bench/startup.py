@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Sequence
 
-from longarm_comp.bench.rows import Result, beside
+from bench.comparison import Result, beside
 
 REPEATS = 7
 NOTHING = ("-c", "pass")

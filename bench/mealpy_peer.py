@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from longarm_comp.bench.python_apart import python_of
+from bench.python_apart import python_of
 from longarm_comp.core.errors import JobError
 
 REQUIREMENTS = ("mealpy==3.0.3", "numpy<=1.26")

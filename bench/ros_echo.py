@@ -1,6 +1,6 @@
 """A bare rclpy node that answers the kinematics node's messages at once: what DDS alone costs.
 
-``python -m longarm_comp.bench.ros_echo --ros-args -r __ns:=/some_namespace``
+``python bench/ros_echo.py --ros-args -r __ns:=/some_namespace``
 """
 
 from __future__ import annotations

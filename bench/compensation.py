@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.bench.arms import demo_arm
-from longarm_comp.bench.kinematics import random_joints, soft_model, timed
-from longarm_comp.bench.rows import Result, alone
+from bench.arms import demo_arm
+from bench.comparison import Result, alone
+from bench.kinematics import soft_model, timed
 from longarm_comp.core.compensation.compensate import Method, compensate, compensate_many
+from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.ik import solver as ik
 
 

@@ -8,7 +8,6 @@ above 1 mean faster than the peer.
 
 from __future__ import annotations
 
-import itertools
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -17,10 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.bench.arms import demo_arm
-from longarm_comp.bench.ik_peers import IkPy, Peer, Pinocchio, RoboPlan, Toolbox, TracIk
-from longarm_comp.bench.rows import Result, alone, beside, missing
+from bench.arms import demo_arm
+from bench.comparison import Result, alone, beside, missing
+from bench.ik_peers import IkPy, Peer, Pinocchio, RoboPlan, Toolbox, TracIk
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.plan import paper_grid, random_joints
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.ik import solver as ik
@@ -37,19 +37,6 @@ def soft_model(arm: Arm, elements_per_beam: int = 2) -> Model:
     """Links that sag and joints that give way."""
     soft = tuple(JointCompliance(row, 1e-3) for row in arm.commanded if row in (1, 2, 5, 6))
     return Model(arm, (LinkDeflection(), *soft), elements_per_beam=elements_per_beam)
-
-
-def random_joints(arm: Arm, count: int, seed: int) -> np.ndarray:
-    """Joints (count, n) anywhere inside the limits."""
-    return np.random.default_rng(seed).uniform(arm.lower, arm.upper, (count, arm.n))
-
-
-def paper_grid() -> np.ndarray:
-    """The paper's training grid (1458, 7): on limits and at singularities."""
-    deg = [(-15, 0, 15), (0, 15, 30), (0, 30, 60), (-45, -25, 0), (-30, 0, 30)]
-    slides = [(0, 0), (0, 0.063), (0.06, 0.01), (0.053, 0.063), (0.104, 0.018), (0.105, 0.063)]
-    turns = itertools.product(*map(np.radians, deg))
-    return np.array([[*t[:2], s, *t[2:], d] for t, (s, d) in itertools.product(turns, slides)])
 
 
 Clock = Callable[[], float]
@@ -208,7 +195,7 @@ def ik_batch_all_cores_vs_rtb_ik_lm_mean() -> Result:
 
 def ik_grid_vs_rtb_ik_lm_mean() -> Result:
     """The paper's grid, on limits and at singularities; goal 20."""
-    return _batch("ik_grid_vs_rtb_ik_lm_mean", paper_grid(), _engine(Engine.ARRAYS))
+    return _batch("ik_grid_vs_rtb_ik_lm_mean", paper_grid(demo_arm()), _engine(Engine.ARRAYS))
 
 
 def ik_single_without_compiler() -> Result:

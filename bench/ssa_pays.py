@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import Bounds, differential_evolution
 
-from longarm_comp.bench.smooth import SmoothSet, smooth_set
+from bench.smooth import SmoothSet, rms_mm, smooth_set
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.network import (
     SPARROW_BOUND,
@@ -49,17 +49,13 @@ class _Problem:
     def rms_mm(self, weights: Array) -> float:
         """Held-out RMSE per axis against the noise-free truth."""
         outputs = forward(SHAPE, weights, self.test_x) * self.scale + self.offset
-        return _rms_mm(outputs - self.data.test_truth)
+        return rms_mm(outputs - self.data.test_truth)
 
     def search(self, rng: np.random.Generator, form: str, iterations: int) -> SparrowResult:
         """The raw search, without the guard against collapsed units."""
         bound = np.full(SHAPE.size, SPARROW_BOUND)
         fitness = squared_error(SHAPE, self.x, self.y)
         return SparrowSearch(50, iterations, form=form).minimise(fitness, -bound, bound, rng)
-
-
-def _rms_mm(error: Array) -> float:
-    return 1e3 * float(np.sqrt(np.mean(error**2)))
 
 
 def starts(seeds: int) -> str:
@@ -93,11 +89,11 @@ def _one_seed(samples: int, seed: int) -> Iterator[tuple[str, float]]:
     for init in ("ssa", "xavier"):
         predictor = train(data.q, data.residual, init=init, seed=seed)
         name = f'`train(init="{init}")`: size by evidence, ensemble of 5'
-        yield name, _rms_mm(predictor.predict(data.test_q).error - truth)
+        yield name, rms_mm(predictor.predict(data.test_q).error - truth)
     gaussian = train_gaussian_process(data.q, data.residual)
-    yield "Gaussian process, ARD + white", _rms_mm(gaussian.predict(data.test_q).error - truth)
+    yield "Gaussian process, ARD + white", rms_mm(gaussian.predict(data.test_q).error - truth)
     mlp = train_mlp(data.q, data.residual, seed=seed)
-    yield "MLPRegressor lbfgs, CV alpha", _rms_mm(mlp.predict(data.test_q).error - truth)
+    yield "MLPRegressor lbfgs, CV alpha", rms_mm(mlp.predict(data.test_q).error - truth)
 
 
 def _adam(problem: _Problem, start: Array, steps: int, rate: float = 0.01) -> Array:

@@ -6,11 +6,11 @@ import time
 
 import numpy as np
 
-from longarm_comp.bench.apart import Cost, cost_of
-from longarm_comp.bench.mealpy_peer import MealpyPeer
-from longarm_comp.bench.rows import Result, beside, missing
-from longarm_comp.bench.smooth import smooth_set
-from longarm_comp.bench.ssa import HIDDEN, POPULATION, standardised
+from bench.apart import Cost, cost_of
+from bench.comparison import Result, beside, missing
+from bench.mealpy_peer import MealpyPeer
+from bench.smooth import rms_mm, smooth_set
+from bench.ssa import HIDDEN, POPULATION, standardised
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.network import Shape, squared_error
@@ -56,7 +56,7 @@ def train_once(samples: int, networks: int) -> dict[str, float]:
     made = train(data.q, data.residual, hidden=HIDDEN, ensemble=networks)
     seconds = time.process_time() - begin
     error = made.predict(data.test_q).error - data.test_truth
-    return {"cpu_s": seconds, "rms_mm": 1e3 * float(np.sqrt(np.mean(error**2)))}
+    return {"cpu_s": seconds, "rms_mm": rms_mm(error)}
 
 
 # ------------------------------------------------------------------ rows

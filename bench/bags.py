@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 from rosbags.rosbag2 import Reader
 
-from longarm_comp.bench.apart import cost_of
-from longarm_comp.bench.arms import demo_arm
-from longarm_comp.bench.bag_made import Raw, recording, write_raw
-from longarm_comp.bench.rows import Result, beside, missing
+from bench.apart import cost_of
+from bench.arms import demo_arm
+from bench.bag_made import Raw, recording, write_raw
+from bench.comparison import Result, beside, missing
 from longarm_comp.core.data.session import Session
 from longarm_comp.sessions.bag import read_bag
 from longarm_comp.sessions.bag_segments import SegmentedBag
