@@ -19,12 +19,11 @@ from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.prismatic_pitch import PrismaticPitch
 from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
 from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
-from longarm_comp.core.identify.calibrate import declared_model, ladder
+from longarm_comp.core.identify.calibrate import declared_model, errors, ladder
 from longarm_comp.core.identify.fit import fit, geometry
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import read_csv
-from longarm_comp.workflows.residual import expected, training_rows
 
 GATE = 0.075  # of the arm's typical torque: 0.36 N m, where the twin's backlash changes side
 
@@ -67,9 +66,9 @@ class Twin:
 
     def with_network(self, model: Model) -> float:
         """The share left with a default network on what the model leaves."""
-        predictor = train(*training_rows(model, self.samples))
-        assert self.test.seen.all()
-        found = expected(predictor, self.test)
+        seen = self.samples.take(self.samples.seen)
+        predictor = train(seen.q, errors(model, seen), seen.context())
+        found = predictor.predict(self.test.q, self.test.context())
         assert found.in_domain.all()
         return self.share(model, found.error)
 

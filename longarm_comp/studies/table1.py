@@ -14,7 +14,7 @@ with which the arm arrives.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -83,22 +83,19 @@ class Outcome:
     fallbacks: int
 
 
-def ssa_bp(q: np.ndarray, residual: np.ndarray, context: Mapping[str, Any], seed: int) -> Any:
+def ssa_bp(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:
     """The paper's network: joints in, one member."""
     return train(q, residual, None, inputs=_JOINTS_ONLY, hidden=HIDDEN, ensemble=1, seed=seed)
 
 
-def ssa_bp_best(q: np.ndarray, residual: np.ndarray, context: Mapping[str, Any], seed: int) -> Any:
+def ssa_bp_best(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:
     """This package's: joints and context in, an ensemble."""
     return train(q, residual, context, hidden=HIDDEN, ensemble=3, seed=seed)
 
 
-def gaussian_process(
-    q: np.ndarray, residual: np.ndarray, context: Mapping[str, Any], seed: int
-) -> Any:
+def gaussian_process(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:
     """What a user would pick, told the approach direction (one for all joints: it is common)."""
-    told = {"approach": np.asarray(context["approach"])[:, 0]}
-    return train_gaussian_process(q, residual, told, seed=seed)
+    return train_gaussian_process(q, residual, context, seed=seed)
 
 
 def with_effects(declared: Model, session: Session) -> Model:

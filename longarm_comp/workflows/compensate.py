@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, overload
 
@@ -12,12 +12,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.compensation.compensate import (
-    Compensation,
-    Compensations,
-    Method,
-    compensate_many,
-)
+from longarm_comp.core.compensation.compensate import compensate_many
+from longarm_comp.core.compensation.result import Compensation, Method, Status
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
@@ -31,57 +27,46 @@ class Commands(Sequence[Compensation]):
 
     Attributes:
         numbers: (N,) number of each target.
-        batches: targets that were compensated together: (rows, ascending; what came of them).
+        results: what came of each.
     """
 
     numbers: np.ndarray
-    batches: tuple[tuple[np.ndarray, Compensations], ...]
+    results: tuple[Compensation, ...]
 
     def __len__(self) -> int:
-        return len(self.numbers)
+        return len(self.results)
 
     @overload
     def __getitem__(self, k: int) -> Compensation: ...
     @overload
-    def __getitem__(self, k: slice) -> list[Compensation]: ...
-    def __getitem__(self, k: int | slice) -> Compensation | list[Compensation]:
-        if isinstance(k, slice):
-            return [self[row] for row in range(*k.indices(len(self)))]
-        row = range(len(self))[k]
-        for rows, made in self.batches:
-            at = int(np.searchsorted(rows, row))
-            if at < len(rows) and rows[at] == row:
-                return made[at]
-        raise IndexError(k)
-
-    def __iter__(self) -> Iterator[Compensation]:
-        made = {int(row): found[k] for rows, found in self.batches for k, row in enumerate(rows)}
-        return (made[row] for row in range(len(self)))
+    def __getitem__(self, k: slice) -> tuple[Compensation, ...]: ...
+    def __getitem__(self, k: int | slice) -> Compensation | tuple[Compensation, ...]:
+        return self.results[k]
 
     @property
     def command(self) -> np.ndarray:
         """(N, n) joints to send, rad and m; of no use where `success` is False."""
-        return self._column("command")
+        return np.array([each.command for each in self.results])
 
     @property
-    def status(self) -> np.ndarray:
-        """(N,) numbers of `Status`; 0 is success."""
-        return self._column("status")
+    def status(self) -> tuple[Status, ...]:
+        """How each target ended."""
+        return tuple(each.status for each in self.results)
 
     @property
     def success(self) -> np.ndarray:
         """(N,) whether the command is fit to be sent."""
-        return self._column("success")
+        return np.array([each.success for each in self.results])
 
     @property
     def predicted_error(self) -> np.ndarray:
         """(N, 3) learned error that was taken off, m."""
-        return self._column("predicted_error")
+        return np.array([each.predicted_error for each in self.results])
 
     @property
     def summary(self) -> str:
         """How many targets ended how, in one line."""
-        counts = Counter(each.status.name.lower() for each in self)
+        counts = Counter(status.name.lower() for status in self.status)
         return f"{len(self)} targets: " + ", ".join(f"{n} {name}" for name, n in counts.items())
 
     def __repr__(self) -> str:
@@ -98,13 +83,6 @@ class Commands(Sequence[Compensation]):
             InputError: the folder cannot be written.
         """
         write_commands(path, self.command.shape[1], self.lines())
-
-    def _column(self, name: str) -> np.ndarray:
-        parts = [np.asarray(getattr(made, name)) for _, made in self.batches]
-        whole = np.empty((len(self), *parts[0].shape[1:]), parts[0].dtype)
-        for (rows, _), part in zip(self.batches, parts, strict=True):
-            whole[rows] = part
-        return whole
 
 
 def compensate(
@@ -150,26 +128,21 @@ def compensate(
         raise InputError("compensate", "method", chosen.value, allowed)
     numbers, batches = _batches(model, targets, context)
     starts = None if seed is None else _starts(seed, len(numbers))
-    return Commands(
-        numbers,
-        tuple(
-            (
-                rows,
-                compensate_many(
-                    model,
-                    predictor,
-                    goals,
-                    context=told,
-                    seed=starts[rows] if starts is not None and starts.ndim == 2 else starts,
-                    method=chosen,
-                    position_only=position_only,
-                    locked=tuple(locked),
-                    **settling,
-                ),
-            )
-            for rows, goals, told in batches
-        ),
-    )
+    results: dict[int, Compensation] = {}
+    for rows, goals, told in batches:
+        found = compensate_many(
+            model,
+            predictor,
+            goals,
+            context=told,
+            seed=starts[rows] if starts is not None and starts.ndim == 2 else starts,
+            method=chosen,
+            position_only=position_only,
+            locked=tuple(locked),
+            **settling,
+        )
+        results.update((int(row), found[k]) for k, row in enumerate(rows))
+    return Commands(numbers, tuple(results[row] for row in range(len(numbers))))
 
 
 def fitting(predictor: Predictor | None) -> Method:

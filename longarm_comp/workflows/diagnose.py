@@ -31,7 +31,7 @@ from longarm_comp.workflows.inputs import (
     log_note,
     physics,
 )
-from longarm_comp.workflows.residual import Learned, training_rows
+from longarm_comp.workflows.residual import training_rows
 
 Say = Callable[[str], None]
 
@@ -78,7 +78,7 @@ class DiagnosisResult:
     def predictor(self) -> Predictor | None:
         """The network of what is left, where one was trained and helped the hold-out."""
         network = self.diagnosis.network
-        return network.predictor if isinstance(network, Learned) else None
+        return network if isinstance(network, Predictor) else None
 
     @property
     def held_out(self) -> ErrorTable:
@@ -194,11 +194,11 @@ def diagnose_files(
 
 
 def _train(seed: int) -> core.Train:
-    def made(model: Model, session: Session) -> Learned:
+    def made(model: Model, session: Session) -> Predictor:
         arm = model.arm
         origin = Provenance(arm.hash, session.hash, arm.joint_names, {"deflection": True})
         rows = training_rows(model, session)
-        return Learned(networks.train(*rows, seed=seed, provenance=origin))
+        return networks.train(*rows, seed=seed, provenance=origin)
 
     return made
 
