@@ -11,7 +11,7 @@ from longarm_comp.core.data.admission import admit
 from longarm_comp.core.data.holdout import blocked_split
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.identify.calibrate import Rung, errors, ladder
+from longarm_comp.core.identify.calibrate import Rung, ladder
 from longarm_comp.core.identify.diagnosis import diagnose
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.learn.ensemble import train
@@ -21,6 +21,7 @@ from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.jobs.demo.setting import Setting
 from longarm_comp.nodes.model_files import file_hash
 from longarm_comp.sessions.read import read_session
+from longarm_comp.workflows.residual import training_rows
 
 Say = Callable[[str, float], None]
 
@@ -48,12 +49,9 @@ def learn(setting: Setting, arm: Arm, say: Say = lambda text, share: None) -> Le
         "verdict": finding,
     }  # fmt: skip
     save_model(setting.model, store(final.model, final.standard_errors, provenance=provenance))
-    seen = session.take(session.seen)
     trained_on = {"deflection": True, "model_hash": file_hash(setting.model)}
     made = train(
-        seen.q,
-        errors(final.model, seen),
-        seen.context(),
+        *training_rows(final.model, session),
         seed=setting.seed,
         ensemble=setting.networks,
         progress=lambda k, of: say("train", 0.6 + 0.4 * k / of),
