@@ -13,7 +13,7 @@ from longarm_comp.cli.output import error_row, note, print_json, print_rows, pri
 if TYPE_CHECKING:
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.effects.effect import Bias, Effect
-    from longarm_comp.core.identify.fit import Fit
+    from longarm_comp.core.identify.fit import ModelFit
 
 
 @click.command()
@@ -113,7 +113,7 @@ def _instances(name: str, arm: Arm) -> tuple[Effect | Bias, ...]:
     return made
 
 
-def _parameters(final: Fit) -> list[dict[str, Any]]:
+def _parameters(final: ModelFit) -> list[dict[str, Any]]:
     return [
         {
             "effect": slot.owner.name,
@@ -135,7 +135,7 @@ def _value(p: dict[str, Any]) -> tuple[str, str, str]:
     return f"{p['value']:.4g}", f"{low:.4g} .. {high:.4g}", p["unit"]
 
 
-def _facts(final: Fit, session_hash: str) -> dict[str, Any]:
+def _facts(final: ModelFit, session_hash: str) -> dict[str, Any]:
     return {
         "parameters": _parameters(final),
         "sigma_mm": 1e3 * final.sigma,

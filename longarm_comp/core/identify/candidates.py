@@ -123,7 +123,7 @@ def _families(singles: list[Candidate]) -> list[Candidate]:
     return made
 
 
-class Columns:
+class CandidateColumns:
     """Prior-scaled columns of candidates at a posture, each parameter computed once."""
 
     def __init__(self, model: Model, posture: Posture) -> None:
