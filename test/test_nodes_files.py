@@ -22,7 +22,7 @@ from longarm_comp.nodes.bringup import SIMULATED, BringUp, folder
 from longarm_comp.nodes.params import Param
 
 ROOT = Path(__file__).parents[1]
-GIVEN_BY_BRING_UP = {"arm", "model", "predictor", "servos", "port", "hidden"}
+GIVEN_BY_BRING_UP = {"arm", "model", "predictor", "effects", "servos", "port", "hidden"}
 
 
 def table(node: str) -> dict[str, Param]:

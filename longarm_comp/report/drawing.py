@@ -81,16 +81,14 @@ def inputs(session: Session, units: Sequence[str]) -> tuple[Input, ...]:
 
 
 def _guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
-    """Inputs that the findings sit at or need, then those that the structure left depends on."""
+    """Inputs that the findings explain, then those that the structure left depends on."""
     commanded = list(diagnosis.arm.commanded)
     names: list[str] = []
     for found in diagnosis.findings:
         largest = sorted(found.terms, key=lambda t: -_size(diagnosis, t))
         for term in largest[:2]:
-            joint = term.placement.get("joint")
-            if joint in commanded:
-                names.append(f"q{commanded.index(joint) + 1}")
-        names += found.terms[0].needs
+            names += [f"q{commanded.index(j) + 1}" for j in term.joints if j in commanded]
+        names += found.terms[0].inputs
     names += diagnosis.structure.inputs
     known = [name for name in dict.fromkeys(names) if rows.input(name) is not None]
     return tuple(known[:GUILTY])

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.catalogue import BY_NAME, LIBRARY
+from longarm_comp.core.effects.catalogue import BUILT_IN, LIBRARY
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.identify.aliasing import ALIASES, EffectFinding
+from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.calibrate import declared_model, geometry
 from longarm_comp.core.identify.candidates import Term, library
 from longarm_comp.core.identify.diagnosis import Diagnosis
@@ -27,8 +27,12 @@ ALIKE = 10.0
 With noise the log likelihood of such a pair differs by 10 +- 4.5: within the 3 that the
 diagnosis calls undecided about once in twenty times.
 """
-TWINS = (*ALIASES, frozenset({"backlash", "friction_hysteresis"}))
-"""Names of the same physics: play that the load decides nowhere is friction's lost motion."""
+TWINS = tuple(
+    frozenset({kind.name, other})
+    for kind in LIBRARY
+    for other in (*kind.aliases, *kind.limit_aliases)
+)
+"""Pairs of names of the same physics, as the effects declare them."""
 SHOWN = 4
 
 
@@ -116,7 +120,7 @@ def _misfit(fitted: ModelFit) -> float:
 
 def _forms(setting: Setting, name: str) -> list[tuple[Term, ...]]:
     """Each form of an effect, at all of its places; and all forms, where they go together."""
-    known = library(setting.arm, setting.train.context(), (BY_NAME[name],))
+    known = library(setting.arm, setting.train.context(), (BUILT_IN[name],))
     most = max(len(c.terms) for c in known.testable)
     forms = [c.terms for c in known.testable if len(c.terms) == most]
     every = tuple(t for form in forms for t in form)

@@ -18,6 +18,7 @@ from longarm_comp.core.effects.bearing_tilt import BearingTilt
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.effects.tip_offset import TipOffset
 from longarm_comp.core.identify.calibrate import (
     Errors,
     align,
@@ -128,7 +129,7 @@ def _own(slot: Slot) -> bool:
     """Whether a parameter belongs to one arm alone (a robot of one arm: it does not matter)."""
     place = slot.owner.placement
     row = place.get("row", place.get("joint"))
-    return slot.owner.name == "tip_offset" or (row is not None and row > LAST_SHARED_ROW)
+    return isinstance(slot.owner, TipOffset) or (row is not None and row > LAST_SHARED_ROW)
 
 
 def _line(name: str, parts: Sequence[Measured], fits: Sequence[ModelFit]) -> Line:

@@ -26,17 +26,8 @@ from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.search import SearchResult
 from longarm_comp.core.identify.search_state import ODDS
 
-ALIASES: tuple[frozenset[str], ...] = (
-    frozenset({"joint_compliance", "servo_droop"}),  # proportional sag is a compliance
-)
-"""Effects that no pose can tell apart, whatever is measured."""
-
-
 FEW = 3
 """On so few levels of a joint, any function of it is an offset and two numbers."""
-ANY_FUNCTION = ("gear_eccentricity", "servo_quantisation")
-"""Effects that can take any values at three levels of a joint (of steps of an unknown size)."""
-OF_ONE_JOINT = (*ANY_FUNCTION, "joint_gain")
 
 
 MOST_NAMES = 7
@@ -141,14 +132,14 @@ def on_few_levels(
         found: the finding.
         q: (N, n) commanded joints of all rows that were looked at.
     """
-    commanded, levels = result.fit.model.arm.commanded, _levels(q)
-    joints = [t.placement.get("joint") for t in found.terms]
-    if found.name not in OF_ONE_JOINT or any(levels[commanded.index(j)] > FEW for j in joints):
+    coarse = set(np.array(result.fit.model.arm.commanded)[_levels(q) <= FEW])
+    if not all(t.free_levels and coarse.issuperset(t.joints) for t in found.terms):
         return found
     columns = columns_at(result.fit)
     marginal = marginal_without(result.fit, columns, {key(t) for t in found.terms})
     added = []
-    for name in ANY_FUNCTION:
+    flexible = dict.fromkeys(c.name for c in candidates if c.terms[0].free_levels >= FEW)
+    for name in flexible:
         if name in found.names:
             continue
         options = [c for c in candidates if c.name == name]
@@ -167,6 +158,11 @@ def _fitted(result: SearchResult, term: Term) -> Term:
     return next(
         t for t in result.fit.model.terms if key(t) == key(term) and t.placement == term.placement
     )
+
+
+def are_aliases(one: Term, other: Term) -> bool:
+    """Whether no pose can tell two effects apart, whatever is measured."""
+    return other.name in one.aliases or one.name in other.aliases
 
 
 def _finding(
@@ -196,7 +192,7 @@ def _finding(
         alike = scored.log_bayes_factor > own.log_bayes_factor - CLOSE
         if not alike and _size(result, option) <= _size(result, mine) + 1:
             alike = _likelihood(result, marginal, columns, option) > limit - CLOSE
-        alias = any({name, other.name} <= family for family in ALIASES)
+        alias = are_aliases(terms[0], new[0])
         known = close.get(other.name)
         if (alike or alias) and (known is None or scored.log_bayes_factor > known.log_bayes_factor):
             close[other.name] = scored
@@ -214,13 +210,13 @@ def _finding(
 
 def _others(candidates: Sequence[Candidate], name: str, terms: tuple[Term, ...]) -> list[Candidate]:
     """Other effects: as they are, at the places that were found only, and in the found forms."""
-    joints = {t.placement["joint"] for t in terms if "joint" in t.placement}
+    places = {place for t in terms for place in t.places.items()}
     made = reshaped(terms, candidates)
     for other in candidates:
         if other.name == name:
             continue
         made.append(other)
-        same = tuple(t for t in other.terms if t.placement.get("joint") in joints)
+        same = tuple(t for t in other.terms if places & set(t.places.items()))
         if 1 < len(same) < len(other.terms):
             made.append(Candidate(other.name, same))
     return made

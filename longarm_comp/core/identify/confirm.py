@@ -266,7 +266,7 @@ def _slopes(
     """(N, 3, 1) shift of the tip as each scale moves half way to the next tried value."""
     ways: list[tuple[Term, Term, float]] = []
     for term in terms:
-        for field in term.tunable:
+        for field in term.scales():
             low, high = neighbours(term, field, candidates)
             here = float(getattr(term, field))
             step = STEP if here < 0.5 * (low + high) else -STEP

@@ -11,7 +11,6 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.holdout import Sealed, blocked_split
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.aliasing import MOST_NAMES, EffectFinding, findings, on_few_levels
 from longarm_comp.core.identify.calibrate import align, declared_model, with_frames, with_geometry
@@ -104,7 +103,7 @@ def diagnose(
     *,
     test: Session | None = None,
     model: Model | None = None,
-    kinds: Sequence[type[Effect] | type[Bias]] = LIBRARY,
+    kinds: Sequence[type[Effect] | type[Bias]] | None = None,
     train_network: Train | None = None,
     seed: int = 0,
     progress: Progress | None = None,
@@ -116,7 +115,7 @@ def diagnose(
         session: admitted measurements.
         test: hold-out; whole blocks of the session are locked away when not given.
         model: what is known already (its effects are never added twice).
-        kinds: the library to search.
+        kinds: the effects to try; all of the catalogue where None.
         train_network: makes the learned correction of what is left; none is trained without.
         seed: of everything random; the same seed gives the same bytes.
         progress: told what is going on.

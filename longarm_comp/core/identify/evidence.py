@@ -194,13 +194,13 @@ def reshaped(terms: Sequence[Term], candidates: Sequence[Candidate]) -> list[Can
 
     Only effects that have all of the terms' scales: a deadband and a play share their load gate.
     """
-    scales = set(terms[0].tunable)
+    scales = set(terms[0].scales())
     if not scales:
         return []
     others: dict[str, dict[str, Term]] = {}
     for candidate in candidates:
         for term in candidate.terms:
-            if term.name != terms[0].name and scales <= set(term.tunable):
+            if term.name != terms[0].name and scales <= set(term.scales()):
                 others.setdefault(term.name, {}).setdefault(term.where, term)
     made = []
     for name, at in others.items():
@@ -238,8 +238,8 @@ def refined(
         return [score(fit, marginal, Candidate(term.name, (t,)), columns) for t in terms]
 
     start = best = scored([term])[0]
-    for _ in range(min(len(term.tunable), SWEEPS)):
-        for field in term.tunable:
+    for _ in range(min(len(term.scales()), SWEEPS)):
+        for field in term.scales():
             low, high = neighbours(term, field, candidates)
             for _ in range(2):
                 here = best.candidate.terms[0]
@@ -254,7 +254,7 @@ def refined(
 
 def neighbours(term: Term, field: str, candidates: Sequence[Candidate]) -> tuple[float, float]:
     """The values of a scale that were tried to either side of a term's, or the scale's ends."""
-    least, largest = term.tunable[field]
+    least, largest = term.scales()[field]
     value = float(getattr(term, field))
     tried = {float(getattr(t, field)) for c in candidates if c.name == term.name for t in c.terms}
     low = max((v for v in tried if v < value), default=least)

@@ -198,7 +198,7 @@ class SearchState:
         """Move forms that lie on a scale to where the evidence is highest; whether any moved."""
         better: list[Score] = []
         for place, term in self.chosen.items():
-            if term.tunable and self.refinements[place] < REFINEMENTS:
+            if term.scales() and self.refinements[place] < REFINEMENTS:
                 best = self.best_form(term, [place])
                 self.refinements[place] += 1
                 if best.candidate.terms != (term,):

@@ -154,7 +154,7 @@ def groups(fit: ModelFit) -> list[Group]:
         if features.shape[1]
     ]
     for slot, column in zip(fit.slots, np.moveaxis(fit.columns, -1, 0), strict=True):
-        if slot.owner.name == "joint_zero":
+        if slot.owner.displaces_joint:
             for inputs, features in _of_a_joint(curves):
                 moved = column[..., None] * features[:, None, :]
                 size = np.sqrt(((moved / fit.sigma[:, None]) ** 2).mean(axis=(0, 1)))
