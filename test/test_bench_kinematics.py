@@ -21,7 +21,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kinematics, "paper_grid", lambda: grid)
     for module, names in (
         (kinematics, {"BLOCKS": 2, "PER_BLOCK": 4, "BATCH": 16}),
-        (forward, {"COUNT": 32, "REPEATS": 2, "BY_NAME": {}}),
+        (forward, {"COUNT": 32, "REPEATS": 2, "BUILT_IN": {}}),
     ):
         for name, value in names.items():
             monkeypatch.setattr(module, name, value)

@@ -15,6 +15,7 @@ from longarm_comp.cli.output import note, print_json, print_rows
 @options.path_option("--test", "Measured poses (CSV or bag).", required=True)
 @options.model
 @options.predictor
+@options.effects
 @options.as_json
 def command(
     arm: Path, test: Path, model: Path | None, predictor: Path | None, as_json: bool
