@@ -18,6 +18,7 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.compensate import Method, Settling, Status
 from longarm_comp.core.compensation.online import CompensationOptions, StaleContext, compensate_now
 from longarm_comp.core.errors import InputError
@@ -201,34 +202,34 @@ class Kinematics(Node):
 
     def _compensate(self, request: Compensate.Request) -> Told:
         target = target_of(request.target, self._base_frame, request.position_only)
-        limits = self._limits()
+        options = self._options()
         start = self._start(request)
         loaded = self._files.loaded
-        options: dict[str, Any] = {
+        known: dict[str, Any] = {
             "start": start,
-            "side": self._state.side,
-            "circumstances": self._state.circumstances,
+            "history": self._state.history,
+            "readings": self._state.readings,
             "now_s": time.monotonic(),
             "max_age_s": self._max_age_s,
             "position_only": request.position_only,
-            "limits": limits,
+            "options": options,
         }
-        client, why = self._predictor if limits.method.learned else None, ""
+        client, why = self._predictor if options.method.learned else None, ""
         if client is not None and not client.present:
             client, why = None, ": no error_predictor is running"
         try:
-            ask = None if client is None else partial(client.ask, deflection=limits.method.physics)
+            ask = None if client is None else partial(client.ask, deflection=options.method.physics)
             near = None if ask is None else Nearby(ask)  # mostly one call a target
-            outcome, context = compensate_now(loaded.model, near, target, **options)
+            outcome, context = compensate_now(loaded.model, near, target, **known)
         except NoAnswer as absent:
             client, why = None, f": {absent.reason}"
-            outcome, context = compensate_now(loaded.model, None, target, **options)
+            outcome, context = compensate_now(loaded.model, None, target, **known)
         return Told(
             request.target,
             request.position_only,
             outcome.status,
             outcome.reason + (why if outcome.status is Status.NO_PREDICTOR else ""),
-            limits.method.value,
+            options.method.value,
             Provenance(
                 self._arm.hash, loaded.file_hash, "" if client is None else client.file_hash
             ),
@@ -236,7 +237,7 @@ class Kinematics(Node):
             context,
         )
 
-    def _limits(self) -> CompensationOptions:
+    def _options(self) -> CompensationOptions:
         once = bool(self.get_parameter("single_pass").value)
         return CompensationOptions(
             Method(self.get_parameter("method").value),
@@ -298,21 +299,21 @@ class Kinematics(Node):
     def _on_tip(self, message: PoseWithCovarianceStamped) -> None:
         self._markers.on_tip(message)
         rest = self._monitor.on_tip(message)
-        context = None if rest is None else self._now_context(rest.side)
+        context = None if rest is None else self._now_context(rest.history)
         if rest is not None and context is not None:
             model = self._files.loaded.model
             self._worker.submit(partial(self._monitor.judge, rest, model, context))
 
-    def _now_context(self, side: np.ndarray) -> Context | None:
+    def _now_context(self, history: History) -> Context | None:
         """Of this moment; None while something that the model needs is not known."""
         model, now = self._files.loaded.model, time.monotonic()
         try:
-            return self._state.circumstances.context(model, now, self._max_age_s, side)
+            return self._state.readings.context(model, now, self._max_age_s, history)
         except StaleContext:
             return None
 
     def _draw(self) -> None:
-        q, context = self._state.joints, self._now_context(self._state.side)
+        q, context = self._state.joints, self._now_context(self._state.history)
         if q is None or context is None:
             return
         sag = self.get_parameter("markers.sag_factor").value

@@ -113,12 +113,12 @@ class JointTerm(Effect):
     def direction(self, posture: Posture) -> Scalar:
         """Side that the joint arrived from, -1, 0 (unknown) or +1."""
         commanded = posture.arm.commanded
-        return posture.context.direction(commanded.index(self.joint))
+        return posture.context.of_joint("approach", commanded.index(self.joint))
 
-    def way(self, posture: Posture) -> Scalar:
+    def travel(self, posture: Posture) -> Scalar:
         """Signed way (rad, m) since the joint last turned round, before its final approach."""
         commanded = posture.arm.commanded
-        return posture.context.way(commanded.index(self.joint))
+        return posture.context.of_joint("travel", commanded.index(self.joint))
 
 
 def with_prior(parameters: tuple[Parameter, ...], **changes: object) -> tuple[Parameter, ...]:

@@ -21,7 +21,6 @@ from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.jobs.demo.setting import Setting
 from longarm_comp.nodes.model_files import file_hash
 from longarm_comp.sessions.read import read_session
-from longarm_comp.sessions.residual_inputs import predictor_context
 
 Say = Callable[[str, float], None]
 
@@ -54,7 +53,7 @@ def learn(setting: Setting, arm: Arm, say: Say = lambda text, share: None) -> Le
     made = train(
         seen.q,
         errors(final.model, seen),
-        predictor_context(seen),
+        seen.context(),
         seed=setting.seed,
         ensemble=setting.networks,
         progress=lambda k, of: say("train", 0.6 + 0.4 * k / of),
