@@ -85,7 +85,7 @@ def test_what_has_no_name_is_left_to_a_network_that_must_help(arm: Path, tmp_pat
     predictor = load(out / "predictor.npz", arm_hash=ARM.hash, joint_names=ARM.joint_names)
     model, held = load_model(out / "model.yaml", ARM), read_csv(test, ARM)
     left = held.xyz - model.measured(held.q, held.context())
-    found = predictor.predict(held.q, {"approach": held.approach})
+    found = predictor.predict(held.q, held.context())
     inside = found.in_domain
     assert inside.mean() > 0.8
     before, after = (np.linalg.norm(e[inside], axis=1).mean() for e in (left, left - found.error))

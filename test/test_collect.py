@@ -20,7 +20,8 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from nodes_bench import Bench, bench
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.plan import RUN_UP, Plan, from_both_sides, sobol
+from longarm_comp.core.arm.moves import run_up_lengths
+from longarm_comp.core.data.plan import Plan, from_both_sides, sobol
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import declared_model, errors
 from longarm_comp.jobs.measurement_schedule import Visit, visits
@@ -82,7 +83,7 @@ def test_both_sides_measure_every_pose_twice(arm: Arm) -> None:
         first, second = (visit for visit in made if (visit.q == q).all())
         assert first.repeat_id == second.repeat_id >= 0
         assert first.payload_kg == second.payload_kg == payload
-        room = np.minimum(q - arm.lower, arm.upper - q) > RUN_UP * (arm.upper - arm.lower)
+        room = np.minimum(q - arm.lower, arm.upper - q) > run_up_lengths(arm)
         one, two = np.array(sides_of(first)), np.array(sides_of(second))
         assert (one[room] == -two[room]).all()
         assert (one[~room] == two[~room]).all()
@@ -93,12 +94,12 @@ def test_both_sides_measure_every_pose_twice(arm: Arm) -> None:
 
 
 def test_a_run_up_stays_in_the_box_and_comes_from_the_planned_side(arm: Arm) -> None:
-    span = arm.upper - arm.lower
+    length = run_up_lengths(arm)
     plan = Plan(np.stack([arm.lower, arm.mid, arm.upper]), np.array([1, -1, 1]))
     low, middle, high = visits(plan, arm, shuffle=False)
-    np.testing.assert_allclose(middle.path[0] - middle.q, RUN_UP * span)
-    np.testing.assert_allclose(high.path[0] - high.q, -RUN_UP * span)
-    np.testing.assert_allclose(low.path[0] - low.q, RUN_UP * span)  # no room below
+    np.testing.assert_allclose(middle.path[0] - middle.q, length)
+    np.testing.assert_allclose(high.path[0] - high.q, -length)
+    np.testing.assert_allclose(low.path[0] - low.q, length)  # no room below
     straight = visits(Plan(plan.q, np.zeros(3)), arm)
     assert all(len(visit.path) == 1 for visit in straight)
 

@@ -171,9 +171,8 @@ def test_the_predictor_hears_the_context(plant):
     known = Known()
     context = Context((1.0,) * 7, {"temperature_c": 31.0, "payload_kg": np.full(30, 0.4)})
     compensate_many(model, known, targets, context=context)
-    assert known.seen[0]["approach"].shape == (30, 7)
-    assert known.seen[0]["temperature_c"] == 31.0
-    assert known.seen[0]["payload_kg"].shape == (30,)
+    assert known.seen[0].approach == (1.0,) * 7
+    assert known.seen[0].columns == {"temperature_c": 31.0, "payload_kg": 0.4}
 
 
 @pytest.mark.parametrize(

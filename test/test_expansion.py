@@ -14,7 +14,7 @@ from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.declared_model import declared_model
 
 SPAN = ARM.upper - ARM.lower
-FROM_BELOW = {"approach": np.ones((1, ARM.n))}
+FROM_BELOW = Context((1.0,) * ARM.n)
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,8 @@ def predictor() -> Predictor:
     share = (q - ARM.mid) / SPAN
     error = 3e-3 * np.stack([np.sin(6.0 * share[:, k % ARM.n]) for k in range(3)], -1)
     error += 1e-3 * side[:, :1] + 1e-4 * rng.standard_normal((250, 3))
-    return train(q, error, {"approach": side}, hidden=8, ensemble=3, iterations=8, population=10)
+    sides = Context(tuple(side.T))
+    return train(q, error, sides, hidden=8, ensemble=3, iterations=8, population=10)
 
 
 def postures(count: int, share: float, seed: int = 1) -> np.ndarray:
@@ -57,7 +58,7 @@ def test_within_reach_the_error_is_true_and_the_domain_the_same(predictor: Predi
             [rng.uniform(-1, 1, (20, ARM.n)), rng.choice([-1, 1], (20, ARM.n))]
         )
         steps = corners * found.reach
-        asked = predictor.predict(q + steps, {"approach": 1.0})
+        asked = predictor.predict(q + steps, FROM_BELOW)
         assert asked.in_domain.all()
         off = found.error + steps @ found.jacobian.T - asked.error
         assert np.abs(off).max() <= LINEAR_M
@@ -93,11 +94,11 @@ def test_another_side_is_another_question(predictor: Predictor) -> None:
     expand = Expander(predictor)
 
     def ask(q, context):
-        asked.append(dict(context))
+        asked.append(context)
         return expand(q, context)
 
     near, q = Nearby(ask), ARM.mid[None]
-    up, down = ({"approach": np.full((1, ARM.n), side)} for side in (1.0, -1.0))
+    up, down = (Context((side,) * ARM.n) for side in (1.0, -1.0))
     one, again, other = (near.predict(q, side) for side in (up, up, down))
     assert len(asked) == 2
     np.testing.assert_array_equal(one.error, again.error)

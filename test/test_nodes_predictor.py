@@ -20,6 +20,7 @@ from std_srvs.srv import Trigger
 
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.predictor import Predictor, Provenance
@@ -205,7 +206,7 @@ def test_every_joint_has_a_side_of_its_own(
     q = arm.mid + 0.2 * (arm.upper - arm.lower) * (rng.random((120, arm.n)) - 0.5)
     side = rng.choice([-1.0, 1.0], (120, arm.n))
     learned = train(
-        q, 2e-3 * side[:, :3] + 1e-4 * rng.standard_normal((120, 3)), {"approach": side},
+        q, 2e-3 * side[:, :3] + 1e-4 * rng.standard_normal((120, 3)), Context(tuple(side.T)),
         init="xavier", ensemble=2, hidden=4,
         provenance=Provenance(arm_hash=arm.hash, joint_names=arm.joint_names),
     )  # fmt: skip
@@ -220,7 +221,7 @@ def test_every_joint_has_a_side_of_its_own(
         request.joints.position = request.joints.position[::-1]
         request.approach = request.approach[::-1]
         error = stage.call(ask, request).error
-        want = learned.predict(arm.mid[None], {"approach": mixed[None]}).error[0]
+        want = learned.predict(arm.mid[None], Context(tuple(mixed))).error[0]
         np.testing.assert_allclose([error.x, error.y, error.z], want, atol=1e-12)
     request.approach = [1]
     assert stage.call(ask, request).error == error  # one for all

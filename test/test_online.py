@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from small_arm import ARM
 
+from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.compensate import Status
 from longarm_comp.core.compensation.online import (
     Readings,
     StaleContext,
-    arrival,
     compensate_now,
 )
 from longarm_comp.core.data.rest_pose import RestWatch
@@ -53,8 +53,9 @@ def test_an_inclinometer_belongs_to_its_frame() -> None:
 def test_joints_arrive_from_where_they_last_moved() -> None:
     path = np.array([[0, 0, 0, 0], [1, 1, 1, 0], [2, 0.5, 1, 0]], float)
     before = np.array([-1, -1, -1, -1])
-    assert arrival(path, before).tolist() == [1, -1, 1, -1]
-    assert arrival(path[:1], before).tolist() == before.tolist()
+    history = History(before, np.zeros(4))
+    assert history.after(path[1:], path[0]).approach.tolist() == [1, -1, 1, -1]
+    assert history.after(path[:1], path[0]).approach.tolist() == before.tolist()
 
 
 def test_backlash_is_compensated_for_the_side_of_this_move() -> None:
@@ -65,10 +66,11 @@ def test_backlash_is_compensated_for_the_side_of_this_move() -> None:
     commands = []
     for step in (-0.2, 0.2):
         start = ARM.mid + step * (ARM.upper - ARM.lower) * [1, 0, 0, 0]
-        made, context = compensate_now(
-            model, None, target, start=start, side=np.zeros(ARM.n), circumstances=told(),
+        arrival = compensate_now(
+            model, None, target, start=start, history=History.unknown(ARM.n), readings=told(),
             now_s=100.0, max_age_s=10.0,
         )  # fmt: skip
+        made, context = arrival.outcome, arrival.context
         assert made.status is Status.NO_PREDICTOR
         assert context.approach[0] == -np.sign(step)
         np.testing.assert_allclose(model.tip(made.command, context), target, atol=2e-6)
@@ -78,7 +80,7 @@ def test_backlash_is_compensated_for_the_side_of_this_move() -> None:
 
 def test_a_rest_pose_is_handed_out_once_and_only_at_rest() -> None:
     watch = RestWatch(settle_s=0.5, sightings=2)
-    goal, side = np.full(4, 0.3), np.ones(4)
+    goal, side = np.full(4, 0.3), History(np.ones(4), np.zeros(4))
     variance = np.full(3, 4e-8)
     assert watch.sighted(np.zeros(3), variance, 0.0) is None  # never commanded
     watch.commanded(goal, side)

@@ -10,8 +10,8 @@ import pytest
 from small_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.data.plan import (
-    RUN_UP,
     Plan,
     grid,
     paper_grid,
@@ -103,8 +103,7 @@ def test_every_joint_has_a_side_of_its_own() -> None:
 
 
 def test_a_side_without_room_to_run_up_is_turned_round() -> None:
-    span = ARM.upper - ARM.lower
-    q = np.stack([ARM.lower, ARM.lower + 0.9 * RUN_UP * span, ARM.mid, ARM.upper])
+    q = np.stack([ARM.lower, ARM.lower + 0.9 * run_up_lengths(ARM), ARM.mid, ARM.upper])
     below = with_room(ARM, q, np.ones(q.shape))
     assert below.tolist() == [[-1] * 4, [-1] * 4, [1] * 4, [1] * 4]
     above = with_room(ARM, q, -np.ones(q.shape))

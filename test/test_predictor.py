@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 from longarm_comp.bench.smooth import LOWER, UPPER, smooth_residual, smooth_set
-from longarm_comp.core.data.session import derive_approach
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.history import recorded
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.ensemble import train
+from longarm_comp.core.learn.inputs import raw_names
 from longarm_comp.core.learn.predictor import Provenance
 from longarm_comp.core.learn.predictor_file import load
 
@@ -36,12 +38,12 @@ def small(data):
     rng = np.random.default_rng(1)
     side = rng.choice([-1.0, 1.0], (300, 1)) * np.ones(7)
     side[:60] = rng.choice([-1.0, 1.0], (60, 7))
-    context = {
-        "approach": side,
+    columns = {
         "temperature_c": rng.uniform(20.0, 35.0, 300),
         "payload_kg": np.full(300, 0.25),
         "t_s": np.arange(300.0),
     }
+    context = Context(tuple(side.T), columns)
     residual = data.residual + 2e-3 * side[:, :3]
     return train(data.q, residual, context, provenance=ORIGIN, **FAST), context
 
@@ -106,8 +108,8 @@ def test_approach_in_context_is_used_and_left_out_with_joints_only(data, small):
     assert "approach" in predictor.encoding.names and "approach_q3" in predictor.encoding.names
     assert "payload_kg" not in predictor.encoding.names  # constant
     assert "t_s" not in predictor.encoding.names
-    up = predictor.predict(data.test_q, {"approach": 1.0}).error
-    down = predictor.predict(data.test_q, {"approach": -1.0}).error
+    up = predictor.predict(data.test_q, Context((1.0,) * 7)).error
+    down = predictor.predict(data.test_q, Context((-1.0,) * 7)).error
     np.testing.assert_allclose((up - down).mean(axis=0), 4e-3, atol=1e-3)
     joints = train(data.q, data.residual, context, inputs="joints", **FAST)
     assert joints.encoding.names == tuple(f"q{i}" for i in range(1, 8))
@@ -116,18 +118,33 @@ def test_approach_in_context_is_used_and_left_out_with_joints_only(data, small):
 def test_unknown_context_widens_sigma(data, small):
     predictor, context = small
     known = predictor.predict(data.q, context)
-    unknown = predictor.predict(data.q, {})
-    blank = predictor.predict(data.q, {"approach": np.full(300, np.nan)})
+    unknown = predictor.predict(data.q)
+    blank = predictor.predict(data.q, Context((np.full(300, np.nan),) * 7))
+    zero = predictor.predict(data.q, Context((0.0,) * 7))
     assert np.all(unknown.sigma > known.sigma - 1e-9)
     assert np.median(unknown.sigma) > 1.5e-3
     np.testing.assert_allclose(blank.error, unknown.error)
+    np.testing.assert_allclose(zero.error, unknown.error)
+
+
+def test_a_joint_whose_side_is_not_known_does_not_blur_the_others(small):
+    predictor, _ = small
+    q, warm = np.zeros((1, 7)) + 0.1, {"temperature_c": 25.0}
+    sides = [1.0, 1.0, -1.0, 1.0, -1.0, 1.0, 1.0]
+    known = predictor.encoding.raw(q, Context(tuple(sides), warm))[0]
+    sides[3] = 0.0
+    some = predictor.encoding.raw(q, Context(tuple(sides), warm))[0]
+    at = [k for k, name in enumerate(raw_names(7, predictor.encoding.context)) if "_q" in name]
+    assert np.isnan(some[at]).tolist() == [j == 3 for j in range(7)]
+    assert some[at[0] - 1] == pytest.approx(2 / 6)  # the mean of those that are known
+    assert known[at[0] - 1] == pytest.approx(3 / 7)
 
 
 def test_it_refuses_outside_the_training_region_and_says_why(data, small):
     predictor, _ = small
     q = np.tile(data.q.mean(0), (3, 1))
     q[1, 2] = 0.2
-    near = {"approach": np.ones((3, 7)), "temperature_c": np.array([25.0, 25.0, 90.0])}
+    near = Context((1.0,) * 7, {"temperature_c": np.array([25.0, 25.0, 90.0])})
     found = predictor.predict(q, near)
     np.testing.assert_array_equal(found.in_domain, [True, False, False])
     assert found.reason[0] == ""
@@ -152,8 +169,7 @@ def test_one_row_and_many_rows_give_the_same_numbers(data, small):
     predictor, context = small
     many = predictor.predict(data.q, context)
     for i in (0, 17, 299):
-        row = {name: value[i : i + 1] for name, value in context.items()}
-        one = predictor.predict(data.q[i : i + 1], row)
+        one = predictor.predict(data.q[i : i + 1], context.take(np.array([i])))
         np.testing.assert_allclose(one.error[0], many.error[i], rtol=0, atol=1e-12)
         np.testing.assert_allclose(one.sigma[0], many.sigma[i], rtol=1e-5)
 
@@ -278,9 +294,10 @@ def test_a_missing_file_and_an_unwritable_folder_are_named(small, tmp_path):
         ({"q": np.ones((50, 7))}, "q"),
         ({"residual": np.zeros((50, 2))}, "residual"),
         ({"residual": np.full((50, 3), np.inf)}, "residual of row 0"),
-        ({"context": {"aproach": np.ones(50)}}, "context"),
-        ({"context": {"approach": np.full(50, 3.0)}}, "approach"),
-        ({"context": {"temperature_c": np.ones(49)}}, "temperature_c"),
+        ({"context": Context((1.0,) * 6)}, "approach"),
+        ({"context": Context((np.full(50, 3.0),) * 7)}, "approach"),
+        ({"context": Context(columns={"temperature_c": np.ones(49)})}, "temperature_c"),
+        ({"context": Context(columns={"payload_kg": np.inf})}, "payload_kg"),
         ({"weights": -np.ones(50)}, "weights"),
         ({"weights": np.eye(50)[0]}, "samples"),
         ({"inputs": "everything"}, "inputs"),
@@ -321,10 +338,10 @@ def read_twin(folder):
         seen = np.isfinite(xyz(rows)).all(axis=1)
         sets[name] = {
             "q": q[seen],
-            "context": {
-                "approach": derive_approach(q, index, marks)[seen],
-                "temperature_c": np.array([float(r["temperature_c"]) for r in rows])[seen],
-            },
+            "context": Context(
+                tuple(recorded(q, index, marks).approach[seen].T),
+                {"temperature_c": np.array([float(r["temperature_c"]) for r in rows])[seen]},
+            ),
             "residual": (xyz(rows) - xyz(truth, "declared_"))[seen],
             "truth": (xyz(truth) - xyz(truth, "declared_"))[seen],
         }

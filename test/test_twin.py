@@ -24,7 +24,6 @@ from longarm_comp.core.identify.fit import fit, geometry
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import read_csv
-from longarm_comp.sessions.residual_inputs import predictor_context
 
 GATE = 0.075  # of the arm's typical torque: 0.36 N m, where the twin's backlash changes side
 
@@ -68,8 +67,8 @@ class Twin:
     def with_network(self, model: Model) -> float:
         """The share left with a default network on what the model leaves."""
         seen = self.samples.take(self.samples.seen)
-        predictor = train(seen.q, errors(model, seen), predictor_context(seen))
-        found = predictor.predict(self.test.q, predictor_context(self.test))
+        predictor = train(seen.q, errors(model, seen), seen.context())
+        found = predictor.predict(self.test.q, self.test.context())
         assert found.in_domain.all()
         return self.share(model, found.error)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from rclpy.qos import QoSProfile
 from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.compensate import compensate
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.ik import solver as ik
@@ -183,7 +184,7 @@ class _Known:
         error, sigma = np.full(3, 3e-3 / 3**0.5), np.full(3, 1e-4)
         self._told = Expansion(error, sigma, True, "", np.zeros((3, n)), np.full(n, np.inf))
 
-    def __call__(self, q: np.ndarray, context: Mapping[str, Any] | None) -> Expansion:
+    def __call__(self, q: np.ndarray, context: Context) -> Expansion:
         return self._told
 
 

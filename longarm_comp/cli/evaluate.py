@@ -33,7 +33,6 @@ def command(
     from longarm_comp.cli.inputs import admitted, physics, trained
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.identify.calibrate import Errors, errors
-    from longarm_comp.sessions.residual_inputs import predictor_context
 
     declared = Arm.load(arm)
     calibrated = None if model is None else physics(declared, model)
@@ -47,7 +46,7 @@ def command(
     if predictor is not None:
         learned, deflection = trained(predictor, declared, model)
         seen = session.take(session.seen)
-        found = learned.predict(seen.q, predictor_context(seen))
+        found = learned.predict(seen.q, seen.context())
         inside = np.asarray(found.in_domain)
         outside = int((~inside).sum())
         expected = np.where(inside[:, None], found.error, 0.0)

@@ -67,7 +67,6 @@ def command(
     from longarm_comp.core.identify.calibrate import Errors, errors
     from longarm_comp.core.learn.ensemble import train
     from longarm_comp.core.learn.predictor import Provenance
-    from longarm_comp.sessions.residual_inputs import predictor_context
 
     declared = Arm.load(arm)
     base = physics(declared, model, not no_deflection)
@@ -84,7 +83,7 @@ def command(
         made = train(
             seen.q,
             residual,
-            predictor_context(seen),
+            seen.context(),
             inputs=inputs,
             init=init,
             seed=seed,
@@ -95,7 +94,7 @@ def command(
             device=device,
         )
     made.save(output)
-    left = residual - made.predict(seen.q, predictor_context(seen)).error
+    left = residual - made.predict(seen.q, seen.context()).error
     before, after = Errors.of(residual), Errors.of(left)
     facts = {
         "output": str(output),

@@ -17,7 +17,7 @@ import numpy as np
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64, String
 
-from longarm_comp.core.data.session import SAME_POSE
+from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.measurement_schedule import Visit

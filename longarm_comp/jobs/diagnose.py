@@ -13,7 +13,6 @@ import numpy as np
 
 from longarm_comp import __version__
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import Context
 from longarm_comp.core.data.admission import FEW_POSES, admit
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.data.session import Session
@@ -24,8 +23,7 @@ from longarm_comp.core.identify.diagnosis import Diagnosis, diagnose
 from longarm_comp.core.identify.evidence import key
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.learn.ensemble import train
-from longarm_comp.core.learn.inputs import CONTEXT_NAMES
-from longarm_comp.core.learn.predictor import Prediction, Predictor, Provenance
+from longarm_comp.core.learn.predictor import Predictor, Provenance
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import (
     StoredModel,
@@ -40,7 +38,6 @@ from longarm_comp.report.write import write_report
 from longarm_comp.sessions.next_poses import FILE
 from longarm_comp.sessions.poses import write_poses
 from longarm_comp.sessions.read import read_session
-from longarm_comp.sessions.residual_inputs import predictor_context
 
 Say = Callable[[str], None]
 
@@ -66,22 +63,6 @@ class Request:
     model: Path | None = None
     seed: int = 0
     network: bool = True
-
-
-@dataclass(frozen=True, eq=False)
-class Learned:
-    """A predictor behind the context that models take."""
-
-    predictor: Predictor
-
-    def predict(self, q: np.ndarray, context: Context | None = None) -> Prediction:
-        """Expected residual at joints (N, n)."""
-        given: dict[str, np.ndarray] = {}
-        if context is not None:
-            given = {k: np.asarray(v) for k, v in context.columns.items() if k in CONTEXT_NAMES}
-            if context.approach:
-                given["approach"] = np.stack(context.approach, axis=-1)
-        return self.predictor.predict(q, given)
 
 
 def run(request: Request, folder: Path, say: Say = lambda _: None) -> dict[str, Any]:
@@ -184,18 +165,17 @@ def _admitted(path: Path, arm: Arm, model: Model | None, min_poses: int) -> Sess
     return admit(read_session(path, arm), arm, model, min_poses).session
 
 
-def _train(seed: int) -> Callable[[Model, Session], Learned]:
-    def made(model: Model, session: Session) -> Learned:
-        predictor = train(
+def _train(seed: int) -> Callable[[Model, Session], Predictor]:
+    def made(model: Model, session: Session) -> Predictor:
+        return train(
             session.q,
             errors(model, session),
-            predictor_context(session),
+            session.context(),
             seed=seed,
             provenance=Provenance(
                 model.arm.hash, session.hash, model.arm.joint_names, {"deflection": True}
             ),
         )
-        return Learned(predictor)
 
     return made
 
@@ -203,10 +183,10 @@ def _train(seed: int) -> Callable[[Model, Session], Learned]:
 def _write_predictor(found: Diagnosis, session_hash: str, folder: Path) -> None:
     """The network where it helped, bound to the model beside it; else none."""
     path = folder / PREDICTOR
-    if not isinstance(found.network, Learned):
+    if not isinstance(found.network, Predictor):
         path.unlink(missing_ok=True)
         return
-    predictor = found.network.predictor
+    predictor = found.network
     origin = predictor.provenance
     mark = {"model_hash": _file_hash(folder / MODEL), "deflection": True}
     bound = dataclasses.replace(

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.plan import RUN_UP, Plan, with_room
+from longarm_comp.core.arm.moves import run_up_lengths
+from longarm_comp.core.data.plan import Plan, with_room
 from longarm_comp.core.errors import InputError
 
 
@@ -61,7 +62,7 @@ def visits(
     pose = pose.reshape(-1)
     repeat_id = np.where(count > 1, first, -1)[pose]
     sides = with_room(arm, plan.q, plan.approach)
-    start = plan.q - sides * RUN_UP * (arm.upper - arm.lower)
+    start = plan.q - sides * run_up_lengths(arm)
     made = []
     for k, i in enumerate(order):
         row = rows[i]

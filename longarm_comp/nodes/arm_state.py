@@ -13,7 +13,8 @@ from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.compensation.online import Readings, arrival
+from longarm_comp.core.arm.history import History
+from longarm_comp.core.compensation.online import Readings
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_of, path_of, tilt_of
@@ -25,7 +26,7 @@ class ArmState:
 
     Args:
         refused: told of every message that cannot be meant, as (what, why).
-        commanded: told where the arm is sent, as joints (n,) and sides (n,).
+        commanded: told where the arm is sent, as joints (n,) and their history when there.
         moved: told every joint reading (n,).
 
     Attributes:
@@ -37,13 +38,13 @@ class ArmState:
         node: Node,
         arm: Arm,
         refused: Callable[[str, str], None],
-        commanded: Callable[[np.ndarray, np.ndarray], None],
+        commanded: Callable[[np.ndarray, History], None],
         moved: Callable[[np.ndarray], None],
     ) -> None:
         self._arm, self._refused = arm, refused
         self._tell_commanded, self._tell_moved = commanded, moved
-        self.circumstances = Readings(started_s=time.monotonic())
-        self.side = np.zeros(arm.n)
+        self.readings = Readings(started_s=time.monotonic())
+        self.history = History.unknown(arm.n)
         self._joints: tuple[np.ndarray, float] | None = None
         self._commanded: np.ndarray | None = None
         graph.JOINT_STATES.subscription(node, self._on_joints)
@@ -76,16 +77,16 @@ class ArmState:
         self._tell_moved(q)
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
-        """Whoever commands the arm: its joints arrive from that side."""
+        """Whoever commands the arm: this move is what its joints did last."""
         try:
             path = path_of(message, self._arm)
         except InputError as error:
             self._refused("bad joint_trajectory", str(error))
             return
         before = self._commanded if self._commanded is not None else self.joints
-        self.side = arrival(path if before is None else np.vstack([before, path]), self.side)
+        self.history = self.history.after(path, before)
         self._commanded = path[-1]
-        self._tell_commanded(path[-1], self.side)
+        self._tell_commanded(path[-1], self.history)
 
     def _on_temperature(self, message: Temperature) -> None:
         self._tell("temperature", {"temperature_c": message.temperature})
@@ -103,6 +104,6 @@ class ArmState:
 
     def _tell(self, source: str, columns: dict[str, float]) -> None:
         if all(math.isfinite(value) for value in columns.values()):
-            self.circumstances = self.circumstances.told(source, columns, time.monotonic())
+            self.readings = self.readings.told(source, columns, time.monotonic())
         else:
             self._refused(f"bad {source}", f"{source}: {columns} is not finite")

@@ -7,13 +7,13 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
 from geometry_msgs.msg import Vector3Stamped
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.errors import LongarmError
 from longarm_comp.core.learn.expansion import Expander
 from longarm_comp.core.learn.predictor import Predictor
@@ -117,15 +117,9 @@ class ErrorPredictor(Node):
         self, loaded: Loaded, request: PredictError.Request, response: PredictError.Response
     ) -> None:
         q = joints_of(request.joints, self._arm, "predict_error")
-        known = set(loaded.predictor.encoding.context)
-        given = {"temperature_c": request.temperature_c, "payload_kg": request.payload_kg}
-        context: dict[str, np.ndarray] = {
-            name: np.array([value]) for name, value in given.items() if name in known
-        }
         side = sides_of(request.approach, request.joints.name, self._arm, "predict_error")
-        if side.any() and "approach" in known:
-            context["approach"] = side[None]
-        found = loaded.expand(q, context)
+        columns = {"temperature_c": request.temperature_c, "payload_kg": request.payload_kg}
+        found = loaded.expand(q, Context(tuple(side.tolist()), columns))
         response.success = response.in_domain = found.in_domain
         response.error = vector_message(found.error)
         response.sigma = float(found.sigma.max())

@@ -18,6 +18,7 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.compensate import Method, Settling, Status
 from longarm_comp.core.compensation.online import CompensationOptions, StaleContext, compensate_now
 from longarm_comp.core.errors import InputError
@@ -59,6 +60,7 @@ PARAMS = (
     Param("max_passes", 10, "pseudo-target passes permitted", 1, 100),
     Param("max_correction_m", 0.05, "largest expected error that is corrected", 1e-6, 1.0),
     Param("position_only", False, "targets on target_pose leave the orientation free", live=True),
+    Param("run_up", True, "joints run up to their target where the model needs a side", live=True),
     Param("move_time_s", 0.5, "asked of the driver, which slows down to its limits", 0.0, 600.0),
     Param("predictor_timeout_s", 0.5, "no answer within it counts as no predictor", 0.01, 60.0),
     Param("context_max_age_s", 60.0, "older temperature, payload, tilt are stale", 0.1, 1e6),
@@ -178,10 +180,9 @@ class Kinematics(Node):
     def _serve(self, work: _Work) -> Told:
         """On the worker's thread: compute and send; the story is told after the answer."""
         told = work.told = self._answer(work.request)
-        if work.request.execute and told.status.success and told.outcome is not None:
-            self._trajectory.publish(
-                trajectory_message(self._arm, told.outcome.command, self._move_time_s)
-            )
+        if work.request.execute and told.status.success and told.arrival is not None:
+            points = told.arrival.move.points
+            self._trajectory.publish(trajectory_message(self._arm, points, self._move_time_s))
             work.sent = True
         return told
 
@@ -201,46 +202,47 @@ class Kinematics(Node):
 
     def _compensate(self, request: Compensate.Request) -> Told:
         target = target_of(request.target, self._base_frame, request.position_only)
-        limits = self._limits()
+        options = self._options()
         start = self._start(request)
         loaded = self._files.loaded
-        options: dict[str, Any] = {
+        known: dict[str, Any] = {
             "start": start,
-            "side": self._state.side,
-            "circumstances": self._state.circumstances,
+            "history": self._state.history,
+            "readings": self._state.readings,
             "now_s": time.monotonic(),
             "max_age_s": self._max_age_s,
             "position_only": request.position_only,
-            "limits": limits,
+            "options": options,
         }
-        client, why = self._predictor if limits.method.learned else None, ""
+        client, why = self._predictor if options.method.learned else None, ""
         if client is not None and not client.present:
             client, why = None, ": no error_predictor is running"
         try:
-            ask = None if client is None else partial(client.ask, deflection=limits.method.physics)
+            ask = None if client is None else partial(client.ask, deflection=options.method.physics)
             near = None if ask is None else Nearby(ask)  # mostly one call a target
-            outcome, context = compensate_now(loaded.model, near, target, **options)
+            arrival = compensate_now(loaded.model, near, target, **known)
         except NoAnswer as absent:
             client, why = None, f": {absent.reason}"
-            outcome, context = compensate_now(loaded.model, None, target, **options)
+            arrival = compensate_now(loaded.model, None, target, **known)
+        outcome = arrival.outcome
         return Told(
             request.target,
             request.position_only,
             outcome.status,
             outcome.reason + (why if outcome.status is Status.NO_PREDICTOR else ""),
-            limits.method.value,
+            options.method.value,
             Provenance(
                 self._arm.hash, loaded.file_hash, "" if client is None else client.file_hash
             ),
-            outcome,
-            context,
+            arrival,
         )
 
-    def _limits(self) -> CompensationOptions:
+    def _options(self) -> CompensationOptions:
         once = bool(self.get_parameter("single_pass").value)
         return CompensationOptions(
             Method(self.get_parameter("method").value),
             replace(self._settling, single_pass=once) if once else self._settling,
+            run_up=bool(self.get_parameter("run_up").value),
         )
 
     def _start(self, request: Compensate.Request) -> np.ndarray:
@@ -298,21 +300,21 @@ class Kinematics(Node):
     def _on_tip(self, message: PoseWithCovarianceStamped) -> None:
         self._markers.on_tip(message)
         rest = self._monitor.on_tip(message)
-        context = None if rest is None else self._now_context(rest.side)
+        context = None if rest is None else self._now_context(rest.history)
         if rest is not None and context is not None:
             model = self._files.loaded.model
             self._worker.submit(partial(self._monitor.judge, rest, model, context))
 
-    def _now_context(self, side: np.ndarray) -> Context | None:
+    def _now_context(self, history: History) -> Context | None:
         """Of this moment; None while something that the model needs is not known."""
         model, now = self._files.loaded.model, time.monotonic()
         try:
-            return self._state.circumstances.context(model, now, self._max_age_s, side)
+            return self._state.readings.context(model, now, self._max_age_s, history)
         except StaleContext:
             return None
 
     def _draw(self) -> None:
-        q, context = self._state.joints, self._now_context(self._state.side)
+        q, context = self._state.joints, self._now_context(self._state.history)
         if q is None or context is None:
             return
         sag = self.get_parameter("markers.sag_factor").value

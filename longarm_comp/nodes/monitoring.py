@@ -12,6 +12,7 @@ import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.drift import Monitor
 from longarm_comp.core.data.rest_pose import RestPose, RestWatch
 from longarm_comp.core.model.model import Model
@@ -73,10 +74,10 @@ class TipMonitor:
         """Start anew: another model promises something else."""
         self._monitor = Monitor(self._run_length)
 
-    def on_command(self, q: np.ndarray, side: np.ndarray) -> None:
+    def on_command(self, q: np.ndarray, history: History) -> None:
         """The arm is sent somewhere."""
         with self._feeding:
-            self._watch.commanded(q, side)
+            self._watch.commanded(q, history)
 
     def on_joints(self, q: np.ndarray) -> None:
         """The joints are there now."""
@@ -106,7 +107,7 @@ class TipMonitor:
         if not self._client.present:
             return Promise(tip, fallback)
         try:
-            found = self._client.ask(rest.q, {**context.columns, "approach": context.approach})
+            found = self._client.ask(rest.q, context)
         except NoAnswer:
             return Promise(tip, fallback)
         if not found.in_domain:

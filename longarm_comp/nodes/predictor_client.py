@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from rclpy.node import Node
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.learn.expansion import Expansion
@@ -62,11 +61,11 @@ class PredictorClient:
     def ask(
         self,
         q: np.ndarray,
-        context: Mapping[str, Any] | None = None,
+        context: Context,
         *,
         deflection: bool = True,
     ) -> Expansion:
-        """Expected error at joints (n,) and around them; context of one posture.
+        """Expected error at joints (n,) and around them, in the context of one posture.
 
         Args:
             deflection: whether the physics that it is to be added to has link deflection.
@@ -74,12 +73,11 @@ class PredictorClient:
         Raises:
             NoAnswer: why.
         """
-        given = context or {}
         request = PredictError.Request(
             joints=joints_message(self._arm, q),
-            approach=np.ravel(given.get("approach", ())).astype(np.int8),
-            temperature_c=_number(given, "temperature_c"),
-            payload_kg=_number(given, "payload_kg"),
+            approach=np.array(context.approach, np.int8),
+            temperature_c=float(context.column("temperature_c", math.nan)),
+            payload_kg=float(context.column("payload_kg", math.nan)),
         )
         answer = self._call(request)
         if not answer.success and math.isnan(answer.sigma):
@@ -129,9 +127,3 @@ class PredictorClient:
     def close(self) -> None:
         """Leave the graph."""
         self._node.destroy_node()
-
-
-def _number(context: Mapping[str, Any], name: str) -> float:
-    """One quantity of one posture; NaN where it is not known."""
-    value = context.get(name)
-    return math.nan if value is None else float(np.ravel(value)[0])

@@ -21,7 +21,8 @@ import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.session import SAME_POSE, Session, derive_approach
+from longarm_comp.core.arm.history import SAME_POSE, recorded
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.message_types import message_types
 
@@ -187,7 +188,7 @@ def _shortest(times: np.ndarray) -> float:
 
 def _vias(session: Session) -> list[np.ndarray | None]:
     """Per row the via point that tells its directions, or None where the motion tells them."""
-    plain = derive_approach(session.q, session.index)
+    plain = recorded(session.q, session.index).approach
     vias: list[np.ndarray | None] = []
     for i, (q, want) in enumerate(zip(session.q, session.approach, strict=True)):
         if i and 0 <= session.index[i] - session.index[i - 1] <= 1:

@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from longarm_comp.core.compensation.compensate import Compensation, Predictor, compensate_many
+from longarm_comp.core.compensation.compensate import compensate_many
+from longarm_comp.core.compensation.result import Compensation, ErrorPredictor
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.targets import Command, Targets
 
 
 def compensated(
-    model: Model, predictor: Predictor | None, targets: Targets, **options: Any
+    model: Model, predictor: ErrorPredictor | None, targets: Targets, **options: Any
 ) -> list[Command]:
     """A command per target, in their order; options as in `compensate_many`.
 

@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.session import Session, derive_approach
+from longarm_comp.core.arm.history import recorded
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.names import check_header, check_unknown
 from longarm_comp.sessions.table import Table, read_table, write_table
@@ -180,6 +181,6 @@ def _written_approach(session: Session) -> dict[str, Sequence[object] | np.ndarr
     """One column where reading it back derives the same directions, else one per joint."""
     alike = (session.approach == session.approach[:, :1]).all(axis=1)
     common = np.where(alike, session.approach[:, 0], 0)
-    if (derive_approach(session.q, session.index, common) == session.approach).all():
+    if (recorded(session.q, session.index, common).approach == session.approach).all():
         return {"approach": [None if side == 0 else side for side in common]}
     return dict(zip(approach_names(session.n), session.approach.T, strict=True))

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.session import SAME_POSE
+from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.settled import Sighting
 

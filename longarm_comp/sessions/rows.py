@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from array import array
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from longarm_comp.core.data.session import Session, derive_approach
+from longarm_comp.core.arm.history import History
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.message_buffer import CLOCKS_APART, MessageBuffer, Row
 from longarm_comp.sessions.settled import Sighting, settled
@@ -20,14 +20,15 @@ class Rows:
 
     def __init__(self, buffer: MessageBuffer) -> None:
         self._buffer = buffer
-        self._path = array("d")  # every point passed, rows and vias
-        self._count = array("q")  # its place; a step of two is a gap
-        self._at_row: list[int] = []
+        self._at: np.ndarray | None = None  # joints of the command before
+        self._history = History.unknown(buffer.arm.n)
+        self._q: list[np.ndarray] = []
+        self._came: list[History] = []
         self._made: list[Sighting] = []
         self._told: list[Row] = []
         self._index: list[int] = []
         self._held: list[dict[str, float]] = []
-        self._place, self._passed = 0, False
+        self._passed = False
 
     def close(self, *, everything: bool = False) -> None:
         """Finish every command whose time is over, so that the buffer can forget it.
@@ -52,13 +53,14 @@ class Rows:
         last = self._index[-1] if self._index else -1
         number = row.index if row.index is not None else last + 1
         gap = seen and self._index and not self._passed and not 0 <= number - last <= 1
-        for k, q in enumerate(points):
-            self._place += 2 if gap and k == 0 else 1
-            self._path.extend(q)
-            self._count.append(self._place)
+        if gap:
+            self._at, self._history = None, History.unknown(buffer.arm.n)
+        self._history = self._history.after(points, self._at)
+        self._at = points[-1]
         self._passed = seen is None
         if seen is not None:
-            self._at_row.append(len(self._count) - 1)
+            self._q.append(self._at)
+            self._came.append(self._history)
             self._made.append(seen)
             self._told.append(row)
             self._index.append(number)
@@ -75,7 +77,6 @@ class Rows:
         if not self._made:
             allowed = "a sighting per command"
             raise InputError(buffer.where, "tip_measured", "none after a command", allowed)
-        q = np.array(self._path).reshape(-1, buffer.arm.n)
         variance = np.array([seen.variance for seen in self._made])
         columns = {"t_s": np.array([seen.t for seen in self._made])}
         for name, held in buffer.columns.items():
@@ -83,9 +84,10 @@ class Rows:
         columns |= _told([row.columns for row in self._told])
         return Session(
             index=np.array(self._index),
-            q=q[self._at_row],
+            q=np.array(self._q),
             xyz=np.array([seen.xyz for seen in self._made]),
-            approach=derive_approach(q, np.array(self._count))[self._at_row],
+            approach=np.array([came.approach for came in self._came]),
+            travel=np.array([came.travel for came in self._came]),
             repeat_id=np.array([row.repeat_id for row in self._told]),
             sigma=np.sqrt(variance) if (variance > 0).all() else None,
             columns=columns,

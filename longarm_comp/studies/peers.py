@@ -17,7 +17,8 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 from sklearn.model_selection import GridSearchCV
 from sklearn.neural_network import MLPRegressor
 
-from longarm_comp.core.learn.inputs import Context, Encoding, check_rows, fit_encoding
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.learn.inputs import Encoding, check_rows, fit_encoding
 from longarm_comp.core.learn.predictor import Prediction
 
 Array = NDArray[np.float64]
@@ -35,7 +36,7 @@ class PeerPredictor:
 
     def predict(self, q: Array, context: Context | None = None) -> Prediction:
         """Expected residual; peers know no domain, so every row is said to be inside."""
-        q, known = check_rows("predict", q, context or {})
+        q, known = check_rows("predict", q, context)
         x = self.encoding.standardise(self.encoding.raw(q, known))
         if self.sigma is None:
             mean, sd = self.regressor.predict(x, return_std=True)
@@ -101,7 +102,7 @@ def _fit(
     weights: Array | None,
     own_sigma: bool,
 ) -> PeerPredictor:
-    q, known = check_rows("train", q, context or {})
+    q, known = check_rows("train", q, context)
     used = np.ones(len(q), bool) if weights is None else np.asarray(weights) > 0
     encoding = fit_encoding(q, known, inputs)
     x = encoding.standardise(encoding.raw(q, known))[used]

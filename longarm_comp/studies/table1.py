@@ -14,7 +14,7 @@ with which the arm arrives.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -31,7 +31,6 @@ from longarm_comp.core.identify.fit import geometry
 from longarm_comp.core.identify.search import search
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.model.model import Model
-from longarm_comp.sessions.residual_inputs import predictor_context
 from longarm_comp.sim import context as sim_context
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.measure import Camera, measure_session
@@ -83,22 +82,19 @@ class Outcome:
     fallbacks: int
 
 
-def ssa_bp(q: np.ndarray, residual: np.ndarray, context: Mapping[str, Any], seed: int) -> Any:
+def ssa_bp(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:
     """The paper's network: joints in, one member."""
     return train(q, residual, None, inputs=_JOINTS_ONLY, hidden=HIDDEN, ensemble=1, seed=seed)
 
 
-def ssa_bp_best(q: np.ndarray, residual: np.ndarray, context: Mapping[str, Any], seed: int) -> Any:
+def ssa_bp_best(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:
     """This package's: joints and context in, an ensemble."""
     return train(q, residual, context, hidden=HIDDEN, ensemble=3, seed=seed)
 
 
-def gaussian_process(
-    q: np.ndarray, residual: np.ndarray, context: Mapping[str, Any], seed: int
-) -> Any:
+def gaussian_process(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:
     """What a user would pick, told the approach direction (one for all joints: it is common)."""
-    told = {"approach": np.asarray(context["approach"])[:, 0]}
-    return train_gaussian_process(q, residual, told, seed=seed)
+    return train_gaussian_process(q, residual, context, seed=seed)
 
 
 def with_effects(declared: Model, session: Session) -> Model:
@@ -193,9 +189,7 @@ class Bench:
         if setting.learner is not None:
             base = model if setting.method.physics else rigid(model)
             seen = rows.take(rows.seen)
-            predictor = setting.learner(
-                seen.q, errors(base, seen), predictor_context(seen), seed=seed
-            )
+            predictor = setting.learner(seen.q, errors(base, seen), seen.context(), seed=seed)
         arm = self.declared.arm
         payload = arm.payload.mass_kg if arm.payload else 0.0
         told = Context(

@@ -1,19 +1,35 @@
-"""What an effect may need besides q: approach direction, temperature, time, payload, tilt.
+"""The record of circumstances: all that an effect may need besides the joints.
 
-History lives here, derived once from the order of the samples, so that every effect
-stays a pure function of a posture.
+Side of arrival, way travelled, time, temperature, payload, inclination, marker: each is declared
+here once, with its kind.  Sessions, targets, the running arm, every engine of the inverse
+kinematics and the learned inputs go over the declared fields (`PER_JOINT`, `Layout`), so a field
+that is added here is carried everywhere.  History is part of the record (`core/arm/history.py`);
+an effect stays a pure function of a posture.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import dataclasses
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from longarm_comp.core.arm.spatial import Scalar, Vec
 from longarm_comp.core.errors import InputError
+
+_KIND = "kind"
+
+
+def _per_joint(extreme: float) -> Any:
+    """A field of n scalars, one a commanded joint, within +-extreme; 0 or empty when unknown."""
+    return field(default=(), metadata={_KIND: "joint", "extreme": extreme})
+
+
+def _by_name(kind: str) -> Any:
+    return field(default_factory=dict, metadata={_KIND: kind})
 
 
 @dataclass(frozen=True)
@@ -23,21 +39,21 @@ class Context:
     Attributes:
         approach: per joint -1, 0 (unknown) or +1: the side it arrived from, n scalars;
             empty when unknown.
-        travel: per joint the signed way since it last turned round (rad, m), n scalars;
-            0 or empty when unknown.
         columns: any further quantity by name: `temperature_c`, `payload_kg`, `t_s`,
             `incl_<frame>_x`, ... (SI but for the degrees Celsius).
         labels: text columns such as `group` and `marker`, one string or (N,) array of them.
+        travel: per joint the signed way since it last turned round (rad, m), n scalars;
+            0 or empty when unknown.
     """
 
-    approach: tuple[Scalar, ...] = ()
-    columns: Mapping[str, Scalar] = field(default_factory=dict)
-    labels: Mapping[str, object] = field(default_factory=dict)
-    travel: tuple[Scalar, ...] = ()
+    approach: tuple[Scalar, ...] = _per_joint(extreme=1.0)
+    columns: Mapping[str, Scalar] = _by_name("number")
+    labels: Mapping[str, object] = _by_name("text")
+    travel: tuple[Scalar, ...] = _per_joint(extreme=1e3)
 
     def has(self, name: str) -> bool:
-        """Whether an input was recorded."""
-        return bool(self.approach) if name == "approach" else name in self.columns
+        """Whether an input was recorded: a per-joint field or a column."""
+        return bool(getattr(self, name)) if name in PER_JOINT else name in self.columns
 
     def column(self, name: str, default: float | None = None) -> Scalar:
         """A recorded quantity.
@@ -60,13 +76,10 @@ class Context:
         """Carried mass: recorded, else as declared."""
         return self.column("payload_kg", declared)
 
-    def direction(self, joint: int) -> Scalar:
-        """Side (-1, 0, +1) that commanded joint number `joint` (0-based) arrived from."""
-        return self.approach[joint] if self.approach else 0.0
-
-    def way(self, joint: int) -> Scalar:
-        """Signed way (rad, m) of commanded joint number `joint` since it last turned round."""
-        return self.travel[joint] if self.travel else 0.0
+    def of_joint(self, name: str, joint: int) -> Scalar:
+        """A per-joint field at commanded joint number `joint` (0-based); 0 when unknown."""
+        values: tuple[Scalar, ...] = getattr(self, name)
+        return values[joint] if values else 0.0
 
     def is_label(self, name: str, value: str) -> Scalar:
         """1.0 where a text column holds `value`, else 0.0; 1.0 when there is no such column."""
@@ -83,14 +96,85 @@ class Context:
         def of(value: Any) -> Any:
             return value[rows] if np.ndim(value) else value
 
-        return Context(
-            tuple(of(a) for a in self.approach),
-            {name: of(v) for name, v in self.columns.items()},
-            {name: of(v) for name, v in self.labels.items()},
-            tuple(of(a) for a in self.travel),
-        )
+        taken: dict[str, Any] = {}
+        for f in dataclasses.fields(self):
+            held = getattr(self, f.name)
+            taken[f.name] = (
+                tuple([of(v) for v in held])
+                if f.name in PER_JOINT
+                else {name: of(v) for name, v in held.items()}
+            )
+        return Context(**taken)
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Which numbers the record holds."""
+        return Layout.of(self)
 
     @classmethod
     def empty(cls) -> Context:
         """Nothing recorded."""
         return cls()
+
+
+def _of_kind(kind: str) -> tuple[str, ...]:
+    return tuple(f.name for f in dataclasses.fields(Context) if f.metadata[_KIND] == kind)
+
+
+PER_JOINT = _of_kind("joint")
+"""Fields of `Context` with a scalar a commanded joint: the history of the joints."""
+
+EXTREME: Mapping[str, float] = {
+    f.name: f.metadata["extreme"] for f in dataclasses.fields(Context) if f.name in PER_JOINT
+}
+"""Largest size of each of them that makes a difference."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which numbers records hold, so that a compiled model can read them in a fixed order.
+
+    Attributes:
+        joints: scalars of every per-joint field, in the order of `PER_JOINT`.
+        columns: names of the columns, sorted.
+        labels: text columns, constant in compiled code.
+    """
+
+    joints: tuple[int, ...]
+    columns: tuple[str, ...]
+    labels: tuple[tuple[str, object], ...]
+
+    @classmethod
+    def of(cls, context: Context) -> Layout:
+        """The layout that fits a context."""
+        joints = tuple([len(getattr(context, name)) for name in PER_JOINT])
+        return cls(joints, tuple(sorted(context.columns)), tuple(sorted(context.labels.items())))
+
+    @property
+    def traceable(self) -> bool:
+        """Whether one kernel serves all rows: no text column changes from row to row."""
+        return all(isinstance(value, str) for _, value in self.labels)
+
+    @property
+    def count(self) -> int:
+        """Numbers of context a target."""
+        return sum(self.joints) + len(self.columns)
+
+    def unpack(self, values: Sequence[Any]) -> Context:
+        """The context whose `count` numbers are these, in the order of `pack`."""
+        fields: dict[str, Any] = {}
+        first = 0
+        for name, count in zip(PER_JOINT, self.joints, strict=True):
+            fields[name] = tuple(values[first : first + count])
+            first += count
+        columns = dict(zip(self.columns, values[first:], strict=True))
+        return Context(**fields, columns=columns, labels=dict(self.labels))
+
+    def pack(self, context: Context, count: int) -> np.ndarray:
+        """Context of N targets as rows, (N, `count`)."""
+        values = [value for name in PER_JOINT for value in getattr(context, name)]
+        values += [context.columns[name] for name in self.columns]
+        rows = np.empty((count, len(values)))
+        for k, value in enumerate(values):
+            rows[:, k] = value
+        return rows

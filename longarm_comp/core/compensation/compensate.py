@@ -10,7 +10,9 @@ repeated until the expected error at the new joints is the one that was correcte
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,34 +23,23 @@ from longarm_comp.core.compensation.result import (
     NO_PREDICTOR,
     Compensation,
     Compensations,
+    ErrorPredictor,
+    ExpectedError,
     Method,
-    Prediction,
-    Predictor,
     Settling,
     Status,
     missed,
     outside,
-    predictor_context,
     shifted,
 )
-from longarm_comp.core.compensation.single import NEARBY_STARTS, Task, compensate_one
+from longarm_comp.core.compensation.unknown import missing_column, unknown_history
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.model import Model
 
-__all__ = [
-    "Compensation",
-    "Compensations",
-    "Method",
-    "Prediction",
-    "Predictor",
-    "Settling",
-    "Status",
-    "compensate",
-    "compensate_many",
-    "rigid",
-]
+NEARBY_STARTS = 3
+"""A pseudo-target lies next to its target: look near its joints only."""
 
 
 def rigid(model: Model) -> Model:
@@ -61,20 +52,25 @@ def commandable(model: Model) -> Model:
     return _part(model, "_commandable", lambda effect: effect.continuous)
 
 
+def physics_of(model: Model, method: Method) -> Model:
+    """The part of a model that a method's inverse kinematics knows."""
+    return commandable(model) if method.physics else rigid(model)
+
+
 def _part(model: Model, name: str, wanted: Callable[[Effect], bool]) -> Model:
-    """The model with some of its effects; made once, so that what was compiled for it lasts."""
+    """The model with some of its effects; built once, so that what was compiled for it lasts."""
     kept = tuple(e for e in model.effects if wanted(e))
     if len(kept) == len(model.effects):
         return model
-    made: Model | None = model.__dict__.get(name)
-    if made is None:
-        made = model.__dict__[name] = dataclasses.replace(model, effects=kept)
-    return made
+    part: Model | None = model.__dict__.get(name)
+    if part is None:
+        part = model.__dict__[name] = dataclasses.replace(model, effects=kept)
+    return part
 
 
 def compensate(
     model: Model,
-    predictor: Predictor | None,
+    predictor: ErrorPredictor | None,
     target: np.ndarray | Frame,
     *,
     context: Context | None = None,
@@ -82,9 +78,26 @@ def compensate(
     method: Method = Method.BOTH,
     position_only: bool = False,
     locked: Sequence[int | str] = (),
+    doubtful: np.ndarray | None = None,
     **settling: Any,
 ) -> Compensation:
-    """Joints that bring the *real* tip to one target; arguments as in `compensate_many`.
+    """Joints that bring the *real* tip to one target.
+
+    Args:
+        model: arm and effects; methods without physics keep its geometry effects only.
+        predictor: the learned residual of the model that the method uses, or None.
+        target: position (3,) in m, or pose (4, 4) or `Frame`, base frame.
+        context: circumstances in which the arm will stand.
+        seed: (n,) current joints; default mid-range.
+        position_only: leave the orientation free.
+        locked: joints that stay at their seed, as in `ik.solve_many`.
+        doubtful: (n,) joints whose side of arrival the context tells, but not for certain.
+        settling: fields of `Settling`: when the passes end.
+
+    Returns:
+        Invalid or unreachable targets are reported in `status`, not raised.  So is a recorded
+        quantity that an effect of the model needs and the context lacks.  Where the history of
+        the joints is not known and the tip depends on it, `sigma` and `reason` say how much.
 
     Raises:
         InputError: the target is neither (3,) nor (4, 4); an option is not allowed.
@@ -92,21 +105,15 @@ def compensate(
     given = target.matrix() if isinstance(target, Frame) else np.asarray(target, dtype=float)
     if given.shape not in ((3,), (4, 4)):
         raise InputError("compensate", "target", f"shape {given.shape}", "shape (3,) or (4, 4)")
-    task = Task(
-        commandable(model) if method.physics else rigid(model),
-        predictor if method.learned else None,
-        method.learned,
-        (context or Context.empty()).take(0),
-        position_only or given.ndim == 1,
-        tuple(locked),
-        Settling(**settling),
-    )
-    return compensate_one(task, given, seed)
+    free = position_only or given.ndim == 1
+    task = _Task(model, predictor, method, free, tuple(locked), Settling(**settling), doubtful)
+    start = ik.checked_seed(model, seed, 1, "compensate")[0]
+    return task.run(given, (context or Context.empty()).take(0), start)
 
 
 def compensate_many(
     model: Model,
-    predictor: Predictor | None,
+    predictor: ErrorPredictor | None,
     targets: np.ndarray,
     *,
     context: Context | None = None,
@@ -116,172 +123,120 @@ def compensate_many(
     locked: Sequence[int | str] = (),
     **settling: Any,
 ) -> Compensations:
-    """Joints that bring the real tip to each of N targets.
+    """`compensate` for each of N targets, one after another.
 
     Args:
-        model: arm and effects; methods without physics keep its geometry effects only.
-        predictor: the learned residual of the model that the method uses, or None.
         targets: positions (N, 3) in m or poses (N, 4, 4), base frame.
-        context: circumstances in which the arm will stand, scalars or (N,) arrays.
+        context: circumstances, scalars or (N,) arrays.
         seed: (n,) or (N, n) current joints; default mid-range.
-        position_only: leave the orientation free.
-        locked: joints that stay at their seed, as in `ik.solve_many`.
-        settling: fields of `Settling`: when the passes end.
-
-    Returns:
-        One story a target; a target that is no place (NaN, no rotation) or that cannot be
-        reached is an answer, not an error.
 
     Raises:
         InputError: wrong shapes or options.
     """
-    rule = Settling(**settling)
     targets = np.asarray(targets, dtype=float)
-    work = _Work(
-        commandable(model) if method.physics else rigid(model),
-        predictor if method.learned else None,
-        targets,
-        (context or Context.empty()),
-        position_only or targets.ndim == 2,
-        tuple(locked),
-    )
-    work.reach_ideal(seed)
-    if method.learned and predictor is None:
-        work.end(work.open, Status.NO_PREDICTOR, NO_PREDICTOR)
-    elif not method.learned:
-        work.end(work.open, Status.SUCCESS, "")
-    work.expect(rule, first=True)
-    for _ in range(1 if rule.single_pass else rule.max_passes):
-        work.correct()
-        if rule.single_pass:
-            work.end(work.open, Status.SUCCESS, "")
-        else:
-            work.expect(rule)
-        if not work.open.any():
-            break
-    work.end(work.open, Status.NOT_CONVERGED, rule.unsettled)
-    return work.story()
+    if targets.ndim not in (2, 3) or targets.shape[1:] not in ((3,), (4, 4)):
+        allowed = "shape (N, 3) or (N, 4, 4)"
+        raise InputError("compensate", "targets", f"shape {targets.shape}", allowed)
+    free = position_only or targets.ndim == 2
+    task = _Task(model, predictor, method, free, tuple(locked), Settling(**settling))
+    start = ik.checked_seed(model, seed, len(targets), "compensate")
+    given = context or Context.empty()
+    rows = [task.run(targets[k], given.take(k), start[k]) for k in range(len(targets))]
+    return Compensations.of(rows, targets, model.arm.n)
 
 
-class _Work:
-    """N targets on their way; `open` marks those that are not decided."""
+@dataclass
+class _Task:
+    """Targets that differ in place, circumstances and seed alone."""
 
-    def __init__(
-        self,
-        model: Model,
-        predictor: Predictor | None,
-        targets: np.ndarray,
-        context: Context,
-        position_only: bool,
-        locked: tuple[int | str, ...],
-    ) -> None:
-        self.model, self.predictor, self.context = model, predictor, context
-        self.position_only, self.locked = position_only, locked
-        self.targets = targets
-        count, n = len(targets), model.arm.n
-        self.ideal, self.command = np.zeros((count, n)), np.zeros((count, n))
-        self.error, self.sigma = np.zeros((count, 3)), np.full((count, 3), np.nan)
-        self.in_domain = np.zeros(count, bool)
-        self.passes = np.zeros(count, int)
-        self.status = np.full(count, Status.SUCCESS, int)
-        self.reason = [""] * count
-        self.open = np.ones(count, bool)
+    model: Model
+    predictor: ErrorPredictor | None
+    method: Method
+    position_only: bool
+    locked: tuple[int | str, ...]
+    settling: Settling
+    doubtful: np.ndarray | None = None
 
-    def end(self, which: np.ndarray, status: Status, reason: str | Sequence[str]) -> None:
-        """Decide targets; no correction is left in those that fall back or fail."""
-        rows = np.flatnonzero(which)
-        texts = [reason] * len(rows) if isinstance(reason, str) else reason
-        for row, text in zip(rows, texts, strict=True):
-            self.reason[row] = text
-        self.status[rows] = status
-        self.open[rows] = False
-        if status is not Status.SUCCESS:
-            self.command[rows] = self.ideal[rows]
-            if status.physics_only:
-                self.error[rows] = 0.0
+    def run(self, target: np.ndarray, context: Context, seed: np.ndarray) -> Compensation:
+        """One target, (3,) or (4, 4); seed (n,) inside the limits."""
+        return _Target(self, target, context, seed).reach()
 
-    def reach_ideal(self, seed: np.ndarray | None) -> None:
-        """Joints by the physics alone."""
-        start = ik.checked_seed(self.model, seed, len(self.targets), "compensate")
-        self.ideal[:] = self.command[:] = start
-        faults = ik.target_faults(self.targets, self.position_only, "compensate")
-        bad = np.array([bool(f) for f in faults], bool)
-        self.end(bad, Status.BAD_TARGET, [f for f in faults if f])
-        self._solve(np.flatnonzero(self.open), start, self.targets, ik.MAX_STARTS)
-        self.ideal[:] = self.command
 
-    def expect(self, rule: Settling, first: bool = False) -> None:
-        """The error expected at the present joints; decides what has settled."""
-        rows = np.flatnonzero(self.open)
-        if not rows.size or self.predictor is None:
-            return
-        columns = predictor_context(self.context.take(rows), len(rows))
-        found = self.predictor.predict(self.command[rows], columns)
-        error = np.asarray(found.error, float)
-        inside = np.asarray(found.in_domain, bool) & np.isfinite(error).all(axis=1)
-        change = np.linalg.norm(error - self.error[rows], axis=1)
-        self.error[rows], self.sigma[rows] = error, found.sigma
-        self.in_domain[rows] = inside
-        size = np.linalg.norm(error, axis=1)
-        large = inside & (size > rule.max_correction_m)
-        texts = getattr(found, "reason", None) or [""] * len(rows)
-        self._end_some(
-            rows, ~inside, Status.OUT_OF_DOMAIN,
-            [outside(text) for text, ok in zip(texts, inside, strict=True) if not ok],
+class _Target:
+    """One target on its way: ideal joints, then passes of the pseudo-target."""
+
+    def __init__(self, task: _Task, target: np.ndarray, context: Context, seed: np.ndarray) -> None:
+        self.task, self.target, self.context = task, target, context
+        self.model = physics_of(task.model, task.method)
+        self.ideal = self.q = seed
+        self.error, self.sigma = np.zeros(3), np.full(3, np.nan)
+        self.inside, self.passes = False, 0
+
+    def reach(self) -> Compensation:
+        """Solve for the target, then correct for the expected error until it settles."""
+        task = self.task
+        fault = ik.target_faults(self.target[None], task.position_only, "compensate")[0]
+        if fault:
+            return self._ended(Status.BAD_TARGET, fault)
+        lacking = missing_column(self.model, self.context)
+        if lacking:
+            return self._ended(Status.STALE_CONTEXT, lacking)
+        found = self._search(self.target, ik.MAX_STARTS)
+        self.ideal = self.q = found.q
+        if not found.ok:
+            return self._ended(Status.UNREACHABLE, missed("target", found))
+        if not task.method.learned:
+            return self._ended(Status.SUCCESS)
+        if task.predictor is None:
+            return self._ended(Status.NO_PREDICTOR, NO_PREDICTOR)
+        return self._correct(task.predictor)
+
+    def _correct(self, predictor: ErrorPredictor) -> Compensation:
+        settling = self.task.settling
+        while True:
+            expected = predictor.predict(self.q[None], self.context)
+            before, self.error = self.error, np.asarray(expected.error[0], float)
+            self.sigma = np.asarray(expected.sigma[0], float)
+            size = math.sqrt(self.error @ self.error)
+            self.inside = bool(expected.in_domain[0]) and math.isfinite(size)
+            if not self.inside:
+                return self._ended(Status.OUT_OF_DOMAIN, outside(_reason(expected)))
+            if size > settling.max_correction_m:
+                return self._ended(Status.CORRECTION_TOO_LARGE, settling.too_large(size))
+            if self.passes and math.dist(self.error, before) <= settling.tol_m:
+                return self._ended(Status.SUCCESS)
+            if self.passes == settling.max_passes:
+                return self._ended(Status.NOT_CONVERGED, settling.unsettled)
+            self.passes += 1
+            found = self._search(shifted(self.target, self.error), NEARBY_STARTS)
+            if not found.ok:
+                return self._ended(Status.UNREACHABLE, missed("pseudo-target", found))
+            self.q = found.q
+            if settling.single_pass:
+                return self._ended(Status.SUCCESS)
+
+    def _search(self, to: np.ndarray, starts: int) -> ik.Solution:
+        task = self.task
+        return ik.solve(
+            self.model, to, seed=self.q, context=self.context, position_only=task.position_only,
+            locked=task.locked, max_starts=starts,
         )  # fmt: skip
-        self._end_some(
-            rows, large, Status.CORRECTION_TOO_LARGE, [rule.too_large(s) for s in size[large]]
-        )
-        if not first:
-            settled = inside & ~large & (change <= rule.tol_m)
-            self._end_some(rows, settled, Status.SUCCESS, "")
 
-    def _end_some(
-        self, rows: np.ndarray, which: np.ndarray, status: Status, reason: str | Sequence[str]
-    ) -> None:
-        """Decide some of the given rows."""
-        mask = np.zeros_like(self.open)
-        mask[rows[which]] = True
-        self.end(mask, status, reason)
+    def _ended(self, status: Status, reason: str = "") -> Compensation:
+        applied = np.zeros(3) if status.physics_only else self.error
+        command = self.q if status is Status.SUCCESS else self.ideal
+        sigma = self.sigma
+        if status.success:
+            spread, why = unknown_history(self.model, command, self.context, self.task.doubtful)
+            if why:
+                sigma = np.hypot(np.nan_to_num(sigma), spread)
+                reason = f"{reason}; {why}" if reason else why
+        return Compensation(
+            self.target, self.ideal, applied, sigma, self.inside, shifted(self.target, applied),
+            command, self.passes, status, reason,
+        )  # fmt: skip
 
-    def correct(self) -> None:
-        """One pass: joints of the pseudo-target, started from the joints before."""
-        rows = np.flatnonzero(self.open)
-        if rows.size:
-            self.passes[rows] += 1
-            self._solve(rows, self.command, shifted(self.targets, self.error), NEARBY_STARTS)
 
-    def _solve(self, rows: np.ndarray, seed: np.ndarray, to: np.ndarray, starts: int) -> None:
-        if not rows.size:
-            return
-        found = ik.solve_many(
-            self.model,
-            to[rows],
-            seed=seed[rows],
-            context=self.context.take(rows),
-            position_only=self.position_only,
-            locked=self.locked,
-            max_starts=starts,
-        )
-        self.command[rows] = found.q
-        failed = np.flatnonzero(~found.ok)
-        what = "pseudo-target" if self.passes[rows].any() else "target"
-        if what == "target":
-            self.ideal[rows[failed]] = found.q[failed]
-        texts = [missed(what, found[int(k)]) for k in failed]
-        self._end_some(rows, ~found.ok, Status.UNREACHABLE, texts)
-
-    def story(self) -> Compensations:
-        """What came of it."""
-        return Compensations(
-            self.targets,
-            self.ideal,
-            self.error,
-            self.sigma,
-            self.in_domain,
-            shifted(self.targets, self.error),
-            self.command,
-            self.passes,
-            self.status,
-            tuple(self.reason),
-        )
+def _reason(expected: ExpectedError) -> str:
+    texts = getattr(expected, "reason", None)
+    return str(texts[0]) if texts else ""

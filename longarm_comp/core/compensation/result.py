@@ -1,12 +1,12 @@
-"""What goes into a compensation and what comes out of it: method, predictor, status, story."""
+"""What goes into a compensation and what comes out of it: method, predictor, status, result."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, IntEnum
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -105,7 +105,7 @@ class Settling:
         )
 
 
-class Prediction(Protocol):
+class ExpectedError(Protocol):
     """Expected error at N postures."""
 
     @property
@@ -121,28 +121,29 @@ class Prediction(Protocol):
         """(N,) bool."""
 
 
-class Predictor(Protocol):
+class ErrorPredictor(Protocol):
     """The learned residual, as far as compensation knows it."""
 
-    def predict(self, q: np.ndarray, context: Mapping[str, Any] | None = None) -> Prediction:
-        """Expected error at joints (N, n); context: approach (N, n), temperature_c, ..."""
+    def predict(self, q: np.ndarray, context: Context | None = None) -> ExpectedError:
+        """Expected error at joints (N, n) under the circumstances of a model."""
 
 
 @dataclass(frozen=True)
 class Compensation:
-    """One target's story.
+    """What came of one target.
 
     Attributes:
         target: as asked: (3,) m or (4, 4).
         ideal: (n,) joints that the physics alone gives.
         predicted_error: (3,) m, expected at the command (at `ideal` in the single pass); zero
             where none is applied.
-        sigma: (3,) m; NaN without a predictor.
+        sigma: (3,) m, standard deviation of what the command leaves: the predictor's, and what
+            the unknown history of the joints makes of it; NaN where neither is known.
         in_domain: the predictor answered for joints inside its training data.
         pseudo_target: ``target - predicted_error``, of the target's shape.
         command: (n,) joints to send; `ideal` where the status is no success.
         passes: pseudo-target passes used.
-        status, reason: the outcome, and why in one sentence (empty on plain success).
+        status, reason: the outcome, and why or with what doubt (empty on plain success).
     """
 
     target: np.ndarray
@@ -186,6 +187,26 @@ class Compensations:
         made: np.ndarray = self.status <= Status.OUT_OF_DOMAIN
         return made
 
+    @classmethod
+    def of(cls, rows: Sequence[Compensation], targets: np.ndarray, n: int) -> Compensations:
+        """From one a target, (N, 3) or (N, 4, 4), for an arm of n joints."""
+
+        def stacked(name: str, *shape: int) -> np.ndarray:
+            return np.array([getattr(row, name) for row in rows], float).reshape(-1, *shape)
+
+        return cls(
+            targets,
+            stacked("ideal", n),
+            stacked("predicted_error", 3),
+            stacked("sigma", 3),
+            np.array([row.in_domain for row in rows], bool),
+            stacked("pseudo_target", *targets.shape[1:]),
+            stacked("command", n),
+            np.array([row.passes for row in rows], int),
+            np.array([row.status for row in rows], int),
+            tuple(row.reason for row in rows),
+        )
+
     def __getitem__(self, i: int) -> Compensation:
         return Compensation(
             self.target[i],
@@ -202,7 +223,6 @@ class Compensations:
 
 
 NO_PREDICTOR = "no predictor: compensated with physics only"
-_PREDICTOR_COLUMNS = ("temperature_c", "payload_kg", "t_s")
 
 
 def outside(reason: str) -> str:
@@ -227,14 +247,3 @@ def shifted(targets: np.ndarray, error: np.ndarray) -> np.ndarray:
     else:
         pseudo -= error
     return pseudo
-
-
-def predictor_context(context: Context, count: int) -> dict[str, Any]:
-    """What a predictor is told of N postures: approach (N, n), and columns as they are."""
-    made = {k: context.columns[k] for k in _PREDICTOR_COLUMNS if k in context.columns}
-    if context.approach:
-        sides = np.empty((count, len(context.approach)))
-        for joint, side in enumerate(context.approach):
-            sides[:, joint] = side
-        made["approach"] = sides
-    return made

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 
@@ -23,9 +24,6 @@ PAPER_STROKES = np.array(
 """Section III.B: the six pairs of prismatic strokes, as shares of each stroke."""
 
 LARGEST_GRID = 1_000_000
-
-RUN_UP = 0.06
-"""Length of the last approach, as a share of each joint's range: longer than any play."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +132,7 @@ def with_room(arm: Arm, q: np.ndarray, sides: np.ndarray) -> np.ndarray:
         q: (N, n) joints to arrive at, rad and m.
         sides: (N, n) of -1, 0, +1.
     """
-    start = q - sides * RUN_UP * (arm.upper - arm.lower)
+    start = q - sides * run_up_lengths(arm)
     return np.where((start < arm.lower) | (start > arm.upper), -sides, sides)
 
 

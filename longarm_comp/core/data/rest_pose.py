@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from longarm_comp.core.arm.history import History
 from longarm_comp.core.errors import InputError
 
 JOINT_REST = 2e-3
@@ -20,13 +21,13 @@ class RestPose:
     """The arm at rest where it was sent, and the mean of what was seen.
 
     Attributes:
-        q: (n,) commanded joints, rad and m. side: (n,) of -1, 0, +1 they arrived from.
+        q: (n,) commanded joints, rad and m. history: how they came there.
         tip: (3,) m. variance: (3,) m^2, of the mean as the sightings claim.
         command: number of the command, counted from 1.
     """
 
     q: np.ndarray
-    side: np.ndarray
+    history: History
     tip: np.ndarray
     variance: np.ndarray
     command: int
@@ -44,7 +45,7 @@ class RestWatch:
     settle_s: float = 0.5
     sightings: int = 3
     commands: int = 0
-    _goal: tuple[np.ndarray, np.ndarray] | None = None
+    _goal: tuple[np.ndarray, History] | None = None
     _there_since: float | None = None
     _seen: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
 
@@ -52,9 +53,9 @@ class RestWatch:
         if self.sightings < 1:
             raise InputError("rest watch", "sightings", self.sightings, "1 or more")
 
-    def commanded(self, q: np.ndarray, side: np.ndarray) -> None:
-        """The arm is sent to q (n,), joints arriving from a side (n,)."""
-        self._goal, self._there_since = (q, side), None
+    def commanded(self, q: np.ndarray, history: History) -> None:
+        """The arm is sent to q (n,); `history`: of the joints when they are there."""
+        self._goal, self._there_since = (q, history), None
         self._seen.clear()
         self.commands += 1
 
@@ -76,7 +77,7 @@ class RestWatch:
         self._seen.append((tip, variance))
         if len(self._seen) < self.sightings:
             return None
-        (q, side), self._goal = self._goal, None
+        (q, history), self._goal = self._goal, None
         tips, variances = (np.array(part) for part in zip(*self._seen, strict=True))
         mean, scatter = tips.mean(axis=0), np.maximum(variances, 0.0).mean(axis=0)
-        return RestPose(q, side, mean, scatter / len(tips), self.commands)
+        return RestPose(q, history, mean, scatter / len(tips), self.commands)

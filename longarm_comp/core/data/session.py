@@ -15,11 +15,9 @@ from functools import cached_property
 
 import numpy as np
 
-from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.context import PER_JOINT, Context
+from longarm_comp.core.arm.history import SAME_POSE, recorded
 from longarm_comp.core.errors import InputError
-
-SAME_POSE = 1e-6
-"""Commanded joints that differ by less are the same pose (rad, m)."""
 
 Rows = np.ndarray | Sequence[int] | slice
 
@@ -120,18 +118,18 @@ class Session:
         index = np.arange(n_rows) if index is None else np.asarray(index)
         _check_shape(source, "index", index, (n_rows,))
         repeat_id = np.full(n_rows, -1) if repeat_id is None else repeat_id
-        directions = derive_approach(q, index, approach)
+        history = recorded(q, index, approach)
         return cls(
             index,
             q,
             xyz,
-            directions,
+            history.approach,
             repeat_id,
             sigma,
             columns or {},
             labels or {},
             source,
-            derive_travel(q, index),
+            history.travel,
         )
 
     def __len__(self) -> int:
@@ -198,17 +196,15 @@ class Session:
     def context(self, rows: Rows | None = None) -> Context:
         """What effects may need besides q, for some rows or all: scalars are (N,) arrays.
 
-        Approach is absent when no joint's direction is known in the whole session.
+        The history of the joints is absent when no side of arrival is known in the whole session.
         """
         at: Rows = slice(None) if rows is None else rows
-        known = bool(self.approach.any())
+        history = {
+            name: tuple(getattr(self, name)[at, j].astype(float) for j in range(self.n))
+            for name in (PER_JOINT if self.approach.any() else ())
+        }
         return Context(
-            approach=tuple(self.approach[at, j].astype(float) for j in range(self.n))
-            if known
-            else (),
-            travel=tuple(self.travel[at, j] for j in range(self.n))
-            if known and self.travel is not None
-            else (),
+            **history,
             columns={name: values[at] for name, values in self.columns.items()},
             labels={name: values[at] for name, values in self.labels.items()},
         )
@@ -238,50 +234,6 @@ class Session:
             known = ", ".join(self.labels) or "none"
             raise InputError(self.source, label, "missing", f"a text column (there are: {known})")
         return self.take(self.labels[label] == value)
-
-
-def derive_approach(
-    q: np.ndarray, index: np.ndarray, recorded: np.ndarray | None = None
-) -> np.ndarray:
-    """Side (-1, 0, +1) that every joint arrived from, (N, n).
-
-    A recorded +1 or -1 stands. Else it is the direction of motion from the row before; a joint
-    that did not move keeps its direction; after a gap of the index, and in the first row,
-    nothing is known.
-
-    Args:
-        q: (N, n) commanded joints in the order of recording.
-        index: (N,) counter of the recording.
-        recorded: (N,) or (N, n) with 0 or NaN where nothing was recorded.
-    """
-    given = np.zeros(q.shape, dtype=np.int8)
-    if recorded is not None:
-        marks = np.nan_to_num(np.asarray(recorded, dtype=float))
-        given[:] = np.sign(marks if marks.ndim == 2 else marks[:, None])
-    made = given.copy()
-    for i in range(1, len(q)):
-        if not 0 <= index[i] - index[i - 1] <= 1:
-            continue
-        step = q[i] - q[i - 1]
-        moved = np.where(np.abs(step) < SAME_POSE, made[i - 1], np.sign(step))
-        made[i] = np.where(given[i] != 0, given[i], moved)
-    return made
-
-
-def derive_travel(q: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Signed way of every joint since it last turned round, (N, n), from the rows before.
-
-    After a gap of the index, and in the first row, nothing is known: 0.
-    """
-    made = np.zeros(q.shape)
-    for i in range(1, len(q)):
-        if not 0 <= index[i] - index[i - 1] <= 1:
-            continue
-        step = q[i] - q[i - 1]
-        step[np.abs(step) < SAME_POSE] = 0.0
-        onward = made[i - 1] * step >= 0
-        made[i] = np.where(onward, made[i - 1] + step, step)
-    return made
 
 
 def _check_shape(where: str, name: str, values: np.ndarray, shape: tuple[int, ...]) -> None:

@@ -54,7 +54,7 @@ class _Term:
 
     Attributes:
         name: canonical name, used in files and reports.
-        needs: recorded inputs without which it cannot be tested.
+        needs: recorded inputs without which none of its kind can be tested.
         geometry: always fitted and never "named" by a diagnosis.
         seen_only: moves the frame that the arm is seen in, and gravity with it.
         continuous: a small motion of the joints changes it by little; no command undoes others.
@@ -119,8 +119,17 @@ class _Term:
                 seen.setdefault(tuple(map(repr, term.placement.items())), term)
         return tuple(seen.values())
 
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """What this instance reads of the record of circumstances: per-joint fields, columns."""
+        return self.needs
+
+    def history_joints(self, arm: Arm) -> tuple[int, ...]:
+        """Commanded joints (0-based) whose history it reads."""
+        return ()
+
     def require(self, context: Context) -> None:
-        """Raise `InputError` when an input this term needs was not recorded."""
+        """Raise `InputError` when an input without which it cannot be tested was not recorded."""
         for name in self.needs:
             if not context.has(name):
                 raise InputError(self.name, name, "missing", "a recorded column of the session")

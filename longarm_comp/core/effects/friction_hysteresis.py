@@ -51,9 +51,14 @@ class FrictionHysteresis(JointTerm):
             )
         return width, memory
 
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Side and way of its joint."""
+        return ("approach", "travel")
+
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Half the widths against the directions of motion."""
-        way = self.way(posture)
+        way = self.travel(posture)
         sliding = posture.arm.joints[self.joint - 1].type == "prismatic"
         reach = 0.1 * self.reach if sliding else self.reach
         wound = spatial.minimum(abs(way) / reach - 1.0, 1.0) * spatial.sign(way)

@@ -41,15 +41,18 @@ class MeasuredTilt(Effect):
         """``frame 0``."""
         return f"frame {self.frame}"
 
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Both readings."""
+        return (f"incl_{self.frame}_x", f"incl_{self.frame}_y")
+
     def require(self, context: Context) -> None:
         """Both readings must be recorded."""
-        for axis in "xy":
-            column = f"incl_{self.frame}_{axis}"
+        for column in self.inputs:
             if not context.has(column):
                 raise InputError(self.name, column, "missing", "an inclinometer's reading (rad)")
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """The reading as a rotation of the frame."""
-        x = posture.context.column(f"incl_{self.frame}_x", 0.0)
-        y = posture.context.column(f"incl_{self.frame}_y", 0.0)
+        x, y = (posture.context.column(name, 0.0) for name in self.inputs)
         return {posture.frame(self.frame): (0.0, 0.0, 0.0, x, y, 0.0)}

@@ -55,6 +55,11 @@ class ServoDroop(JointTerm):
         sag, deadband = self.declared()
         return (*with_prior((sag,), prior=0.02 / typical_loads(arm)[1]), deadband)
 
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """The side, where friction decides: with a gate, or on an axis without load."""
+        return ("approach",)
+
     def require(self, context: Context) -> None:
         """With a gate, the approach must be recorded."""
         if self.gate > 0 and not context.has("approach"):

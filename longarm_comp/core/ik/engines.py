@@ -17,17 +17,17 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.context import Context, Layout
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import newton
-from longarm_comp.core.ik.kernel import Kernel, Layout, kernel_of, tip_and_jacobian
+from longarm_comp.core.ik.kernel import Kernel, kernel_of, tip_and_jacobian
 from longarm_comp.core.model.model import Model
 
 _CHUNK = 4096  # targets at a time: fewer cost calls, more cost cache
 _FEW = 4  # targets up to which plain Python is ahead of arrays
 _COMPILE_AFTER = 500  # single targets' worth of work for a model before it is compiled unasked
 _WORTH = 1 / 16  # of a target among many, beside one alone
-_NOTHING = Layout.of(Context.empty())
+_NOTHING = Context.empty().layout
 _THIN = 0.7  # share of the columns still at work below which the others are put aside
 
 
@@ -88,7 +88,7 @@ def warm_up(model: Model | None = None, context: Context | None = None) -> bool:
     if compiler_at_hand():
         _LongLived.now = True
         if model is not None:
-            kernel_of(model, Layout.of(context or Context.empty())).code  # noqa: B018 - is kept
+            kernel_of(model, (context or Context.empty()).layout).code  # noqa: B018 - is kept
     return compiler_at_hand()
 
 
@@ -105,7 +105,7 @@ def run(
     """Search from the starts, then from elsewhere for those that failed."""
     p, count = problem, len(problem.targets)
     if engine is Engine.AUTO:
-        engine = _chosen(model, Layout.of(context), count)
+        engine = _chosen(model, context.layout, count)
     search = _SEARCH[engine]
     chunk = count if engine is Engine.COMPILED else _CHUNK
     q, report = np.empty_like(p.starts), np.zeros((count, 4))
@@ -158,7 +158,7 @@ def _given(context: Context, p: Problem, ids: np.ndarray, start: np.ndarray) -> 
         "live": np.ones((ids.size, 1)),
         "tol": np.array([p.tol]),
         "permitted": np.array([p.max_iterations]),
-        "c": Layout.of(context).pack(context, ids.size),
+        "c": context.layout.pack(context, ids.size),
     }
 
 
@@ -219,14 +219,14 @@ class Columns:
 
 
 def _arrays(model: Model, context: Context, p: Problem, given: Given, count: int) -> Found:
-    kernel = kernel_of(model, Layout.of(context))
+    kernel = kernel_of(model, context.layout)
     columns = Columns(kernel.arrays, kernel.place, _filled(given, kernel, count))
     newton.run(kernel.flows[f"search{p.m}"], columns.call, columns.repeat)
     return _read(columns.s, kernel)
 
 
 def _python(model: Model, context: Context, p: Problem, given: Given, count: int) -> Found:
-    kernel = kernel_of(model, Layout.of(context))
+    kernel = kernel_of(model, context.layout)
     made = []
     for s in _filled(given, kernel, count).T.tolist():
         column = Column(kernel.floats, kernel.place, s)
@@ -239,7 +239,7 @@ def _compiled(model: Model, context: Context, p: Problem, given: Given, count: i
     if not compiler_at_hand():
         allowed = "another engine: machine code needs llvmlite (pip install llvmlite)"
         raise InputError("ik", "engine", Engine.COMPILED.name, allowed)
-    kernel = kernel_of(model, Layout.of(context))
+    kernel = kernel_of(model, context.layout)
     width = kernel.code.width
     number, rest = -(-count // width), count % width
     blocks = np.empty((number, kernel.size, width))

@@ -12,13 +12,10 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
 
-import numpy as np
-
-from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.context import Layout
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.ik import newton
 from longarm_comp.core.ik.codegen import python as emit
@@ -29,44 +26,6 @@ from longarm_comp.core.model.model import Model
 Fixed = dict[tuple[int, int], float]
 Slots = dict[tuple[int, int], int]
 _KEPT = 32  # kernels held, the latest used
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Which context a kernel reads: column k of its context rows."""
-
-    approach: int
-    columns: tuple[str, ...]
-    labels: tuple[tuple[str, object], ...]
-
-    @classmethod
-    def of(cls, context: Context) -> Layout:
-        """The layout that fits a context; its text columns become constants."""
-        labels = tuple(sorted(context.labels.items()))
-        return cls(len(context.approach), tuple(sorted(context.columns)), labels)
-
-    @property
-    def traceable(self) -> bool:
-        """Whether one kernel serves all rows: no text column changes from row to row."""
-        return all(isinstance(value, str) for _, value in self.labels)
-
-    @property
-    def count(self) -> int:
-        """Numbers of context a target."""
-        return self.approach + len(self.columns)
-
-    def symbols(self, made: Sequence[Any]) -> Context:
-        """The context whose `count` numbers are inputs of a kernel."""
-        named = dict(zip(self.columns, made[self.approach :], strict=True))
-        return Context(tuple(made[: self.approach]), named, dict(self.labels))
-
-    def pack(self, context: Context, count: int) -> np.ndarray:
-        """Context of N targets as rows, (N, columns)."""
-        values = [*context.approach, *(context.columns[name] for name in self.columns)]
-        rows = np.empty((count, len(values)))
-        for k, value in enumerate(values):
-            rows[:, k] = value
-        return rows
 
 
 class Kernel:
@@ -130,7 +89,7 @@ class Kernel:
             return {"out": tip_and_jacobian(model, posture)}
 
         def at(s: newton.State, x: Sequence[Any] | None) -> Posture:
-            context = self.layout.symbols(s["c"])
+            context = self.layout.unpack(s["c"])
             if x is None:
                 return model.loaded(tuple(s["trial"]), context, {})
             stations = {station for station, _ in (*fixed, *slot)}
@@ -209,7 +168,7 @@ def _twist_slots(model: Model, layout: Layout) -> tuple[Fixed, Slots]:
     """
     graph = Graph()
     q = tuple(graph.input(f"q{i}") for i in range(model.arm.n))
-    context = layout.symbols([graph.input(f"c{k}") for k in range(layout.count)])
+    context = layout.unpack([graph.input(f"c{k}") for k in range(layout.count)])
     start = model.twists(model.loaded(q, context, {}))
     free = {s: tuple(graph.input(f"x{s}, {i}") for i in range(6)) for s in start}
     again = model.twists(model.loaded(q, context, free))  # type: ignore[arg-type]

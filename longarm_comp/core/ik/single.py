@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.context import Context, Layout
 from longarm_comp.core.ik.engines import Engine, is_compiled
-from longarm_comp.core.ik.kernel import Kernel, Layout, kernel_of
+from longarm_comp.core.ik.kernel import Kernel, kernel_of
 from longarm_comp.core.model.model import Model
 
 Key = tuple[Layout | None, int, float, int]  # layout, equations, tolerance, iterations
 # joints (n,); position (m) and angle (rad) that are left, iterations, joints at limits, fault
 Found = tuple[np.ndarray, list[float]]
 
-_NOTHING = Layout.of(Context.empty())
+_NOTHING = Context.empty().layout
 
 
 class _Workspace:
@@ -84,7 +84,7 @@ def solve_compiled(
     None where the request needs the long way: not compiled by now, text columns, input that is
     wrong and has to be named.
     """
-    key = (None if context is None else Layout.of(context), *options)
+    key = (None if context is None else context.layout, *options)
     tasks: dict[Any, Task] = model.__dict__.setdefault("_tasks", {})
     task = tasks.get(key)
     if task is None:

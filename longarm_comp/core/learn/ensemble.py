@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.learn.inputs import Context, Encoding, check_rows, fit_encoding
+from longarm_comp.core.learn.inputs import Encoding, check_rows, fit_encoding
 from longarm_comp.core.learn.network import (
     Shape,
     forward,
@@ -62,8 +63,7 @@ def train(
     ----------
     q: (N, n) commanded joints, rad and m.
     residual: (N, 3) measured - predicted, m.
-    context: ``approach`` (N, n) or (N,) in {-1, 0, +1}, 0 or NaN where not known,
-        ``temperature_c`` (N,), ``payload_kg`` (N,), ``t_s`` (N,).
+    context: circumstances of the rows, as `Session.context` gives them.
     inputs: ``context`` or ``joints`` (the paper's).
     init: ``ssa`` or ``xavier`` (the control).
     seed: the same seed gives the same predictor on the same machine.
@@ -79,7 +79,7 @@ def train(
     ------
     InputError: wrong shapes, values not finite, fewer than 20 samples, all rows one pose.
     """
-    q, known = check_rows("train", q, context or {})
+    q, known = check_rows("train", q, context)
     y, weights = _checked_targets(q, residual, weights)
     if init not in INITS:
         raise InputError("train", "init", init, f"one of {sorted(INITS)}")

@@ -7,12 +7,12 @@ enough, which matters where each is a round trip to another process.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.learn.network import with_ones
 from longarm_comp.core.learn.predictor import Prediction, Predictor
 
@@ -60,15 +60,16 @@ class Expander:
         steep = np.abs(self._rates).sum(axis=0) ** 2  # (M H,)
         self._steep = steep[:, None] * np.abs(self._output)
 
-    def __call__(self, q: np.ndarray, context: Mapping[str, Any] | None = None) -> Expansion:
+    def __call__(self, q: np.ndarray, context: Context | None = None) -> Expansion:
         """Predict at joints (n,) and around them.
 
         Raises:
             InputError: as `Predictor.predict`.
         """
         predictor, n = self._predictor, len(q)
+        context = context or Context.empty()
         found = predictor.predict(q[None], context)
-        x = predictor.encoding.standardise(predictor.encoding.raw(q[None], context or {}))
+        x = predictor.encoding.standardise(predictor.encoding.raw(q[None], context))
         z = np.tanh(with_ones(x) @ self._hidden)[0]
         bend = 1.0 - z * z
         jacobian, reach = np.zeros((3, n)), np.zeros(n)
@@ -86,7 +87,7 @@ class Expander:
         )  # fmt: skip
 
 
-Ask = Callable[[np.ndarray, Mapping[str, Any] | None], Expansion]
+Ask = Callable[[np.ndarray, Context], Expansion]
 
 
 class Nearby:
@@ -96,16 +97,16 @@ class Nearby:
         ask: the expansion at joints (n,) in a context.
     """
 
-    def __init__(self, ask: Callable[[np.ndarray, Mapping[str, Any] | None], Expansion]) -> None:
+    def __init__(self, ask: Ask) -> None:
         self._ask = ask
-        self._held: tuple[np.ndarray, Mapping[str, Any], Expansion] | None = None
+        self._held: tuple[np.ndarray, Context, Expansion] | None = None
 
-    def predict(self, q: np.ndarray, context: Mapping[str, Any] | None = None) -> Prediction:
+    def predict(self, q: np.ndarray, context: Context | None = None) -> Prediction:
         """Expected residual at joints (1, n); as `Predictor.predict`."""
-        joints, given = q[0], context or {}
+        joints, given = q[0], context or Context.empty()
         held = self._held
         if held is None or not (
-            (np.abs(joints - held[0]) <= held[2].reach).all() and _same(given, held[1])
+            (np.abs(joints - held[0]) <= held[2].reach).all() and given == held[1]
         ):
             held = self._held = joints.copy(), given, self._ask(joints, given)
         at, _, found = held
@@ -116,7 +117,3 @@ class Nearby:
             [found.reason],
             np.array([found.doubt]),
         )
-
-
-def _same(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
-    return a.keys() == b.keys() and all(np.array_equal(a[k], b[k], equal_nan=True) for k in a)

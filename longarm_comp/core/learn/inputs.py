@@ -1,4 +1,4 @@
-"""From a posture and its context to the standardised inputs of the network.
+"""From a posture and its circumstances to the standardised inputs of the network.
 
 The columns, in this order, constant ones left out:
 
@@ -8,25 +8,25 @@ The columns, in this order, constant ones left out:
   joints arrive from one side, so they vary only where the directions are mixed;
 * ``temperature_c`` (degC), ``payload_kg`` (kg).
 
-Time ``t_s`` is accepted and left out: online it always lies outside the training range, and what
-depends on it (warm-up) is better told by the temperature.
+They are read from the one record of circumstances, `Context`. What it does not hold, an unknown
+side of arrival (0) too, is not known (NaN). Time ``t_s`` is left out: online it always lies outside
+the training range, and what depends on it (warm-up) is better told by the temperature. Travel is
+left to the physics.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.errors import InputError
 
 Array = NDArray[np.float64]
-Context = Mapping[str, Array | float]
 
 INPUT_KINDS = {"context": ("approach", "temperature_c", "payload_kg"), "joints": ()}
-CONTEXT_NAMES = ("approach", "temperature_c", "payload_kg", "t_s")
 _CONSTANT = 1e-6  # a column whose sd is below this (relative to its size) carries nothing
 
 
@@ -63,35 +63,46 @@ def raw_names(joints: int, context: tuple[str, ...]) -> list[str]:
     names = [f"q{i + 1}" for i in range(joints)]
     for name in context:
         names.append(name)
-        if name == "approach":
-            names += [f"approach_q{i + 1}" for i in range(joints)]
+        if name in PER_JOINT:
+            names += [f"{name}_q{i + 1}" for i in range(joints)]
     return names
 
 
 def raw_columns(q: Array, context: Context, used: tuple[str, ...]) -> Array:
     """(N, columns) raw inputs in SI units; NaN where the context is not known."""
     n, joints = q.shape
-    raw = np.empty((n, joints + sum(_width(name, joints) for name in used)))
+    raw = np.full((n, joints + sum(_width(name, joints) for name in used)), np.nan)
     raw[:, :joints] = q
     at = joints
     for name in used:
-        width, value = _width(name, joints), context.get(name)
-        columns = raw[:, at : at + width]
-        at += width
-        if value is None:
-            columns[:] = np.nan
-        elif name == "approach":
-            direction = columns[:, 1:]
-            direction[:] = value if np.ndim(value) == 2 else np.reshape(value, (-1, 1))
-            columns[:, 0] = direction.sum(axis=1) / joints
-            direction -= columns[:, :1]
+        columns = raw[:, at : at + _width(name, joints)]
+        at += columns.shape[1]
+        if not context.has(name):
+            continue
+        if name in PER_JOINT:
+            _spread(getattr(context, name), columns)
         else:
-            columns[:, 0] = value
+            columns[:, 0] = context.columns[name]
     return raw
 
 
+def _spread(values: tuple[object, ...], columns: Array) -> None:
+    """Mean over the joints whose value is known (not 0), and how far each differs from it."""
+    each = columns[:, 1:]
+    each[:] = np.asarray(values, float).T
+    known = np.abs(each) > 0.0
+    if known.all():
+        columns[:, 0] = each.sum(axis=1) / len(values)
+    else:
+        count = known.sum(axis=1)
+        each[~known] = np.nan
+        some = count > 0
+        columns[some, 0] = np.nansum(each[some], axis=1) / count[some]
+    each -= columns[:, :1]
+
+
 def _width(name: str, joints: int) -> int:
-    return joints + 1 if name == "approach" else 1
+    return joints + 1 if name in PER_JOINT else 1
 
 
 def fit_encoding(q: Array, context: Context, kind: str) -> Encoding:
@@ -103,7 +114,7 @@ def fit_encoding(q: Array, context: Context, kind: str) -> Encoding:
     """
     if kind not in INPUT_KINDS:
         raise InputError("train", "inputs", kind, f"one of {sorted(INPUT_KINDS)}")
-    used = tuple(name for name in INPUT_KINDS[kind] if name in context)
+    used = tuple(name for name in INPUT_KINDS[kind] if context.has(name))
     raw = raw_columns(q, context, used)
     raw = np.where(np.isnan(raw).all(axis=0), 0.0, raw)
     mean, scale = np.nanmean(raw, axis=0), np.nanstd(raw, axis=0)
@@ -114,12 +125,12 @@ def fit_encoding(q: Array, context: Context, kind: str) -> Encoding:
     return Encoding(q.shape[1], used, kept, mean[kept], scale[kept])
 
 
-def check_rows(where: str, q: Array, context: Context) -> tuple[Array, dict[str, Array]]:
-    """Joints as a finite (N, n) array and the context as arrays that fit it.
+def check_rows(where: str, q: Array, context: Context | None) -> tuple[Array, Context]:
+    """Joints as a finite (N, n) array, and circumstances that fit them.
 
     Raises
     ------
-    InputError: wrong shape, not finite, unknown context name, approach outside [-1, 1].
+    InputError: wrong shape, not finite, approach outside [-1, 1].
     """
     q = np.asarray(q, float)
     if q.ndim != 2 or q.shape[1] == 0:
@@ -127,17 +138,23 @@ def check_rows(where: str, q: Array, context: Context) -> tuple[Array, dict[str,
     if not np.isfinite(q).all():
         row, joint = np.argwhere(~np.isfinite(q))[0]
         raise InputError(where, f"q{joint + 1} of row {row}", q[row, joint], "a finite number")
-    checked: dict[str, Array] = {}
-    for name, given in context.items():
-        if name not in CONTEXT_NAMES:
-            raise InputError(where, "context", name, f"one of {list(CONTEXT_NAMES)}")
-        value = np.asarray(given, float)
-        shapes = [(), (len(q),)] + ([q.shape] if name == "approach" else [])
-        if value.shape not in shapes:
-            raise InputError(where, name, f"shape {value.shape}", f"one of {shapes}")
-        if np.isinf(value).any():
-            raise InputError(where, name, "infinite", "finite, or NaN where not known")
-        if name == "approach" and (np.abs(value) > 1.0).any():
-            raise InputError(where, name, float(np.nanmax(np.abs(value))), "-1, 0 or +1")
-        checked[name] = value
-    return q, checked
+    if context is None:
+        return q, Context.empty()
+    for name in INPUT_KINDS["context"]:
+        if not context.has(name):
+            continue
+        value = np.asarray(
+            getattr(context, name) if name in PER_JOINT else context.columns[name], float
+        )
+        lead = q.shape[1:] if name in PER_JOINT else ()
+        _check_values(where, name, value, (lead, (*lead, len(q))))
+    return q, context
+
+
+def _check_values(where: str, name: str, value: Array, shapes: tuple[object, ...]) -> None:
+    if value.shape not in shapes:
+        raise InputError(where, name, f"shape {value.shape}", f"one of {shapes}")
+    if np.isinf(value).any():
+        raise InputError(where, name, "infinite", "finite, or NaN where not known")
+    if name == "approach" and (np.abs(value) > 1.0).any():
+        raise InputError(where, name, float(np.nanmax(np.abs(value))), "-1, 0 or +1")

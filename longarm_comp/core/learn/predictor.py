@@ -17,8 +17,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.learn.inputs import Context, Encoding, check_rows, raw_names
+from longarm_comp.core.learn.inputs import Encoding, check_rows, raw_names
 from longarm_comp.core.learn.network import Shape, output_jacobian, with_ones
 
 Array = NDArray[np.float64]
@@ -106,9 +107,9 @@ class Predictor:
 
         Raises
         ------
-        InputError: wrong shape or not finite, unknown context name.
+        InputError: wrong shape or not finite.
         """
-        q, known = check_rows("predict", q, context or {})
+        q, known = check_rows("predict", q, context)
         if q.shape[1] != self.encoding.joints:
             raise InputError("predict", "q", f"{q.shape[1]} joints", f"{self.encoding.joints}")
         raw = self.encoding.raw(q, known)

@@ -15,7 +15,6 @@ from longarm_comp.jobs import diagnose
 from longarm_comp.jobs.demo.settings import DemoSettings
 from longarm_comp.nodes.model_files import file_hash
 from longarm_comp.sessions.read import read_session
-from longarm_comp.sessions.residual_inputs import predictor_context
 
 Say = Callable[[str, float], None]
 
@@ -35,7 +34,7 @@ def train_network(settings: DemoSettings, arm: Arm, say: Say) -> Predictor:
     predictor = train(
         seen.q,
         errors(model, seen),
-        predictor_context(seen),
+        seen.context(),
         seed=settings.seed,
         progress=lambda k, of: say("train", 0.6 + 0.4 * k / of),
         provenance=Provenance(arm.hash, session.hash, arm.joint_names, trained_on),

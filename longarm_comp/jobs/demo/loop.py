@@ -155,7 +155,12 @@ class _Clock:
 
 def report(settings: DemoSettings, result: DemoResult) -> dict[str, Any]:
     """Everything as plain data, for --json and the file in the folder."""
-    files = ("session", "model.yaml", "predictor.npz", "report.html", "report.json")
+    files = {
+        "session": settings.bag,
+        "model": settings.model,
+        "predictor": settings.predictor,
+        "report": settings.out / "report.html",
+    }
     return {
         "rows": table.rows(result.trials),
         "improved": result.improved,
@@ -167,5 +172,5 @@ def report(settings: DemoSettings, result: DemoResult) -> dict[str, Any]:
         "hidden": settings.hidden,
         "seed": settings.seed,
         "seconds": {**result.seconds, "total": sum(result.seconds.values())},
-        "files": {name.partition(".")[0]: str(settings.out / name) for name in files},
+        "files": {name: str(path) for name, path in files.items()},
     }

@@ -88,6 +88,7 @@ class TargetRunner:
             answer = self._ask(target, execute=False)
             return bool(answer.status != Compensate.Response.NOT_READY)
 
+        self.choose(Method.NONE)
         client.until(listens, within_s, "kinematics does not listen to joint_states")
         client.until(knows, within_s, "kinematics has no joint_states")
 
@@ -124,10 +125,11 @@ class TargetRunner:
         answer = self._ask(target, execute=True)
         if not answer.success:
             raise JobError(f"target {k} was refused: {answer.message}", status=answer.status)
-        q = joints_of(answer.command, client.arm, "compensate")
+        stops = (answer.run_up, answer.command) if answer.run_up.name else (answer.command,)
+        path = np.array([joints_of(stop, client.arm, "compensate") for stop in stops])
         client.spin(0.05)
         tolerance = np.full(client.arm.n, pace.tolerance)
-        rest = client.arrive(q[None], tolerance, pace.dwell_s, pace.arrive_s) + _FRESH_NS
+        rest = client.arrive(path, tolerance, pace.dwell_s, pace.arrive_s) + _FRESH_NS
         looks = client.look(rest, pace.sightings, pace.look_s)
         self._truth_since(rest)
         seen = np.mean(looks, axis=0) if looks else np.full(3, np.nan)

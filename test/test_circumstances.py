@@ -1,0 +1,311 @@
+"""One record of circumstances: every field reaches every engine, every file and every command."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+import pytest
+from small_arm import ARM, measured
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import EXTREME, PER_JOINT, Context
+from longarm_comp.core.arm.history import History
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.arm.spatial import Scalar, Twist
+from longarm_comp.core.compensation.arrive import CompensationOptions
+from longarm_comp.core.compensation.compensate import Method, Status, compensate
+from longarm_comp.core.compensation.online import Readings, compensate_now
+from longarm_comp.core.effects.backlash import Backlash
+from longarm_comp.core.effects.catalogue import BY_NAME
+from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
+from longarm_comp.core.effects.servo_droop import ServoDroop
+from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.identify.candidates import Candidate
+from longarm_comp.core.ik.engines import compiler_at_hand
+from longarm_comp.core.ik.solver import Engine, solve_many
+from longarm_comp.core.learn.inputs import INPUT_KINDS
+from longarm_comp.core.model.model import Model
+from longarm_comp.sessions.targets import Targets
+
+N = 6
+ENGINES = [e for e in Engine if e is not Engine.COMPILED or compiler_at_hand()]
+KINDS = [kind for kind in BY_NAME.values() if issubclass(kind, Effect)]
+
+
+def circumstances(arm: Arm, seed: int = 4) -> tuple[np.ndarray, Context]:
+    """N postures with every field of the record filled."""
+    rng = np.random.default_rng(seed)
+    q = arm.lower + (arm.upper - arm.lower) * (0.2 + 0.6 * rng.random((N, arm.n)))
+    columns = {
+        "temperature_c": rng.uniform(15, 40, N),
+        "payload_kg": rng.uniform(0, 0.5, N),
+        "t_s": np.linspace(10, 7200, N),
+        "probe": rng.uniform(-1, 1, N),
+    }
+    for frame in range(len(arm.joints) + 1):
+        columns |= {f"incl_{frame}_{axis}": rng.normal(0, 0.01, N) for axis in "xy"}
+    history = {
+        name: tuple(rng.choice([-1.0, 1.0], N) * min(EXTREME[name], 0.3) for _ in range(arm.n))
+        for name in PER_JOINT
+    }
+    return q, Context(**history, columns=columns, labels={"group": "a", "marker": "m"})
+
+
+def forms(arm: Arm) -> Iterator[tuple[Effect, ...]]:
+    """Every form of every effect: at all its places."""
+    for kind in KINDS:
+        by_form: dict[object, dict[object, Effect]] = {}
+        for group in kind.candidates(arm) or [kind.for_arm(arm) or (kind(),)]:
+            at = by_form.setdefault(Candidate(kind.name, group).form, {})
+            at.update({term.where: term for term in group})
+        yield from (tuple(at.values()) for at in by_form.values())
+
+
+def valued(term: Effect, rng: np.random.Generator) -> Effect:
+    """With parameters of a size that a fit would find."""
+    sizes = {p.name: 0.3 * p.prior * (0.5 + rng.random()) for p in term.declared() if p.prior > 0}
+    return term.with_values(sizes)
+
+
+def models(arm: Arm) -> list[Model]:
+    """Models that between them hold every form of every effect that a command can undo."""
+    rng = np.random.default_rng(3)
+    made: list[list[tuple[Effect, ...]]] = []
+    for terms in forms(arm):
+        if not terms[0].continuous:
+            continue
+        free = next((m for m in made if all(t[0].name != terms[0].name for t in m)), None)
+        if free is None:
+            made.append(free := [])
+        free.append(tuple(valued(t, rng) for t in terms))
+    return [Model(arm, tuple(t for terms in m for t in terms)) for m in made]
+
+
+@pytest.fixture(scope="module")
+def demo(demo_arm_path) -> Arm:
+    return Arm.load(demo_arm_path)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_every_engine_reaches_the_plain_model_in_every_form(demo: Arm, engine: Engine) -> None:
+    q, context = circumstances(demo)
+    covered = set()
+    for model in models(demo):
+        target = model.tip(q, context)
+        seed = np.clip(q + 0.02, demo.lower, demo.upper)
+        found = solve_many(model, target, seed=seed, context=context, engine=engine)
+        assert found.ok.all()
+        np.testing.assert_allclose(model.tip(found.q, context), target, rtol=0, atol=1e-8)
+        covered |= {effect.name for effect in model.effects}
+    assert covered == {kind.name for kind in KINDS if kind.continuous}
+
+
+@dataclasses.dataclass(frozen=True)
+class Probe(Effect):
+    """The first joint moves with one field of the record."""
+
+    name = "probe"
+    field: str = ""
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """A hundredth of what the field holds."""
+        return {posture.bearing(1): (0.0, 0.0, 0.0, 0.0, 0.0, 0.01 * self.read(posture.context))}
+
+    def read(self, context: Context) -> Scalar:
+        if self.field in PER_JOINT:
+            return context.of_joint(self.field, context_joint(self.field))
+        if self.field == "columns":
+            return context.column("probe")
+        assert self.field == "labels", f"no probe for a new kind of field: {self.field}"
+        return context.is_label("group", "a")
+
+
+def context_joint(field: str) -> int:
+    """Another joint for every field, so that none is taken for another."""
+    return PER_JOINT.index(field) + 1
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("field", [f.name for f in dataclasses.fields(Context)])
+def test_every_field_of_the_record_reaches_every_engine(engine: Engine, field: str) -> None:
+    q, context = circumstances(ARM)
+    model = Model(ARM, (Probe(field=field),))
+    target = model.tip(q, context)
+    assert np.abs(target - Model(ARM).tip(q)).max() > 1e-4
+    found = solve_many(model, target, seed=q + 0.01, context=context, engine=engine)
+    assert found.ok.all()
+    np.testing.assert_allclose(model.tip(found.q, context), target, rtol=0, atol=1e-8)
+
+
+def test_taking_rows_keeps_every_field() -> None:
+    _, context = circumstances(ARM)
+    whole, one = context.layout, context.take(2)
+    assert one.layout == whole
+    np.testing.assert_array_equal(whole.pack(one, 1)[0], whole.pack(context, N)[2])
+    back = whole.unpack(list(whole.pack(context, N).T))
+    np.testing.assert_array_equal(whole.pack(back, N), whole.pack(context, N))
+    for f in dataclasses.fields(Context):
+        assert getattr(one, f.name), f"{f.name} was lost"
+        assert getattr(back, f.name), f"{f.name} was lost"
+
+
+def test_history_is_the_same_list_of_fields_everywhere(rng: np.random.Generator) -> None:
+    assert {f.name for f in dataclasses.fields(History)} == set(PER_JOINT)
+    assert set(History.unknown(3).fields()) == set(PER_JOINT)
+    session = measured(12, rng, approach=rng.choice([-1.0, 1.0], (12, ARM.n)))
+    context = session.context()
+    for name in PER_JOINT:
+        np.testing.assert_array_equal(np.stack(getattr(context, name), -1), getattr(session, name))
+        taken = session.take(slice(3, 7)).context()
+        np.testing.assert_array_equal(
+            np.stack(getattr(taken, name), -1), getattr(session, name)[3:7]
+        )
+    moved = History.unknown(ARM.n).after(ARM.upper[None], ARM.lower)
+    assert all(all(values) for values in moved.fields().values())
+
+
+class Watched(Context):
+    """Notes what is read."""
+
+    def of_joint(self, name: str, joint: int) -> Scalar:
+        self.__dict__.setdefault("seen", set()).add(name)
+        return super().of_joint(name, joint)
+
+    def column(self, name: str, default: float | None = None) -> Scalar:
+        self.__dict__.setdefault("seen", set()).add(name)
+        return super().column(name, default)
+
+
+def test_every_instance_says_what_it_reads(demo: Arm) -> None:
+    q, context = circumstances(demo)
+    rng = np.random.default_rng(6)
+    read_history = set()
+    for terms in forms(demo):
+        for term in (valued(t, rng) for t in terms):
+            held = {f.name: getattr(context, f.name) for f in dataclasses.fields(Context)}
+            watched = Watched(**held)
+            term.twists(Model(demo).posture(tuple(q.T), watched))
+            read = watched.__dict__.get("seen", set()) - {"payload_kg"}  # the arm's own load
+            assert read <= set(term.inputs), f"{term}: reads {read}, says {term.inputs}"
+            read_history |= read & set(PER_JOINT)
+    assert read_history == set(PER_JOINT)
+
+
+def test_targets_of_a_file_carry_what_they_were_given() -> None:
+    targets = Targets(
+        np.arange(2), np.zeros((2, 3)), np.full((2, 4), np.nan), np.array([1.0, -1.0]),
+        {"temperature_c": np.array([20.0, 30.0])}, {"group": np.array(["a", "b"])},
+    )  # fmt: skip
+    context = targets.context(3)
+    assert [side.tolist() for side in context.approach] == [[1.0, -1.0]] * 3
+    assert context.columns["temperature_c"].tolist() == [20.0, 30.0]
+    assert context.labels["group"].tolist() == ["a", "b"]
+
+
+def test_a_question_to_the_predictor_carries_every_learned_input() -> None:
+    srv = pytest.importorskip("longarm_interfaces.srv")
+    fields = set(srv.PredictError.Request.get_fields_and_field_types())
+    assert set(INPUT_KINDS["context"]) <= fields
+
+
+# ------------------------------------------------------------------ commands
+
+
+def play(arm: Arm) -> Model:
+    """Play that friction gates, droop with a gate, and friction that remembers."""
+    first, second = arm.commanded[:2]
+    return Model(
+        arm,
+        (
+            Backlash(joint=first, gate=0.3, width=0.01),
+            ServoDroop(joint=second, gate=0.3, sag=0.0, deadband=0.006),
+            FrictionHysteresis(joint=second, reach=0.1, width=0.004, memory=0.008),
+        ),
+    )
+
+
+def test_commands_one_after_another_land_where_the_model_says(rng: np.random.Generator) -> None:
+    """The history is followed here by hand: sign of the move, and way since the joint turned."""
+    model = play(ARM)
+    span = ARM.upper - ARM.lower
+    goals = ARM.mid + 0.6 * span * (rng.random((25, ARM.n)) - 0.5)
+    at, side, way = ARM.mid, np.zeros(ARM.n), np.zeros(ARM.n)
+    history, landed = History.unknown(ARM.n), []
+    for goal in goals:
+        target = Model(ARM).tip(goal)
+        arrival = compensate_now(
+            model, None, target, start=at, history=history, readings=Readings(),
+            now_s=1.0, max_age_s=1.0, options=CompensationOptions(run_up=False),
+        )  # fmt: skip
+        found, context = arrival.outcome, arrival.context
+        step = found.command - at
+        way = np.where(way * step >= 0, way + step, step)
+        side = np.sign(step)
+        history = history.after(found.command[None], at)
+        truly = model.tip(found.command, Context(tuple(side), travel=tuple(way)))
+        at = found.command
+        landed.append((np.linalg.norm(truly - target), found.reason, context))
+    good = [miss for miss, reason, _ in landed if "depends on what is not known" not in reason]
+    assert len(good) >= 20
+    assert max(good) < 2e-6
+    for miss, reason, _ in landed:
+        assert miss < 2e-6 or "depends on what is not known" in reason
+
+
+def test_what_a_command_cannot_know_is_said_in_millimetres() -> None:
+    model = play(ARM)
+    target = Model(ARM).tip(ARM.mid)
+    blind = compensate(model, None, target, method=Method.DEFLECTION)
+    assert blind.status is Status.SUCCESS
+    first, second = (ARM.joint_names[k] for k in (0, 1))
+    for part in (f"approach of {first}", f"approach of {second}", f"travel of {second}"):
+        assert part in blind.reason
+    assert f"travel of {first}" not in blind.reason
+    spread = np.linalg.norm(blind.sigma)
+    sides = [
+        Context((a, b, 1.0, 1.0), travel=(0.3, w, 0.0, 0.0))
+        for a in (-1.0, 1.0) for b in (-1.0, 1.0) for w in (-0.5, 0.5)
+    ]  # fmt: skip
+    misses = [np.linalg.norm(model.tip(blind.command, s) - target) for s in sides]
+    assert 0.5 * max(misses) < spread < 1.5 * max(misses)
+    told = compensate(model, None, target, context=sides[0], method=Method.DEFLECTION)
+    assert told.reason == ""
+    assert np.isnan(told.sigma).all()
+
+
+def test_history_that_does_not_matter_raises_no_doubt() -> None:
+    still = Model(ARM, (Backlash(joint=ARM.commanded[0], gate=0.3, width=0.0),))
+    found = compensate(still, None, Model(ARM).tip(ARM.mid), method=Method.DEFLECTION)
+    assert found.reason == "" and found.status is Status.SUCCESS
+
+
+def test_a_quantity_that_the_model_needs_and_nobody_gave_is_no_command() -> None:
+    warm = Model(ARM, (ThermalGrowth(8e-5),))
+    found = compensate(warm, None, Model(ARM).tip(ARM.mid), method=Method.DEFLECTION)
+    assert found.status is Status.STALE_CONTEXT and not found.success
+    assert "temperature_c" in found.reason and "thermal_growth" in found.reason
+    given = Context(columns={"temperature_c": 25.0})
+    target = warm.tip(ARM.mid, given)
+    found = compensate(warm, None, target, context=given, method=Method.DEFLECTION)
+    assert found.status is Status.SUCCESS
+
+
+def test_a_joint_that_no_move_brings_from_one_side_counts_as_unknown() -> None:
+    """At rest between the two commands, each side's command lies on the other side."""
+    model = Model(ARM, (Backlash(joint=ARM.commanded[0], gate=0.3, width=0.02),))
+    target = Model(ARM).tip(ARM.mid)
+    arrival = compensate_now(
+        model, None, target, start=ARM.mid, history=History.unknown(ARM.n), readings=Readings(),
+        now_s=1.0, max_age_s=1.0, options=CompensationOptions(run_up=False),
+    )  # fmt: skip
+    found, context = arrival.outcome, arrival.context
+    step = found.command - ARM.mid
+    if np.sign(step[0]) == context.approach[0] != 0.0:
+        truly = model.tip(found.command, Context(tuple(np.sign(step))))
+        np.testing.assert_allclose(truly, target, atol=2e-6)
+    else:
+        assert context.approach[0] == 0.0
+        assert f"approach of {ARM.joint_names[0]}" in found.reason
