@@ -60,6 +60,7 @@ PARAMS = (
     Param("max_passes", 10, "pseudo-target passes permitted", 1, 100),
     Param("max_correction_m", 0.05, "largest expected error that is corrected", 1e-6, 1.0),
     Param("position_only", False, "targets on target_pose leave the orientation free", live=True),
+    Param("run_up", True, "joints run up to their target where the model needs a side", live=True),
     Param("move_time_s", 0.5, "asked of the driver, which slows down to its limits", 0.0, 600.0),
     Param("predictor_timeout_s", 0.5, "no answer within it counts as no predictor", 0.01, 60.0),
     Param("context_max_age_s", 60.0, "older temperature, payload, tilt are stale", 0.1, 1e6),
@@ -179,10 +180,9 @@ class Kinematics(Node):
     def _serve(self, work: _Work) -> Told:
         """On the worker's thread: compute and send; the story is told after the answer."""
         told = work.told = self._answer(work.request)
-        if work.request.execute and told.status.success and told.outcome is not None:
-            self._trajectory.publish(
-                trajectory_message(self._arm, told.outcome.command, self._move_time_s)
-            )
+        if work.request.execute and told.status.success and told.arrival is not None:
+            points = told.arrival.move.points
+            self._trajectory.publish(trajectory_message(self._arm, points, self._move_time_s))
             work.sent = True
         return told
 
@@ -220,10 +220,11 @@ class Kinematics(Node):
         try:
             ask = None if client is None else partial(client.ask, deflection=options.method.physics)
             near = None if ask is None else Nearby(ask)  # mostly one call a target
-            outcome, context = compensate_now(loaded.model, near, target, **known)
+            arrival = compensate_now(loaded.model, near, target, **known)
         except NoAnswer as absent:
             client, why = None, f": {absent.reason}"
-            outcome, context = compensate_now(loaded.model, None, target, **known)
+            arrival = compensate_now(loaded.model, None, target, **known)
+        outcome = arrival.outcome
         return Told(
             request.target,
             request.position_only,
@@ -233,8 +234,7 @@ class Kinematics(Node):
             Provenance(
                 self._arm.hash, loaded.file_hash, "" if client is None else client.file_hash
             ),
-            outcome,
-            context,
+            arrival,
         )
 
     def _options(self) -> CompensationOptions:
@@ -242,6 +242,7 @@ class Kinematics(Node):
         return CompensationOptions(
             Method(self.get_parameter("method").value),
             replace(self._settling, single_pass=once) if once else self._settling,
+            run_up=bool(self.get_parameter("run_up").value),
         )
 
     def _start(self, request: Compensate.Request) -> np.ndarray:

@@ -124,6 +124,10 @@ class _Term:
         """What this instance reads of the record of circumstances: per-joint fields, columns."""
         return self.needs
 
+    def history_joints(self, arm: Arm) -> tuple[int, ...]:
+        """Commanded joints (0-based) whose history it reads."""
+        return ()
+
     def require(self, context: Context) -> None:
         """Raise `InputError` when an input without which it cannot be tested was not recorded."""
         for name in self.needs:

@@ -12,6 +12,7 @@ from typing_extensions import Self
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import PER_JOINT
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Scalar, Twist
 from longarm_comp.core.effects.effect import Effect, Parameter
@@ -54,6 +55,11 @@ class JointTerm(Effect):
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
         """Each joint alone."""
         return [(cls(joint=row),) for row in cls.rows(arm)]
+
+    def history_joints(self, arm: Arm) -> tuple[int, ...]:
+        """Its own joint, where it reads a history at all."""
+        reads = any(name in PER_JOINT for name in self.inputs)
+        return (arm.commanded.index(self.joint),) if reads else ()
 
     def motion(self, posture: Posture, amount: Scalar) -> Mapping[int, Twist]:
         """The joint moved by `amount` (rad or m) along its own z axis, at its bearing.
