@@ -199,25 +199,20 @@ print(json.dumps({
 """
 
 
-def test_an_installation_finds_its_own_files(wheel: Path, tmp_path: Path) -> None:
-    """Installed below any prefix, run from any folder, with another installation beside it."""
-    prefix = tmp_path / "prefix"
-    subprocess.run(
-        [*PIP, "install", "--quiet", "--no-deps", "--ignore-installed", "--prefix", prefix, wheel],
-        check=True,
-    )
+def below(prefix: Path, *command: object) -> subprocess.CompletedProcess[str]:
+    """A command with the installation below a prefix, run from that folder."""
     (packages,) = prefix.glob("**/site-packages")
     environment = os.environ | {"PYTHONPATH": str(packages)}
+    words = [*map(str, command)]
+    return subprocess.run(words, cwd=prefix, env=environment, capture_output=True, text=True)
 
-    def output(*command: object) -> str:
-        done = subprocess.run(
-            [*map(str, command)], cwd=tmp_path, env=environment, capture_output=True, text=True
-        )
-        assert done.returncode == 0, done.stderr
-        return done.stdout
 
-    found = json.loads(output(sys.executable, "-c", FIND_SHARES))
-    assert Path(found["package"]).parent == packages / PACKAGE
+def finds_its_own_files(prefix: Path) -> None:
+    """Package, config and launch of a prefix, with another installation beside it."""
+    done = below(prefix, sys.executable, "-c", FIND_SHARES)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert prefix in Path(found["package"]).parents
     share = prefix / "share" / PACKAGE
     assert Path(found["launch"]) == share / "launch"
     for folder in ("config", "launch"):
@@ -225,11 +220,17 @@ def test_an_installation_finds_its_own_files(wheel: Path, tmp_path: Path) -> Non
     assert len(found["nodes"]) == 5
     assert all(Path(file).is_file() and share in Path(file).parents for file in found["nodes"])
     assert found["interfaces"]
-    assert "--sim" in output(prefix / "bin" / "longarm", "up", "--help")
-    assert "is run from a checkout" in subprocess.run(
-        [prefix / "bin" / "longarm", "bench"], cwd=tmp_path, env=environment, capture_output=True,
-        text=True,
-    ).stderr  # fmt: skip
+
+
+def test_an_installation_below_any_prefix_finds_its_own_files(wheel: Path, tmp_path: Path) -> None:
+    options = ["--quiet", "--no-deps", "--ignore-installed", "--prefix", tmp_path]
+    subprocess.run([*PIP, "install", *options, wheel], check=True)
+    finds_its_own_files(tmp_path)
+    longarm = tmp_path / "bin" / "longarm"
+    assert "--sim" in below(tmp_path, longarm, "up", "--help").stdout
+    bench = below(tmp_path, longarm, "bench")
+    assert bench.returncode == 3
+    assert "is run from a checkout of the project" in bench.stderr
 
 
 def test_colcon_installs_what_ros2_run_and_launch_look_for(tmp_path: Path) -> None:
@@ -256,8 +257,6 @@ def test_colcon_installs_what_ros2_run_and_launch_look_for(tmp_path: Path) -> No
         entry.name for entry in entry_points(group="console_scripts") if PACKAGE in entry.value
     }
     assert scripts <= {file.name for file in (prefix / "lib" / PACKAGE).iterdir()}
-    share = prefix / "share"
-    assert (share / "ament_index" / "resource_index" / "packages" / PACKAGE).is_file()
-    for folder, pattern in {"config": "*", "launch": "*.launch.py"}.items():
-        for file in (ROOT / folder).glob(pattern):
-            assert (share / PACKAGE / folder / file.name).is_file()
+    index = prefix / "share" / "ament_index" / "resource_index" / "packages"
+    assert (index / PACKAGE).is_file()
+    finds_its_own_files(prefix)
