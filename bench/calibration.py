@@ -21,8 +21,8 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.identify.calibrate import Errors, errors
-from longarm_comp.core.identify.fit import fit, geometry
+from longarm_comp.core.identify.calibrate import Errors, errors, geometry
+from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.studies.real_sessions import declared

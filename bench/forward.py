@@ -15,7 +15,7 @@ from bench.ik_peers import Pinocchio, Toolbox
 from bench.kinematics import soft_model, timed
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import random_joints
-from longarm_comp.core.effects.catalogue import BY_NAME
+from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.kernel import Kernel, Layout, kernel_of
@@ -165,7 +165,7 @@ def forward_cost() -> Result:
         return missing("forward_cost", "none", "not installed: llvmlite")
     arm = demo_arm()
     soft = soft_model(arm)
-    found = [e for name in sorted(BY_NAME) for e in BY_NAME[name].for_arm(arm)]
+    found = [e for name in sorted(BUILT_IN) for e in BUILT_IN[name].for_arm(arm)]
     many = tuple(_valued(e) for e in found if isinstance(e, Effect) and not e.needs)
     models = {
         "rigid": Model(arm),

@@ -23,7 +23,7 @@ from longarm_comp.nodes.params import Param
 from longarm_comp.share import folder
 
 ROOT = Path(__file__).parents[1]
-GIVEN_BY_BRING_UP = {"arm", "model", "predictor", "servos", "port", "hidden"}
+GIVEN_BY_BRING_UP = {"arm", "model", "predictor", "effects", "servos", "port", "hidden"}
 
 
 def table(node: str) -> dict[str, Param]:

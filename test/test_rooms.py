@@ -45,9 +45,10 @@ ROOMS = {
     "core": Room((*ROS, "cv2", "serial", "click", "rich", "matplotlib", "plotly"), only=()),
     "devices": Room(ROS, only=("core.errors", "core.files")),
     "sim": Room(ROS, only=("core.arm", "core.errors", "core.files", "devices")),
-    "sessions": Room((*ROS, "nodes", "devices", "sim", "report", "cli")),
-    "report": Room((*ROS, "nodes", "devices", "sim", "cli")),
-    "nodes": Room(("cli", "report", "studies", "bench", "scipy", "torch")),
+    "sessions": Room((*ROS, "nodes", "devices", "sim", "report", "workflows", "cli")),
+    "report": Room((*ROS, "nodes", "devices", "sim", "workflows", "cli")),
+    "workflows": Room((*ROS, "click", "rich"), only=("core", "sessions", "report")),
+    "nodes": Room(("cli", "report", "workflows", "studies", "bench", "scipy", "torch")),
 }
 
 MATHS = {
@@ -254,6 +255,9 @@ def test_only_its_command_imports_the_benchmarks() -> None:
         ("nodes", "import scipy.linalg"),
         ("nodes", "from bench import arms"),
         ("report", "from longarm_comp.nodes.kinematics import Kinematics"),
+        ("workflows", "from longarm_comp.jobs.collect import collect"),
+        ("workflows", "def f():\n    import click"),
+        ("nodes", "from longarm_comp.workflows.train import train"),
     ],
 )
 def test_a_planted_import_is_found(room: str, source: str) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from longarm_comp.cli import options
-from longarm_comp.cli.output import error_row, note, print_json, print_rows
+from longarm_comp.cli.output import note, print_json, print_rows
 
 
 @click.command()
@@ -15,6 +15,7 @@ from longarm_comp.cli.output import error_row, note, print_json, print_rows
 @options.path_option("--test", "Measured poses (CSV or bag).", required=True)
 @options.model
 @options.predictor
+@options.effects
 @options.as_json
 def command(
     arm: Path, test: Path, model: Path | None, predictor: Path | None, as_json: bool
@@ -29,38 +30,17 @@ def command(
     Example:
       longarm evaluate arm.yaml --test test.csv --model model.yaml --predictor predictor.npz
     """
-    import numpy as np
-
-    from longarm_comp.cli.inputs import admitted, physics, trained
     from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.core.identify.calibrate import Errors, errors
-    from longarm_comp.sessions.training_rows import fitted_to
+    from longarm_comp.workflows.evaluate import evaluate
 
-    declared = Arm.load(arm)
-    calibrated = None if model is None else physics(declared, model)
-    session = admitted(test, declared, calibrated, min_poses=1)
-    stages = {"rigid": errors(physics(declared, None, False), session)}
-    if declared.links:
-        stages["deflection"] = errors(physics(declared, None), session)
-    if calibrated is not None:
-        stages["calibrated"] = errors(calibrated, session)
-    outside, learned = 0, None
-    if predictor is not None:
-        learned, deflection = trained(predictor, declared, model)
-        seen = session.take(session.seen)
-        found = learned.predict(seen.q, seen.context())
-        inside = np.asarray(found.in_domain)
-        outside = int((~inside).sum())
-        expected = np.where(inside[:, None], found.error, 0.0)
-        stages["network"] = errors(physics(declared, model, deflection), session) - expected
-    rows = [error_row(name, Errors.of(error)) for name, error in stages.items()]
-    known = fitted_to(session, model, learned)
-    if known:
-        note(f"the {' and the '.join(known)} came from this session: judge on other poses")
+    made = evaluate(Arm.load(arm), test, model=model, predictor=predictor, note=note)
+    rows = made.rows
+    if made.fitted:
+        note(f"the {' and the '.join(made.fitted)} came from this session: judge on other poses")
     if as_json:
-        facts = {"outside_training_data": outside, "fitted_to_test": known}
+        facts = {"outside_training_data": made.outside, "fitted_to_test": made.fitted}
         print_json({"test": str(test), "rows": rows, **facts})
         return
     print_rows(f"Errors on {test} ({rows[0]['n']} poses)", rows)
-    if outside:
-        note(f"{outside} poses lie outside the network's training data: physics only")
+    if made.outside:
+        note(f"{made.outside} poses lie outside the network's training data: physics only")

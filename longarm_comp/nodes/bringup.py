@@ -8,6 +8,7 @@ A program may bring the graph up for itself::
 
 from __future__ import annotations
 
+import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
@@ -24,8 +25,8 @@ from longarm_comp.share import PACKAGE, folder
 REAL = ("error_predictor", "kinematics", "servo_driver", "stereo_bridge")
 SIMULATED = ("simulated_arm", *REAL)
 
-_PATIENT = {"bus.reply_timeout_s": 0.2, "follower.silence_s": 2.0}
-"""Emulated servos share the computer with everything else and may be late."""
+_PATIENT = {"bus.reply_timeout_s": 0.2, "follower.silence_s": 2.0, "patience_s": 60.0}
+"""Emulated servos start beside the driver, share the computer with everything and may be late."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,7 @@ class BringUp:
 
     Attributes:
         arm, model, predictor: files; without a model the arm is as declared.
+        effects: Python files that define further effects, executed by `kinematics`.
         sim: with the simulated arm instead of hardware.
         namespace: of the arm; empty: none.
         config: folder of parameter files that replace the package's own, ``<node>.yaml``.
@@ -46,6 +48,7 @@ class BringUp:
     arm: Path
     model: Path | None = None
     predictor: Path | None = None
+    effects: tuple[Path, ...] = ()
     sim: bool = False
     namespace: str = ""
     config: Path | None = None
@@ -78,7 +81,7 @@ class BringUp:
         servos = str(self.file("servo_driver").absolute())
         port = bus if self.sim else self.port
         per_node: dict[str, dict[str, Any]] = {
-            "kinematics": arm | _path("model", self.model),
+            "kinematics": arm | _path("model", self.model) | _paths("effects", self.effects),
             "error_predictor": arm
             | _path("model", self.model)
             | _path("predictor", self.predictor),
@@ -119,6 +122,10 @@ class BringUp:
 
 def _path(name: str, path: Path | None) -> dict[str, Any]:
     return {} if path is None else {name: str(path.absolute())}
+
+
+def _paths(name: str, paths: tuple[Path, ...]) -> dict[str, Any]:
+    return {name: os.pathsep.join(str(p.absolute()) for p in paths)} if paths else {}
 
 
 def _text(value: Any) -> str:

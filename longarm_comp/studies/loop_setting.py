@@ -11,8 +11,8 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import grid, sobol
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.calibrate import declared_model
-from longarm_comp.core.identify.fit import Fit, fit, geometry
+from longarm_comp.core.identify.calibrate import declared_model, geometry
+from longarm_comp.core.identify.fit import ModelFit, fit
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import Context
@@ -137,7 +137,7 @@ class _Gauge:
         session = Session.record(plan, self.sound)
         model = declared_model(arm)
         base = model.plus(*geometry(arm, session))
-        self.fit: Fit = fit(base, session, sigma=sigma, robust=False)
+        self.fit: ModelFit = fit(base, session, sigma=sigma, robust=False)
         self.marginal = Marginal(self.fit.design, self.fit.data)
 
     def _seen(self, effect: Hidden | None) -> np.ndarray:

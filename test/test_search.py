@@ -16,8 +16,8 @@ from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.candidates import library
-from longarm_comp.core.identify.fit import geometry
 from longarm_comp.core.identify.search import SearchResult, search
 from longarm_comp.core.model.model import Model
 
@@ -47,24 +47,24 @@ def searched(arm: Arm, session: Session) -> SearchResult:
 
 
 def test_a_planted_compliance_is_named_with_its_value(arm: Arm) -> None:
-    traced = searched(arm, session_of(arm, 1, JointCompliance(2, compliance=8e-3)))
-    assert [(t.name, t.where) for t in traced.chosen] == [("joint_compliance", "joint 2")]
-    found = [t for t in traced.fit.model.effects if isinstance(t, JointCompliance)]
+    result = searched(arm, session_of(arm, 1, JointCompliance(2, compliance=8e-3)))
+    assert [(t.name, t.where) for t in result.chosen] == [("joint_compliance", "joint 2")]
+    found = [t for t in result.fit.model.effects if isinstance(t, JointCompliance)]
     assert found[0].compliance == pytest.approx(8e-3, rel=0.25)
-    assert traced.first[0].candidate.name == "joint_compliance"
-    assert traced.last[0].log_bayes_factor < traced.threshold
+    assert result.first[0].candidate.name == "joint_compliance"
+    assert result.last[0].log_bayes_factor < result.threshold
 
 
 def test_the_place_follows_the_effect(arm: Arm) -> None:
-    traced = searched(arm, session_of(arm, 2, JointGain(5, gain=0.04)))
-    assert [(t.name, t.where) for t in traced.chosen] == [("joint_gain", "joint 5")]
+    result = searched(arm, session_of(arm, 2, JointGain(5, gain=0.04)))
+    assert [(t.name, t.where) for t in result.chosen] == [("joint_gain", "joint 5")]
 
 
 @pytest.mark.parametrize("seed", [3, 4])
 def test_geometry_and_noise_alone_name_nothing(arm: Arm, seed: int) -> None:
-    traced = searched(arm, session_of(arm, seed))
-    assert traced.chosen == ()
-    assert traced.noise.sigma == pytest.approx(4e-4, rel=0.3)
+    result = searched(arm, session_of(arm, seed))
+    assert result.chosen == ()
+    assert result.noise.sigma == pytest.approx(4e-4, rel=0.3)
 
 
 def test_correlated_noise_is_no_effect_and_reaches_the_fit(arm: Arm) -> None:
@@ -73,7 +73,7 @@ def test_correlated_noise_is_no_effect_and_reaches_the_fit(arm: Arm) -> None:
     drift = np.zeros((N, 3))
     for k in range(1, N):
         drift[k] = 0.9 * drift[k - 1] + 3e-4 * rng.standard_normal(3)
-    traced = searched(arm, Session.record(session.q, session.xyz + drift))
-    assert traced.chosen == ()
-    assert traced.noise.rho > 0.3
-    assert traced.fit.rho == traced.noise.rho
+    result = searched(arm, Session.record(session.q, session.xyz + drift))
+    assert result.chosen == ()
+    assert result.noise.rho > 0.3
+    assert result.fit.rho == result.noise.rho
