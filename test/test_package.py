@@ -73,7 +73,7 @@ def distributions(top_level: str) -> set[str]:
     return providers().get(top_level, set()) | PREFIXED.get(top_level, set())
 
 
-@pytest.mark.parametrize("folder", [PACKAGE, "test"])
+@pytest.mark.parametrize("folder", [PACKAGE, "test", "examples"])
 def test_every_import_is_declared(folder: str) -> None:
     allowed = declared(extras=True)
     undeclared = {
