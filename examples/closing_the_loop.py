@@ -14,8 +14,8 @@ import numpy as np
 
 import longarm_comp as la
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.hidden.catalogue import draw
 from longarm_comp.sim.measure import Camera, measure_session, write_session
+from longarm_comp.sim.plant import hidden_effects
 
 ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
 
@@ -24,7 +24,7 @@ def main() -> None:
     """Measure, diagnose, train, compensate, and look where the tip really goes."""
     arm = la.Arm.load(ARM)
     rng = np.random.default_rng(2)
-    real = TrueArm(arm, [draw("joint_gain", arm, rng, 8.0), draw("cable_drag", arm, rng, 2.0)])
+    real = TrueArm(arm, hidden_effects(arm, {"joint_gain": 8.0, "cable_drag": 2.0}, rng))
     poses = la.plan(arm, 200).q
     with tempfile.TemporaryDirectory() as folder:
         samples = Path(folder) / "samples.csv"

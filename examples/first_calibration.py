@@ -13,8 +13,8 @@ import numpy as np
 
 import longarm_comp as la
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.hidden.catalogue import draw
 from longarm_comp.sim.measure import Camera, measure_session, write_session
+from longarm_comp.sim.plant import hidden_effects
 
 ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
 
@@ -24,7 +24,7 @@ def main() -> None:
     arm = la.Arm.load(ARM)
     rng = np.random.default_rng(2)
     sizes = {"joint_zero": 6.0, "dh_error": 3.0, "base_pose": 4.0}  # mm rms at the tip
-    real = TrueArm(arm, [draw(name, arm, rng, mm) for name, mm in sizes.items()])
+    real = TrueArm(arm, hidden_effects(arm, sizes, rng))
     poses = la.plan(arm, 120).q
     with tempfile.TemporaryDirectory() as folder:
         samples = Path(folder) / "samples.csv"

@@ -12,8 +12,8 @@ import numpy as np
 
 import longarm_comp as la
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.hidden.catalogue import draw
 from longarm_comp.sim.measure import Camera, Noise
+from longarm_comp.sim.plant import hidden_effects
 
 ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
 TARGETS, SLIPS_AT = 80, 40
@@ -24,8 +24,8 @@ def main() -> None:
     arm = la.Arm.load(ARM)
     rng = np.random.default_rng(3)
     camera, noise = Camera.of(arm), Noise()
-    before = draw("joint_zero", arm, rng, 5.0)
-    real = TrueArm(arm, [before])
+    hidden = hidden_effects(arm, {"joint_zero": 5.0}, rng)
+    real = TrueArm(arm, hidden)
 
     def look(q: np.ndarray) -> np.ndarray:
         """Measured tips (N, 3) at commanded joints (N, n)."""
@@ -43,7 +43,8 @@ def main() -> None:
     errors: dict[str, list[float]] = {}
     for k, target in enumerate(la.Model(arm).tip(la.plan(arm, TARGETS, seed=1).q)):
         if k == SLIPS_AT:
-            real = TrueArm(arm, [before, draw("base_pose", arm, rng, 0.8)])
+            hidden += hidden_effects(arm, {"base_pose": 0.8}, rng)
+            real = TrueArm(arm, hidden)
             phase = "slipped"
         answer = la.compensate(model, target, seed=q)[0]
         if not answer.success:
