@@ -14,7 +14,7 @@ from hidden_arm import at, session, tip
 from small_arm import ARM, measured
 
 import longarm_comp as la
-from longarm_comp.core.effects.catalogue import BY_NAME
+from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.model.model_file import read_stored
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sim.hidden import drives
@@ -68,7 +68,7 @@ def test_an_unknown_name_is_no_attribute() -> None:
 
 
 def test_every_effect_of_the_catalogue_is_in_the_namespace() -> None:
-    for kind in BY_NAME.values():
+    for kind in BUILT_IN.values():
         assert getattr(la.effects, kind.__name__) is kind
 
 

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 @click.option("--no-deflection", is_flag=True, help="Leave the declared beams stiff.")
 @click.option("--fraction", type=float, default=0.2, show_default=True, help="Rows held out.")
 @options.seed
+@options.effects
 @options.as_json
 def command(
     arm: Path,

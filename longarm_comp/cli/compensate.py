@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 @click.option("--position-only", is_flag=True, help="Leave the orientation free.")
 @click.option("--single-pass", is_flag=True, help="Correct once, as the paper does.")
 @options.output("commands.csv", "Joint commands to write.")
+@options.effects
 @options.as_json
 def command(
     arm: Path,

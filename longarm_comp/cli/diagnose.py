@@ -22,6 +22,7 @@ STEPS = 6.0
 @options.seed
 @click.option("--no-network", is_flag=True, help="Train no network on what is left.")
 @options.output("diagnosis", "Folder to write.")
+@options.effects
 @options.as_json
 def command(
     arm: Path,

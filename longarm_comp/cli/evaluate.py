@@ -15,6 +15,7 @@ from longarm_comp.cli.output import note, print_json, print_rows
 @options.path_option("--test", "Measured poses (CSV or bag).", required=True)
 @options.model
 @options.predictor
+@options.effects
 @options.as_json
 def command(
     arm: Path, test: Path, model: Path | None, predictor: Path | None, as_json: bool
@@ -22,7 +23,8 @@ def command(
     """Errors of every stage on measured poses, as in the paper's Table I.
 
     Rows: the rigid declared arm, with its declared deflection, the calibrated model, and with the
-    network. A pose outside the network's training data keeps the physics' prediction.
+    network. A pose outside the network's training data keeps the physics' prediction. A test
+    session that the model or the network was fitted to is pointed out.
 
     \b
     Example:
@@ -33,8 +35,11 @@ def command(
 
     made = evaluate(Arm.load(arm), test, model=model, predictor=predictor, note=note)
     rows = made.rows
+    if made.fitted:
+        note(f"the {' and the '.join(made.fitted)} came from this session: judge on other poses")
     if as_json:
-        print_json({"test": str(test), "rows": rows, "outside_training_data": made.outside})
+        facts = {"outside_training_data": made.outside, "fitted_to_test": made.fitted}
+        print_json({"test": str(test), "rows": rows, **facts})
         return
     print_rows(f"Errors on {test} ({rows[0]['n']} poses)", rows)
     if made.outside:

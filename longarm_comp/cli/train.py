@@ -39,6 +39,7 @@ from longarm_comp.cli.output import note, print_json, progress
     "--device", help="torch device of the sparrow search, such as cuda; numpy if not given."
 )
 @options.seed
+@options.effects
 @options.as_json
 def command(
     arm: Path,

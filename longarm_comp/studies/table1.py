@@ -25,9 +25,8 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.compensate import Method, compensate_many, rigid
 from longarm_comp.core.data.plan import grid, random_joints
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.calibrate import Errors, declared_model
+from longarm_comp.core.identify.calibrate import Errors, declared_model, geometry
 from longarm_comp.core.identify.candidates import library
-from longarm_comp.core.identify.fit import geometry
 from longarm_comp.core.identify.search import search
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.model.model import Model

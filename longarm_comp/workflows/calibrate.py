@@ -13,7 +13,7 @@ from longarm_comp.core.effects.catalogue import effect_class
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import Rung, ladder
-from longarm_comp.core.identify.fit import Fit, fit
+from longarm_comp.core.identify.fit import ModelFit, fit
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.workflows.error_table import ErrorTable
@@ -67,7 +67,7 @@ class Calibration:
     rungs: tuple[Rung, ...]
     effect_rungs: int
     held_out_rows: int
-    fit: Fit
+    fit: ModelFit
     session: Session
     seed: int
 
@@ -148,7 +148,7 @@ def calibrate(
     note: Note = log_note,
     progress: Progress = silent,
 ) -> Calibration:
-    """Fit geometry and declared effects of an arm to a session.
+    """ModelFit geometry and declared effects of an arm to a session.
 
     A ladder of ever fuller models is fitted without the held-out blocks and judged on them; the
     last is then fitted to all rows.

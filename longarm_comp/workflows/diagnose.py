@@ -13,7 +13,7 @@ from longarm_comp.core.data.admission import FEW_POSES
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify import diagnosis as core
-from longarm_comp.core.identify.aliasing import Finding
+from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.learn import ensemble as networks
 from longarm_comp.core.learn.predictor import Predictor, Provenance
 from longarm_comp.core.model.model import Model
@@ -65,7 +65,7 @@ class DiagnosisResult:
         return self.diagnosis.summary
 
     @property
-    def findings(self) -> tuple[Finding, ...]:
+    def findings(self) -> tuple[EffectFinding, ...]:
         """Effects that were added, strongest first, each with its `name` and `where`."""
         return self.diagnosis.findings
 

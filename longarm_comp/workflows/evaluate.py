@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.identify.calibrate import Errors, errors
+from longarm_comp.core.model.model import Model
+from longarm_comp.sessions.training_rows import fitted_to
 from longarm_comp.workflows.error_table import ErrorTable
 from longarm_comp.workflows.inputs import (
     FilePath,
@@ -33,9 +36,11 @@ class Evaluation(ErrorTable):
 
     Attributes:
         outside: poses outside the network's training data: physics only.
+        fitted: ``model``, ``predictor``: what was fitted to this very session (known of files).
     """
 
     outside: int = 0
+    fitted: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         said = f"\n{self.outside} poses outside the network's training data: physics only"
@@ -71,7 +76,7 @@ def evaluate(
         stages["deflection"] = errors(physics(arm, None), session)
     if calibrated is not None:
         stages["calibrated"] = errors(calibrated, session)
-    outside = 0
+    outside, learned = 0, None
     if predictor is not None:
         learned = predictor_of(predictor, arm, model)
         beside = learned.provenance.beside_deflection
@@ -80,4 +85,6 @@ def evaluate(
         outside = int((~inside).sum())
         taken_off = np.where(inside[:, None], found.error, 0.0)
         stages["network"] = errors(physics(arm, model, beside), session) - taken_off
-    return Evaluation({name: Errors.of(error) for name, error in stages.items()}, outside)
+    file = None if model is None or isinstance(model, Model) else Path(model)
+    table = {name: Errors.of(error) for name, error in stages.items()}
+    return Evaluation(table, outside, tuple(fitted_to(session, file, learned)))
