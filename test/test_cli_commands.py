@@ -199,7 +199,7 @@ def test_plan_what_a_diagnosis_asks_for(work: Path, shell: Shell) -> None:
     plan = ("plan", work / "arm.yaml", "--kind", "next", "--report", "diagnosis", "-n")
     made = shell.json(*plan, 2)
     assert np.allclose(made["poses"], [ARM.lower, ARM.mid])
-    assert made["approach"] == [1, -1]
+    assert made["approach"] == [[1] * 4, [-1] * 4]
     assert "1 to 3" in shell.refused(*plan, 4)
     assert "--report" in shell.refused("plan", work / "arm.yaml", "--kind", "next", "-n", 2)
 

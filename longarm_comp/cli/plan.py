@@ -33,7 +33,7 @@ def command(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Write N poses to measure ARM at, each with the side to approach it from.
+    """Write N poses to measure ARM at, each with the side that every joint arrives from.
 
     \b
     Examples:

@@ -25,8 +25,8 @@ from longarm_comp.share import PACKAGE, folder
 REAL = ("error_predictor", "kinematics", "servo_driver", "stereo_bridge")
 SIMULATED = ("simulated_arm", *REAL)
 
-_PATIENT = {"bus.reply_timeout_s": 0.2, "follower.silence_s": 2.0}
-"""Emulated servos share the computer with everything else and may be late."""
+_PATIENT = {"bus.reply_timeout_s": 0.2, "follower.silence_s": 2.0, "patience_s": 60.0}
+"""Emulated servos start beside the driver, share the computer with everything and may be late."""
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from longarm_comp.core.arm.arm import Arm, read_yaml
 from longarm_comp.core.errors import InputError
 from longarm_comp.jobs.collect import Pace
 from longarm_comp.nodes.bringup import BringUp
@@ -20,17 +19,15 @@ _FRAME_RATE_HZ = 15.0
 
 
 @dataclass(frozen=True)
-class Setting:
+class DemoSettings:
     """One demonstration.
 
     Attributes:
         out: folder for everything that it makes.
-        poses: visits to learn from. targets: fresh ones to judge by.
+        poses: to measure, from random sides. targets: fresh ones to judge by.
         hidden: undeclared effects of the simulated arm, ``name=mm``.
         speed: motion so many times faster than the servos' file says.
         seed: of the hidden effects, the plan and the targets.
-        networks: members of the predictor.
-        diagnosis_s: longest time for the diagnosis, 0 for none: the calibrated model serves then.
         arm: file; the demonstration's own by default.
         parameters: of nodes, on top.
     """
@@ -41,8 +38,6 @@ class Setting:
     hidden: str = "joint_compliance=8.0 backlash=3.0"
     speed: float = 20.0
     seed: int = 1
-    networks: int = 5
-    diagnosis_s: float = 90.0
     arm: Path = field(default_factory=lambda: folder("config") / "arm_demo.yaml")
     parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
 
@@ -58,7 +53,7 @@ class Setting:
 
     @property
     def model(self) -> Path:
-        """Calibrated model."""
+        """Calibrated model with the effects that the diagnosis found."""
         return self.out / "model.yaml"
 
     @property
@@ -86,9 +81,3 @@ class Setting:
             speed=self.speed,
             set=given,
         )
-
-
-def declared(setting: Setting) -> Arm:
-    """The arm as everybody believes it to be."""
-    read_yaml(setting.arm)
-    return Arm.load(setting.arm)
