@@ -90,6 +90,9 @@ EVERYTHING: dict[str, Any] = {
 }
 
 
+HASH_OF_THE_DEMO = "9da7a1bff6ef1a2495c0b2c987d2518e1b184795d16ea8057765357bd4023edf"
+
+
 @pytest.fixture(scope="module")
 def arm() -> Arm:
     return Arm.parse(EVERYTHING, "test")
@@ -150,6 +153,16 @@ def test_names_limits_and_hash(arm: Arm) -> None:
     again = Arm.parse(json.loads(json.dumps(EVERYTHING)), "another place")
     assert again.hash == arm.hash
     assert Arm.parse(put(EVERYTHING, "payload.mass_kg", 0.41), "test").hash != arm.hash
+
+
+def test_steps_of_the_servos(arm: Arm, demo_arm_path: Path) -> None:
+    np.testing.assert_array_equal(arm.steps, [0.0, 0.0])
+    stepped = put(put(EVERYTHING, "joints.0.step_deg", 0.36), "joints.1.step_m", 1e-4)
+    made = Arm.parse(stepped, "test")
+    np.testing.assert_allclose(made.steps, [2 * math.pi / 1000, 1e-4], rtol=1e-14)
+    assert made.hash != arm.hash
+    # a file written before steps could be declared keeps the hash that model files refer to
+    assert Arm.load(demo_arm_path).hash == HASH_OF_THE_DEMO
 
 
 def test_several_mimic_terms_are_summed(arm: Arm) -> None:
@@ -246,6 +259,18 @@ FAULTS: list[tuple[str, Any, str, str, str]] = [
     ("joints.0.limits_m", [0, 0.3], "joints.0.limits_m", "[0.0, 0.3]", "limits_deg"),
     ("joints.2.limits_deg", [0, 30], "joints.2.limits_deg", "[0.0, 30.0]", "fixed"),
     ("joints.0.limits_deg", [30, 30], "joints.0.limits_deg", "[30.0, 30.0]", "lower < upper"),
+    ("joints.0.step_deg", 0, "joints.0.step_deg", "0", "greater than 0"),
+    ("joints.0.step_deg", -0.36, "joints.0.step_deg", "-0.36", "greater than 0"),
+    ("joints.0.step_deg", math.nan, "joints.0.step_deg", "nan", "finite"),
+    ("joints.0.step_deg", math.inf, "joints.0.step_deg", "inf", "finite"),
+    ("joints.0.step_deg", "fine", "joints.0.step_deg", "'fine'", "number"),
+    ("joints.0.step_deg", 261, "joints.0.step_deg", "261.0", "at most the joint's range"),
+    ("joints.1.step_m", 0.3, "joints.1.step_m", "0.3", "at most the joint's range"),
+    ("joints.0.step_m", 1e-4, "joints.0.step_m", "0.0001", "step_deg for a revolute joint"),
+    ("joints.1.step_deg", 0.1, "joints.1.step_deg", "0.1", "step_m for a prismatic joint"),
+    ("joints.2.step_deg", 0.1, "joints.2.step_deg", "0.1", "none in a fixed row"),
+    ("joints.3.step_deg", 0.1, "joints.3.step_deg", "0.1", "none in a passive row"),
+    ("joints.0.step_dge", 0.1, "joints.0.step_dge", "0.1", "step_deg"),
     ("joints.0.pose", {}, "joints.0.pose", "revolute", "fixed rows only"),
     ("joints.2.mimic", {"joint": 1}, "joints.2.mimic", "joint=1", "none in a fixed row"),
     ("joints.0.type", "hinge", "joints.0.type", "'hinge'", "'revolute', 'prismatic' or 'fixed'"),

@@ -18,7 +18,7 @@ from longarm_comp.core.compensation.arrive import CompensationOptions
 from longarm_comp.core.compensation.compensate import Method, Status, compensate
 from longarm_comp.core.compensation.online import Readings, compensate_now
 from longarm_comp.core.effects.backlash import Backlash
-from longarm_comp.core.effects.catalogue import BY_NAME
+from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.effects.servo_droop import ServoDroop
@@ -32,7 +32,7 @@ from longarm_comp.sessions.targets import Targets
 
 N = 6
 ENGINES = [e for e in Engine if e is not Engine.COMPILED or compiler_at_hand()]
-KINDS = [kind for kind in BY_NAME.values() if issubclass(kind, Effect)]
+KINDS = [kind for kind in BUILT_IN.values() if issubclass(kind, Effect)]
 
 
 def circumstances(arm: Arm, seed: int = 4) -> tuple[np.ndarray, Context]:

@@ -18,6 +18,7 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64, String
 
 from longarm_comp.core.arm.history import SAME_POSE
+from longarm_comp.core.data.rest_pose import JOINT_REST
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.measurement_schedule import Visit
@@ -25,7 +26,6 @@ from longarm_comp.jobs.recorder import Recorder
 from longarm_comp.sessions.bag import open_bag
 from longarm_comp.sessions.bag_segments import SegmentedBag
 from longarm_comp.sessions.message_types import message_types
-from longarm_comp.sessions.settled import JOINT_REST
 
 ROW_TOPIC, ROW_TYPE = "session_row", "std_msgs/msg/String"
 COMMAND_TOPIC = "joint_trajectory"

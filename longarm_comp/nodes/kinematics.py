@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 import time
@@ -21,6 +22,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.compensate import Method, Settling, Status
 from longarm_comp.core.compensation.online import CompensationOptions, StaleContext, compensate_now
+from longarm_comp.core.effects.catalogue import load_file
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.learn.expansion import Nearby
@@ -51,6 +53,7 @@ from longarm_interfaces.srv import Compensate
 PARAMS = (
     Param("arm", "", "arm.yaml: the declared arm"),
     Param("model", "", "model.yaml: the calibrated model; empty: the arm as declared"),
+    Param("effects", "", "Python files that define further effects, executed; : between paths"),
     Param("base_frame", "base", "frame that targets and measurements are given in"),
     Param(
         "method", "both", "what is compensated", choices=tuple(m.value for m in Method), live=True
@@ -89,6 +92,8 @@ class Kinematics(Node):
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__("kinematics", automatically_declare_parameters_from_overrides=True)
         p = declare(self, PARAMS)
+        for path in filter(None, p["effects"].split(os.pathsep)):
+            load_file(path)
         self._files = ModelFiles(p["arm"], p["model"])
         self._arm = self._files.arm
         self._base_frame = p["base_frame"]

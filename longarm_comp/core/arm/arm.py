@@ -77,6 +77,12 @@ class Joint(Declared):
     theta_offset_deg: float = 0.0
     limits_deg: tuple[float, float] | None = None
     limits_m: tuple[float, float] | None = None
+    step_deg: Positive | None = Field(
+        default=None, description="the servo's step, at a revolute joint; absent: continuous"
+    )
+    step_m: Positive | None = Field(
+        default=None, description="the servo's step, at a prismatic joint; absent: continuous"
+    )
     mimic: Mimic | list[Mimic] | None = Field(
         default=None, description="a passive joint; several terms are summed"
     )
@@ -102,7 +108,18 @@ class Joint(Declared):
                 raise Misdeclared(name, list(limits), "[lower, upper] with lower < upper")
         if key is not None and not self.mimic and given[key] is None:
             raise Misdeclared(key, "missing", f"[lower, upper] of a commanded {self.type} joint")
+        self._check_step(key)
         return self
+
+    def _check_step(self, key: str | None) -> None:
+        mine = key.replace("limits", "step") if key and not self.mimic else None
+        for name, step in (("step_deg", self.step_deg), ("step_m", self.step_m)):
+            if step is not None and name != mine:
+                driven = "a passive" if self.mimic else "a fixed"
+                allowed = f"{mine} for a {self.type} joint" if mine else f"none in {driven} row"
+                raise Misdeclared(name, step, allowed)
+            if step is not None and self.limits[1] - self.limits[0] < self.step:
+                raise Misdeclared(name, step, "at most the joint's range, upper less lower limit")
 
     @property
     def commanded(self) -> bool:
@@ -122,6 +139,11 @@ class Joint(Declared):
         if self.limits_deg is not None:
             return math.radians(self.limits_deg[0]), math.radians(self.limits_deg[1])
         return self.limits_m if self.limits_m is not None else (-math.inf, math.inf)
+
+    @property
+    def step(self) -> float:
+        """The servo's step in rad or m; 0 where the joint is continuous."""
+        return math.radians(self.step_deg) if self.step_deg is not None else self.step_m or 0.0
 
 
 class Tube(Declared):
@@ -356,6 +378,11 @@ class Arm(Declared):
     def upper(self) -> np.ndarray:
         """Upper joint limits, (n,), rad or m."""
         return np.array([self.joints[i - 1].limits[1] for i in self.commanded])
+
+    @cached_property
+    def steps(self) -> np.ndarray:
+        """Steps of the joints' servos, (n,), rad or m; 0 where a joint is continuous."""
+        return np.array([self.joints[i - 1].step for i in self.commanded])
 
     @property
     def mid(self) -> np.ndarray:

@@ -8,7 +8,8 @@ from typing import Any
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.jobs.collect import Pace
-from longarm_comp.nodes.bringup import BringUp, folder
+from longarm_comp.nodes.bringup import BringUp
+from longarm_comp.share import folder
 
 NAMESPACE = "longarm_demo"
 """Its own namespace: apart from any real arm on the same network."""

@@ -1,0 +1,65 @@
+"""Tip poses of many joints at once, by the programs that the inverse kinematics is made of."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.ik.engines import Engine, is_compiled
+from longarm_comp.core.ik.kernel import Kernel, Layout, kernel_of
+from longarm_comp.core.ik.newton import LEVELS, evaluation
+from longarm_comp.core.model.model import Model
+
+_BLOCKS = 16  # at a time stay in the cache
+
+
+def tip_poses(model: Model, q: np.ndarray, context: Context | None = None) -> np.ndarray:
+    """True tip poses by a model, as `Model.pose`: in machine code where the model is compiled.
+
+    Args:
+        q: joints (M, n), rad or m.
+        context: circumstances of the M postures, scalars or (M,) arrays.
+
+    Returns:
+        (M, 4, 4), base frame.
+    """
+    context = context or Context.empty()
+    layout = Layout.of(context)
+    if not layout.traceable or not len(q):
+        return model.pose(q, context)
+    kernel = kernel_of(model, layout)
+    machine = is_compiled(kernel, Engine.AUTO)
+    out = (_machine if machine else _arrays)(kernel, q, layout.pack(context, len(q)))
+    poses = np.zeros((len(q), 4, 4))
+    poses[:, :3, 3] = out[:, :3]
+    poses[:, :3, :3] = out[:, 3:12].reshape(-1, 3, 3).swapaxes(1, 2)
+    poses[:, 3, 3] = 1.0
+    return poses
+
+
+def _programs(kernel: Kernel) -> tuple[str, ...]:
+    return evaluation(LEVELS[-1], kernel.passes, anew=True)
+
+
+def _arrays(kernel: Kernel, q: np.ndarray, c: np.ndarray) -> np.ndarray:
+    s = np.zeros((kernel.size, len(q)))
+    s[kernel.slice("trial")], s[kernel.slice("c")] = q.T, c.T
+    for name in _programs(kernel):
+        kernel.arrays[name](s)
+    return s[kernel.slice("out")].T
+
+
+def _machine(kernel: Kernel, q: np.ndarray, c: np.ndarray) -> np.ndarray:
+    width = kernel.code.width
+    number = -(-len(q) // width)
+    blocks = np.zeros((number, kernel.size, width))
+    for name, values in (("trial", q), ("c", c)):
+        lanes = np.zeros((number * width, values.shape[1]))
+        lanes[: len(q)] = values
+        blocks[:, kernel.slice(name)] = lanes.reshape(number, width, -1).swapaxes(1, 2)
+    calls = [kernel.code.function(f"many_{name}") for name in _programs(kernel)]
+    for at in range(0, number, _BLOCKS):
+        for call in calls:
+            call(blocks[at:].ctypes.data, min(_BLOCKS, number - at))
+    out = blocks[:, kernel.slice("out")].swapaxes(1, 2)
+    return out.reshape(number * width, -1)[: len(q)]

@@ -1,0 +1,263 @@
+"""Nearest points of a lattice: LLL reduction and Schnorr-Euchner enumeration.
+
+Whole numbers k in a box that make ``|R k + y|`` smallest, R upper triangular: the best few of
+them, in order.  Like the search for joints (`newton`) it is written once, without a branch on
+data, and traced: machine code does several targets side by side where llvmlite is at hand, plain
+Python does one after the other with the same results.
+
+C. P. Schnorr and M. Euchner, Lattice basis reduction: improved practical algorithms and solving
+subset sum problems, Mathematical Programming 66 (1994).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+
+from longarm_comp.core.arm.spatial import floor, sqrt, where
+from longarm_comp.core.ik.newton import Flow, Outcome, Repeat, State
+from longarm_comp.core.ik.traced import Traced
+
+LOVASZ = 0.99
+MAX_SWEEPS = 200.0
+MAX_WIDER = 4.0
+NOTHING = 1e300
+"""Squared distance of a place in the list where no point was found."""
+
+
+@dataclass(frozen=True)
+class Points:
+    """The best points of N lattices, nearest first.
+
+    Attributes:
+        k: whole numbers, (N, kept, n).
+        distance2: ``|R k + y|^2``, (N, kept); `NOTHING` where no further point was found.
+        nodes: nodes of the search tree that were visited, (N,).
+    """
+
+    k: np.ndarray
+    distance2: np.ndarray
+    nodes: np.ndarray
+
+
+def nearest(
+    R: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    *,
+    kept: int = 16,
+    max_nodes: int = 4000,
+    compiled: bool | None = None,
+) -> Points:
+    """The `kept` points nearest to zero of each of N lattices.
+
+    They are looked for within the radius that holds twice as many on average (the ball's volume
+    over that of a cell), and further out where the box leaves too few of them.
+
+    Args:
+        R: (N, n, n + 1): upper triangular without a zero on the diagonal, and y beside it.
+        low, high: (N, n), whole numbers, the box of k.
+        kept: points wanted.
+        max_nodes: nodes after which a search ends with what it has.
+        compiled: machine code or plain Python; by default machine code where llvmlite is.
+    """
+    count, n = low.shape
+    traced = _search(n, kept)
+    given = {
+        "R": R.reshape(count, n * (n + 1)), "low": low, "high": high, "live": np.ones((count, 1)),
+        "radius2": _radius2(R, 2.0 * kept), "cap": np.full((count, 1), float(max_nodes)),
+    }  # fmt: skip
+    answer = traced.run(given, count, compiled)
+    points, distance2, nodes = (answer[:, traced.slice(a)] for a in ("k", "distance2", "nodes"))
+    return Points(points.reshape(count, kept, n), distance2, nodes[:, 0])
+
+
+def _radius2(R: np.ndarray, points: float) -> np.ndarray:
+    """Square of the radius of the ball that holds so many points on average, (N, 1)."""
+    n = R.shape[1]
+    ball = math.pi ** (n / 2) / math.gamma(n / 2 + 1)
+    log_cell = np.log(np.abs(np.diagonal(R, axis1=1, axis2=2))).sum(axis=1)
+    made: np.ndarray = np.exp((math.log(points / ball) + log_cell) * (2.0 / n))[:, None]
+    return made
+
+
+# ------------------------------------------------------------------ what is traced
+
+
+def rows(n: int, kept: int) -> dict[str, range]:
+    """Where a search keeps what: given, answered, work.
+
+    `open<l>` holds a loop over level l of the tree open; the tree's root is level n.
+    """
+    sizes = {
+        "R": n * (n + 1), "low": n, "high": n, "radius2": 1, "live": 1, "cap": 1,
+        "k": kept * n, "distance2": kept, "nodes": 1,
+        "U": n * n, "more": 1, "wider": 1, "sweeps": 1,
+        "z": n, "centre": n, "side": n, "sum": n + 1,
+        **{f"open{level}": 1 for level in range(n + 1)},
+    }  # fmt: skip
+    made, at = {}, 0
+    for name, size in sizes.items():
+        made[name] = range(at, at + size)
+        at += size
+    return made
+
+
+def begin(s: State, n: int, kept: int) -> Outcome:
+    """Nothing reduced, nothing found."""
+    return {
+        "U": [float(i == j) for i in range(n) for j in range(n)], "sweeps": [0.0],
+        "more": s["live"], "wider": [0.0], "k": [0.0] * (kept * n), "distance2": [NOTHING] * kept,
+        "nodes": [0.0], "sum": [0.0] * (n + 1), f"open{n}": s["live"],
+    }  # fmt: skip
+
+
+def sweep(s: State, n: int) -> Outcome:
+    """A pass of the LLL reduction over neighbouring columns; `more`: some were swapped.
+
+    U collects what is done to the columns of R, whole numbers of determinant +-1; rotations keep
+    R triangular.
+    """
+    R, U, wide = list(s["R"]), list(s["U"]), n + 1
+    swaps: Any = 0.0
+    for b in range(1, n):
+        a = b - 1
+        _subtract(R, U, n, b, a)
+        corner, beside, own = R[a * wide + a], R[a * wide + b], R[b * wide + b]
+        swap = beside * beside + own * own < LOVASZ * corner * corner
+        swaps = swaps + swap
+        for matrix, width, height in ((R, wide, b + 1), (U, n, n)):
+            for i in range(height):
+                left, right = matrix[i * width + a], matrix[i * width + b]
+                matrix[i * width + a] = where(swap, right, left)
+                matrix[i * width + b] = where(swap, left, right)
+        p, q = R[a * wide + a], R[b * wide + a]
+        size = sqrt(p * p + q * q)
+        cosine, sine = p / size, q / size
+        for j in range(a, wide):
+            up, down = R[a * wide + j], R[b * wide + j]
+            R[a * wide + j] = cosine * up + sine * down
+            R[b * wide + j] = cosine * down - sine * up
+        R[b * wide + a] = 0.0
+    sweeps = s["sweeps"][0] + 1.0
+    more = where(swaps > 0.0, where(sweeps < MAX_SWEEPS, 1.0, 0.0), 0.0)
+    return {"R": R, "U": U, "sweeps": [sweeps], "more": [more]}
+
+
+def reduce(s: State, n: int) -> Outcome:
+    """Short columns throughout, once the neighbours are in order."""
+    R, U = list(s["R"]), list(s["U"])
+    for b in range(1, n):
+        for a in range(b - 1, -1, -1):
+            _subtract(R, U, n, b, a)
+    return {"R": R, "U": U}
+
+
+def _subtract(R: list[Any], U: list[Any], n: int, b: int, a: int) -> None:
+    """Take column a off column b as often as makes it shortest."""
+    wide = n + 1
+    times = floor(R[a * wide + b] / R[a * wide + a] + 0.5)
+    for i in range(a + 1):
+        R[i * wide + b] = R[i * wide + b] - times * R[i * wide + a]
+    for i in range(n):
+        U[i * n + b] = U[i * n + b] - times * U[i * n + a]
+
+
+def enter(s: State, n: int, level: int) -> Outcome:
+    """The first number to try at a level: the one nearest to what the levels above ask for."""
+    wide, R = n + 1, s["R"]
+    rest: Any = -R[level * wide + n]
+    for j in range(level + 1, n):
+        rest = rest - R[level * wide + j] * s["z"][j]
+    centre = rest / R[level * wide + level]
+    z = floor(centre + 0.5)
+    side = where(centre < z, -1.0, 1.0)
+    held = _with(s["centre"], level, centre)
+    return _tried(s, n, level, z, side, centre, s[f"open{level + 1}"][0]) | {"centre": held}
+
+
+def advance(s: State, n: int, level: int) -> Outcome:
+    """The next number at a level: to and fro, further and further from the centre."""
+    by = s["side"][level]
+    side = where(by > 0.0, -1.0 - by, 1.0 - by)
+    z, centre = s["z"][level] + by, s["centre"][level]
+    return _tried(s, n, level, z, side, centre, s[f"open{level}"][0])
+
+
+def _tried(
+    s: State, n: int, level: int, z: Any, side: Any, centre: Any, may: Any
+) -> dict[str, Any]:
+    miss = s["R"][level * (n + 1) + level] * (z - centre)
+    total = s["sum"][level + 1] + miss * miss
+    nodes = s["nodes"][0]
+    going = where(total < s["radius2"][0], where(nodes < s["cap"][0], may, 0.0), 0.0)
+    return {
+        "z": _with(s["z"], level, z), "side": _with(s["side"], level, side),
+        "sum": _with(s["sum"], level, total), f"open{level}": [going], "nodes": [nodes + going],
+    }  # fmt: skip
+
+
+def leaf(s: State, n: int, kept: int) -> Outcome:
+    """Put a point into the list of the best, if it lies in the box; the worst is the radius."""
+    found: Any = where(s["open0"][0] > 0.0, s["sum"][0], NOTHING)
+    point = []
+    for i in range(n):
+        k: Any = 0.0
+        for j in range(n):
+            k = k + s["U"][i * n + j] * s["z"][j]
+        found = where(s["low"][i] <= k, where(k <= s["high"][i], found, NOTHING), NOTHING)
+        point.append(k)
+    entry = [found, *point]
+    held = [[s["distance2"][i], *s["k"][i * n : (i + 1) * n]] for i in range(kept)]
+    made, above = [], entry
+    for own in held:  # what is further than the new one moves down by a place
+        made.append([where(found < own[0], a, b) for a, b in zip(above, own, strict=True)])
+        above = [where(found < own[0], a, b) for a, b in zip(own, entry, strict=True)]
+    distance2, points = [e[0] for e in made], [k for e in made for k in e[1:]]
+    radius2 = where(distance2[-1] < s["radius2"][0], distance2[-1], s["radius2"][0])
+    return {"distance2": distance2, "k": points, "radius2": [radius2]}
+
+
+def widen(s: State, n: int) -> Outcome:
+    """Walk again with twice the squared radius where the list is not full; `open<n>`: do."""
+    lacking = where(s["distance2"][-1] < NOTHING, 0.0, s[f"open{n}"][0])
+    wider = s["wider"][0] + lacking
+    again = where(wider < MAX_WIDER, lacking, 0.0)
+    return {
+        f"open{n}": [again], "wider": [wider], "radius2": [(1.0 + again) * s["radius2"][0]],
+        "distance2": [where(again > 0.0, NOTHING, d) for d in s["distance2"]],
+    }  # fmt: skip
+
+
+def _with(values: Any, place: int, value: Any) -> list[Any]:
+    """The same with one of them changed."""
+    made = list(values)
+    made[place] = value
+    return made
+
+
+def flow(n: int) -> Flow:
+    """Reduce, then walk the tree depth first: one loop a level, each inside the one above it."""
+    walk: Flow = ("leaf",)
+    for level in range(n):
+        walk = (f"enter{level}", Repeat(f"open{level}", (*walk, f"advance{level}")))
+    again = Repeat(f"open{n}", (*walk, "widen"))
+    return ("begin", Repeat("more", ("sweep",)), "reduce", again)
+
+
+@cache
+def _search(n: int, kept: int) -> Traced:
+    """The traced search for lattices of n dimensions that keeps so many points."""
+    work: dict[str, Callable[[State], Outcome]] = {
+        "begin": partial(begin, n=n, kept=kept), "sweep": partial(sweep, n=n),
+        "reduce": partial(reduce, n=n), "leaf": partial(leaf, n=n, kept=kept),
+        "widen": partial(widen, n=n),
+        **{f"enter{i}": partial(enter, n=n, level=i) for i in range(n)},
+        **{f"advance{i}": partial(advance, n=n, level=i) for i in range(n)},
+    }  # fmt: skip
+    return Traced(rows(n, kept), work, flow(n))
