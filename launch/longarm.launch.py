@@ -4,6 +4,7 @@ ros2 launch longarm_comp longarm.launch.py arm:=arm.yaml model:=model.yaml port:
 ros2 launch longarm_comp longarm.launch.py arm:=arm.yaml sim:=true rviz:=true
 """
 
+import os
 from pathlib import Path
 
 from launch import LaunchDescription
@@ -11,12 +12,14 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from longarm_comp.nodes.bringup import BringUp, folder
+from longarm_comp.nodes.bringup import BringUp
+from longarm_comp.share import folder
 
 ARGUMENTS = (
     ("arm", None, "arm.yaml: the declared arm"),
     ("model", "", "model.yaml: the calibrated model; empty: the arm as declared"),
     ("predictor", "", "predictor file; empty: physics only"),
+    ("effects", "", "Python files that define further effects, executed; ':' between paths"),
     ("sim", "false", "simulated servos and cameras instead of hardware"),
     ("hidden", "", "simulation: undeclared effects, 'backlash=2.0' (mm)"),
     ("speed", "1.0", "simulation: motion so many times faster"),
@@ -41,6 +44,7 @@ def nodes(context):
         arm=Path(given["arm"]),
         model=path(given["model"]),
         predictor=path(given["predictor"]),
+        effects=tuple(map(Path, filter(None, given["effects"].split(os.pathsep)))),
         sim=sim,
         namespace=given["namespace"],
         config=path(given["config"]),

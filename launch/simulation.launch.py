@@ -7,7 +7,7 @@ from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
 
-from longarm_comp.nodes.bringup import folder
+from longarm_comp.share import folder
 
 ARGUMENTS = (
     ("arm", str(folder("config") / "arm_demo.yaml"), "arm.yaml: the declared arm"),

@@ -1,7 +1,103 @@
 """Kinematics and error compensation of long, compliant robot arms.
 
 One idea: every error of the arm is a small twist at one frame, and a model is a declared arm plus
-a list of such effects. Importing this package imports nothing heavy.
+a list of such effects::
+
+    import longarm_comp as la
+
+    arm = la.Arm.load("arm.yaml")
+    session = la.read_session("samples.csv", arm)
+    found = la.diagnose(arm, session)
+    predictor = la.train(arm, session, model=found.model)
+    commands = la.compensate(found.model, [[0.7, 0.1, 0.4]], predictor)
+
+Names are imported when they are first used (PEP 562): importing this package imports nothing heavy.
+`docs/python.md` says what each returns.
 """
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "Arm",
+    "Context",
+    "InputError",
+    "JobError",
+    "LongarmError",
+    "Model",
+    "Monitor",
+    "Session",
+    "calibrate",
+    "compensate",
+    "diagnose",
+    "effects",
+    "evaluate",
+    "load_model",
+    "load_predictor",
+    "plan",
+    "read_session",
+    "read_targets",
+    "train",
+    "write_poses",
+]
+
+TYPE_CHECKING = False  # as in `typing`, which costs more than the rest of this file
+if TYPE_CHECKING:
+    from longarm_comp.core.arm.arm import Arm
+    from longarm_comp.core.arm.context import Context
+    from longarm_comp.core.compensation.drift import Monitor
+    from longarm_comp.core.data.session import Session
+    from longarm_comp.core.effects import catalogue as effects
+    from longarm_comp.core.errors import InputError, JobError, LongarmError
+    from longarm_comp.core.model.model import Model
+    from longarm_comp.core.model.model_file import load_model
+    from longarm_comp.sessions.poses import write_poses
+    from longarm_comp.sessions.read import read_session
+    from longarm_comp.sessions.targets import read_targets
+    from longarm_comp.workflows.calibrate import calibrate
+    from longarm_comp.workflows.compensate import compensate
+    from longarm_comp.workflows.diagnose import diagnose
+    from longarm_comp.workflows.evaluate import evaluate
+    from longarm_comp.workflows.inputs import load_predictor
+    from longarm_comp.workflows.plan import plan
+    from longarm_comp.workflows.train import train
+else:
+
+    def __getattr__(name):
+        """Import a name of the list when it is first used."""
+        if name not in _MODULE_OF:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from importlib import import_module
+
+        module = import_module(f"{__name__}.{_MODULE_OF[name]}")
+        found = module if name == "effects" else getattr(module, name)
+        globals()[name] = found
+        return found
+
+
+def __dir__() -> list[str]:
+    """What the package has, whether it was used or not."""
+    return sorted({*globals(), *__all__})
+
+
+_MODULE_OF = {
+    "Arm": "core.arm.arm",
+    "Context": "core.arm.context",
+    "InputError": "core.errors",
+    "JobError": "core.errors",
+    "LongarmError": "core.errors",
+    "Model": "core.model.model",
+    "Monitor": "core.compensation.drift",
+    "Session": "core.data.session",
+    "calibrate": "workflows.calibrate",
+    "compensate": "workflows.compensate",
+    "diagnose": "workflows.diagnose",
+    "effects": "core.effects.catalogue",
+    "evaluate": "workflows.evaluate",
+    "load_model": "core.model.model_file",
+    "load_predictor": "workflows.inputs",
+    "plan": "workflows.plan",
+    "read_session": "sessions.read",
+    "read_targets": "sessions.targets",
+    "train": "workflows.train",
+    "write_poses": "sessions.poses",
+}

@@ -14,7 +14,7 @@ from longarm_comp.report import (
     Detail,
     Detectable,
     Input,
-    Rows,
+    SeenRows,
     SetSplit,
     SplitPose,
 )
@@ -36,7 +36,7 @@ def centre_line(q: np.ndarray) -> np.ndarray:
     return np.vstack([[0, 0, 0], [0, 0, 0.2], line])
 
 
-def held_out_rows(rng: np.random.Generator, n: int = 60, network: bool = True) -> Rows:
+def held_out_rows(rng: np.random.Generator, n: int = 60, network: bool = True) -> SeenRows:
     """Errors that fall from stage to stage; what is left before the effect follows q2's side."""
     q = rng.uniform(-1, 1, (n, 7)) * np.array([1.5, 0.9, 0.9, 0.7, 0.6, 0.05, 0.03])
     q[:, 5:] += (0.05, 0.03)
@@ -62,7 +62,7 @@ def held_out_rows(rng: np.random.Generator, n: int = 60, network: bool = True) -
         Input("approach", "", approach),
         Input("temperature_c", "°C", 20 + 3 * rng.random(n)),
     ]
-    return Rows(
+    return SeenRows(
         np.arange(240, 240 + n),
         np.array([line[-1] for line in lines]),
         errors,
@@ -71,7 +71,7 @@ def held_out_rows(rng: np.random.Generator, n: int = 60, network: bool = True) -
     )
 
 
-def error_rows(rows: Rows) -> list[dict[str, Any]]:
+def error_rows(rows: SeenRows) -> list[dict[str, Any]]:
     """The table of report.json from the errors."""
     made = []
     for stage, error in rows.errors_m.items():
@@ -144,7 +144,7 @@ def base(rng: np.random.Generator) -> Diagnosis:
     """A diagnosis that found nothing."""
     rows = held_out_rows(rng)
     held = {stage: rows.errors_m[stage] for stage in ("nominal", "frames_only", "calibrated")}
-    rows = Rows(rows.index, rows.measured_m, held, rows.inputs, rows.arms_m)
+    rows = SeenRows(rows.index, rows.measured_m, held, rows.inputs, rows.arms_m)
     report = {
         "schema": "longarm/diagnosis/1",
         "verdict": "noise",
@@ -303,7 +303,7 @@ def unknown(rng: np.random.Generator) -> Diagnosis:
     report, detail = base(rng)
     rows = held_out_rows(rng)
     kept = ("nominal", "frames_only", "calibrated", "with_network")
-    rows = Rows(
+    rows = SeenRows(
         rows.index,
         rows.measured_m,
         {stage: rows.errors_m[stage] for stage in kept},

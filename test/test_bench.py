@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import json
 import math
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -13,21 +13,21 @@ from typing import Any
 import pytest
 from matplotlib import image
 
-from longarm_comp.bench import (
+from bench import (
     apart,
     arms,
     bags,
     calibration,
     catalogue,
+    comparison,
     diagnosis,
     node_start,
     plot,
-    rows,
     ssa_scaling,
     ssa_training,
     startup,
 )
-from longarm_comp.bench.smooth import smooth_set
+from bench.smooth import smooth_set
 from longarm_comp.cli.run import run
 from longarm_comp.core.errors import InputError, JobError
 
@@ -42,12 +42,12 @@ def finite(row: Any) -> Any:
 
 
 def test_ratios_above_one_are_ahead() -> None:
-    quicker = finite(rows.beside("a", "s", [1.0, 2.0], "p", [4.0, 4.0]))
+    quicker = finite(comparison.beside("a", "s", [1.0, 2.0], "p", [4.0, 4.0]))
     assert (quicker["ratio"], quicker["spread"]) == (3.0, [2.0, 4.0])
-    faster = finite(rows.beside("a", "1/s", [8.0], "p", [2.0], more_is_better=True))
+    faster = finite(comparison.beside("a", "1/s", [8.0], "p", [2.0], more_is_better=True))
     assert faster["ratio"] == 4.0
-    assert rows.missing("a", "p", "why")["ratio"] is None
-    assert rows.alone("a", "s", [1.0, 3.0], "note")["spread"] == [1.0, 3.0]
+    assert comparison.missing("a", "p", "why")["ratio"] is None
+    assert comparison.alone("a", "s", [1.0, 3.0], "note")["spread"] == [1.0, 3.0]
 
 
 # ------------------------------------------------------------------ in a process of its own
@@ -63,7 +63,7 @@ def test_memory_counts_what_the_call_took() -> None:
 
 def test_a_call_that_fails_is_a_job_that_failed() -> None:
     with pytest.raises(JobError, match="fit_once"):
-        apart.cost_of("longarm_comp.bench.calibration", "fit_once", 40, "no such arm")
+        apart.cost_of("bench.calibration", "fit_once", 40, "no such arm")
 
 
 # ------------------------------------------------------------------ each kind in small
@@ -167,8 +167,8 @@ def fake(name: str) -> dict[str, object]:
     if name == "ssa_evals_vs_mealpy_300":
         raise JobError("no network")
     if name == "ssa_fitness_cuda":
-        return rows.missing(name, "numpy", "no CUDA device here")
-    return rows.beside(name, "us", [2.0, 1.0], "p", [5.0, 6.0])
+        return comparison.missing(name, "numpy", "no CUDA device here")
+    return comparison.beside(name, "us", [2.0, 1.0], "p", [5.0, 6.0])
 
 
 def test_results_as_json_and_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -210,32 +210,15 @@ def test_what_there_is_can_be_asked(capsys: pytest.CaptureFixture[str]) -> None:
         catalogue.run("nothing")
 
 
-# ------------------------------------------------------------------ installed
-
-
-def test_the_arm_is_found_without_the_source_tree(tmp_path: Path) -> None:
-    """Only what an installation holds: the package and share/, nothing beside it."""
-    import longarm_comp
-
-    package = Path(longarm_comp.__file__).parent
-    prefix = tmp_path / "prefix"
-    (prefix / "lib").mkdir(parents=True)
-    (prefix / "lib" / "longarm_comp").symlink_to(package)
-    share = prefix / "share" / "longarm_comp"
-    share.mkdir(parents=True)
-    (share / "config").symlink_to(package.parent / "config")
-    code = f"""
-import sys
-sys.path.insert(0, {str(prefix / "lib")!r})
-sys.meta_path = [finder for finder in sys.meta_path if "editable" not in repr(finder).lower()]
-sys.prefix = {str(prefix)!r}
-from pathlib import Path
-resolve = Path.resolve
-Path.resolve = lambda self, strict=False: self if "prefix" in str(self) else resolve(self)
-from longarm_comp.bench.arms import demo_arm, demo_arm_file
-print(demo_arm_file())
-assert demo_arm().n == 7
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == str(share / "config" / "arm_demo.yaml")
+def test_outside_of_a_checkout_the_command_says_where_it_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """No benchmarks beside the package: those of the folder that it is run in, else one line."""
+    command = importlib.import_module("longarm_comp.cli.bench")
+    monkeypatch.setattr(command, "__file__", str(tmp_path / "a" / "b" / "c" / "bench.py"))
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.chdir(tmp_path)
+    assert run(["bench", "--list"]) == 3
+    assert "run from a checkout of the project" in capsys.readouterr().err
+    monkeypatch.chdir(Path(__file__).parents[1])
+    assert run(["bench", "--list", "--json"]) == 0

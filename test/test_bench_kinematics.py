@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from longarm_comp.bench import compensation, forward, ik_peers, kinematics
-from longarm_comp.bench.arms import demo_arm
+from bench import compensation, forward, ik_peers, kinematics
+from bench.arms import demo_arm
 from longarm_comp.core.model.model import Model
 
 FAST = importlib.util.find_spec("llvmlite") is not None
@@ -21,7 +21,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kinematics, "paper_grid", lambda: grid)
     for module, names in (
         (kinematics, {"BLOCKS": 2, "PER_BLOCK": 4, "BATCH": 16}),
-        (forward, {"COUNT": 32, "REPEATS": 2, "BY_NAME": {}}),
+        (forward, {"COUNT": 32, "REPEATS": 2, "BUILT_IN": {}}),
     ):
         for name, value in names.items():
             monkeypatch.setattr(module, name, value)

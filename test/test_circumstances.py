@@ -14,10 +14,11 @@ from longarm_comp.core.arm.context import EXTREME, PER_JOINT, Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Scalar, Twist
+from longarm_comp.core.compensation.arrive import CompensationOptions
 from longarm_comp.core.compensation.compensate import Method, Status, compensate
 from longarm_comp.core.compensation.online import Readings, compensate_now
 from longarm_comp.core.effects.backlash import Backlash
-from longarm_comp.core.effects.catalogue import BY_NAME
+from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.effects.servo_droop import ServoDroop
@@ -31,7 +32,7 @@ from longarm_comp.sessions.targets import Targets
 
 N = 6
 ENGINES = [e for e in Engine if e is not Engine.COMPILED or compiler_at_hand()]
-KINDS = [kind for kind in BY_NAME.values() if issubclass(kind, Effect)]
+KINDS = [kind for kind in BUILT_IN.values() if issubclass(kind, Effect)]
 
 
 def circumstances(arm: Arm, seed: int = 4) -> tuple[np.ndarray, Context]:
@@ -235,10 +236,11 @@ def test_commands_one_after_another_land_where_the_model_says(rng: np.random.Gen
     history, landed = History.unknown(ARM.n), []
     for goal in goals:
         target = Model(ARM).tip(goal)
-        found, context = compensate_now(
+        arrival = compensate_now(
             model, None, target, start=at, history=history, readings=Readings(),
-            now_s=1.0, max_age_s=1.0,
+            now_s=1.0, max_age_s=1.0, options=CompensationOptions(run_up=False),
         )  # fmt: skip
+        found, context = arrival.outcome, arrival.context
         step = found.command - at
         way = np.where(way * step >= 0, way + step, step)
         side = np.sign(step)
@@ -295,10 +297,11 @@ def test_a_joint_that_no_move_brings_from_one_side_counts_as_unknown() -> None:
     """At rest between the two commands, each side's command lies on the other side."""
     model = Model(ARM, (Backlash(joint=ARM.commanded[0], gate=0.3, width=0.02),))
     target = Model(ARM).tip(ARM.mid)
-    found, context = compensate_now(
+    arrival = compensate_now(
         model, None, target, start=ARM.mid, history=History.unknown(ARM.n), readings=Readings(),
-        now_s=1.0, max_age_s=1.0,
+        now_s=1.0, max_age_s=1.0, options=CompensationOptions(run_up=False),
     )  # fmt: skip
+    found, context = arrival.outcome, arrival.context
     step = found.command - ARM.mid
     if np.sign(step[0]) == context.approach[0] != 0.0:
         truly = model.tip(found.command, Context(tuple(np.sign(step))))

@@ -13,9 +13,10 @@ import yaml
 from cli_shell import Shell, real
 from small_arm import ARM
 
-from longarm_comp.bench import catalogue
+from bench import catalogue
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.plan import Plan
+from longarm_comp.core.data.plan import Plan, paper_grid
+from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sessions.poses import write_poses
@@ -89,6 +90,27 @@ def test_a_bag_does_where_a_csv_does(work: Path, shell: Shell) -> None:
     assert (back.approach == session.approach).all()
 
 
+def test_evaluate_points_out_the_session_that_was_fitted(work: Path, shell: Shell) -> None:
+    """The model and the predictor know the session that they come from, in any file."""
+    both = ("--model", work / "model.yaml", "--predictor", work / "predictor.npz")
+    fresh = shell.json("evaluate", work / "arm.yaml", "--test", work / "test.csv", *both)
+    assert fresh["fitted_to_test"] == []
+    assert "judge on other poses" not in shell.err
+    session = read_csv(work / "samples.csv", ARM)
+    write_csv(session, "copy.csv")
+    known = ("evaluate", work / "arm.yaml", "--test", "copy.csv")
+    assert shell.json(*known, *both)["fitted_to_test"] == ["model", "predictor"]
+    assert shell.json(*known, *both[:2])["fitted_to_test"] == ["model"]
+    assert shell.json(*known)["fitted_to_test"] == []
+    assert shell(*known, *both) == 0
+    assert "the model and the predictor came from this session: judge on other poses" in shell.err
+    shell("calibrate", work / "arm.yaml", work / "test.csv", "-o", "other.yaml")
+    shell("train", work / "arm.yaml", "copy.csv", "--model", "other.yaml", "-o", "p.npz",
+          "--ensemble", 1, "--hidden", 4)  # fmt: skip
+    crossed = ("--model", "other.yaml", "--predictor", "p.npz")
+    assert shell.json(*known, *crossed)["fitted_to_test"] == ["predictor"]
+
+
 def test_compensate_takes_the_error_off(work: Path, shell: Shell) -> None:
     session = read_csv(work / "test.csv", ARM)
     inside = np.abs(session.q - ARM.mid).max(1).argsort()[:5]
@@ -110,6 +132,23 @@ def test_compensate_takes_the_error_off(work: Path, shell: Shell) -> None:
     before = missed()
     assert shell(*command, "--predictor", work / "predictor.npz") == 0
     assert missed() < 0.5 * before
+
+
+@pytest.mark.parametrize("method", ["none", "deflection"])
+def test_compensate_reaches_the_whole_grid_from_a_file_of_nine_decimals(
+    method: str, demo_arm_path: Path, shell: Shell
+) -> None:
+    arm = Arm.load(demo_arm_path)
+    model = declared_model(arm) if method == "deflection" else Model(arm)
+    targets = model.tip(paper_grid(arm))
+    np.savetxt("grid.csv", targets, fmt="%.9f", delimiter=",", header="x,y,z", comments="")
+    command = ("compensate", demo_arm_path, "--targets", "grid.csv", "-o", "commands.csv")
+    assert shell(*command, "--method", method) == 0
+    with open("commands.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["status"] for row in rows] == ["success"] * 1458
+    q = np.array([[float(row[f"q{j}"]) for j in range(1, 8)] for row in rows])
+    assert np.linalg.norm(model.tip(q) - targets, axis=1).max() < 1e-6
 
 
 def test_compensate_one_target_with_its_options(work: Path, shell: Shell) -> None:
@@ -160,7 +199,7 @@ def test_plan_what_a_diagnosis_asks_for(work: Path, shell: Shell) -> None:
     plan = ("plan", work / "arm.yaml", "--kind", "next", "--report", "diagnosis", "-n")
     made = shell.json(*plan, 2)
     assert np.allclose(made["poses"], [ARM.lower, ARM.mid])
-    assert made["approach"] == [1, -1]
+    assert made["approach"] == [[1] * 4, [-1] * 4]
     assert "1 to 3" in shell.refused(*plan, 4)
     assert "--report" in shell.refused("plan", work / "arm.yaml", "--kind", "next", "-n", 2)
 
@@ -196,4 +235,4 @@ def test_bench_gives_the_agreed_rows(shell: Shell, monkeypatch: pytest.MonkeyPat
 
 def test_every_benchmark_is_where_the_list_says() -> None:
     for name, module in catalogue.MODULE_OF.items():
-        assert callable(getattr(importlib.import_module(f"longarm_comp.bench.{module}"), name))
+        assert callable(getattr(importlib.import_module(f"bench.{module}"), name))

@@ -49,8 +49,9 @@ def test_the_poses_that_are_asked_for_split_the_set(arm: Path, tmp_path: Path) -
     assert longarm("plan", arm, "--kind", "next", "-n", 12, "--report", out, "-o", plan) == 0
     asked = read_poses(plan, ARM)
     assert np.array_equal(asked.q, read_poses(out / "next_poses.csv", ARM).q[:12])
-    assert set(asked.approach) <= {-1, 1}
-    side = asked.approach.astype(float)
+    assert (asked.approach == asked.approach[:, :1]).all()  # all joints from one side
+    side = asked.approach[:, 0].astype(float)
+    assert set(side) <= {-1.0, 1.0}
     reached = tip(hidden, asked.q, side) + white(np.random.default_rng(3), len(asked))
     known = read_csv(samples, ARM)
     sides = np.repeat(side[:, None], ARM.n, axis=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import os
 import signal
 import subprocess
@@ -19,10 +20,11 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from nodes_bench import Bench, bench
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.plan import Plan, sobol
+from longarm_comp.core.arm.moves import run_up_lengths
+from longarm_comp.core.data.plan import Plan, from_both_sides, sobol
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import declared_model, errors
-from longarm_comp.jobs.measurement_schedule import RUN_UP, Visit, visits
+from longarm_comp.jobs.measurement_schedule import Visit, visits
 from longarm_comp.nodes.bringup import BringUp, running
 from longarm_comp.nodes.messages import joints_message
 from longarm_comp.sessions.bag import open_bag
@@ -49,30 +51,64 @@ def word(text: str) -> bytes:
 # ------------------------------------------------------------------ visits
 
 
-def test_visits_are_the_plan_from_both_sides_in_random_order(arm: Arm) -> None:
+def sides_of(visit: Visit) -> tuple[int, ...]:
+    """The side that each joint arrives from."""
+    assert len(visit.path) == 2
+    return tuple(np.sign(visit.path[1] - visit.path[0]).astype(int).tolist())
+
+
+def test_visits_are_the_plan_with_repeats_in_random_order(arm: Arm) -> None:
     plan = sobol(arm, 8, 3)
-    made = visits(plan, arm, both_sides=True, repeats=2, seed=4)
-    assert [visit.index for visit in made] == list(range(8 * 2 + 2 * 2))
-    again = visits(plan, arm, both_sides=True, repeats=2, seed=4)
-    assert all((a.q == b.q).all() for a, b in zip(made, again, strict=True))
-    other = visits(plan, arm, both_sides=True, repeats=2, seed=5)
+    made = visits(plan, arm, repeats=2, seed=4)
+    assert [visit.index for visit in made] == list(range(8 + 2 * 2))
+    again = visits(plan, arm, repeats=2, seed=4)
+    assert all((a.path == b.path).all() for a, b in zip(made, again, strict=True))
+    other = visits(plan, arm, repeats=2, seed=5)
     assert any((a.q != b.q).any() for a, b in zip(made, other, strict=True))
-    for q in plan.q:
+    for q, sides in zip(plan.q, plan.approach, strict=True):
         mine = [visit for visit in made if (visit.q == q).all()]
-        assert len(mine) in (2, 4)
+        assert len(mine) in (1, 3)
         assert len({visit.repeat_id for visit in mine}) == 1
-        sides = {tuple(np.sign(v.q - v.via)) for v in mine if v.via is not None}
-        assert len(sides) == 2
+        assert (mine[0].repeat_id >= 0) == (len(mine) == 3)
+        assert {sides_of(visit) for visit in mine} == {tuple(sides.tolist())}
+    in_order = visits(plan, arm, shuffle=False)
+    np.testing.assert_array_equal([visit.q for visit in in_order], plan.q)
+
+
+def test_both_sides_measure_every_pose_twice(arm: Arm) -> None:
+    plan = dataclasses.replace(sobol(arm, 6, 3), payload_kg=np.arange(6.0))
+    made = visits(from_both_sides(arm, plan, 1), arm, seed=2)
+    assert len(made) == 12
+    for q, sides, payload in zip(plan.q, plan.approach, np.arange(6.0), strict=True):
+        first, second = (visit for visit in made if (visit.q == q).all())
+        assert first.repeat_id == second.repeat_id >= 0
+        assert first.payload_kg == second.payload_kg == payload
+        room = np.minimum(q - arm.lower, arm.upper - q) > run_up_lengths(arm)
+        one, two = np.array(sides_of(first)), np.array(sides_of(second))
+        assert (one[room] == -two[room]).all()
+        assert (one[~room] == two[~room]).all()
+        assert tuple(sides.tolist()) in (sides_of(first), sides_of(second))
+    blank = Plan(plan.q, np.zeros(6))
+    drawn = np.array([sides_of(visit) for visit in visits(from_both_sides(arm, blank, 1), arm)])
+    assert (drawn != drawn[:, :1]).any()
 
 
 def test_a_run_up_stays_in_the_box_and_comes_from_the_planned_side(arm: Arm) -> None:
-    plan = Plan(np.stack([arm.lower, arm.mid]), np.array([1, -1]))
-    low, middle = visits(plan, arm, shuffle=False)
-    assert low.via is not None and middle.via is not None
-    np.testing.assert_array_equal(low.via, arm.lower)
-    np.testing.assert_allclose(middle.via - middle.q, RUN_UP * (arm.upper - arm.lower))
-    straight = visits(Plan(plan.q, np.zeros(2, int)), arm)
-    assert all(visit.via is None for visit in straight)
+    length = run_up_lengths(arm)
+    plan = Plan(np.stack([arm.lower, arm.mid, arm.upper]), np.array([1, -1, 1]))
+    low, middle, high = visits(plan, arm, shuffle=False)
+    np.testing.assert_allclose(middle.path[0] - middle.q, length)
+    np.testing.assert_allclose(high.path[0] - high.q, -length)
+    np.testing.assert_allclose(low.path[0] - low.q, length)  # no room below
+    straight = visits(Plan(plan.q, np.zeros(3)), arm)
+    assert all(len(visit.path) == 1 for visit in straight)
+
+
+def test_a_joint_without_a_side_stands_still_in_the_run_up(arm: Arm) -> None:
+    sides = np.ones((1, arm.n))
+    sides[0, 2] = 0
+    (visit,) = visits(Plan(arm.mid[None], sides), arm)
+    assert sides_of(visit) == (1, 1, 0, 1, 1, 1, 1)
 
 
 def test_more_repeats_than_poses_are_refused(arm: Arm) -> None:
@@ -198,10 +234,11 @@ def test_a_session_survives_interruptions_and_is_resumed(
         half = read_session(bag, arm)
         assert 1 <= len(half) <= POSES
 
-        other = longarm(*words[:-2], 4, "--resume")  # another seed: another order
-        said = other.communicate(timeout=60)[0]
-        assert other.returncode == 2, said
-        assert "seed" in said
+        for changed in ((*words[:-2], 4, "--resume"), (*words, "--sides", "random")):
+            other = longarm(*changed)  # another order; the same poses from other sides
+            said = other.communicate(timeout=60)[0]
+            assert other.returncode == 2, said
+            assert "seed" in said
 
         third = longarm(*words)
         said = third.communicate(timeout=200)[0]
@@ -210,8 +247,9 @@ def test_a_session_survives_interruptions_and_is_resumed(
     todo: list[Visit] = visits(plan, arm, seed=3)
     assert session.index.tolist() == list(range(POSES))
     np.testing.assert_allclose(session.q, [visit.q for visit in todo], atol=1e-9)
-    sides = np.array([np.sign(visit.q - visit.via) for visit in todo])
+    sides = np.array([sides_of(visit) for visit in todo])
     np.testing.assert_array_equal(session.approach, sides)
+    assert (sides != sides[:, :1]).any()  # each joint has its own
     assert session.sigma is not None
     assert np.abs(errors(declared_model(arm), session)).max() < 0.02
     assert session.temperature_c is not None

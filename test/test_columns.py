@@ -7,7 +7,7 @@ import pytest
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.effects.catalogue import BY_NAME
+from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.model.model import Model, unstack
@@ -36,10 +36,10 @@ def situation(arm: Arm) -> tuple[np.ndarray, Context]:
 
 
 def instances(arm: Arm) -> list[Effect | Bias]:
-    return [term for kind in BY_NAME.values() for term in kind.for_arm(arm)]
+    return [term for kind in BUILT_IN.values() for term in kind.for_arm(arm)]
 
 
-@pytest.mark.parametrize("name", sorted(BY_NAME))
+@pytest.mark.parametrize("name", sorted(BUILT_IN))
 def test_column_is_the_derivative_at_zero(arm, name):
     """At zero effect Eq. (5) is exact but for the load feedback of a rigid-model step.
 
@@ -48,7 +48,7 @@ def test_column_is_the_derivative_at_zero(arm, name):
     remaining tolerance is the cubic term of the difference.
     """
     q, context = situation(arm)
-    for term in BY_NAME[name].for_arm(arm):
+    for term in BUILT_IN[name].for_arm(arm):
         base = Model(arm, (), ()).plus(term)
         for slot in base.slots:
             got = base.columns(base.posture(unstack(q), context), [slot])[1][..., 0]
@@ -70,7 +70,7 @@ def test_load_effects_act_through_the_elastic_ones(arm):
     model = Model(arm, (LinkDeflection(),))
     posture = model.posture(unstack(q), context)
     for name in ("tip_payload", "gravity_direction"):
-        (term,) = BY_NAME[name].for_arm(arm)
+        (term,) = BUILT_IN[name].for_arm(arm)
         with_it = model.plus(term)
         for slot in with_it.slots:
             got = with_it.columns(posture, [slot])[1][..., 0]

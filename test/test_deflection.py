@@ -14,7 +14,7 @@ from scipy.special import ellipeinc, ellipkinc
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.effects.catalogue import BY_NAME
+from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.model.model import Model, unstack
@@ -235,8 +235,8 @@ def everything(arm: Arm) -> Model:
     """All arm-side effects, each of about half its prior."""
     rng = np.random.default_rng(3)
     terms = []
-    for name in sorted(BY_NAME):
-        for term in BY_NAME[name].for_arm(arm):
+    for name in sorted(BUILT_IN):
+        for term in BUILT_IN[name].for_arm(arm):
             if isinstance(term, Effect):
                 size = {p.name: 0.5 * p.prior * abs(rng.normal()) for p in term.parameters(arm)}
                 terms.append(term.with_values(size))

@@ -191,7 +191,7 @@ def test_gravity_compliance_of_a_real_arm(data_dir: Path) -> None:
     part = justin(data_dir / "real")[0]
     rigid = declared_model(part.arm, deflection=False)
     found = diagnose(part.arm, part.train, test=part.test, model=rigid)
-    first = {s.candidate.name for s in found.traced.first[:3]}
+    first = {s.candidate.name for s in found.search.first[:3]}
     assert first & {"joint_compliance", "bearing_tilt", "servo_droop"} == first
     assert [f.name for f in found.findings][:2] == ["joint_compliance", "bearing_tilt"]
     assert {"joint_compliance", "bearing_tilt"} in [set(o.names) for o in found.confirmed.overlaps]

@@ -21,8 +21,8 @@ from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.joint_gain import JointGain
-from longarm_comp.core.identify.detectable import detectable
 from longarm_comp.core.identify.diagnosis import Diagnosis, diagnose
+from longarm_comp.core.identify.evidence import detectable
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives, geometry
@@ -139,15 +139,17 @@ def test_dose_decides_between_invisible_set_and_named() -> None:
 
 def test_the_smallest_visible_size_is_between_unseen_and_found() -> None:
     nothing = diagnose(ARM, session())
-    options = [s.candidate for s in nothing.traced.last if s.candidate.name == "joint_gain"]
+    options = [s.candidate for s in nothing.search.last if s.candidate.name == "joint_gain"]
     smallest = next(
-        d for d in detectable(nothing.traced, options) if d.candidate.where == ("joint 2",)
+        d
+        for d in detectable(nothing.search.fit, options, nothing.search.threshold)
+        if d.candidate.where == ("joint 2",)
     )
     prior = smallest.candidate.slots(ARM)[0].parameter.prior
     for factor, seen in ((0.4, False), (2.0, True)):
         size = factor * smallest.size * prior
         found = diagnose(ARM, session([drives.JointGain(at(2, size))]), kinds=(JointGain,))
-        assert bool(found.traced.chosen) == seen
+        assert bool(found.search.chosen) == seen
 
 
 # 8, 12
@@ -167,7 +169,7 @@ def test_a_hold_out_spoilt_after_the_fit_changes_no_bit_and_rolls_back() -> None
 def test_the_truth_shares_no_physics_with_what_judges_it() -> None:
     """The simulated arm and its hidden effects import declarations only."""
     folder = Path(longarm_comp.sim.__file__).parent
-    files = [folder / f for f in ("arm_truth.py", "walk.py", "rods.py", "measure.py")]
+    files = [folder / f for f in ("arm_truth.py", "rod_chain.py", "rods.py", "measure.py")]
     for path in [*files, *(folder / "hidden").glob("*.py")]:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("longarm_comp."):

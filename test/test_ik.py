@@ -71,6 +71,37 @@ def test_the_whole_paper_grid(model, position_only):
     assert np.allclose(made.position_residual_m, position, rtol=0, atol=1e-12)
 
 
+ENGINES = [FAST, Engine.PYTHON, Engine.ARRAYS, Engine.MODEL]
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_target_missed_by_less_than_a_micrometre_is_reached(engine, demo_arm_path):
+    """On the boundary of the reach the rounding of a target can put it outside: 0.5 um, 2 um."""
+    model = Model(Arm.load(demo_arm_path))
+    corners = np.round(model.tip(paper_grid()[[515, 695, 749, 803]]), 9)
+    made = solve_many(model, corners, engine=engine)
+    assert made.ok.all()
+    assert made.position_residual_m.max() > 1e-9  # no search gets closer
+    assert all(solve(model, corner, engine=engine).ok for corner in corners)
+    lever = Arm.parse({
+        "name": "lever", "convention": "mdh_craig", "tip": {"frame": 1, "position_m": [0.5, 0, 0]},
+        "joints": [{"id": 1, "type": "revolute", "limits_deg": [-90, 90]}],
+    }, "test")  # fmt: skip
+    for out, ok in ((0.5e-6, True), (2e-6, False)):
+        target = (0.5 + out) * np.array([np.cos(0.3), np.sin(0.3), 0.0])
+        found = solve(Model(lever), target, engine=engine)
+        assert found.ok is ok
+        assert found.position_residual_m == pytest.approx(out, rel=1e-3)
+        assert found.starts == (1 if ok else 16)
+    assert solve(Model(lever), target, tol=3e-6, engine=engine).ok
+    for tilt, ok in ((0.5e-6, True), (2e-6, False)):
+        pose = Model(lever).pose(np.array([0.3]))
+        pose[:3, :3] = pose[:3, :3] @ np.array([[1, 0, 0], [0, 1, -tilt], [0, tilt, 1]])
+        found = solve(Model(lever), pose, engine=engine)
+        assert found.ok is ok
+        assert found.angle_residual_rad == pytest.approx(tilt, rel=1e-3)
+
+
 @pytest.mark.parametrize("engine", [Engine.PYTHON, Engine.ARRAYS, Engine.MODEL])
 def test_engines_run_one_search(model, engine, rng):
     arm = model.arm

@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 from small_arm import ARM, measured
 
-from longarm_comp.bench.calibration import made_session
+from bench.calibration import made_session
 from longarm_comp.cli.registry import COMMANDS
 from longarm_comp.cli.run import run
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.nodes.bringup import SIMULATED, folder
+from longarm_comp.nodes.bringup import SIMULATED
 from longarm_comp.sessions.csv import write_csv
+from longarm_comp.share import folder
 
 HEAVY = ("torch", "sklearn", "matplotlib", "plotly", "cv2", "numba", "rclpy", "scipy", "rosbags")
 _TELL = f"""

@@ -44,6 +44,8 @@ SPEC = {
         "message": "string",
         "ideal": "sensor_msgs/JointState",
         "command": "sensor_msgs/JointState",
+        "run_up": "sensor_msgs/JointState",
+        "approach": "sequence<int8>",
         "predicted_error": "geometry_msgs/Vector3",
         "pseudo_target": "geometry_msgs/PoseStamped",
         "sigma": "double",

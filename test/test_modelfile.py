@@ -14,7 +14,7 @@ from small_arm import ARM as SMALL
 
 from longarm_comp.core import files
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.effects.catalogue import BY_NAME
+from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_zero import JointZero
@@ -43,7 +43,7 @@ def simple(arm: Arm) -> Model:
 def everything(arm: Arm, rng: np.random.Generator) -> Model:
     """Every effect of the catalogue at every place, with values that no decimal writes shortly."""
     terms = []
-    for kind in BY_NAME.values():
+    for kind in BUILT_IN.values():
         for term in kind.for_arm(arm):
             size = {p.name: p.prior * abs(rng.standard_normal()) for p in term.declared()}
             terms.append(term.with_values(size))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from longarm_comp.bench.smooth import smooth_set
+from bench.smooth import smooth_set
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.network import (
     Shape,

@@ -18,11 +18,12 @@ from longarm_comp.core.arm.arm import Arm, read_yaml
 from longarm_comp.core.errors import InputError
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.bringup import SIMULATED, BringUp, folder
+from longarm_comp.nodes.bringup import SIMULATED, BringUp
 from longarm_comp.nodes.params import Param
+from longarm_comp.share import folder
 
 ROOT = Path(__file__).parents[1]
-GIVEN_BY_BRING_UP = {"arm", "model", "predictor", "servos", "port", "hidden"}
+GIVEN_BY_BRING_UP = {"arm", "model", "predictor", "effects", "servos", "port", "hidden"}
 
 
 def table(node: str) -> dict[str, Param]:

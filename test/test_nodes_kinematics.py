@@ -65,7 +65,7 @@ def test_target_pose_becomes_a_trajectory(stage: Bench, arm: Arm, demo_arm_path:
         joints.publish(joints_message(arm, arm.mid))
         if not stories or stories[-1].status == Compensate.Response.NOT_READY:
             targets.publish(pose(target))
-            stage.spin(lambda: len(stories), within=1.0)
+            stage.spin(lambda: len(stories), within=20.0)
         return bool(stories[-1].executed.position and trajectories)
 
     stage.spin(story_of_success)

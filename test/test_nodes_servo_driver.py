@@ -59,10 +59,19 @@ class Rig:
         self.trajectories = graph.JOINT_TRAJECTORY.publisher(stage.node)
         self.process = self.start()
 
-    def start(self) -> subprocess.Popen[str]:
+    def start(self, patience_s: float = 5.0) -> subprocess.Popen[str]:
         command = ["-m", "longarm_comp.nodes.servo_driver", "--ros-args"]
-        self.process = self.stage.python([*command, "--params-file", str(self.file)])
+        command += ["--params-file", str(self.file), "-p", f"patience_s:={patience_s}"]
+        self.process = self.stage.python(command)
         return self.process
+
+    def begins_without_servos(self, patience_s: float) -> subprocess.Popen[str]:
+        """End the driver and start it anew with no cable."""
+        self.process.send_signal(signal.SIGINT)
+        assert self.process.wait(timeout=10) == 0
+        self.emulator.unplug()
+        del self.diagnostics[:]
+        return self.start(patience_s)
 
     def driving(self) -> bool:
         return all(self.emulator.torques_on().values())
@@ -221,6 +230,24 @@ def test_an_unplugged_cable_is_told_and_taken_up_again(rig: Rig) -> None:
         assert rig.call(graph.RESET, Trigger.Request()).success
     rig.is_idle()
     rig.goes(boom=0.03)
+
+
+def test_servos_that_come_after_the_driver_are_no_error(rig: Rig) -> None:
+    process = rig.begins_without_servos(patience_s=60.0)
+    rig.stage.spin(lambda: "not usable" in rig.told("servo bus"))
+    rig.emulator.replug()
+    rig.is_idle()
+    said = rig.stage.output(process)
+    assert "ERROR" not in said
+    assert "WARN" not in said
+    assert "waiting for the servos" in said
+
+
+def test_servos_that_stay_away_are_an_error(rig: Rig) -> None:
+    process = rig.begins_without_servos(patience_s=0.0)
+    rig.stage.spin(lambda: "ERROR" in rig.stage.output(process))
+    rig.emulator.replug()
+    rig.is_idle()
 
 
 @pytest.mark.parametrize("signals", [[signal.SIGINT] * 2, [signal.SIGTERM]])

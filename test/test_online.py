@@ -66,10 +66,11 @@ def test_backlash_is_compensated_for_the_side_of_this_move() -> None:
     commands = []
     for step in (-0.2, 0.2):
         start = ARM.mid + step * (ARM.upper - ARM.lower) * [1, 0, 0, 0]
-        made, context = compensate_now(
+        arrival = compensate_now(
             model, None, target, start=start, history=History.unknown(ARM.n), readings=told(),
             now_s=100.0, max_age_s=10.0,
         )  # fmt: skip
+        made, context = arrival.outcome, arrival.context
         assert made.status is Status.NO_PREDICTOR
         assert context.approach[0] == -np.sign(step)
         np.testing.assert_allclose(model.tip(made.command, context), target, atol=2e-6)

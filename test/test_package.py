@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import os
 import re
 import subprocess
@@ -25,6 +26,8 @@ PACKAGE = "longarm_comp"
 
 # Programs that run in an environment of their own, because theirs and ours exclude each other.
 ELSEWHERE = {"mealpy", "pybotics"}
+
+PIP = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
 
 
 # Modules that cmeel keeps in a prefix of its own, which Python's metadata does not name.
@@ -49,7 +52,7 @@ def ros_depends() -> set[str]:
 def outside_imports(folder: Path) -> dict[str, set[str]]:
     """Top-level names imported from outside this repository -> the files that import them."""
     found: dict[str, set[str]] = {}
-    own = {PACKAGE, *(file.stem for file in (ROOT / "test").glob("*.py"))}
+    own = {PACKAGE, "bench", *(file.stem for file in (ROOT / "test").glob("*.py"))}
     for file in sorted(folder.rglob("*.py")):
         for node in ast.walk(ast.parse(file.read_text("utf-8"))):
             names: list[str] = []
@@ -73,7 +76,7 @@ def distributions(top_level: str) -> set[str]:
     return providers().get(top_level, set()) | PREFIXED.get(top_level, set())
 
 
-@pytest.mark.parametrize("folder", [PACKAGE, "test"])
+@pytest.mark.parametrize("folder", [PACKAGE, "bench", "test"])
 def test_every_import_is_declared(folder: str) -> None:
     allowed = declared(extras=True)
     undeclared = {
@@ -118,25 +121,84 @@ def test_console_scripts_lead_somewhere() -> None:
     assert f"{PACKAGE}.cli" in test_rooms.known()
 
 
-def test_wheel_holds_every_file_of_the_package(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation"]
-    tracked = subprocess.run(
-        ["git", "ls-files", PACKAGE], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    files = tracked.stdout.split()
-    if tracked.returncode or not files:
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel of a copy of every tracked file."""
+    folder = tmp_path_factory.mktemp("wheel")
+    for name in tracked("."):
+        (folder / "source" / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / "source" / name).write_bytes((ROOT / name).read_bytes())
+    command = [*PIP, "wheel", "--quiet", "--no-deps", "--no-build-isolation", "-w", folder, "."]
+    subprocess.run(command, cwd=folder / "source", check=True)
+    (made,) = folder.glob("*.whl")
+    return made
+
+
+def tracked(folder: str) -> list[str]:
+    """Names of the files that belong to the project, below a folder of it."""
+    command = ["git", "ls-files", folder]
+    listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    if listed.returncode or not listed.stdout:
         pytest.skip("not a git checkout: the list of files is unknown")
-    copy = tmp_path / "source"
-    for name in [*files, "setup.py", "setup.cfg", "pyproject.toml", "package.xml"]:
-        (copy / name).parent.mkdir(parents=True, exist_ok=True)
-        (copy / name).write_bytes((ROOT / name).read_bytes())
-    (copy / "resource").mkdir()
-    (copy / "resource" / PACKAGE).touch()
-    subprocess.run([*command, "--wheel-dir", tmp_path, "."], cwd=copy, check=True)
-    (wheel,) = tmp_path.glob("*.whl")
+    return [name for name in listed.stdout.splitlines() if (ROOT / name).is_file()]
+
+
+def test_wheel_holds_every_file_of_the_package_and_nothing_else(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         held = set(archive.namelist())
-    assert set(files) <= held, f"left out of the wheel: {sorted(set(files) - held)}"
+    files = set(tracked(PACKAGE))
+    assert files <= held, f"left out of the wheel: {sorted(files - held)}"
+    folders = {name.split("/")[0] for name in held}
+    assert {name for name in folders if not name.startswith(f"{PACKAGE}-")} == {PACKAGE}
+
+
+FIND_SHARES = """
+import json, longarm_comp
+from pathlib import Path
+from longarm_comp.nodes.bringup import BringUp
+from longarm_comp.sessions.message_types import interface_files
+from longarm_comp.share import folder
+graph = BringUp(arm=folder("config") / "arm_demo.yaml", sim=True)
+print(json.dumps({
+    "package": longarm_comp.__file__,
+    "nodes": [str(graph.file(node)) for node in graph.nodes],
+    "launch": str(folder("launch")),
+    "interfaces": [str(path) for path in interface_files()],
+}))
+"""
+
+
+def test_an_installation_finds_its_own_files(wheel: Path, tmp_path: Path) -> None:
+    """Installed below any prefix, run from any folder, with another installation beside it."""
+    prefix = tmp_path / "prefix"
+    subprocess.run(
+        [*PIP, "install", "--quiet", "--no-deps", "--ignore-installed", "--prefix", prefix, wheel],
+        check=True,
+    )
+    (packages,) = prefix.glob("**/site-packages")
+    environment = os.environ | {"PYTHONPATH": str(packages)}
+
+    def output(*command: object) -> str:
+        done = subprocess.run(
+            [*map(str, command)], cwd=tmp_path, env=environment, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    found = json.loads(output(sys.executable, "-c", FIND_SHARES))
+    assert Path(found["package"]).parent == packages / PACKAGE
+    share = prefix / "share" / PACKAGE
+    assert Path(found["launch"]) == share / "launch"
+    for folder in ("config", "launch"):
+        assert set(tracked(folder)) == {f"{folder}/{f.name}" for f in (share / folder).glob("*.*")}
+    assert len(found["nodes"]) == 5
+    assert all(Path(file).is_file() and share in Path(file).parents for file in found["nodes"])
+    assert found["interfaces"]
+    assert "--sim" in output(prefix / "bin" / "longarm", "up", "--help")
+    assert "is run from a checkout" in subprocess.run(
+        [prefix / "bin" / "longarm", "bench"], cwd=tmp_path, env=environment, capture_output=True,
+        text=True,
+    ).stderr  # fmt: skip
 
 
 def test_colcon_installs_what_ros2_run_and_launch_look_for(tmp_path: Path) -> None:

@@ -10,7 +10,16 @@ import pytest
 from small_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.plan import grid, paper_grid, random_targets, sobol
+from longarm_comp.core.arm.moves import run_up_lengths
+from longarm_comp.core.data.plan import (
+    Plan,
+    grid,
+    paper_grid,
+    random_targets,
+    sobol,
+    with_random_sides,
+    with_room,
+)
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.poses import read_poses, write_poses
@@ -41,7 +50,7 @@ def test_subset_of_the_grid_repeats_nothing_and_follows_the_seed() -> None:
     assert set(map(tuple, plan.q)) <= whole
     assert (plan.q == again.q).all()
     assert (plan.q != other.q).any()
-    assert set(plan.approach.tolist()) == {-1, 1}
+    assert set(plan.approach.ravel().tolist()) == {-1, 1}
 
 
 @pytest.mark.parametrize("n", [1, 7, 64, 100])
@@ -78,9 +87,50 @@ def test_random_targets_are_reachable() -> None:
     assert (distance > reach.min() - 0.05).all()
 
 
-def test_poses_file_round_trip(tmp_path: Path) -> None:
+def joint_by_joint(plan: Plan) -> np.ndarray:
+    """(n, n) correlation of the sides of different joints, where both have room for either."""
+    return np.corrcoef(plan.approach.T)
+
+
+def test_every_joint_has_a_side_of_its_own() -> None:
+    plan = sobol(ARM, 400, 1)
+    assert np.abs(plan.approach.mean(axis=0)).max() < 0.2
+    assert np.abs(joint_by_joint(plan) - np.eye(4)).max() < 0.2
+    assert (plan.approach == sobol(ARM, 400, 1).approach).all()
+    other = with_random_sides(ARM, plan, 7)
+    assert (other.q == plan.q).all()
+    assert 0.3 < (other.approach == plan.approach).mean() < 0.7
+
+
+def test_a_side_without_room_to_run_up_is_turned_round() -> None:
+    q = np.stack([ARM.lower, ARM.lower + 0.9 * run_up_lengths(ARM), ARM.mid, ARM.upper])
+    below = with_room(ARM, q, np.ones(q.shape))
+    assert below.tolist() == [[-1] * 4, [-1] * 4, [1] * 4, [1] * 4]
+    above = with_room(ARM, q, -np.ones(q.shape))
+    assert above.tolist() == [[-1] * 4, [-1] * 4, [-1] * 4, [1] * 4]
+    assert (with_room(ARM, q, np.zeros(q.shape)) == 0).all()
+    corner = grid(ARM, 81, 1)  # every plan is one that can be driven
+    assert (corner.approach == with_room(ARM, corner.q, corner.approach)).all()
+    assert (corner.approach[corner.q == ARM.lower] == -1).all()
+
+
+def test_the_callers_further_draws_do_not_depend_on_the_sides() -> None:
+    rng, other = np.random.default_rng(1), np.random.default_rng(1)
+    grid(ARM, 9, rng)
+    other.permutation(81)
+    other.choice([-1, 1], size=9)
+    assert rng.random() == other.random()
+
+
+@pytest.mark.parametrize("alike", [False, True])
+def test_poses_file_round_trip(tmp_path: Path, alike: bool) -> None:
     plan = dataclasses.replace(grid(ARM, 9, 1), payload_kg=np.linspace(0, 0.4, 9))
+    if alike:
+        plan = dataclasses.replace(plan, approach=np.repeat([1, 0, -1], 3))
     write_poses(plan, tmp_path / "poses.csv")
+    header = (tmp_path / "poses.csv").read_text().splitlines()[0].split(",")
+    assert ("approach" in header) == alike
+    assert ("approach_q4" in header) != alike
     back = read_poses(tmp_path / "poses.csv", ARM)
     assert (back.q == plan.q).all()
     assert (back.approach == plan.approach).all()
@@ -95,6 +145,7 @@ def test_poses_file_round_trip(tmp_path: Path) -> None:
         ("q1,q2,q3,q4,speed\n0,0.5,0,0,1\n", "column speed: 'unknown'"),
         ("q1,q2,q3,q4\n0,40,0,0\n", "line 2, q2: '40'"),
         ("q1,q2,q3,q4,approach\n0,0.5,0,0,2\n", "line 2, approach: '2'"),
+        ("q1,q2,q3,q4,approach_q1\n0,0.5,0,0,1\n", "column approach_q2: 'missing"),
     ],
 )
 def test_bad_plans_are_refused(text: str, words: str, tmp_path: Path) -> None:

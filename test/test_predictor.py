@@ -10,7 +10,7 @@ import sys
 import numpy as np
 import pytest
 
-from longarm_comp.bench.smooth import LOWER, UPPER, smooth_residual, smooth_set
+from bench.smooth import LOWER, UPPER, rms_mm, smooth_residual, smooth_set
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import recorded
 from longarm_comp.core.errors import InputError
@@ -21,10 +21,6 @@ from longarm_comp.core.learn.predictor_file import load
 
 FAST = {"hidden": 6, "ensemble": 2, "iterations": 5, "population": 10}
 ORIGIN = Provenance("arm-1", "session-1", tuple(f"joint{i}" for i in range(1, 8)))
-
-
-def rms_mm(error):
-    return 1e3 * np.sqrt(np.mean(error**2))
 
 
 @pytest.fixture(scope="module")

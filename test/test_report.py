@@ -17,7 +17,7 @@ import pytest
 from report_pages import page_of, sample
 from report_samples import VERDICTS
 
-from longarm_comp.report import Input, Rows, record, tables, write_report
+from longarm_comp.report import Input, SeenRows, record, tables, write_report
 
 SECTIONS = [
     *("verdict", "errors", "distribution", "scene", "guilty", "candidates", "parameters"),
@@ -230,13 +230,13 @@ def test_words_for_numbers() -> None:
 def test_one_row_without_error_and_no_row_at_all_are_drawn(tmp_path: Path) -> None:
     report, detail = sample("noise")
     origin = np.zeros((1, 3))
-    one = Rows(np.array([4]), origin, {"calibrated": origin}, (Input("q1", "rad", np.ones(1)),))
+    one = SeenRows(np.array([4]), origin, {"calibrated": origin}, (Input("q1", "rad", np.ones(1)),))
     row = dict.fromkeys(report["held_out"]["rows"][0], 0.0) | {"model": "calibrated"}
     report["held_out"] |= {"n": 1, "rows": [row]}
     detail = dataclasses.replace(detail, held_out=one, after="calibrated", guilty=("q1",))
     write_report(report, detail, tmp_path)
     assert page_of(tmp_path).tables["errors"][1] == ["calibratedafter", *["0.000"] * 7]
-    empty = Rows(np.zeros(0, int), origin[:0], {"calibrated": origin[:0]})
+    empty = SeenRows(np.zeros(0, int), origin[:0], {"calibrated": origin[:0]})
     report["held_out"] = {"n": 0, "rows": [], "before_after_ci95_mm": None}
     write_report(report, dataclasses.replace(detail, held_out=empty), tmp_path)
     assert "No hold-out was opened." in page_of(tmp_path).words()

@@ -11,7 +11,7 @@ import pytest
 from report_samples import named
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.report import Rows
+from longarm_comp.report import SeenRows
 from longarm_comp.report.arrows import MOST, arrows, exaggeration
 from longarm_comp.report.figures import ladder_figure, table1_figure
 from longarm_comp.report.scene import scene_json
@@ -31,13 +31,13 @@ def test_arrows_point_along_the_error(rng: np.random.Generator) -> None:
 
 def test_few_arrows_of_many_rows(rng: np.random.Generator) -> None:
     n = 5000
-    rows = Rows(np.arange(n), rng.random((n, 3)), {"nominal": 1e-3 * rng.normal(size=(n, 3))})
+    rows = SeenRows(np.arange(n), rng.random((n, 3)), {"nominal": 1e-3 * rng.normal(size=(n, 3))})
     found = arrows(rows, "nominal", 1.0)
     assert len(found.index) == MOST and found.index[0] == 0 and found.index[-1] == n - 1
 
 
 def test_errors_of_zero_have_arrows_of_no_length() -> None:
-    rows = Rows(np.arange(3), np.eye(3), {"nominal": np.zeros((3, 3))})
+    rows = SeenRows(np.arange(3), np.eye(3), {"nominal": np.zeros((3, 3))})
     assert exaggeration(rows, ("nominal",)) == 1.0
     trace = json.loads(scene_json(rows, "nominal"))["data"][0]
     assert trace["x"][:2] == [1.0, 1.0] and "NaN" not in json.dumps(trace)

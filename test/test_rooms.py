@@ -45,9 +45,10 @@ ROOMS = {
     "core": Room((*ROS, "cv2", "serial", "click", "rich", "matplotlib", "plotly"), only=()),
     "devices": Room(ROS, only=("core.errors", "core.files")),
     "sim": Room(ROS, only=("core.arm", "core.errors", "core.files", "devices")),
-    "sessions": Room((*ROS, "nodes", "devices", "sim", "report", "cli")),
-    "report": Room((*ROS, "nodes", "devices", "sim", "cli")),
-    "nodes": Room(("cli", "report", "studies", "bench", "scipy", "torch")),
+    "sessions": Room((*ROS, "nodes", "devices", "sim", "report", "workflows", "cli")),
+    "report": Room((*ROS, "nodes", "devices", "sim", "workflows", "cli")),
+    "workflows": Room((*ROS, "click", "rich"), only=("core", "sessions", "report")),
+    "nodes": Room(("cli", "report", "workflows", "studies", "bench", "scipy", "torch")),
 }
 
 MATHS = {
@@ -58,11 +59,10 @@ MATHS = {
 
 @dataclass(frozen=True)
 class Import:
-    """One import: where, of what, and whether loading the module carries it out."""
+    """One import, for types alone too: where, of what, whether within a function."""
 
     line: int
     name: str
-    typing_only: bool
     in_function: bool
 
 
@@ -78,13 +78,6 @@ def imports(source: str, module: str, known: frozenset[str]) -> Iterator[Import]
     ends in ``.__init__`` for a package's own file, so that relative imports come out right.
     """
     tree = ast.parse(source)
-    typing_only = {
-        id(inner)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
-        for statement in node.body
-        for inner in ast.walk(statement)
-    }
     in_function = {
         id(inner)
         for node in ast.walk(tree)
@@ -104,7 +97,7 @@ def imports(source: str, module: str, known: frozenset[str]) -> Iterator[Import]
         elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
             names = [a.value for a in node.args if isinstance(a, ast.Constant)]
         for name in names:
-            yield Import(node.lineno, name, id(node) in typing_only, id(node) in in_function)
+            yield Import(node.lineno, name, id(node) in in_function)
 
 
 def maths(source: str) -> Iterator[tuple[int, str]]:
@@ -163,8 +156,8 @@ def reach(graph: dict[str, set[str]], start: str) -> set[str]:
 @cache
 def sources() -> dict[str, Path]:
     """Module name -> file; a package's own file under ``name.__init__``."""
-    files = sorted((ROOT / PACKAGE).rglob("*.py"))
-    return {".".join(file.relative_to(ROOT).with_suffix("").parts): file for file in files}
+    files = [file for folder in (PACKAGE, "bench") for file in (ROOT / folder).rglob("*.py")]
+    return {".".join(file.relative_to(ROOT).with_suffix("").parts): file for file in sorted(files)}
 
 
 @cache
@@ -182,7 +175,7 @@ def in_room(room: str) -> list[str]:
 
 @cache
 def graph() -> dict[str, set[str]]:
-    """The package's modules and what each needs of it.
+    """The modules of the package and of the benchmarks, and what each needs of them.
 
     An import within a function, of a neighbour in the same folder, does not count: a record's own
     ``save`` may hand itself to the file format beside it.
@@ -191,9 +184,7 @@ def graph() -> dict[str, set[str]]:
         module.removesuffix(".__init__"): {
             entry.name
             for entry in read(module)
-            if entry.name in known()
-            and not entry.typing_only
-            and not (entry.in_function and neighbours(module, entry.name))
+            if entry.name in known() and not (entry.in_function and neighbours(module, entry.name))
         }
         for module in sources()
     }
@@ -240,6 +231,15 @@ def test_only_the_entry_point_imports_the_command_line() -> None:
     assert not callers
 
 
+def test_only_its_command_imports_the_benchmarks() -> None:
+    callers = {
+        name
+        for name in sources()
+        if below(name, (PACKAGE,)) and any(below(entry.name, ("bench",)) for entry in read(name))
+    }
+    assert callers == {f"{PACKAGE}.cli.bench"}
+
+
 @pytest.mark.parametrize(
     ("room", "source"),
     [
@@ -253,7 +253,11 @@ def test_only_the_entry_point_imports_the_command_line() -> None:
         ("sim", "from longarm_comp.core.effects.creep import Creep"),
         ("sim", "import importlib\nimportlib.import_module('longarm_comp.core.ik.solver')"),
         ("nodes", "import scipy.linalg"),
+        ("nodes", "from bench import arms"),
         ("report", "from longarm_comp.nodes.kinematics import Kinematics"),
+        ("workflows", "from longarm_comp.jobs.collect import collect"),
+        ("workflows", "def f():\n    import click"),
+        ("nodes", "from longarm_comp.workflows.train import train"),
     ],
 )
 def test_a_planted_import_is_found(room: str, source: str) -> None:

@@ -165,6 +165,20 @@ def test_servo_steps_gain_and_eccentricity() -> None:
     assert angle(lever(), eccentric, 0.2) == pytest.approx(expected)
 
 
+def test_a_servo_rounds_what_it_is_told_wherever_it_stands_in_the_list() -> None:
+    """0.27 rad is told as 0.3 rad; gain, zero and lost motion come after that."""
+    told = drives.ServoQuantisation(np.array([0.1]))
+    after = (
+        drives.JointGain(np.array([0.1])),
+        geometry.JointZero(np.array([0.04])),
+        drives.FrictionHysteresis(np.array([0.02])),
+    )
+    up = Context(np.array([[1.0]]))
+    for chain in ((told, *after), (*after, told)):
+        tip = TrueArm(lever(), chain).tip(np.array([0.27]), up)
+        assert np.arctan2(tip[2], tip[0]) == pytest.approx(0.3 * 1.1 + 0.04 - 0.02)
+
+
 def test_lengths_grow_with_temperature(twin: Arm) -> None:
     effect = geometry.ThermalGrowth(1e-4)
     weightless = twin.model_copy(update={"gravity_mps2": (0.0, 0.0, 0.0)})

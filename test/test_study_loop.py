@@ -10,7 +10,7 @@ import pytest
 
 from longarm_comp.cli.run import run as command_line
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.effects.catalogue import BY_NAME
+from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.errors import InputError
 from longarm_comp.sim.hidden.catalogue import hidden
 from longarm_comp.studies import loop
@@ -94,7 +94,7 @@ def test_geometry_errors_are_not_visible_effects(arm):
 def test_truth_speaks_the_words_of_the_library(arm, name):
     """Places and parameters of the simulator's effect are ones that the library's effect has."""
     effect = hidden(name, arm, 1.0, np.random.default_rng(1))
-    terms = BY_NAME[name].for_arm(arm)
+    terms = BUILT_IN[name].for_arm(arm)
     assert places(effect, arm) <= {t.where for t in terms}
     known = {(t.where if t.where in places(effect, arm) else "arm", p.name) for t in terms
              for p in t.declared()}  # fmt: skip

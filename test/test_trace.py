@@ -11,7 +11,7 @@ import pytest
 from longarm_comp.core.arm import angles, spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.effects.catalogue import BY_NAME
+from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
@@ -57,13 +57,13 @@ def valued(term: Effect, rng: np.random.Generator) -> Effect:
 
 def effects(arm: Arm, name: str) -> tuple[Effect, ...]:
     rng = np.random.default_rng(3)
-    terms = BY_NAME[name].for_arm(arm)
+    terms = BUILT_IN[name].for_arm(arm)
     return tuple(valued(t, rng) for t in terms if isinstance(t, Effect))
 
 
 def everything(arm: Arm) -> Model:
     """All arm-side effects at once."""
-    return Model(arm, tuple(e for name in sorted(BY_NAME) for e in effects(arm, name)))
+    return Model(arm, tuple(e for name in sorted(BUILT_IN) for e in effects(arm, name)))
 
 
 def evaluated(kernel: Kernel, call, q: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -123,12 +123,12 @@ def agree(model, layout, q, context, ways):
         np.testing.assert_allclose(made, want, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", sorted(BY_NAME))
+@pytest.mark.parametrize("name", sorted(BUILT_IN))
 def test_each_effect_traced_is_the_effect(arm, name):
     q, context = situation(arm)
     own = effects(arm, name)
     if not own:
-        assert not any(isinstance(t, Effect) for t in BY_NAME[name].for_arm(arm))
+        assert not any(isinstance(t, Effect) for t in BUILT_IN[name].for_arm(arm))
         return
     load = (LinkDeflection(),) if name != "link_deflection" else ()
     model, layout = Model(arm, own + load), Layout.of(context)

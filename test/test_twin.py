@@ -19,8 +19,8 @@ from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.prismatic_pitch import PrismaticPitch
 from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
 from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
-from longarm_comp.core.identify.calibrate import declared_model, errors, ladder
-from longarm_comp.core.identify.fit import fit, geometry
+from longarm_comp.core.identify.calibrate import declared_model, errors, geometry, ladder
+from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import read_csv

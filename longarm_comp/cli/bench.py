@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,8 @@ def command(names: tuple[str, ...], output: Path | None, listed: bool, as_json: 
 
     Without NAMES all are run, which takes about half an hour; kinematics, ssa, calibration, bags
     and so on (see --list) stand for all of their kind. Peers that are not installed give a row
-    without a ratio.
+    without a ratio. The benchmarks are not installed: this command needs a checkout of the
+    project.
 
     \b
     Examples:
@@ -36,8 +38,9 @@ def command(names: tuple[str, ...], output: Path | None, listed: bool, as_json: 
       longarm bench ik_single_vs_rtb_ik_lm_median --json
       longarm bench ros bags
     """
-    from longarm_comp.bench import catalogue, machine
-    from longarm_comp.bench.plot import draw
+    _find_benchmarks()
+    from bench import catalogue, machine
+    from bench.plot import draw
     from longarm_comp.core.files import atomic_path, write_text
 
     chosen = catalogue.chosen(names)
@@ -72,15 +75,31 @@ def command(names: tuple[str, ...], output: Path | None, listed: bool, as_json: 
         print_rows(f"Benchmarks on {title}", shown)
 
 
+def _find_benchmarks() -> None:
+    """Make the folder ``bench`` of a checkout importable: beside the package, else here.
+
+    Raises:
+        JobError: neither place has it.
+    """
+    from longarm_comp.core.errors import JobError
+
+    for root in (Path(__file__).resolve().parents[2], Path.cwd()):
+        if (root / "bench" / "catalogue.py").is_file():
+            if str(root) not in sys.path:
+                sys.path.append(str(root))
+            return
+    raise JobError("bench is run from a checkout of the project")
+
+
 def _measured(name: str) -> dict[str, Any]:
     """One row; what could not be measured says why, and the others go on."""
-    from longarm_comp.bench import catalogue, rows
+    from bench import catalogue, comparison
     from longarm_comp.core.errors import JobError
 
     try:
         return dict(catalogue.run(name))
     except JobError as error:
-        return rows.missing(name, "none", str(error))
+        return comparison.missing(name, "none", str(error))
 
 
 def _writable(folder: Path) -> None:

@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from longarm_comp.cli import options
-from longarm_comp.cli.output import error_row, note, print_json, print_rows, print_table, progress
+from longarm_comp.cli.output import note, print_json, print_rows, print_table, progress
 
 if TYPE_CHECKING:
-    from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.core.effects.effect import Bias, Effect
-    from longarm_comp.core.identify.fit import Fit
+    from longarm_comp.workflows.calibrate import Calibration, FittedParameter
 
 
 @click.command()
@@ -30,6 +28,7 @@ if TYPE_CHECKING:
 @click.option("--no-deflection", is_flag=True, help="Leave the declared beams stiff.")
 @click.option("--fraction", type=float, default=0.2, show_default=True, help="Rows held out.")
 @options.seed
+@options.effects
 @options.as_json
 def command(
     arm: Path,
@@ -51,51 +50,36 @@ def command(
       longarm calibrate arm.yaml samples.csv -o model.yaml
       longarm calibrate arm.yaml samples.csv --effect joint_compliance --effect bearing_tilt
     """
-    from longarm_comp import __version__
-    from longarm_comp.cli.inputs import admitted
     from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.core.data.holdout import blocked_split
-    from longarm_comp.core.identify.calibrate import ladder
-    from longarm_comp.core.identify.fit import fit
-    from longarm_comp.core.model.model_file import save_model, store
+    from longarm_comp.workflows.calibrate import calibrate, instances
 
     declared = Arm.load(arm)
-    chosen = [(name, _instances(name, declared)) for name in effects]
-    whole = admitted(session, declared)
-    train, held_out = blocked_split(whole, fraction, rng=seed)
-    steps = 5 + len(chosen)
+    chosen = [instances(name, declared, "--effect") for name in effects]
     with progress("calibrate") as show:
-        done = iter(range(steps))
-        rungs = ladder(
+        made = calibrate(
             declared,
-            train,
-            held_out,
-            chosen,
+            session,
+            effects=chosen,
             deflection=not no_deflection,
-            progress=lambda name: show(name, next(done) / steps),
+            fraction=fraction,
+            seed=seed,
+            note=note,
+            progress=show,
         )
-        show("all rows", (steps - 1) / steps)
-        final = fit(rungs[-1].model, whole)
-    provenance: dict[str, str | int | float] = {
-        "session_hash": whole.hash,
-        "session": whole.source,
-        "rows": len(final.session),
-        "seed": seed,
-        "longarm_comp": __version__,
-    }
-    save_model(output, store(final.model, final.standard_errors, provenance=provenance))
-    geometry = len(rungs) - len(chosen)
-    for before, rung in zip(rungs[geometry - 1 :], rungs[geometry:], strict=False):
-        if rung.held_out.rms >= before.held_out.rms:
-            note(f"{rung.name} did not lower the held-out error: better left out")
-    rows = [error_row(rung.name, rung.held_out) for rung in rungs]
+    made.save(output)
+    for name in made.not_helping:
+        note(f"{name} did not lower the held-out error: better left out")
+    rows, final = made.held_out.rows, made.fit
     if as_json:
-        print_json({"output": str(output), "held_out": rows, **_facts(final, whole.hash)})
+        print_json({"output": str(output), "held_out": rows, **_facts(made)})
         return
-    print_rows(f"Held-out errors ({len(held_out)} of {len(whole)} rows)", rows)
-    shown = [p for p in _parameters(final) if not p["geometry"]]
-    if shown:
-        cells = [(p["effect"], p["where"], p["name"], *_value(p)) for p in shown]
+    print_rows(f"Held-out errors ({made.held_out_rows} of {len(made.session)} rows)", rows)
+    cells = [
+        (p.effect, p.where, p.name, f"{p.value:.4g}", _interval(p), p.unit)
+        for p in made.parameters
+        if not p.geometry
+    ]
+    if cells:
         header = ("effect", "where", "parameter", "value", "95 % interval", "unit")
         print_table("Effects, fitted to all rows", header, cells)
     note(f"{len(final.outliers)} rows left out as outliers; model in {output}")
@@ -103,43 +87,17 @@ def command(
         note(f"the last step was not below a hundredth of the errors after {final.iterations}")
 
 
-def _instances(name: str, arm: Arm) -> tuple[Effect | Bias, ...]:
-    from longarm_comp.core.effects.catalogue import effect_class
-    from longarm_comp.core.errors import InputError
-
-    made = effect_class(name, "--effect").for_arm(arm)
-    if not made:
-        raise InputError("--effect", name, "no place on this arm", "an effect this arm can have")
-    return made
+def _interval(p: FittedParameter) -> str:
+    low, high = p.ci95
+    return f"{low:.4g} .. {high:.4g}"
 
 
-def _parameters(final: Fit) -> list[dict[str, Any]]:
-    return [
-        {
-            "effect": slot.owner.name,
-            "where": slot.owner.where,
-            "name": slot.parameter.name,
-            "value": value,
-            "unit": slot.parameter.unit,
-            "ci95": [value - 1.96 * se, value + 1.96 * se],
-            "geometry": slot.owner.geometry,
-        }
-        for slot, value, se in zip(
-            final.slots, final.model.values, final.standard_errors, strict=True
-        )
-    ]
-
-
-def _value(p: dict[str, Any]) -> tuple[str, str, str]:
-    low, high = p["ci95"]
-    return f"{p['value']:.4g}", f"{low:.4g} .. {high:.4g}", p["unit"]
-
-
-def _facts(final: Fit, session_hash: str) -> dict[str, Any]:
+def _facts(made: Calibration) -> dict[str, Any]:
+    final = made.fit
     return {
-        "parameters": _parameters(final),
+        "parameters": [vars(p) for p in made.parameters],
         "sigma_mm": 1e3 * final.sigma,
         "outliers": final.session.index[final.outliers],
         "converged": final.converged,
-        "session_hash": session_hash,
+        "session_hash": made.session.hash,
     }

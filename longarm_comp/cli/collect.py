@@ -14,7 +14,13 @@ from longarm_comp.cli.output import note, print_json, progress
 @options.arm
 @click.argument("poses", type=click.Path(path_type=Path), metavar="POSES")
 @options.output(None, "Bag folder to record.")
-@click.option("--both-sides", is_flag=True, help="Every pose from below and from above.")
+@click.option(
+    "--sides",
+    type=click.Choice(["plan", "random", "both"]),
+    default="plan",
+    show_default=True,
+    help="Joints arrive from: the plan's sides; sides drawn per joint; these and their opposites.",
+)
 @click.option("--repeats", default=0, show_default=True, help="Poses that come twice more.")
 @click.option("--in-order", is_flag=True, help="As in the file, not in random order.")
 @click.option("--sightings", default=5, show_default=True, help="Averaged at each pose.")
@@ -28,7 +34,7 @@ def command(
     arm: Path,
     poses: Path,
     output: Path,
-    both_sides: bool,
+    sides: str,
     repeats: int,
     in_order: bool,
     sightings: int,
@@ -41,30 +47,28 @@ def command(
 ) -> None:
     """Drive ARM through the plan POSES over ROS and record a session bag.
 
-    Per pose: a run-up from the planned side, rest, and the mean of several sightings. Ctrl-C
-    ends it; the bag then holds every complete visit, and --resume makes the others.
+    Per pose: a run-up of each joint from its side, rest, and the mean of several sightings.
+    Ctrl-C ends it; the bag then holds every complete visit, and --resume makes the others.
 
     \b
     Examples:
       longarm collect arm.yaml poses.csv -o session_1
-      longarm collect arm.yaml poses.csv -o session_1 --both-sides --repeats 10 --resume
+      longarm collect arm.yaml poses.csv -o session_1 --sides both --repeats 10 --resume
     """
     from longarm_comp.cli.signals import stop_on_signals
     from longarm_comp.core.arm.arm import Arm
+    from longarm_comp.core.data.plan import from_both_sides, with_random_sides
     from longarm_comp.jobs.client import ArmClient
     from longarm_comp.jobs.collect import Pace, collect
     from longarm_comp.jobs.measurement_schedule import visits
     from longarm_comp.sessions.poses import read_poses
 
     declared = Arm.load(arm)
-    todo = visits(
-        read_poses(poses, declared),
-        declared,
-        both_sides=both_sides,
-        repeats=repeats,
-        shuffle=not in_order,
-        seed=seed,
-    )
+    plan = read_poses(poses, declared)
+    other = {"random": with_random_sides, "both": from_both_sides}.get(sides)
+    if other is not None:
+        plan = other(declared, plan, seed)
+    todo = visits(plan, declared, repeats=repeats, shuffle=not in_order, seed=seed)
     pace = Pace(sightings=sightings, dwell_s=dwell, move_s=move)
     with (
         stop_on_signals() as stop,

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 @click.option("--position-only", is_flag=True, help="Leave the orientation free.")
 @click.option("--single-pass", is_flag=True, help="Correct once, as the paper does.")
 @options.output("commands.csv", "Joint commands to write.")
+@options.effects
 @options.as_json
 def command(
     arm: Path,
@@ -57,43 +58,40 @@ def command(
       longarm compensate arm.yaml 0.9 -0.1 0.2 --model model.yaml --predictor predictor.npz
       longarm compensate arm.yaml --targets targets.csv --model model.yaml --lock 7
     """
-    from longarm_comp.cli.inputs import physics, trained
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.compensation.compensate import Method
     from longarm_comp.core.errors import InputError, JobError
-    from longarm_comp.sessions.compensated import compensated
-    from longarm_comp.sessions.targets import Targets, read_targets, write_commands
+    from longarm_comp.sessions.targets import Targets, read_targets
+    from longarm_comp.workflows.compensate import compensate, fitting
+    from longarm_comp.workflows.inputs import load_predictor, physics
 
     declared = Arm.load(arm)
     if bool(numbers) == (targets is not None):
         raise InputError("compensate", "target", list(numbers), "X Y Z, or --targets FILE")
     base = physics(declared, model)
     wanted = read_targets(targets) if targets else Targets.one([_number(v) for v in numbers])
-    learned, deflection = trained(predictor, declared, model) if predictor else (None, True)
-    if method is None:
-        fits = Method.learned_beside(deflection=deflection) if learned else Method.DEFLECTION
-        method = fits.value
-    chosen = Method(method)
+    learned = load_predictor(predictor, declared, model) if predictor else None
+    chosen = fitting(learned) if method is None else Method(method)
     if chosen.learned and learned is None:
         raise InputError("compensate", "--predictor", "missing", f"a file for --method {method}")
-    if chosen.learned and chosen.physics != deflection:
-        fits = Method.learned_beside(deflection=deflection)
-        allowed = f"{fits.value}: as the predictor was trained"
+    if chosen.learned and chosen is not fitting(learned):
+        allowed = f"{fitting(learned).value}: as the predictor was trained"
         raise InputError("compensate", "--method", method, allowed)
-    commands = compensated(
+    made = compensate(
         base,
-        learned,
         wanted,
+        learned,
         method=chosen,
         seed=None if seed_q is None else _joints(seed_q, declared),
         locked=[int(v) if v.isdigit() else v for v in lock],
         position_only=position_only,
         single_pass=single_pass,
     )
-    write_commands(output, declared.n, commands)
+    made.save(output)
+    commands = made.lines()
     rows = [_row(c, declared.n) for c in commands]
     if as_json:
-        print_json({"output": str(output), "method": method, "commands": rows})
+        print_json({"output": str(output), "method": chosen.value, "commands": rows})
     elif len(rows) == 1 and commands[0].q is not None:
         print_rows(f"Command (in {output})", rows)
     failed = [c for c in commands if c.q is None]

@@ -22,6 +22,7 @@ STEPS = 6.0
 @options.seed
 @click.option("--no-network", is_flag=True, help="Train no network on what is left.")
 @options.output("diagnosis", "Folder to write.")
+@options.effects
 @options.as_json
 def command(
     arm: Path,
@@ -45,9 +46,9 @@ def command(
       longarm diagnose arm.yaml bag --model model.yaml -o diagnosis
     """
     from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.jobs.diagnose import Request, run
+    from longarm_comp.workflows.diagnose import diagnose_files
 
-    request = Request(Arm.load(arm), session, test, model, seed, not no_network)
+    declared = Arm.load(arm)
     with progress("diagnose") as show:
         done = iter(range(1, 1000))
 
@@ -55,7 +56,17 @@ def command(
             step = next(done)
             show(text, step / (step + STEPS))
 
-        report = run(request, output, say)
+        found = diagnose_files(
+            declared,
+            session,
+            output,
+            test=test,
+            model=model,
+            network=not no_network,
+            seed=seed,
+            progress=say,
+        )
+    report = found.report()
     if as_json:
         print_json({"output": str(output), **report})
         return

@@ -6,10 +6,12 @@ import math
 
 import click
 
+from longarm_comp.cli import options
 from longarm_comp.cli.output import print_json
 
 
 @click.command()
+@options.effects
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def command(as_json: bool) -> None:
     """Print the library of effects: parameters, units, priors, bounds, needed inputs.
@@ -18,6 +20,7 @@ def command(as_json: bool) -> None:
     Example:
       longarm effects
       longarm effects --json
+      longarm effects --effects my_effects.py
     """
     rows = catalogue()
     if as_json:
@@ -27,8 +30,8 @@ def command(as_json: bool) -> None:
 
 
 def catalogue() -> list[dict[str, object]]:
-    """One row per effect, read from the effects themselves."""
-    from longarm_comp.core.effects.catalogue import BY_NAME
+    """One row per effect, read from the effects themselves; those of others with their source."""
+    from longarm_comp.core.effects.catalogue import origin, registered
     from longarm_comp.core.effects.effect import Bias
 
     return [
@@ -36,6 +39,7 @@ def catalogue() -> list[dict[str, object]]:
             "effect": name,
             "side": "camera" if issubclass(kind, Bias) else "arm",
             "geometry": kind.geometry,
+            "from": origin(kind) or "longarm_comp",
             "meaning": " ".join((kind.__doc__ or "").split("\n\n")[0].split()),
             "needs": list(kind.needs),
             "parameters": [
@@ -49,7 +53,7 @@ def catalogue() -> list[dict[str, object]]:
                 for p in kind.declared()
             ],
         }
-        for name, kind in BY_NAME.items()
+        for name, kind in registered().items()
     ]
 
 
@@ -60,7 +64,9 @@ def markdown(rows: list[dict[str, object]]) -> str:
         parameters: list[dict[str, object]] = row["parameters"]  # type: ignore[assignment]
         needs: list[str] = row["needs"]  # type: ignore[assignment]
         told = "; ".join(map(_parameter, parameters)) or "none"
-        lines.append(f"| `{row['effect']}` | {row['meaning']} | {told} | {', '.join(needs)} |")
+        source = "" if row["from"] == "longarm_comp" else f" ({row['from']})"
+        cells = (f"`{row['effect']}`", f"{row['meaning']}{source}", told, ", ".join(needs))
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

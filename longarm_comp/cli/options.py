@@ -22,6 +22,34 @@ seed = click.option(
 as_json = click.option("--json", "as_json", is_flag=True, help="Print results as JSON.")
 
 
+def _load(_: click.Context, __: click.Parameter, files: tuple[Path, ...]) -> tuple[Path, ...]:
+    if files:
+        from longarm_comp.core.effects.catalogue import load_file
+
+        for file in files:
+            load_file(file)
+    return files
+
+
+def _effects(expose: bool) -> Decorator:
+    return click.option(
+        "--effects",
+        "effect_files",
+        type=_PATH,
+        multiple=True,
+        callback=_load,
+        expose_value=expose,
+        metavar="FILE",
+        help="Python file that defines further effects; it is executed. Repeat for more.",
+    )
+
+
+effects = _effects(expose=False)
+"""The files are executed before the command runs; the command does not see them."""
+effect_files = _effects(expose=True)
+"""The same, for a command that hands them on, as `effect_files`."""
+
+
 def output(default: str | None, what: str) -> Decorator:
     """``-o PATH``."""
     return click.option(

@@ -15,10 +15,6 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from longarm_comp.core.identify.calibrate import Errors
-
-ERROR_COLUMNS = ("mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_abs_z_mm", "variance_mm2")
-
 
 def note(text: str) -> None:
     """One line beside the results."""
@@ -47,13 +43,6 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[objec
         table.add_row(*(_cell(value) for value in row))
     width = None if sys.stdout.isatty() else 120
     Console(width=width).print(table)
-
-
-def error_row(name: str, errors: Errors) -> dict[str, Any]:
-    """One row of an error table, in millimetres, under the names of report.json."""
-    mm = (errors.mean, errors.rms, errors.p95, errors.max, errors.mean_abs_z)
-    values = [*(1e3 * v for v in mm), 1e6 * errors.variance]
-    return {"model": name, "n": errors.n, **dict(zip(ERROR_COLUMNS, values, strict=True))}
 
 
 def print_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:

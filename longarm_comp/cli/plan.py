@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import click
 
@@ -25,14 +26,14 @@ from longarm_comp.cli.output import note, print_json
 @options.as_json
 def command(
     arm: Path,
-    kind: str,
+    kind: Literal["grid", "sobol", "next"],
     count: int,
     report: Path | None,
     output: Path,
     seed: int,
     as_json: bool,
 ) -> None:
-    """Write N poses to measure ARM at, each with the side to approach it from.
+    """Write N poses to measure ARM at, each with the side that every joint arrives from.
 
     \b
     Examples:
@@ -40,20 +41,19 @@ def command(
       longarm plan arm.yaml --kind next -n 20 --report diagnosis -o poses.csv
     """
     from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.core.data.plan import grid, sobol
     from longarm_comp.core.errors import InputError
-    from longarm_comp.sessions.next_poses import read_next_poses
     from longarm_comp.sessions.poses import write_poses
+    from longarm_comp.workflows.plan import plan
 
     declared = Arm.load(arm)
     if (kind == "next") != (report is not None):
         raise InputError("plan", "--report", report, "a diagnosis folder with --kind next, only")
-    if report is not None:
-        plan = read_next_poses(report, declared, count)
+    if kind == "next":
+        made = plan(declared, count, report=report)
     else:
-        plan = {"grid": grid, "sobol": sobol}[kind](declared, count, seed)
-    write_poses(plan, output)
+        made = plan(declared, count, kind=kind, seed=seed)
+    write_poses(made, output)
     if as_json:
-        print_json({"output": str(output), "poses": plan.q, "approach": plan.approach})
+        print_json({"output": str(output), "poses": made.q, "approach": made.approach})
     else:
-        note(f"{len(plan)} poses in {output}")
+        note(f"{len(made)} poses in {output}")

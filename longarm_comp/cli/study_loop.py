@@ -51,7 +51,7 @@ def command(
       longarm study loop -o loop.jsonl --dask tcp://head:8786
     """
     from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.nodes.bringup import folder
+    from longarm_comp.share import folder
     from longarm_comp.studies.loop import run
     from longarm_comp.studies.loop_cases import NAMES, Design
     from longarm_comp.studies.loop_table import by_effect, failures, summary

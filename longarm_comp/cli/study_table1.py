@@ -46,7 +46,7 @@ def command(
 
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.files import write_text
-    from longarm_comp.nodes.bringup import folder
+    from longarm_comp.share import folder
     from longarm_comp.studies import table1_summary as summary
     from longarm_comp.studies.table1 import study
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import click
 
@@ -38,14 +39,15 @@ from longarm_comp.cli.output import note, print_json, progress
     "--device", help="torch device of the sparrow search, such as cuda; numpy if not given."
 )
 @options.seed
+@options.effects
 @options.as_json
 def command(
     arm: Path,
     session: Path,
     model: Path | None,
     output: Path,
-    init: str,
-    inputs: str,
+    init: Literal["ssa", "xavier"],
+    inputs: Literal["context", "joints"],
     ensemble: int,
     hidden: int | None,
     no_deflection: bool,
@@ -62,44 +64,29 @@ def command(
     """
     import numpy as np
 
-    from longarm_comp.cli.inputs import admitted, physics, physics_mark
     from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.core.identify.calibrate import Errors, errors
-    from longarm_comp.core.learn.ensemble import train
-    from longarm_comp.core.learn.predictor import Provenance
+    from longarm_comp.workflows.train import train
 
-    declared = Arm.load(arm)
-    base = physics(declared, model, not no_deflection)
-    whole = admitted(session, declared, None if model is None else base)
-    seen = whole.take(whole.seen)
-    residual = errors(base, seen)
-    origin = Provenance(
-        declared.hash,
-        whole.hash,
-        declared.joint_names,
-        physics_mark(model, not no_deflection),
-    )
     with progress("train") as show:
         made = train(
-            seen.q,
-            residual,
-            seen.context(),
+            Arm.load(arm),
+            session,
+            model=model,
+            deflection=not no_deflection,
             inputs=inputs,
             init=init,
-            seed=seed,
             ensemble=ensemble,
             hidden=hidden,
-            progress=lambda k, of: show(f"{k} of {of} networks", k / of),
-            provenance=origin,
+            seed=seed,
             device=device,
+            note=note,
+            progress=show,
         )
     made.save(output)
-    left = residual - made.predict(seen.q, seen.context()).error
-    before, after = Errors.of(residual), Errors.of(left)
     facts = {
         "output": str(output),
-        "samples": len(seen),
-        "training_mean_mm": {"before": 1e3 * before.mean, "after": 1e3 * after.mean},
+        "samples": made.samples,
+        "training_mean_mm": {"before": 1e3 * made.before.mean, "after": 1e3 * made.after.mean},
         "noise_mm": 1e3 * np.asarray(made.noise),
         "hidden": made.hidden,
         "inputs": list(made.encoding.names),
@@ -107,7 +94,4 @@ def command(
     if as_json:
         print_json(facts)
         return
-    note(
-        f"{len(seen)} samples: mean error {1e3 * before.mean:.2f} -> {1e3 * after.mean:.2f} mm on "
-        f"the training rows (judge it with evaluate); predictor in {output}"
-    )
+    note(f"{made.summary} (judge it with evaluate); predictor in {output}")

@@ -14,6 +14,7 @@ from longarm_comp.cli.output import note
 @options.arm
 @options.path_option("--model", "Calibrated model; else the arm as declared.")
 @options.path_option("--predictor", "Learned residual; else physics only.")
+@options.effect_files
 @click.option("--sim", is_flag=True, help="Simulated servos and cameras instead of hardware.")
 @click.option("--hidden", default="", help="Simulation: undeclared effects, 'backlash=2.0' (mm).")
 @click.option("--speed", default=1.0, help="Simulation: motion so many times faster.")
@@ -30,6 +31,7 @@ def command(
     arm: Path,
     model: Path | None,
     predictor: Path | None,
+    effect_files: tuple[Path, ...],
     sim: bool,
     hidden: str,
     speed: float,
@@ -59,6 +61,7 @@ def command(
         arm=arm,
         model=model,
         predictor=predictor,
+        effects=effect_files,
         sim=sim,
         namespace=namespace,
         config=config,

@@ -18,6 +18,7 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64, String
 
 from longarm_comp.core.arm.history import SAME_POSE
+from longarm_comp.core.data.rest_pose import JOINT_REST
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.measurement_schedule import Visit
@@ -25,7 +26,6 @@ from longarm_comp.jobs.recorder import Recorder
 from longarm_comp.sessions.bag import open_bag
 from longarm_comp.sessions.bag_segments import SegmentedBag
 from longarm_comp.sessions.message_types import message_types
-from longarm_comp.sessions.settled import JOINT_REST
 
 ROW_TOPIC, ROW_TYPE = "session_row", "std_msgs/msg/String"
 COMMAND_TOPIC = "joint_trajectory"
@@ -108,11 +108,10 @@ def collect(
 
 def _visit(client: ArmClient, visit: Visit, pace: Pace) -> int:
     """Drive to one pose and look; the number of sightings."""
-    path = np.array([visit.q] if visit.via is None else [visit.via, visit.q])
-    client.send(path, pace.move_s)
+    client.send(visit.path, pace.move_s)
     client.spin(0.05)  # the driver has taken it up when its joints move
     tolerance = np.full(client.arm.n, pace.tolerance)
-    now = client.arrive(path, tolerance, pace.dwell_s, pace.arrive_s)
+    now = client.arrive(visit.path, tolerance, pace.dwell_s, pace.arrive_s)
     return len(client.look(now + int(_FRESH_S * 1e9), pace.sightings, pace.look_s))
 
 
@@ -127,24 +126,25 @@ def visited(path: Path, todo: Sequence[Visit], client: ArmClient) -> set[int]:
     """Indices of the visits that a bag holds.
 
     Raises:
-        InputError: its poses are not those of these visits.
+        InputError: its poses, or the sides they were approached from, are not those of these
+            visits.
     """
-    planned = {visit.index: visit.q for visit in todo}
+    planned = {visit.index: visit.path for visit in todo}
     done: set[int] = set()
-    command = np.zeros(0)
+    command = np.zeros((0, client.arm.n))
     with open_bag(path) as reader:
         kept = [c for c in reader.connections if _last_name(c.topic) in _READ]
         for connection, _, raw in reader.messages(connections=kept) if kept else ():
             name = _last_name(connection.topic)
             message: Any = message_types().deserialize_cdr(raw, _READ[name])
             if name == COMMAND_TOPIC:
-                command = np.asarray(message.points[-1].positions)
+                command = np.array([point.positions for point in message.points])
                 continue
             index = int(json.loads(message.data)["index"])
-            q = planned.get(index)
-            if q is None or command.shape != q.shape or np.abs(command - q).max() > SAME_POSE:
+            way = planned.get(index)
+            if way is None or command.shape != way.shape or np.abs(command - way).max() > SAME_POSE:
                 allowed = "the plan, seed and options that it was begun with"
-                raise InputError(path, f"visit {index}", command, allowed)
+                raise InputError(path, f"visit {index}", command.tolist(), allowed)
             done.add(index)
     return done
 

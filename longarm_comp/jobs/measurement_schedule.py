@@ -1,4 +1,4 @@
-"""A plan of poses as visits in the order to drive them: both sides, repeats, random order."""
+"""A plan of poses as visits in the order to drive them: run-ups, repeats, random order."""
 
 from __future__ import annotations
 
@@ -7,11 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.plan import Plan
+from longarm_comp.core.arm.moves import run_up_lengths
+from longarm_comp.core.data.plan import Plan, with_room
 from longarm_comp.core.errors import InputError
-
-RUN_UP = 0.06
-"""Way of the last approach, as a share of each joint's range: longer than any play."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,32 +18,31 @@ class Visit:
 
     Attributes:
         index: its number in the session.
-        q: (n,) commanded joints, rad and m.
-        via: (n,) where the last approach begins; None: straight from where the arm is.
+        path: (k, n) commanded joints to stop at, rad and m: where the last approach begins,
+            if it has a side, and the pose to measure.
         repeat_id: number of the pose that is visited more than once, else -1.
         payload_kg: mass to carry, or None for as it is.
     """
 
     index: int
-    q: np.ndarray
-    via: np.ndarray | None
+    path: np.ndarray
     repeat_id: int = -1
     payload_kg: float | None = None
 
+    @property
+    def q(self) -> np.ndarray:
+        """(n,) joints of the pose to measure, rad and m."""
+        return self.path[-1]
+
 
 def visits(
-    plan: Plan,
-    arm: Arm,
-    *,
-    both_sides: bool = False,
-    repeats: int = 0,
-    shuffle: bool = True,
-    seed: int = 0,
+    plan: Plan, arm: Arm, *, repeats: int = 0, shuffle: bool = True, seed: int = 0
 ) -> list[Visit]:
     """The visits of a plan; the same arguments always give the same ones, as resuming needs.
 
+    A joint whose planned side has no room at its limit arrives from the other side.
+
     Args:
-        both_sides: every pose twice, from below and from above.
         repeats: this many poses, drawn, come twice more, anywhere in the session.
         shuffle: random order, so that time and pose are not confused.
         seed: of the drawing and the order.
@@ -56,22 +53,20 @@ def visits(
     if not 0 <= repeats <= len(plan):
         raise InputError("collect", "--repeats", repeats, f"0 to {len(plan)} (poses of the plan)")
     rng = np.random.default_rng(seed)
-    sides = [(-1, 1)] * len(plan) if both_sides else [(int(side),) for side in plan.approach]
-    made = [(pose, side) for pose in range(len(plan)) for side in sides[pose]]
     again = rng.permutation(len(plan))[:repeats]
-    made += [(int(pose), sides[pose][0]) for pose in again for _ in range(2)]
-    order = rng.permutation(len(made)) if shuffle else np.arange(len(made))
-    poses = [pose for pose, _ in made]
-    return [
-        _visit(plan, arm, k, *made[i], repeated=poses.count(made[i][0]) > 1)
-        for k, i in enumerate(order)
-    ]
-
-
-def _visit(plan: Plan, arm: Arm, index: int, pose: int, side: int, *, repeated: bool) -> Visit:
-    q = plan.q[pose]
-    via = None
-    if side:
-        via = np.clip(q - side * RUN_UP * (arm.upper - arm.lower), arm.lower, arm.upper)
-    payload = None if plan.payload_kg is None else float(plan.payload_kg[pose])
-    return Visit(index, q, via, pose if repeated else -1, payload)
+    rows = np.concatenate([np.arange(len(plan)), np.repeat(again, 2)])
+    order = rng.permutation(len(rows)) if shuffle else np.arange(len(rows))
+    first, pose, count = np.unique(
+        plan.q[rows], axis=0, return_index=True, return_inverse=True, return_counts=True
+    )[1:]
+    pose = pose.reshape(-1)
+    repeat_id = np.where(count > 1, first, -1)[pose]
+    sides = with_room(arm, plan.q, plan.approach)
+    start = plan.q - sides * run_up_lengths(arm)
+    made = []
+    for k, i in enumerate(order):
+        row = rows[i]
+        path = np.stack([start[row], plan.q[row]] if sides[row].any() else [plan.q[row]])
+        payload = None if plan.payload_kg is None else float(plan.payload_kg[row])
+        made.append(Visit(k, path, int(repeat_id[i]), payload))
+    return made

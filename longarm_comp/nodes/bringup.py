@@ -8,6 +8,7 @@ A program may bring the graph up for itself::
 
 from __future__ import annotations
 
+import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
@@ -19,29 +20,13 @@ from typing import Any
 from longarm_comp.core.arm.arm import read_yaml
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes.supervisor import Supervisor
+from longarm_comp.share import PACKAGE, folder
 
-PACKAGE = "longarm_comp"
 REAL = ("error_predictor", "kinematics", "servo_driver", "stereo_bridge")
 SIMULATED = ("simulated_arm", *REAL)
 
-_PATIENT = {"bus.reply_timeout_s": 0.2, "follower.silence_s": 2.0}
-"""Emulated servos share the computer with everything else and may be late."""
-
-
-def folder(name: str) -> Path:
-    """``config`` or ``launch``, as installed or in the source tree.
-
-    Raises:
-        InputError: neither is there.
-    """
-    places = (
-        Path(__file__).resolve().parents[2] / name,
-        Path(sys.prefix) / "share" / PACKAGE / name,
-    )
-    for place in places:
-        if (place / "servo_driver.yaml").is_file() or (name == "launch" and place.is_dir()):
-            return place
-    raise InputError("installation", name, "missing", " or ".join(map(str, places)))
+_PATIENT = {"bus.reply_timeout_s": 0.2, "follower.silence_s": 2.0, "patience_s": 60.0}
+"""Emulated servos start beside the driver, share the computer with everything and may be late."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +35,7 @@ class BringUp:
 
     Attributes:
         arm, model, predictor: files; without a model the arm is as declared.
+        effects: Python files that define further effects, executed by `kinematics`.
         sim: with the simulated arm instead of hardware.
         namespace: of the arm; empty: none.
         config: folder of parameter files that replace the package's own, ``<node>.yaml``.
@@ -62,6 +48,7 @@ class BringUp:
     arm: Path
     model: Path | None = None
     predictor: Path | None = None
+    effects: tuple[Path, ...] = ()
     sim: bool = False
     namespace: str = ""
     config: Path | None = None
@@ -94,7 +81,7 @@ class BringUp:
         servos = str(self.file("servo_driver").absolute())
         port = bus if self.sim else self.port
         per_node: dict[str, dict[str, Any]] = {
-            "kinematics": arm | _path("model", self.model),
+            "kinematics": arm | _path("model", self.model) | _paths("effects", self.effects),
             "error_predictor": arm
             | _path("model", self.model)
             | _path("predictor", self.predictor),
@@ -135,6 +122,10 @@ class BringUp:
 
 def _path(name: str, path: Path | None) -> dict[str, Any]:
     return {} if path is None else {name: str(path.absolute())}
+
+
+def _paths(name: str, paths: tuple[Path, ...]) -> dict[str, Any]:
+    return {name: os.pathsep.join(str(p.absolute()) for p in paths)} if paths else {}
 
 
 def _text(value: Any) -> str:

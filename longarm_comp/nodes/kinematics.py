@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 import time
@@ -21,6 +22,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.compensate import Method, Settling, Status
 from longarm_comp.core.compensation.online import CompensationOptions, StaleContext, compensate_now
+from longarm_comp.core.effects.catalogue import load_file
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.learn.expansion import Nearby
@@ -51,6 +53,7 @@ from longarm_interfaces.srv import Compensate
 PARAMS = (
     Param("arm", "", "arm.yaml: the declared arm"),
     Param("model", "", "model.yaml: the calibrated model; empty: the arm as declared"),
+    Param("effects", "", "Python files that define further effects, executed; : between paths"),
     Param("base_frame", "base", "frame that targets and measurements are given in"),
     Param(
         "method", "both", "what is compensated", choices=tuple(m.value for m in Method), live=True
@@ -60,6 +63,7 @@ PARAMS = (
     Param("max_passes", 10, "pseudo-target passes permitted", 1, 100),
     Param("max_correction_m", 0.05, "largest expected error that is corrected", 1e-6, 1.0),
     Param("position_only", False, "targets on target_pose leave the orientation free", live=True),
+    Param("run_up", True, "joints run up to their target where the model needs a side", live=True),
     Param("move_time_s", 0.5, "asked of the driver, which slows down to its limits", 0.0, 600.0),
     Param("predictor_timeout_s", 0.5, "no answer within it counts as no predictor", 0.01, 60.0),
     Param("context_max_age_s", 60.0, "older temperature, payload, tilt are stale", 0.1, 1e6),
@@ -88,6 +92,8 @@ class Kinematics(Node):
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__("kinematics", automatically_declare_parameters_from_overrides=True)
         p = declare(self, PARAMS)
+        for path in filter(None, p["effects"].split(os.pathsep)):
+            load_file(path)
         self._files = ModelFiles(p["arm"], p["model"])
         self._arm = self._files.arm
         self._base_frame = p["base_frame"]
@@ -179,10 +185,9 @@ class Kinematics(Node):
     def _serve(self, work: _Work) -> Told:
         """On the worker's thread: compute and send; the story is told after the answer."""
         told = work.told = self._answer(work.request)
-        if work.request.execute and told.status.success and told.outcome is not None:
-            self._trajectory.publish(
-                trajectory_message(self._arm, told.outcome.command, self._move_time_s)
-            )
+        if work.request.execute and told.status.success and told.arrival is not None:
+            points = told.arrival.move.points
+            self._trajectory.publish(trajectory_message(self._arm, points, self._move_time_s))
             work.sent = True
         return told
 
@@ -220,10 +225,11 @@ class Kinematics(Node):
         try:
             ask = None if client is None else partial(client.ask, deflection=options.method.physics)
             near = None if ask is None else Nearby(ask)  # mostly one call a target
-            outcome, context = compensate_now(loaded.model, near, target, **known)
+            arrival = compensate_now(loaded.model, near, target, **known)
         except NoAnswer as absent:
             client, why = None, f": {absent.reason}"
-            outcome, context = compensate_now(loaded.model, None, target, **known)
+            arrival = compensate_now(loaded.model, None, target, **known)
+        outcome = arrival.outcome
         return Told(
             request.target,
             request.position_only,
@@ -233,8 +239,7 @@ class Kinematics(Node):
             Provenance(
                 self._arm.hash, loaded.file_hash, "" if client is None else client.file_hash
             ),
-            outcome,
-            context,
+            arrival,
         )
 
     def _options(self) -> CompensationOptions:
@@ -242,6 +247,7 @@ class Kinematics(Node):
         return CompensationOptions(
             Method(self.get_parameter("method").value),
             replace(self._settling, single_pass=once) if once else self._settling,
+            run_up=bool(self.get_parameter("run_up").value),
         )
 
     def _start(self, request: Compensate.Request) -> np.ndarray:

@@ -23,6 +23,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.arrive import Arrival
 from longarm_comp.core.compensation.compensate import Compensation as Outcome
 from longarm_comp.core.compensation.compensate import Status
 from longarm_comp.core.errors import InputError, LongarmError
@@ -154,14 +155,14 @@ def _in_order(at: Mapping[str, float], names: list[str], arm: Arm, where: str) -
     return np.array([at[name] for name in arm.joint_names])
 
 
-def trajectory_message(arm: Arm, q: np.ndarray, move_time_s: float) -> JointTrajectory:
-    """One point, to be reached so long after now (stamp 0)."""
-    seconds = int(move_time_s)
-    point = JointTrajectoryPoint(
-        positions=[float(v) for v in q],
-        time_from_start=Duration(sec=seconds, nanosec=round((move_time_s - seconds) * 1e9)),
-    )
-    return JointTrajectory(joint_names=list(arm.joint_names), points=[point])
+def trajectory_message(arm: Arm, points: np.ndarray, move_time_s: float) -> JointTrajectory:
+    """Way-points (k, n), each to be reached so long after the one before (stamp 0: now)."""
+    made = JointTrajectory(joint_names=list(arm.joint_names))
+    for k, q in enumerate(points.tolist(), 1):
+        seconds, rest = divmod(k * move_time_s, 1.0)
+        time = Duration(sec=int(seconds), nanosec=round(rest * 1e9))
+        made.points.append(JointTrajectoryPoint(positions=q, time_from_start=time))
+    return made
 
 
 def trajectory_of(message: JointTrajectory) -> devices.JointTrajectory:
@@ -208,7 +209,7 @@ class Told:
 
     Attributes:
         asked, position_only: the request.
-        outcome: None where it was refused before any computation.
+        arrival: None where it was refused before any computation.
     """
 
     asked: PoseStamped
@@ -217,13 +218,17 @@ class Told:
     message: str
     method: str
     provenance: Provenance
-    outcome: Outcome | None = None
-    context: Context | None = None
+    arrival: Arrival | None = None
+
+    @property
+    def outcome(self) -> Outcome | None:
+        """What came of the computation."""
+        return None if self.arrival is None else self.arrival.outcome
 
 
 def compensation_message(told: Told, arm: Arm, base_frame: str, *, executed: bool) -> Compensation:
     """The whole story of one target; `executed`: the joints were sent to the arm."""
-    context = told.context or Context.empty()
+    context = Context.empty() if told.arrival is None else told.arrival.context
     sides = {float(side) for side in context.approach}
     made = Compensation(
         header=Header(stamp=told.asked.header.stamp, frame_id=base_frame),
@@ -235,6 +240,8 @@ def compensation_message(told: Told, arm: Arm, base_frame: str, *, executed: boo
         temperature_c=float(context.column("temperature_c", math.nan)),
         payload_kg=float(context.payload_kg(arm.payload.mass_kg if arm.payload else 0.0)),
         approach=int(sides.pop()) if len(sides) == 1 else 0,
+        approach_joints=[int(side) for side in context.approach],
+        travel=[float(way) for way in context.travel],
         arm_hash=told.provenance.arm,
         model_hash=told.provenance.model,
         predictor_hash=told.provenance.predictor,
@@ -251,8 +258,9 @@ def response_of(told: Told, arm: Arm, base_frame: str) -> Compensate.Response:
         success=told.status.success, status=int(told.status), message=told.message
     )
     _fill(made, told, arm, base_frame)
-    if told.status.success and told.outcome is not None:
+    if told.status.success and told.arrival is not None and told.outcome is not None:
         made.command = joints_message(arm, told.outcome.command, told.asked.header.stamp)
+        made.approach = [int(side) for side in told.arrival.move.side]
     return made
 
 
@@ -264,6 +272,8 @@ def _fill(made: Compensation | Compensate.Response, told: Told, arm: Arm, base_f
         made.predicted_error = vector_message([math.nan] * 3)
         return
     stamp = told.asked.header.stamp
+    if told.arrival is not None and told.arrival.move.run_up is not None:
+        made.run_up = joints_message(arm, told.arrival.move.run_up, stamp)
     made.ideal = joints_message(arm, outcome.ideal, stamp)
     made.predicted_error = vector_message(outcome.predicted_error)
     made.pseudo_target = PoseStamped(

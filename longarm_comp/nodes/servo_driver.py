@@ -20,6 +20,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.errors import LongarmError
 from longarm_comp.devices.servo_arm import Cycle, ServoArm
+from longarm_comp.devices.servo_bus import BusUnplugged, IncompleteReply
 from longarm_comp.devices.servo_config import BusConfig, FollowerConfig, ServoConfig
 from longarm_comp.devices.servo_follower import EventKind, FollowerState
 from longarm_comp.devices.servo_joint import JointConfig
@@ -33,6 +34,7 @@ PARAMS = (
     Param("rate_hz", 50.0, "cycles a second: read all servos, command all", 1.0, 500.0),
     Param("autostart", True, "configure and activate by itself, and again after a failure"),
     Param("retry_s", 1.0, "pause between two such attempts", 0.1, 60.0),
+    Param("patience_s", 5.0, "no servos at the start are an error only after it", 0.0, 600.0),
     PERIOD,
 )
 SECTIONS = {"bus": BusConfig, "joints": JointConfig, "follower": FollowerConfig}
@@ -53,7 +55,8 @@ class ServoDriver(LifecycleNode):
         self._active = False
         self._last: Cycle | None = None
         self._counts = {"trajectories": 0, "refused": 0, "incomplete cycles": 0}
-        self._fault = self._refusal = self._trouble = ""
+        self._fault = self._refusal = self._trouble = self._waiting = ""
+        self._patient_until = time.monotonic() + p["patience_s"]
         self._joint_states = graph.JOINT_STATES.publisher(self)
         graph.JOINT_TRAJECTORY.subscription(self, self._on_trajectory)
         graph.ESTOP.server(self, self._on_estop)
@@ -142,6 +145,12 @@ class ServoDriver(LifecycleNode):
         return self._arm
 
     def _failed(self, error: LongarmError) -> TransitionCallbackReturn:
+        starting = self._autostart and time.monotonic() < self._patient_until
+        if starting and isinstance(error, (BusUnplugged, IncompleteReply)):
+            if not self._waiting:
+                self.get_logger().info(f"waiting for the servos on {self._config.bus.port}")
+            self._waiting = str(error)
+            return FAILED
         if str(error) != self._fault:
             self.get_logger().error(str(error))
         self._fault = str(error)
@@ -222,7 +231,8 @@ class ServoDriver(LifecycleNode):
     def _bus_report(self) -> Report:
         facts: dict[str, object] = {"port": self._config.bus.port}
         if self._arm is None:
-            return Report(ERROR if self._fault else WARN, self._fault or "not configured", facts)
+            why = self._fault or self._waiting or "not configured"
+            return Report(ERROR if self._fault else WARN, why, facts)
         if self._arm.bus is not None:
             counters = self._arm.bus.counters
             facts |= {name: getattr(counters, name) for name in counters.__slots__}

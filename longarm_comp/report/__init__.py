@@ -6,11 +6,11 @@ from longarm_comp.report.detail import (
     Detail,
     Detectable,
     Input,
-    Rows,
+    SeenRows,
     SetSplit,
     SplitPose,
 )
-from longarm_comp.report.record import Report
+from longarm_comp.report.record import DiagnosisReport
 from longarm_comp.report.write import write_report
 
 __all__ = [
@@ -18,9 +18,9 @@ __all__ = [
     "Correlation",
     "Detail",
     "Detectable",
+    "DiagnosisReport",
     "Input",
-    "Report",
-    "Rows",
+    "SeenRows",
     "SetSplit",
     "SplitPose",
     "write_report",

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.report.detail import STAGES, Rows
+from longarm_comp.report.detail import STAGES, SeenRows
 
 MOST = 150
 """Arrows in one picture; of more rows, as many are taken evenly along the session."""
@@ -34,23 +34,23 @@ class Arrows:
     exaggeration: float
 
 
-def stages_of(rows: Rows) -> tuple[str, ...]:
+def stages_of(rows: SeenRows) -> tuple[str, ...]:
     """The stages that these rows have, in order."""
     return tuple(stage for stage in STAGES if stage in rows.errors_m)
 
 
-def points_of(rows: Rows) -> np.ndarray:
+def points_of(rows: SeenRows) -> np.ndarray:
     """(P, 3) every measured tip and every point of the centre-lines, m."""
     return np.concatenate([rows.measured_m, *rows.arms_m])
 
 
-def extent_m(rows: Rows) -> float:
+def extent_m(rows: SeenRows) -> float:
     """Largest side of the box around `points_of`."""
     points = points_of(rows)
     return float(np.ptp(points, axis=0).max()) if len(points) else 1.0
 
 
-def exaggeration(rows: Rows, stages: tuple[str, ...]) -> float:
+def exaggeration(rows: SeenRows, stages: tuple[str, ...]) -> float:
     """How much longer than true: the largest p95 of the stages comes to about 15 % of the scene."""
     lengths = [np.linalg.norm(rows.errors_m[stage], axis=1) for stage in stages]
     long = max((float(np.percentile(length, 95)) for length in lengths if len(length)), default=0.0)
@@ -61,7 +61,7 @@ def exaggeration(rows: Rows, stages: tuple[str, ...]) -> float:
     return float(decade * _ROUND[wanted / decade * (1 + 1e-9) >= _ROUND].max())
 
 
-def arrows(rows: Rows, stage: str, times: float) -> Arrows:
+def arrows(rows: SeenRows, stage: str, times: float) -> Arrows:
     """The arrows of a stage, `times` longer than true."""
     n = len(rows.index)
     taken = np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(int))

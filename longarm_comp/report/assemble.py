@@ -10,7 +10,7 @@ import numpy as np
 from longarm_comp import __version__
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.aliasing import Finding
+from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.evidence import key
@@ -39,8 +39,7 @@ def assemble(
         facts: further provenance for the page; ``session`` becomes its title.
     """
     tried = sizes(diagnosis)
-    structure, noise = diagnosis.structure, diagnosis.traced.noise
-    gain = diagnosis.proof.gain_ci95
+    structure, noise = diagnosis.structure, diagnosis.search.noise
     report = {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict,
@@ -66,7 +65,7 @@ def assemble(
                 for name, errors in diagnosis.proof.rows.items()
                 if name != "with_network" or diagnosis.network is not None
             ],
-            "before_after_ci95_mm": None if gain is None else [1e3 * g for g in gain],
+            "before_after_ci95_mm": [1e3 * g for g in diagnosis.proof.gain_ci95],
         },
         "next_poses": [
             [float(v) for v in q]
@@ -109,7 +108,7 @@ def _provenance(seed: int, data_sha256: str, uses: int) -> dict[str, Any]:
     }
 
 
-def _finding(diagnosis: Diagnosis, found: Finding) -> dict[str, Any]:
+def _finding(diagnosis: Diagnosis, found: EffectFinding) -> dict[str, Any]:
     places = {key(t) for t in found.terms}
     parameters = []
     for k, slot in enumerate(diagnosis.fit.slots):

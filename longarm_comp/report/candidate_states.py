@@ -6,11 +6,18 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from longarm_comp.core.identify.aliasing import Finding, without
+from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.candidates import Candidate
-from longarm_comp.core.identify.detectable import IMPLAUSIBLE, Smallest, detectable
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.evidence import columns_at, key, score
+from longarm_comp.core.identify.evidence import (
+    IMPLAUSIBLE,
+    Smallest,
+    columns_at,
+    detectable,
+    key,
+    marginal_without,
+    score,
+)
 from longarm_comp.core.identify.search_state import ODDS
 
 Label = tuple[str, str]
@@ -18,7 +25,8 @@ Label = tuple[str, str]
 
 def sizes(diagnosis: Diagnosis) -> tuple[Smallest, ...]:
     """Score and smallest visible size of all that is not in the model, on top of what is."""
-    return detectable(diagnosis.traced, [s.candidate for s in diagnosis.traced.last])
+    found = diagnosis.search
+    return detectable(found.fit, [s.candidate for s in found.last], found.threshold)
 
 
 def best_forms(tried: Sequence[Smallest]) -> dict[Label, Smallest]:
@@ -35,7 +43,7 @@ def candidate_rows(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> list[dict
     """Rows of ``candidates``: one per effect and place, best first, the untestable last."""
     rows = _chosen(diagnosis)
     first: dict[Label, float] = {}
-    for scored in diagnosis.traced.first:
+    for scored in diagnosis.search.first:
         at = label(scored.candidate)
         first[at] = max(scored.log_bayes_factor, first.get(at, -math.inf))
     for at, one in best_forms(tried).items():
@@ -57,12 +65,14 @@ def _row(at: Label, value: float | None, state: str, why: str) -> dict[str, Any]
 
 def _chosen(diagnosis: Diagnosis) -> dict[Label, dict[str, Any]]:
     """What the search added, each place against the model without it."""
-    traced = diagnosis.traced
-    columns = columns_at(traced.fit)
+    result = diagnosis.search
+    columns = columns_at(result.fit)
     made = {}
-    for term in traced.chosen:
+    for term in result.chosen:
         single = Candidate(term.name, (term,))
-        gain = score(traced.fit, without(traced, {key(term)}), single, columns).log_bayes_factor
+        gain = score(
+            result.fit, marginal_without(result.fit, columns, {key(term)}), single, columns
+        ).log_bayes_factor
         form = f", {_form(single)}" if single.form else ""
         state, why = "accepted", f"log Bayes factor {gain:.1f} on top of the rest{form}"
         if diagnosis.rolled_back:
@@ -77,15 +87,15 @@ def _chosen(diagnosis: Diagnosis) -> dict[Label, dict[str, Any]]:
 
 def _judged(diagnosis: Diagnosis, one: Smallest, first: float | None) -> tuple[str, str]:
     """State and reason of a candidate that is not in the model."""
-    traced, value = diagnosis.traced, one.log_bayes_factor
-    names = list(dict.fromkeys(t.name for t in traced.chosen))
-    need = traced.threshold
+    result, value = diagnosis.search, one.log_bayes_factor
+    names = list(dict.fromkeys(t.name for t in result.chosen))
+    need = result.threshold
     if one.candidate.name in names:
-        need = math.log(sum(s.candidate.name == one.candidate.name for s in traced.first)) + ODDS
+        need = math.log(sum(s.candidate.name == one.candidate.name for s in result.first)) + ODDS
     alike = [f for f in diagnosis.findings if one.candidate.name in f.names[1:]]
     if alike and _overlaps(alike[0], one.candidate):
         return "rejected", f"these data cannot tell it from {alike[0].name}, which was added"
-    if first is not None and first >= traced.threshold > value and names:
+    if first is not None and first >= result.threshold > value and names:
         by = " and ".join(names)
         return "rejected", f"explained by {by}: {first:.0f} before it was added, {value:.0f} after"
     if value >= need:
@@ -95,7 +105,7 @@ def _judged(diagnosis: Diagnosis, one: Smallest, first: float | None) -> tuple[s
     return "rejected", f"log Bayes factor {value:.1f}, needs {need:.1f}"
 
 
-def _overlaps(found: Finding, candidate: Candidate) -> bool:
+def _overlaps(found: EffectFinding, candidate: Candidate) -> bool:
     """Whether a look-alike sits at a place of the finding, or has no place of its own."""
     return bool(set(candidate.where) & set(found.where)) or "arm" in candidate.where
 

@@ -33,7 +33,7 @@ class Input:
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class SeenRows:
     """Rows of a session whose marker was seen: the hold-out, or those fitted.
 
     Attributes:
@@ -189,8 +189,8 @@ class Detail:
     title: str = "Diagnosis"
     joints: tuple[str, ...] = ()
     joint_units: tuple[str, ...] = ()
-    held_out: Rows | None = None
-    train: Rows | None = None
+    held_out: SeenRows | None = None
+    train: SeenRows | None = None
     before: str = "calibrated"
     after: str = "with_effects"
     guilty: tuple[str, ...] = ()

@@ -9,9 +9,8 @@ import numpy as np
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.candidates import Term
 from longarm_comp.core.identify.confirm import RESAMPLES
-from longarm_comp.core.identify.detectable import Smallest
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.evidence import key
+from longarm_comp.core.identify.evidence import Smallest, key
 from longarm_comp.core.identify.next_poses import NextPoses
 from longarm_comp.core.model.outline import outline
 from longarm_comp.report.candidate_states import best_forms
@@ -21,7 +20,7 @@ from longarm_comp.report.detail import (
     Detail,
     Detectable,
     Input,
-    Rows,
+    SeenRows,
     SetSplit,
     SplitPose,
 )
@@ -55,7 +54,7 @@ def detail(diagnosis: Diagnosis, tried: Sequence[Smallest], facts: Mapping[str, 
     )
 
 
-def _rows(diagnosis: Diagnosis, units: Sequence[str]) -> Rows:
+def _rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
     held = diagnosis.held_out
     shown = np.unique(np.linspace(0, len(held) - 1, min(ARMS, len(held))).astype(int))
     context = held.context()
@@ -63,7 +62,7 @@ def _rows(diagnosis: Diagnosis, units: Sequence[str]) -> Rows:
     stages = dict(diagnosis.proof.errors)
     if diagnosis.network is None:
         stages.pop("with_network", None)
-    return Rows(
+    return SeenRows(
         held.index,
         held.xyz,
         stages,
@@ -81,17 +80,15 @@ def inputs(session: Session, units: Sequence[str]) -> tuple[Input, ...]:
     return tuple(made)
 
 
-def _guilty(diagnosis: Diagnosis, rows: Rows) -> tuple[str, ...]:
-    """Inputs that the findings sit at or need, then those that the structure left depends on."""
+def _guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
+    """Inputs that the findings explain, then those that the structure left depends on."""
     commanded = list(diagnosis.arm.commanded)
     names: list[str] = []
     for found in diagnosis.findings:
         largest = sorted(found.terms, key=lambda t: -_size(diagnosis, t))
         for term in largest[:2]:
-            joint = term.placement.get("joint")
-            if joint in commanded:
-                names.append(f"q{commanded.index(joint) + 1}")
-        names += found.terms[0].needs
+            names += [f"q{commanded.index(j) + 1}" for j in term.joints if j in commanded]
+        names += found.terms[0].inputs
     names += diagnosis.structure.inputs
     known = [name for name in dict.fromkeys(names) if rows.input(name) is not None]
     return tuple(known[:GUILTY])

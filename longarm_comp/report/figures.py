@@ -29,7 +29,7 @@ class Table1Row(TypedDict):
     paper_mm: float | None
 
 
-class Rung(TypedDict):
+class LadderRow(TypedDict):
     """A rung of a ladder: held-out errors of one model, mm."""
 
     model: str
@@ -72,7 +72,7 @@ def table1_figure(
 
 
 def ladder_figure(
-    ladders: Mapping[str, Sequence[Rung]], path: str | os.PathLike[str], *, title: str = ""
+    ladders: Mapping[str, Sequence[LadderRow]], path: str | os.PathLike[str], *, title: str = ""
 ) -> Path:
     """Held-out errors from rung to rung, one panel a data set: mean, RMS and maximum.
 
@@ -128,7 +128,7 @@ def _paper_bar(axes: Axes, at: float, value: float, labelled: bool) -> None:
     axes.annotate(f"{value:.2f}", (at, value), (0, 4), textcoords="offset points", ha="center")
 
 
-def _ladder(panel: Axes, name: str, rungs: Sequence[Rung]) -> None:
+def _ladder(panel: Axes, name: str, rungs: Sequence[LadderRow]) -> None:
     at = np.arange(len(rungs))
     signs = (("mean", BLUE, "o"), ("RMS", ORANGE, "s"), ("max", GREEN, "^"))
     levels = np.array([_levels(rung) for rung in rungs])
@@ -144,7 +144,7 @@ def _ladder(panel: Axes, name: str, rungs: Sequence[Rung]) -> None:
     panel.set_xlim(0, 1.05 * float(levels.max()) or 1.0)
 
 
-def _levels(rung: Rung) -> tuple[float, float, float]:
+def _levels(rung: LadderRow) -> tuple[float, float, float]:
     return rung["mean_mm"], rung["rms_mm"], rung["max_mm"]
 
 

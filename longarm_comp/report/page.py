@@ -13,7 +13,7 @@ from plotly.offline import get_plotlyjs
 from longarm_comp.report import tables
 from longarm_comp.report.arrows import MOST, exaggeration, stages_of
 from longarm_comp.report.detail import Detail
-from longarm_comp.report.record import Report
+from longarm_comp.report.record import DiagnosisReport
 from longarm_comp.report.scene import scene_json
 from longarm_comp.report.style import LOOKS
 
@@ -21,7 +21,7 @@ _FEW = 20
 """Candidates shown before the rest is folded away."""
 
 
-def page(report: Report, detail: Detail, plots: Mapping[str, bytes]) -> str:
+def page(report: DiagnosisReport, detail: Detail, plots: Mapping[str, bytes]) -> str:
     """The page as text.
 
     Args:

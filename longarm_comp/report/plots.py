@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from longarm_comp.report.arrows import arrows, exaggeration, points_of, stages_of
-from longarm_comp.report.detail import Correlation, Input, Rows
+from longarm_comp.report.detail import Correlation, Input, SeenRows
 from longarm_comp.report.style import FLOOR, GRID, INK, LOOKS, SKY
 
 _MM = 1e3
@@ -19,7 +19,7 @@ _MANY = 800
 """Above this many points, a cloud is drawn as pixels."""
 
 
-def distribution(rows: Rows, sigma_mm: tuple[float, float, float] | None) -> Figure:
+def distribution(rows: SeenRows, sigma_mm: tuple[float, float, float] | None) -> Figure:
     """Share of rows below an error, and the errors per axis, for every stage."""
     drawn = Figure(figsize=(9, 3.8))
     left, right = drawn.subplots(1, 2, width_ratios=(1.15, 1))
@@ -51,7 +51,7 @@ def distribution(rows: Rows, sigma_mm: tuple[float, float, float] | None) -> Fig
     return drawn
 
 
-def _boxes(axes: Axes, rows: Rows) -> None:
+def _boxes(axes: Axes, rows: SeenRows) -> None:
     stages = stages_of(rows)
     width = 0.8 / max(1, len(stages))
     for k, stage in enumerate(stages):
@@ -78,12 +78,12 @@ def _boxes(axes: Axes, rows: Rows) -> None:
 
 
 def against_input(
-    rows: Rows,
+    rows: SeenRows,
     entry: Input,
     before: str,
     after: str,
     sigma_mm: tuple[float, float, float] | None,
-    fitted: Rows | None = None,
+    fitted: SeenRows | None = None,
 ) -> Figure:
     """Errors over one input, one row of panels per axis, before on the left, after on the right.
 
@@ -125,7 +125,7 @@ def against_input(
     return drawn
 
 
-def _behind(panel: Axes, fitted: Rows | None, name: str, stage: str, axis: int) -> None:
+def _behind(panel: Axes, fitted: SeenRows | None, name: str, stage: str, axis: int) -> None:
     """The fitted rows, as far as they have that input and stage."""
     entry = fitted.input(name) if fitted is not None else None
     if fitted is None or entry is None or stage not in fitted.errors_m:
@@ -156,7 +156,7 @@ def _medians(values: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndar
     return centre, np.array([np.median(error[group]) for group in groups])
 
 
-def still_scene(rows: Rows, stages: tuple[str, ...]) -> Figure:
+def still_scene(rows: SeenRows, stages: tuple[str, ...]) -> Figure:
     """The residual arrows on the arm, one panel a stage, all with one exaggeration."""
     drawn = Figure(figsize=(9, 4.6))
     times = exaggeration(rows, stages)

@@ -1,4 +1,4 @@
-"""report.json: its shape, its check, its text. schema.json beside this file is `Report`'s."""
+"""report.json: its shape, its check, its text. schema.json is `DiagnosisReport`'s."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ DIGITS = 12
 """Significant digits of every number in report.json: the last bits differ between machines."""
 
 Verdict = Literal["noise", "named", "set", "partly", "unknown", "bad_data"]
-State = Literal["accepted", "rejected", "not_testable", "invisible"]
+CandidateState = Literal["accepted", "rejected", "not_testable", "invisible"]
 Stage = Literal["nominal", "frames_only", "calibrated", "with_effects", "with_network"]
 Interval = tuple[float, float]
 
 
-class _Part(BaseModel):
+class _Record(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class Parameter(_Part):
+class FindingParameter(_Record):
     """A value of an accepted effect, SI units unless `unit` says otherwise."""
 
     name: str
@@ -34,36 +34,36 @@ class Parameter(_Part):
     prior_scale: float | None = Field(gt=0)
 
 
-class RunnerUp(_Part):
+class RunnerUp(_Record):
     """The next best candidate beside the one accepted."""
 
     effect: str
     log_bayes_factor: float
 
 
-class Finding(_Part):
+class ReportFinding(_Record):
     """An effect that was added, or the set that it cannot be told apart from."""
 
     effect: str
     set: list[str]
     where: list[str]
     log_bayes_factor: float
-    parameters: list[Parameter]
+    parameters: list[FindingParameter]
     runner_up: RunnerUp | None
     compensated: bool
 
 
-class Candidate(_Part):
+class ReportCandidate(_Record):
     """One candidate that was tried, or could not be."""
 
     effect: str
     where: str
     log_bayes_factor: float | None
-    state: State
+    state: CandidateState
     why: str
 
 
-class StructureLeft(_Part):
+class StructureLeft(_Record):
     """Dependence on the inputs that no accepted effect explains."""
 
     flag: bool
@@ -73,7 +73,7 @@ class StructureLeft(_Part):
     size_mm: float | None = Field(ge=0)
 
 
-class Noise(_Part):
+class ReportNoise(_Record):
     """Standard deviation per axis, and correlation from one row to the next."""
 
     sigma_mm: tuple[float, float, float] | None
@@ -81,7 +81,7 @@ class Noise(_Part):
     rho: float | None = Field(ge=-1, le=1)
 
 
-class ErrorRow(_Part):
+class ErrorRow(_Record):
     """Errors of one model on the hold-out."""
 
     model: Stage
@@ -94,7 +94,7 @@ class ErrorRow(_Part):
     excess_mm: float = Field(ge=0)
 
 
-class HeldOut(_Part):
+class HeldOut(_Record):
     """The proof on rows that no fit saw."""
 
     n: int = Field(ge=0)
@@ -102,14 +102,14 @@ class HeldOut(_Part):
     before_after_ci95_mm: Interval | None
 
 
-class Outlier(_Part):
+class Outlier(_Record):
     """A row that was left out, and why."""
 
     index: int
     why: str
 
 
-class Provenance(_Part):
+class ReportProvenance(_Record):
     """What is needed to repeat the diagnosis to the byte."""
 
     seed: int
@@ -118,37 +118,37 @@ class Provenance(_Part):
     holdout_uses: int = Field(ge=0)
 
 
-class Report(_Part):
+class DiagnosisReport(_Record):
     """A diagnosis, as report.json holds it."""
 
     schema_: Literal["longarm/diagnosis/1"] = Field(alias="schema")
     verdict: Verdict
     summary: str = Field(min_length=1)
-    findings: list[Finding]
-    candidates: list[Candidate]
+    findings: list[ReportFinding]
+    candidates: list[ReportCandidate]
     structure_left: StructureLeft
-    noise: Noise
+    noise: ReportNoise
     held_out: HeldOut
     next_poses: list[list[float]]
     outliers: list[Outlier]
-    provenance: Provenance
+    provenance: ReportProvenance
 
 
-def checked(report: dict[str, Any]) -> Report:
-    """The dict as a `Report`.
+def checked(report: dict[str, Any]) -> DiagnosisReport:
+    """The dict as a `DiagnosisReport`.
 
     Raises:
         InputError: a key is missing or unknown, a value of the wrong kind, a number not finite.
     """
     try:
-        return Report.model_validate(report)
+        return DiagnosisReport.model_validate(report)
     except ValidationError as error:
         fault = error.errors(include_url=False)[0]
         field = ".".join(str(part) for part in fault["loc"]) or "report"
         raise InputError("report.json", field, fault["input"], _allowed(fault)) from error
 
 
-def text(report: Report) -> str:
+def text(report: DiagnosisReport) -> str:
     """report.json: keys in the order of the schema, numbers to `DIGITS` digits."""
     plain = report.model_dump(mode="json", by_alias=True)
     return json.dumps(_rounded(plain), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
@@ -158,7 +158,7 @@ def schema_text() -> str:
     """The JSON schema that report/schema.json holds."""
     schema = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **Report.model_json_schema(by_alias=True),
+        **DiagnosisReport.model_json_schema(by_alias=True),
     }
     return json.dumps(schema, indent=2) + "\n"
 
@@ -181,7 +181,7 @@ def _allowed(fault: Any) -> str:
 
 def _known(path: tuple[int | str, ...]) -> list[str]:
     """Keys that the schema has at `path`."""
-    schema = Report.model_json_schema(by_alias=True)
+    schema = DiagnosisReport.model_json_schema(by_alias=True)
     node = schema
     for step in path:
         inner = node.get("items", {}) if isinstance(step, int) else node["properties"][step]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.report.arrows import Arrows, arrows, exaggeration, extent_m, stages_of
-from longarm_comp.report.detail import Rows
+from longarm_comp.report.detail import SeenRows
 from longarm_comp.report.style import LOOKS
 
 _ARM = "#8a8a8a"
@@ -20,7 +20,7 @@ _POINTS = 10
 """Points of the broken line that is one arrow."""
 
 
-def scene_json(rows: Rows, shown: str) -> str:
+def scene_json(rows: SeenRows, shown: str) -> str:
     """A plotly figure as JSON, safe to stand in a script element.
 
     Every stage has its arrows twice: at a scale of its own, and at one for all stages. `meta`

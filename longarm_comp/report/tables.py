@@ -10,7 +10,13 @@ from scipy import stats
 
 from longarm_comp.report.arrows import stages_of
 from longarm_comp.report.detail import Correlation, Detail, SetSplit, SplitPose
-from longarm_comp.report.record import Candidate, Finding, Noise, Parameter, Report
+from longarm_comp.report.record import (
+    DiagnosisReport,
+    FindingParameter,
+    ReportCandidate,
+    ReportFinding,
+    ReportNoise,
+)
 from longarm_comp.report.style import FLOOR, LOOKS
 
 DASH = "–"
@@ -87,13 +93,13 @@ def interval(pair: tuple[float, float] | None) -> str:
     return DASH if pair is None else f"{number(pair[0])} to {number(pair[1])}"
 
 
-def headline(report: Report) -> str:
+def headline(report: DiagnosisReport) -> str:
     """The verdict in a few words: its name and what was found."""
     found = [" or ".join(finding.set or [finding.effect]) for finding in report.findings]
     return ": ".join(filter(None, (VERDICTS[report.verdict][0], ", ".join(found))))
 
 
-def error_lines(report: Report, detail: Detail) -> list[ErrorLine]:
+def error_lines(report: DiagnosisReport, detail: Detail) -> list[ErrorLine]:
     """The before/after table, the noise floor last."""
     marked = {detail.before: "before", detail.after: "after"}
     lines = [
@@ -126,7 +132,7 @@ def fitted_lines(detail: Detail) -> list[ErrorLine]:
     return lines
 
 
-def _floor(noise: Noise, n: int) -> list[ErrorLine]:
+def _floor(noise: ReportNoise, n: int) -> list[ErrorLine]:
     """What Gaussian noise alone would show: lengths as if alike on all axes, max the median one."""
     if noise.sigma_mm is None or n == 0:
         return []
@@ -144,7 +150,7 @@ def _mm(*values: float) -> tuple[str, ...]:
     return tuple(f"{value:.3f}" if value < 100 else f"{value:.1f}" for value in values)
 
 
-def parameter_lines(report: Report, detail: Detail) -> list[ParameterLine]:
+def parameter_lines(report: DiagnosisReport, detail: Detail) -> list[ParameterLine]:
     """Every parameter of every finding."""
     return [
         _parameter_line(finding, parameter, detail)
@@ -153,7 +159,9 @@ def parameter_lines(report: Report, detail: Detail) -> list[ParameterLine]:
     ]
 
 
-def _parameter_line(finding: Finding, parameter: Parameter, detail: Detail) -> ParameterLine:
+def _parameter_line(
+    finding: ReportFinding, parameter: FindingParameter, detail: Detail
+) -> ParameterLine:
     remark = detail.plausibility.get((finding.effect, parameter.where, parameter.name))
     return ParameterLine(
         finding.effect,
@@ -168,13 +176,13 @@ def _parameter_line(finding: Finding, parameter: Parameter, detail: Detail) -> P
     )
 
 
-def _zero(parameter: Parameter) -> str:
+def _zero(parameter: FindingParameter) -> str:
     if parameter.ci95 is None:
         return DASH
     return "no" if parameter.ci95[0] <= 0 <= parameter.ci95[1] else "yes"
 
 
-def _size(parameter: Parameter) -> str:
+def _size(parameter: FindingParameter) -> str:
     """The value against the tolerance that was expected before looking."""
     if parameter.prior_scale is None:
         return "no prior scale"
@@ -183,10 +191,10 @@ def _size(parameter: Parameter) -> str:
     return f"{verdict}: {times:.1f} × prior scale"
 
 
-def candidate_lines(report: Report) -> list[CandidateLine]:
+def candidate_lines(report: DiagnosisReport) -> list[CandidateLine]:
     """Every candidate, best score first, those without a score last."""
 
-    def order(entry: Candidate) -> tuple[float, str, str]:
+    def order(entry: ReportCandidate) -> tuple[float, str, str]:
         score = entry.log_bayes_factor
         return (float("inf") if score is None else -score, entry.effect, entry.where)
 

@@ -12,7 +12,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path, write_text
 from longarm_comp.report import plots, record, style, tables
 from longarm_comp.report.arrows import stages_of
-from longarm_comp.report.detail import Detail, Rows
+from longarm_comp.report.detail import Detail, SeenRows
 from longarm_comp.report.page import against, page, still_stages
 
 _SAME_MM = 1e-6
@@ -50,7 +50,7 @@ def write_report(report: dict[str, Any], detail: Detail, folder: str | os.PathLi
     return target / "report.html"
 
 
-def _drawn(report: record.Report, detail: Detail) -> dict[str, bytes]:
+def _drawn(report: record.DiagnosisReport, detail: Detail) -> dict[str, bytes]:
     """Name -> SVG of every still figure that this diagnosis has."""
     figures = {}
     rows = detail.held_out
@@ -84,11 +84,11 @@ def _drawn(report: record.Report, detail: Detail) -> dict[str, bytes]:
         return {name: style.svg(figure) for name, figure in figures.items()}
 
 
-def _names(rows: Rows) -> str:
+def _names(rows: SeenRows) -> str:
     return ", ".join(entry.name for entry in rows.inputs)
 
 
-def _agree(report: record.Report, detail: Detail) -> None:
+def _agree(report: record.DiagnosisReport, detail: Detail) -> None:
     """The table and the drawings tell of the same errors."""
     rows = detail.held_out
     if rows is None:

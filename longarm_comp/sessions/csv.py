@@ -58,7 +58,7 @@ def read_csv(path: str | Path, arm: Arm, joint_columns: Sequence[str] | None = N
         q=np.stack([table.numbers(name, "rad or m") for name in joints], axis=-1),
         xyz=_measured(table),
         index=table.integers("index") if "index" in table.cells else None,
-        approach=_approach(table, arm.n),
+        approach=read_approach(table, arm.n),
         repeat_id=table.integers("repeat_id", -1) if "repeat_id" in table.cells else None,
         sigma=_sigma(table),
         columns=columns,
@@ -110,9 +110,13 @@ def recorded_besides(
     return columns, labels
 
 
+def approach_names(n: int) -> tuple[str, ...]:
+    """``approach_q1..qn``."""
+    return tuple(f"approach_{name}" for name in joint_names(n))
+
+
 def _known(n: int) -> tuple[str, ...]:
-    per_joint = tuple(f"approach_{name}" for name in joint_names(n))
-    return (*XYZ, *_INDEX, *UNITS, *SIGMA, *_COVARIANCE, *LABELS, *per_joint)
+    return (*XYZ, *_INDEX, *UNITS, *SIGMA, *_COVARIANCE, *LABELS, *approach_names(n))
 
 
 def _free(header: Sequence[str], joint_columns: Sequence[str] | None) -> set[str]:
@@ -139,11 +143,17 @@ def _measured(table: Table) -> np.ndarray:
     return np.stack([table.numbers(name, "m", blanks=True) for name in XYZ], axis=-1)
 
 
-def _approach(table: Table, n: int) -> np.ndarray | None:
+def read_approach(table: Table, n: int) -> np.ndarray | None:
+    """Sides as a table has them: (N,) for all joints, (N, n) per joint, or None.
+
+    Raises:
+        InputError: both, or another number than -1, 0, +1.
+    """
+
     def side(value: float) -> bool:
         return value in (-1.0, 0.0, 1.0)
 
-    per_joint = [f"approach_{name}" for name in joint_names(n)]
+    per_joint = approach_names(n)
     if "approach" in table.cells:
         common = table.numbers("approach", "+1 from below, -1 from above", True, side)
         if not any(name in table.cells for name in per_joint):
@@ -173,6 +183,4 @@ def _written_approach(session: Session) -> dict[str, Sequence[object] | np.ndarr
     common = np.where(alike, session.approach[:, 0], 0)
     if (recorded(session.q, session.index, common).approach == session.approach).all():
         return {"approach": [None if side == 0 else side for side in common]}
-    return {
-        f"approach_{name}": session.approach[:, j] for j, name in enumerate(joint_names(session.n))
-    }
+    return dict(zip(approach_names(session.n), session.approach.T, strict=True))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from functools import lru_cache
 from pathlib import Path
 
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
+
+from longarm_comp.share import interface_folders
 
 INTERFACES = "longarm_interfaces"
 
@@ -24,12 +25,8 @@ def message_types() -> Typestore:
 
 def interface_files() -> list[Path]:
     """The .msg files of `longarm_interfaces`: installed, in an overlay, or in the source tree."""
-    places = [Path(sys.prefix) / "share", Path(__file__).resolve().parents[2]]
-    for entry in map(Path, sys.path):
-        if entry.name in ("site-packages", "dist-packages") and len(entry.parents) > 2:
-            places.insert(0, entry.parents[2] / "share")  # prefix/lib/pythonX.Y/site-packages
-    for place in places:
-        found = sorted((place / INTERFACES / "msg").glob("*.msg"))
+    for place in interface_folders(INTERFACES, "msg"):
+        found = sorted(place.glob("*.msg"))
         if found:
             return found
     return []

@@ -1,4 +1,7 @@
-"""A plan as a CSV file (poses.csv): ``index,approach,q1..qn[,payload_kg]``."""
+"""A plan as a CSV file (poses.csv): ``index,approach,q1..qn[,payload_kg]``.
+
+Where the joints of a pose arrive from different sides, ``approach_q1..qn`` stand for ``approach``.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.errors import InputError
-from longarm_comp.sessions.csv import joint_names
+from longarm_comp.sessions.csv import approach_names, joint_names, read_approach
 from longarm_comp.sessions.names import check_header
 from longarm_comp.sessions.table import read_table, write_table
 
@@ -21,7 +24,7 @@ def write_poses(plan: Plan, path: str | Path) -> None:
     """Write a plan, whole or not at all."""
     columns: dict[str, Sequence[object] | np.ndarray] = {
         "index": range(len(plan)),
-        "approach": [None if side == 0 else int(side) for side in plan.approach],
+        **_written_approach(plan),
         **{name: plan.q[:, j] for j, name in enumerate(joint_names(plan.q.shape[1]))},
     }
     if plan.payload_kg is not None:
@@ -29,15 +32,22 @@ def write_poses(plan: Plan, path: str | Path) -> None:
     write_table(path, list(columns), zip(*columns.values(), strict=True))
 
 
+def _written_approach(plan: Plan) -> dict[str, Sequence[object] | np.ndarray]:
+    """One column where all joints of every pose arrive from one side, else one per joint."""
+    if (plan.approach == plan.approach[:, :1]).all():
+        return {"approach": [None if side == 0 else int(side) for side in plan.approach[:, 0]]}
+    return dict(zip(approach_names(plan.q.shape[1]), plan.approach.T, strict=True))
+
+
 def read_poses(path: str | Path, arm: Arm) -> Plan:
-    """Read a plan for an arm; a blank approach is 0, from wherever the arm comes.
+    """Read a plan for an arm; a blank or 0 approach is from wherever the arm comes.
 
     Raises:
         InputError: a column is missing or unknown, a pose lies outside the joint limits.
     """
     table = read_table(path)
     joints = joint_names(arm.n)
-    known = ("index", "approach", "payload_kg", *joints)
+    known = ("index", "approach", "payload_kg", *approach_names(arm.n), *joints)
     check_header(table.where, table.header, joints)
     for name in table.header:
         if name not in known:
@@ -48,9 +58,7 @@ def read_poses(path: str | Path, arm: Arm) -> Plan:
     ):
         limits = f"{arm.lower[j]:.6g} to {arm.upper[j]:.6g} (limits of {arm.joint_names[j]})"
         raise table.error(row, joints[j], limits)
-    approach = np.zeros(len(table))
-    if "approach" in table.cells:
-        sides = table.numbers("approach", "+1 or -1", True, lambda v: v in (-1.0, 0.0, 1.0))
-        approach = np.nan_to_num(sides)
+    sides = read_approach(table, arm.n)
+    approach = np.zeros(len(table)) if sides is None else np.nan_to_num(sides)
     payload = table.numbers("payload_kg", "kg") if "payload_kg" in table.cells else None
-    return Plan(np.clip(q, arm.lower, arm.upper), approach.astype(int), payload)
+    return Plan(np.clip(q, arm.lower, arm.upper), approach, payload)

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-JOINT_REST = 2e-3
-"""Joints (rad, m) this close to where they end are at rest."""
+from longarm_comp.core.data.rest_pose import JOINT_REST
+
 TIP_REST_M = 3e-3
 """A sighting this close to where the sightings end shows the arm at rest."""
 REST_S = 0.1

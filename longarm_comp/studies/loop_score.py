@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.catalogue import BY_NAME, LIBRARY
+from longarm_comp.core.effects.catalogue import BUILT_IN, LIBRARY
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.identify.aliasing import ALIASES, Finding
-from longarm_comp.core.identify.calibrate import declared_model
+from longarm_comp.core.identify.aliasing import EffectFinding
+from longarm_comp.core.identify.calibrate import declared_model, geometry
 from longarm_comp.core.identify.candidates import Term, library
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.evidence import Score
-from longarm_comp.core.identify.fit import Fit, fit, geometry
+from longarm_comp.core.identify.fit import ModelFit, fit
 from longarm_comp.core.model.model import Model
 from longarm_comp.studies.loop_setting import Setting
 from longarm_comp.studies.loop_truth import places, values
@@ -27,8 +27,12 @@ ALIKE = 10.0
 With noise the log likelihood of such a pair differs by 10 +- 4.5: within the 3 that the
 diagnosis calls undecided about once in twenty times.
 """
-TWINS = (*ALIASES, frozenset({"backlash", "friction_hysteresis"}))
-"""Names of the same physics: play that the load decides nowhere is friction's lost motion."""
+TWINS = tuple(
+    frozenset({kind.name, other})
+    for kind in LIBRARY
+    for other in (*kind.aliases, *kind.limit_aliases)
+)
+"""Pairs of names of the same physics, as the effects declare them."""
 SHOWN = 4
 
 
@@ -38,7 +42,9 @@ def score(setting: Setting, found: Diagnosis) -> dict[str, Any]:
     names = [set(f.names) for f in found.findings]
     best = true_fit(setting) if _knowable(setting) else None
     errors = _errors(setting, found, best)
-    said = [n | {p.name for p in f.parts} for n, f in zip(names, found.findings, strict=True)]
+    said = [
+        n | {p.name for p in f.partial_aliases} for n, f in zip(names, found.findings, strict=True)
+    ]
     covered = all(any(t in n for n in said) for t in true)
     sets = [f for f in found.findings if f.alternatives]
     meant = true.union(*(family for family in TWINS if family & true))
@@ -48,7 +54,7 @@ def score(setting: Setting, found: Diagnosis) -> dict[str, Any]:
         "visible": [round(v, 3) for v in setting.visible],
         "found": [list(f.names) for f in found.findings],
         "where": [list(f.where) for f in found.findings],
-        "parts": [[f"{p.what}: {p.name}" for p in f.parts] for f in found.findings],
+        "parts": [[f"{p.part}: {p.name}" for p in f.partial_aliases] for f in found.findings],
         "covered": covered,
         "exact": covered and not sets and len(names) == len(true),
         "minimal": covered and len(names) == len(true) and _minimal(setting, sets, best),
@@ -64,13 +70,13 @@ def score(setting: Setting, found: Diagnosis) -> dict[str, Any]:
             "share": found.structure.share_explained,
         },
         "rolled_back": found.rolled_back,
-        "noise_mm": (1e3 * found.traced.noise.sigma).round(4).tolist(),
-        "rho": found.traced.noise.rho,
+        "noise_mm": (1e3 * found.search.noise.sigma).round(4).tolist(),
+        "rho": found.search.noise.rho,
         "intervals": _intervals(setting, found),
         "errors_mm": errors,
-        "first": _table(found.traced.first),
-        "last": _table(found.traced.last),
-        "threshold": found.traced.threshold,
+        "first": _table(found.search.first),
+        "last": _table(found.search.last),
+        "threshold": found.search.threshold,
     }
     made["dangerous"] = bool(
         found.verdict == "named"
@@ -80,7 +86,7 @@ def score(setting: Setting, found: Diagnosis) -> dict[str, Any]:
     return made
 
 
-def true_fit(setting: Setting, session: Session | None = None) -> Fit:
+def true_fit(setting: Setting, session: Session | None = None) -> ModelFit:
     """The model that holds exactly the hidden effects, in their best form, fitted.
 
     Args:
@@ -95,7 +101,7 @@ def true_fit(setting: Setting, session: Session | None = None) -> Fit:
 
 def _best(
     setting: Setting, menus: Sequence[list[tuple[Term, ...]]], session: Session | None = None
-) -> Fit:
+) -> ModelFit:
     """The likeliest of the combinations of one form per effect."""
     rows = setting.train if session is None else session
     base = declared_model(setting.arm)
@@ -107,14 +113,14 @@ def _best(
     return min(fits, key=_misfit)
 
 
-def _misfit(fitted: Fit) -> float:
+def _misfit(fitted: ModelFit) -> float:
     white = fitted.whitened(fitted.residual[..., None])
     return float((white**2).sum() / 2) + 0.5 * 4.2**2 * float((fitted.weights == 0).sum())
 
 
 def _forms(setting: Setting, name: str) -> list[tuple[Term, ...]]:
     """Each form of an effect, at all of its places; and all forms, where they go together."""
-    known = library(setting.arm, setting.train.context(), (BY_NAME[name],))
+    known = library(setting.arm, setting.train.context(), (BUILT_IN[name],))
     most = max(len(c.terms) for c in known.testable)
     forms = [c.terms for c in known.testable if len(c.terms) == most]
     every = tuple(t for form in forms for t in form)
@@ -127,7 +133,7 @@ def _knowable(setting: Setting) -> bool:
     return all(name in kinds for name in setting.case.effects)
 
 
-def _errors(setting: Setting, found: Diagnosis, best: Fit | None) -> dict[str, float]:
+def _errors(setting: Setting, found: Diagnosis, best: ModelFit | None) -> dict[str, float]:
     """RMS 3-D errors against the noise-free truth on fresh poses off the grid, and the noise."""
     models: dict[str, Model] = dict(found.models)
     if best is not None:
@@ -148,7 +154,7 @@ def _rms(clean: np.ndarray, model: Model, session: Session) -> float:
     return 1e3 * float(np.sqrt((error**2).sum(axis=1).mean()))
 
 
-def _minimal(setting: Setting, sets: Sequence[Finding], best: Fit | None) -> bool:
+def _minimal(setting: Setting, sets: Sequence[EffectFinding], best: ModelFit | None) -> bool:
     """Whether no member of any set could be told from the truth with these rows, or with any."""
     if not sets or best is None:
         return best is not None
@@ -190,7 +196,7 @@ def _located(setting: Setting, found: Diagnosis) -> bool | None:
     return all(answers) if answers else None
 
 
-def _said(found: Diagnosis, finding: Finding, name: str) -> set[str]:
+def _said(found: Diagnosis, finding: EffectFinding, name: str) -> set[str]:
     """Where a finding has an effect: its own strongest place, or the alternative's places."""
     if finding.name == name:
         return {_strongest(found, finding.terms)}
@@ -199,7 +205,7 @@ def _said(found: Diagnosis, finding: Finding, name: str) -> set[str]:
 
 def _strongest(found: Diagnosis, terms: tuple[Effect | Bias, ...]) -> str:
     """Where the largest shift of the tip comes from."""
-    fitted = found.traced.fit
+    fitted = found.search.fit
     sizes: dict[str, float] = {}
     mine = {(t.name, t.where) for t in terms}
     shifts: dict[str, np.ndarray] = {}

@@ -11,8 +11,8 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import grid, sobol
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.calibrate import declared_model
-from longarm_comp.core.identify.fit import Fit, fit, geometry
+from longarm_comp.core.identify.calibrate import declared_model, geometry
+from longarm_comp.core.identify.fit import ModelFit, fit
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import Context
@@ -80,8 +80,8 @@ def set_up(case: Case, declared: Arm) -> Setting:
     gauge = _Gauge(arm, head, plan, sigma, rng)
     drawn = [gauge.sized(_drawn(name, arm, case.one_place, rng), rng) for name in case.effects]
     effects = [effect for effect, _ in drawn]
-    chain = (*effects, *off)  # a servo rounds what it is told; how it is mounted comes after that
-    true = TrueArm(arm, [e for e in chain if isinstance(e, HiddenEffect)], steps=_STEPS)
+    on_arm = [e for e in (*effects, *off) if isinstance(e, HiddenEffect)]
+    true = TrueArm(arm, on_arm, steps=_STEPS)
     eye = dataclasses.replace(
         head, effects=tuple(e for e in effects if isinstance(e, CameraEffect))
     )
@@ -137,7 +137,7 @@ class _Gauge:
         session = Session.record(plan, self.sound)
         model = declared_model(arm)
         base = model.plus(*geometry(arm, session))
-        self.fit: Fit = fit(base, session, sigma=sigma, robust=False)
+        self.fit: ModelFit = fit(base, session, sigma=sigma, robust=False)
         self.marginal = Marginal(self.fit.design, self.fit.data)
 
     def _seen(self, effect: Hidden | None) -> np.ndarray:

@@ -18,8 +18,17 @@ from longarm_comp.core.effects.bearing_tilt import BearingTilt
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_zero import JointZero
-from longarm_comp.core.identify.calibrate import Errors, declared_model, errors, warm
-from longarm_comp.core.identify.fit import Fit, align, fit_together, frames, geometry
+from longarm_comp.core.effects.tip_offset import TipOffset
+from longarm_comp.core.identify.calibrate import (
+    Errors,
+    align,
+    declared_model,
+    errors,
+    frames,
+    geometry,
+    warm,
+)
+from longarm_comp.core.identify.fit import ModelFit, fit_together
 from longarm_comp.core.model.model import Slot
 from longarm_comp.studies.real_sessions import Measured, justin, laser_tracked
 from longarm_comp.studies.selection import select
@@ -88,8 +97,8 @@ def judged(parts: Sequence[Measured], progress: Progress | None = None) -> list[
         "lateral_compliance": lateral,
     }
     lines: list[Line] = []
-    fits: list[Fit] | None = None
-    known: dict[str, list[Fit]] = {}
+    fits: list[ModelFit] | None = None
+    known: dict[str, list[ModelFit]] = {}
     for name, terms in rungs.items():
         say(name)
         fits = _fitted(parts, terms, fits)
@@ -97,7 +106,7 @@ def judged(parts: Sequence[Measured], progress: Progress | None = None) -> list[
         lines.append(_line(name, parts, fits))
     say("selection on the training rows")
 
-    def refit(added: Sequence[Terms]) -> list[Fit]:
+    def refit(added: Sequence[Terms]) -> list[ModelFit]:
         return _fitted(parts, [(*r, *a) for r, a in zip(rigid, added, strict=True)], known["rigid"])
 
     _, best = select(known["rigid"], refit, say)
@@ -105,8 +114,8 @@ def judged(parts: Sequence[Measured], progress: Progress | None = None) -> list[
 
 
 def _fitted(
-    parts: Sequence[Measured], terms: Sequence[Terms], start: Sequence[Fit] | None
-) -> list[Fit]:
+    parts: Sequence[Measured], terms: Sequence[Terms], start: Sequence[ModelFit] | None
+) -> list[ModelFit]:
     models = []
     for k, (part, added) in enumerate(zip(parts, terms, strict=True)):
         model = declared_model(part.arm, deflection=False).plus(*added)
@@ -120,10 +129,10 @@ def _own(slot: Slot) -> bool:
     """Whether a parameter belongs to one arm alone (a robot of one arm: it does not matter)."""
     place = slot.owner.placement
     row = place.get("row", place.get("joint"))
-    return slot.owner.name == "tip_offset" or (row is not None and row > LAST_SHARED_ROW)
+    return isinstance(slot.owner, TipOffset) or (row is not None and row > LAST_SHARED_ROW)
 
 
-def _line(name: str, parts: Sequence[Measured], fits: Sequence[Fit]) -> Line:
+def _line(name: str, parts: Sequence[Measured], fits: Sequence[ModelFit]) -> Line:
     left = [errors(f.model, p.test) for f, p in zip(fits, parts, strict=True)]
     effects = dict.fromkeys(t.name for f in fits for t in f.model.terms if not t.geometry)
     return Line(name, Errors.of(np.concatenate(left)), tuple(effects))

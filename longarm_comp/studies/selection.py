@@ -13,9 +13,9 @@ import numpy as np
 
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify import linear
-from longarm_comp.core.identify.candidates import Candidate, Columns, library
-from longarm_comp.core.identify.fit import Fit, priors
-from longarm_comp.core.identify.weights import whiten
+from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, library
+from longarm_comp.core.identify.fit import ModelFit, priors
+from longarm_comp.core.identify.linear import whiten
 
 Term = Effect | Bias
 
@@ -31,10 +31,10 @@ MOST_FAMILIES = 8
 
 
 def select(
-    fits: Sequence[Fit],
-    refit: Callable[[Sequence[tuple[Term, ...]]], Sequence[Fit]],
+    fits: Sequence[ModelFit],
+    refit: Callable[[Sequence[tuple[Term, ...]]], Sequence[ModelFit]],
     progress: Callable[[str], None] | None = None,
-) -> tuple[list[str], list[Fit]]:
+) -> tuple[list[str], list[ModelFit]]:
     """Families that pay, and the fits with them.
 
     Args:
@@ -70,7 +70,7 @@ def select(
     return taken, current
 
 
-def _families(fit: Fit) -> dict[str, Candidate]:
+def _families(fit: ModelFit) -> dict[str, Candidate]:
     """Every effect that the rows can speak of, per form, at all its places together."""
     arm = fit.model.arm
     known = library(arm, fit.session.context(), declared=fit.model.terms)
@@ -86,13 +86,13 @@ def _families(fit: Fit) -> dict[str, Candidate]:
 class _View:
     """One fit, linearised, and its rows in folds of whole blocks of time."""
 
-    def __init__(self, fit: Fit) -> None:
+    def __init__(self, fit: ModelFit) -> None:
         self.fit = fit
         seen = fit.session
         block = np.arange(len(seen)) * BLOCKS // len(seen)
         self.fold = np.random.default_rng(0).permutation(BLOCKS)[block] % FOLDS
         posture = fit.model.posture([seen.q[:, j] for j in range(seen.n)], seen.context())
-        self.columns = Columns(fit.model, posture)
+        self.columns = CandidateColumns(fit.model, posture)
         self.data = fit.residual + fit.columns @ fit.model.values
         self.sigma = np.full(3, np.sqrt((fit.sigma**2).mean()))
 

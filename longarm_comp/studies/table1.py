@@ -25,9 +25,8 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.compensate import Method, compensate_many, rigid
 from longarm_comp.core.data.plan import grid, random_joints
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.calibrate import Errors, declared_model, errors
+from longarm_comp.core.identify.calibrate import Errors, declared_model, geometry
 from longarm_comp.core.identify.candidates import library
-from longarm_comp.core.identify.fit import geometry
 from longarm_comp.core.identify.search import search
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.model.model import Model
@@ -36,6 +35,7 @@ from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.measure import Camera, measure_session
 from longarm_comp.sim.random_arms import paper_mix, random_arm
 from longarm_comp.studies.peers import train_gaussian_process
+from longarm_comp.workflows.residual import training_rows
 
 TARGETS = 40
 SAMPLES = (900, 300)
@@ -188,8 +188,7 @@ class Bench:
         predictor = None
         if setting.learner is not None:
             base = model if setting.method.physics else rigid(model)
-            seen = rows.take(rows.seen)
-            predictor = setting.learner(seen.q, errors(base, seen), seen.context(), seed=seed)
+            predictor = setting.learner(*training_rows(base, rows), seed=seed)
         arm = self.declared.arm
         payload = arm.payload.mass_kg if arm.payload else 0.0
         told = Context(

@@ -78,6 +78,7 @@ def compensate(
     method: Method = Method.BOTH,
     position_only: bool = False,
     locked: Sequence[int | str] = (),
+    doubtful: np.ndarray | None = None,
     **settling: Any,
 ) -> Compensation:
     """Joints that bring the *real* tip to one target.
@@ -90,6 +91,7 @@ def compensate(
         seed: (n,) current joints; default mid-range.
         position_only: leave the orientation free.
         locked: joints that stay at their seed, as in `ik.solve_many`.
+        doubtful: (n,) joints whose side of arrival the context tells, but not for certain.
         settling: fields of `Settling`: when the passes end.
 
     Returns:
@@ -104,7 +106,7 @@ def compensate(
     if given.shape not in ((3,), (4, 4)):
         raise InputError("compensate", "target", f"shape {given.shape}", "shape (3,) or (4, 4)")
     free = position_only or given.ndim == 1
-    task = _Task(model, predictor, method, free, tuple(locked), Settling(**settling))
+    task = _Task(model, predictor, method, free, tuple(locked), Settling(**settling), doubtful)
     start = ik.checked_seed(model, seed, 1, "compensate")[0]
     return task.run(given, (context or Context.empty()).take(0), start)
 
@@ -153,6 +155,7 @@ class _Task:
     position_only: bool
     locked: tuple[int | str, ...]
     settling: Settling
+    doubtful: np.ndarray | None = None
 
     def run(self, target: np.ndarray, context: Context, seed: np.ndarray) -> Compensation:
         """One target, (3,) or (4, 4); seed (n,) inside the limits."""
@@ -224,7 +227,7 @@ class _Target:
         command = self.q if status is Status.SUCCESS else self.ideal
         sigma = self.sigma
         if status.success:
-            spread, why = unknown_history(self.model, command, self.context)
+            spread, why = unknown_history(self.model, command, self.context, self.task.doubtful)
             if why:
                 sigma = np.hypot(np.nan_to_num(sigma), spread)
                 reason = f"{reason}; {why}" if reason else why

@@ -12,15 +12,10 @@ import numpy as np
 
 from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.arm.history import History
-from longarm_comp.core.compensation.compensate import compensate, physics_of
-from longarm_comp.core.compensation.result import (
-    Compensation,
-    ErrorPredictor,
-    Method,
-    Settling,
-)
+from longarm_comp.core.compensation.arrive import Arrival, CompensationOptions, compensate_move
+from longarm_comp.core.compensation.compensate import physics_of
+from longarm_comp.core.compensation.result import ErrorPredictor
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.model import Model
 
 
@@ -84,24 +79,6 @@ def _stale(column: str, old: Mapping[str, float]) -> StaleContext:
     return StaleContext(f"{column} was never told, and the model needs it", column=column)
 
 
-_TRIALS = 5
-"""Commands that are tried until one arrives as it assumes; the last assumes less."""
-
-
-def reads_history(model: Model) -> bool:
-    """Whether an effect of the model depends on how the joints came to where they stand."""
-    return any(name in PER_JOINT for effect in model.effects for name in effect.inputs)
-
-
-@dataclass(frozen=True)
-class CompensationOptions:
-    """How far compensation may go; as in `compensate`."""
-
-    method: Method = Method.BOTH
-    settling: Settling = field(default_factory=Settling)
-    locked: tuple[int, ...] = ()
-
-
 def compensate_now(
     model: Model,
     predictor: ErrorPredictor | None,
@@ -114,50 +91,26 @@ def compensate_now(
     max_age_s: float,
     position_only: bool = False,
     options: CompensationOptions | None = None,
-) -> tuple[Compensation, Context]:
-    """Compensate one target from where the arm is.
-
-    The joints will arrive by the move from ``start`` to the command, and what the model and the
-    predictor are told of their history is what this move leaves.  It follows from a first
-    solution and is checked against the command.  Where no move arrives as the command assumes
-    (a joint that would hardly move), the side of that joint counts as unknown.
+) -> Arrival:
+    """Compensate one target from where the arm is, in the circumstances of now.
 
     Args:
         target: (3,) m or (4, 4), base frame.
         start: (n,) joints now (rad, m); also the seed.
         history: of the joints at ``start``.
 
-    Returns:
-        The outcome, and the context that the effects saw.
-
     Raises:
         StaleContext: see `Readings.context`.
     """
     options = options or CompensationOptions()
     physics = physics_of(model, options.method)
-
-    def context_after(arrived: History) -> Context:
-        return readings.context(physics, now_s, max_age_s, arrived)
-
-    def found(context: Context, seed: np.ndarray) -> Compensation:
-        return compensate(
-            model, predictor, target, context=context, seed=seed, position_only=position_only,
-            method=options.method, locked=options.locked, **vars(options.settling),
-        )  # fmt: skip
-
-    arrived, seed = history, start
-    if predictor is not None or reads_history(physics):
-        first = ik.solve(
-            physics, target, seed=start, context=context_after(history),
-            position_only=position_only, locked=options.locked,
-        )  # fmt: skip
-        arrived = history.after(first.q[None], start)
-    for trials_left in reversed(range(_TRIALS)):
-        assumed, context = arrived, context_after(arrived)
-        outcome = found(context, seed)
-        arrived, seed = history.after(outcome.command[None], start), outcome.command
-        if not outcome.success or not reads_history(physics) or arrived.agrees(assumed):
-            break
-        if trials_left == 1:  # no command arrives as it assumes
-            arrived = arrived.agreed(assumed)
-    return outcome, context
+    return compensate_move(
+        model,
+        predictor,
+        target,
+        start=start,
+        history=history,
+        context_after=lambda arrived: readings.context(physics, now_s, max_age_s, arrived),
+        position_only=position_only,
+        options=options,
+    )

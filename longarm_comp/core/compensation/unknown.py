@@ -20,25 +20,37 @@ def missing_column(model: Model, context: Context) -> str:
     return ""
 
 
-def unknown_history(model: Model, q: np.ndarray, context: Context) -> tuple[np.ndarray, str]:
+def history_joints(model: Model) -> dict[str, tuple[int, ...]]:
+    """Per-joint fields that effects of the model read, and of which joints (0-based)."""
+    read: dict[str, set[int]] = {}
+    for effect in model.effects:
+        for name in effect.inputs:
+            if name in PER_JOINT:
+                read.setdefault(name, set()).update(effect.history_joints(model.arm))
+    return {name: tuple(sorted(joints)) for name, joints in read.items()}
+
+
+def unknown_history(
+    model: Model, q: np.ndarray, context: Context, doubtful: np.ndarray | None = None
+) -> tuple[np.ndarray, str]:
     """How far the tip depends on what is not known of the joints' history.
 
     Args:
         q: (n,) commanded joints, rad and m.
         context: circumstances at q.
+        doubtful: (n,) joints whose side of arrival is told but not certain.
 
     Returns:
         Standard deviation (3,) in m, and which fields of which joints in one sentence; zeros and
         "" where everything that matters is known.
     """
-    read = {name for effect in model.effects for name in effect.inputs} & set(PER_JOINT)
     n = model.arm.n
+    unsure = np.zeros(n, bool) if doubtful is None else doubtful
     open_ = [
         (name, joint)
-        for name in PER_JOINT
-        if name in read
-        for joint in range(n)
-        if context.of_joint(name, joint) == 0.0
+        for name, joints in history_joints(model).items()
+        for joint in joints
+        if unsure[joint] or context.of_joint(name, joint) == 0.0
     ]
     if not open_:
         return np.zeros(3), ""

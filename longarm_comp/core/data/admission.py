@@ -32,7 +32,7 @@ _TILTED = np.radians(20.0)
 
 
 @dataclass(frozen=True)
-class Finding:
+class AdmissionFinding:
     """Something to know about a session that is admitted.
 
     Attributes:
@@ -55,7 +55,7 @@ class Admission:
     """A session that may be used, and what to know about it."""
 
     session: Session
-    findings: tuple[Finding, ...]
+    findings: tuple[AdmissionFinding, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ def admit(
     Raises:
         InputError: it cannot be what it claims to be; says what it looks like.
     """
-    findings: list[Finding] = []
+    findings: list[AdmissionFinding] = []
     case = _Case(session, arm, session, np.empty((0, 3)))
     for check in _BEFORE:
         findings += check(case) or ()
@@ -147,7 +147,7 @@ def _order(case: _Case) -> None:
             )
 
 
-def _joint_units(case: _Case) -> Iterator[Finding]:
+def _joint_units(case: _Case) -> Iterator[AdmissionFinding]:
     q, arm = case.session.q, case.arm
     reach = arm.upper - arm.lower
     beyond = np.maximum(np.maximum(arm.lower - q, q - arm.upper), 0.0)
@@ -169,27 +169,31 @@ def _joint_units(case: _Case) -> Iterator[Finding]:
         raise case.refuse(f"row {row + 1}, q{j + 1}", float(q[row, j]), allowed)
     for j in np.flatnonzero((beyond > 1e-6).any(0)):
         count, worst = int((beyond[:, j] > 1e-6).sum()), beyond[:, j].max()
-        yield Finding("limits", f"q{j + 1}", f"{count} rows up to {worst:.3g} beyond its limits")
+        yield AdmissionFinding(
+            "limits", f"q{j + 1}", f"{count} rows up to {worst:.3g} beyond its limits"
+        )
 
 
-def _measured_at_all(case: _Case) -> Iterator[Finding]:
+def _measured_at_all(case: _Case) -> Iterator[AdmissionFinding]:
     lost = int((~case.session.seen).sum())
     if lost == len(case.session):
         raise case.refuse("x, y, z", f"blank in all {lost} rows", "measured tip positions (m)")
     if lost:
         share = lost / len(case.session)
-        yield Finding("blanks", "x, y, z", f"marker lost in {lost} rows ({share:.0%})")
+        yield AdmissionFinding("blanks", "x, y, z", f"marker lost in {lost} rows ({share:.0%})")
 
 
-def _constant(case: _Case) -> Iterator[Finding]:
+def _constant(case: _Case) -> Iterator[AdmissionFinding]:
     for j in np.flatnonzero(np.ptp(case.session.q, axis=0) < 1e-9):
-        yield Finding("constant", f"q{j + 1}", "never moved: what it causes cannot be told")
+        yield AdmissionFinding(
+            "constant", f"q{j + 1}", "never moved: what it causes cannot be told"
+        )
     for name, values in case.session.columns.items():
         if len(case.session) > 1 and np.ptp(values) == 0:
-            yield Finding("constant", name, "never changed: what it causes cannot be told")
+            yield AdmissionFinding("constant", name, "never changed: what it causes cannot be told")
 
 
-def _copies(case: _Case) -> Iterator[Finding]:
+def _copies(case: _Case) -> Iterator[AdmissionFinding]:
     seen = case.session.take(case.session.seen)
     first: dict[bytes, int] = {}
     copies = frozen = 0
@@ -206,11 +210,11 @@ def _copies(case: _Case) -> Iterator[Finding]:
     if 2 * copies > len(seen):
         raise case.refuse("rows", f"{copies} of {len(seen)} are copies", "measured rows, once each")
     if copies:
-        yield Finding(
+        yield AdmissionFinding(
             "duplicates", "rows", f"{copies} repeat pose and measurement to the last digit"
         )
     if frozen:
-        yield Finding(
+        yield AdmissionFinding(
             "duplicates", "x, y, z", f"{frozen} rows repeat another pose's measurement exactly"
         )
 
@@ -234,7 +238,7 @@ def _lengths(case: _Case) -> None:
         raise case.refuse("sigma_x, sigma_y, sigma_z", value, "metres, well below the arm's reach")
 
 
-def _frame(case: _Case) -> Iterator[Finding]:
+def _frame(case: _Case) -> Iterator[AdmissionFinding]:
     groups = case.seen.labels.get("group", np.full(len(case.seen), ""))
     for group in np.unique(groups):
         rows = groups == group
@@ -245,7 +249,7 @@ def _frame(case: _Case) -> Iterator[Finding]:
 
 def _frame_of(
     case: _Case, predicted: np.ndarray, measured: np.ndarray, group: str
-) -> Iterator[Finding]:
+) -> Iterator[AdmissionFinding]:
     field = "x, y, z" + (f" of group {group}" if group else "")
     straight = align(predicted, measured, np.eye(3))
     turned = best_rotation(predicted, measured)
@@ -257,15 +261,15 @@ def _frame_of(
     if turned.misfit < clear and turned.angle > _TILTED:
         like = f", axes like {name}" if axes.misfit < clear else ""
         text = f"turned by {np.degrees(turned.angle):.0f} deg against the declared arm{like}"
-        yield Finding("frame", field, f"{text}; as {_base(case.arm, turned)}")
+        yield AdmissionFinding("frame", field, f"{text}; as {_base(case.arm, turned)}")
     elif away > 0.3 * _spread(predicted):
-        yield Finding("frame", field, f"{away:.3f} m away from where the declared arm is")
+        yield AdmissionFinding("frame", field, f"{away:.3f} m away from where the declared arm is")
     distance = np.linalg.norm(measured - predicted @ turned.rotation.T - turned.offset, axis=1)
     far = distance > max(_OUTLIER * 1.4826 * turned.misfit, 1e-9)
     if far.any():
         worst = 1e3 * distance.max()
         text = f"{far.sum()} gross outliers ({far.mean():.1%}), the worst {worst:.0f} mm"
-        yield Finding("outliers", field, text)
+        yield AdmissionFinding("outliers", field, text)
 
 
 def _base(arm: Arm, turned: Alignment) -> str:
@@ -283,7 +287,7 @@ def _spread(points: np.ndarray) -> float:
     return float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
 
 
-_BEFORE: tuple[Callable[[_Case], Iterable[Finding] | None], ...] = (
+_BEFORE: tuple[Callable[[_Case], Iterable[AdmissionFinding] | None], ...] = (
     _same_arm,
     _plausible_context,
     _joint_units,
@@ -292,4 +296,4 @@ _BEFORE: tuple[Callable[[_Case], Iterable[Finding] | None], ...] = (
     _constant,
     _copies,
 )
-_AFTER: tuple[Callable[[_Case], Iterable[Finding] | None], ...] = (_lengths, _frame)
+_AFTER: tuple[Callable[[_Case], Iterable[AdmissionFinding] | None], ...] = (_lengths, _frame)

@@ -1,11 +1,12 @@
 """Which poses to measure: the paper's grid, space-filling points, random targets.
 
-Every plan is an array of commanded joints (N, n) inside the joint box, and the side each
-pose shall be approached from.  Poses that separate two effects are planned by the diagnosis.
+A plan is an array of commanded joints (N, n) inside the joint box, and the side from which each
+joint shall arrive.  Poses that separate two effects are planned by the diagnosis.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from dataclasses import dataclass
 
@@ -13,6 +14,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 
@@ -30,13 +32,20 @@ class Plan:
 
     Attributes:
         q: (N, n) commanded joints, rad and m.
-        approach: (N,) +1 all joints arrive from below, -1 from above, 0 from anywhere.
+        approach: (N, n) side each joint arrives from: +1 from below, -1 from above, 0 from
+            wherever it is; (N,) where one side holds for all joints.
         payload_kg: (N,) mass to carry, or None for as it is.
     """
 
     q: np.ndarray
     approach: np.ndarray
     payload_kg: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        """One side a joint."""
+        sides = np.asarray(self.approach, dtype=np.int8)
+        sides = np.broadcast_to(sides[:, None] if sides.ndim == 1 else sides, self.q.shape)
+        object.__setattr__(self, "approach", sides)
 
     def __len__(self) -> int:
         """Number of poses."""
@@ -83,7 +92,7 @@ def grid(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
     poses = paper_grid(arm)
     if not 1 <= n <= len(poses):
         raise InputError("plan", "n", n, f"1 to {len(poses)} (the grid of {arm.name})")
-    return _with_sides(poses[rng.permutation(len(poses))[:n]], rng)
+    return _with_sides(arm, poses[rng.permutation(len(poses))[:n]], rng)
 
 
 def sobol(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
@@ -97,7 +106,7 @@ def sobol(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
     rng = np.random.default_rng(rng)
     engine = qmc.Sobol(d=arm.n, scramble=True, seed=int(rng.integers(2**31)))
     shares = engine.random_base2(max(0, (n - 1).bit_length()))[:n]
-    return _with_sides(_in_box(arm, shares), rng)
+    return _with_sides(arm, _in_box(arm, shares), rng)
 
 
 def random_joints(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> np.ndarray:
@@ -115,5 +124,42 @@ def _in_box(arm: Arm, shares: np.ndarray) -> np.ndarray:
     return np.where(shares == 1.0, arm.upper, arm.lower + shares * (arm.upper - arm.lower))
 
 
-def _with_sides(q: np.ndarray, rng: np.random.Generator) -> Plan:
-    return Plan(q, rng.choice(np.array([-1, 1]), size=len(q)))
+def with_room(arm: Arm, q: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    """Sides (N, n) as wished, but from the other side where a limit leaves no room to run up.
+
+    Args:
+        arm: whose limits hold.
+        q: (N, n) joints to arrive at, rad and m.
+        sides: (N, n) of -1, 0, +1.
+    """
+    start = q - sides * run_up_lengths(arm)
+    return np.where((start < arm.lower) | (start > arm.upper), -sides, sides)
+
+
+def with_random_sides(arm: Arm, plan: Plan, rng: np.random.Generator | int = 0) -> Plan:
+    """The same poses, each joint from a side drawn for it alone where both have room.
+
+    So every effect that depends on the side is seen in every joint by itself, and a predictor
+    learns from every combination of sides that a command may bring about.
+    """
+    drawn = np.random.default_rng(rng).choice(np.array([-1, 1]), size=plan.q.shape)
+    return dataclasses.replace(plan, approach=with_room(arm, plan.q, drawn))
+
+
+def from_both_sides(arm: Arm, plan: Plan, rng: np.random.Generator | int = 0) -> Plan:
+    """Every pose twice, the second time with all joints from the opposite sides.
+
+    Sides that the plan leaves open are drawn. A joint at a limit arrives from the side that has
+    room both times.
+    """
+    drawn = with_random_sides(arm, plan, rng).approach
+    first = np.where(plan.approach == 0, drawn, plan.approach)
+    sides = np.stack([with_room(arm, plan.q, first), with_room(arm, plan.q, -first)], axis=1)
+    payload = None if plan.payload_kg is None else np.repeat(plan.payload_kg, 2)
+    return Plan(np.repeat(plan.q, 2, axis=0), sides.reshape(-1, arm.n), payload)
+
+
+def _with_sides(arm: Arm, q: np.ndarray, rng: np.random.Generator) -> Plan:
+    """A side for every joint; what the caller draws next does not depend on how many there are."""
+    common = Plan(q, rng.choice(np.array([-1, 1]), size=len(q)))
+    return with_random_sides(arm, common, rng.spawn(1)[0])

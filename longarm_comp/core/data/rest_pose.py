@@ -13,7 +13,7 @@ from longarm_comp.core.arm.history import History
 from longarm_comp.core.errors import InputError
 
 JOINT_REST = 2e-3
-"""Joints (rad, m) this close to where they were sent are there."""
+"""Joints (rad, m) this close to where they were sent, or to where they end, rest there."""
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from typing_extensions import Self
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import Parameter, parameter
-from longarm_comp.core.effects.joint_term import BLEND, GATES, SIDE_SCALES, JointTerm, with_prior
+from longarm_comp.core.effects.effect import Parameter, form, parameter
+from longarm_comp.core.effects.joint_term import BLEND, GATES, JointTerm, with_prior
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,10 @@ class Backlash(JointTerm):
     name: ClassVar[str] = "backlash"
     needs: ClassVar[tuple[str, ...]] = ("approach",)
     loaded: ClassVar[bool] = True
-    tunable: ClassVar[Mapping[str, tuple[float, float]]] = SIDE_SCALES
+    limit_aliases: ClassVar[tuple[str, ...]] = ("friction_hysteresis",)  # load decides nowhere
 
-    gate: float = 0.0
-    blend: float = BLEND
+    gate: float = form(0.0, lower=0.0, upper=1.0)
+    blend: float = form(BLEND, lower=0.01, upper=0.5)
     width: float = parameter("rad", "full width of the play", prior=0.02, lower=0.0)
 
     @classmethod

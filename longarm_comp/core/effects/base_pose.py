@@ -11,7 +11,7 @@ from typing_extensions import Self
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import Effect, parameter
+from longarm_comp.core.effects.effect import Effect, parameter, place
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class BasePose(Effect):
     geometry: ClassVar[bool] = True
     seen_only: ClassVar[bool] = True
 
-    group: str = ""
+    group: str = place(default="")
     x: float = parameter("m", "base position error", prior=0.05)
     y: float = parameter("m", "base position error", prior=0.05)
     z: float = parameter("m", "base position error", prior=0.05)

@@ -12,7 +12,7 @@ from typing_extensions import Self
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import Effect, parameter
+from longarm_comp.core.effects.effect import Effect, form, parameter
 from longarm_comp.core.effects.link_deflection import cantilever
 
 TIMES_S = (900.0, 3600.0, 14400.0)
@@ -29,9 +29,8 @@ class Creep(Effect):
     name: ClassVar[str] = "creep"
     needs: ClassVar[tuple[str, ...]] = ("t_s",)
     loaded: ClassVar[bool] = True
-    tunable: ClassVar[Mapping[str, tuple[float, float]]] = {"time": (100.0, 1e5)}
 
-    time: float = 3600.0
+    time: float = form(3600.0, lower=100.0, upper=1e5)
     amount: float = parameter("1", "final extra sag over the elastic one", prior=0.3, lower=0.0)
 
     @classmethod

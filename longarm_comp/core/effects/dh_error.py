@@ -13,7 +13,7 @@ from typing_extensions import Self
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import Effect, Parameter, parameter
+from longarm_comp.core.effects.effect import Effect, Parameter, parameter, place, rows
 
 
 @dataclass(frozen=True)
@@ -29,17 +29,12 @@ class DhError(Effect):
     name: ClassVar[str] = "dh_error"
     geometry: ClassVar[bool] = True
 
-    row: int
+    row: int = place(rows)
     a: float = parameter("m", "link length error along x_{i-1}", prior=1e-3)
     alpha: float = parameter("rad", "twist error about x_{i-1}", prior=4e-3)
     beta: float = parameter("rad", "tilt error about y_{i-1}", prior=4e-3)
     d: float = parameter("m", "offset error along z_i", prior=1e-3)
     theta: float = parameter("rad", "angle error about z_i", prior=4e-3)
-
-    @property
-    def where(self) -> str:
-        """``row 3``."""
-        return f"row {self.row}"
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Priors from the row's tolerances; the joint variable itself is held at zero."""

@@ -1,8 +1,9 @@
-"""What an effect is: a small twist at a few stations, and a handful of declared parameters.
+"""What an effect is: a small twist at a few stations, and a handful of declared fields.
 
-A new effect is one file with one frozen dataclass, one line in the catalogue, one
-test.  Its fields made with `parameter` *are* its parameters; the fit, the files, the
-report and the documentation read them from here and from nowhere else.
+Every field of an effect says what it is: a `place` (where on the arm), a `form` (which variant)
+or a `parameter` (a number that is fitted).  The search, the fit, the files, the report and the
+documentation read the fields and the class attributes from here and from nowhere else, so they
+know an effect of another package as well as one of this folder (docs/add_an_effect.md).
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -35,6 +36,10 @@ class Parameter:
     upper: float = math.inf
 
 
+_PARAMETER, _PLACE, _FORM = "parameter", "place", "form"
+Places = Callable[[Arm], Sequence[int] | Sequence[str]]
+
+
 def parameter(
     unit: str,
     meaning: str,
@@ -43,9 +48,72 @@ def parameter(
     upper: float = math.inf,
     default: float = 0.0,
 ) -> Any:
-    """Declare a field of an effect as a fitted parameter."""
+    """Declare a field as a fitted parameter.
+
+    Args:
+        unit: of the value; SI.
+        meaning: in a few words.
+        prior: standard deviation of what is plausible; 0 holds the parameter at its value.
+        lower, upper: physical bounds.
+        default: value without an error.
+    """
     meta = {"unit": unit, "meaning": meaning, "prior": prior, "lower": lower, "upper": upper}
-    return dataclasses.field(default=default, metadata={"parameter": meta})
+    return dataclasses.field(default=default, metadata={_PARAMETER: meta})
+
+
+def place(allowed: Places | None = None, default: int | str | None = None) -> Any:
+    """Declare a field as a place: instances that differ in it may stand side by side in a model.
+
+    All places of one form together are one family, which a diagnosis tries as a whole.
+
+    Args:
+        allowed: what the field may hold on an arm (`moving_joints`, `beams`, ... or a function of
+            your own); None for any text.
+        default: for an effect that need not say it.
+    """
+    meta = {_PLACE: allowed}
+    if default is None:
+        return dataclasses.field(metadata=meta)
+    return dataclasses.field(default=default, metadata=meta)
+
+
+def form(default: float | int | str, lower: float | None = None, upper: float | None = None) -> Any:
+    """Declare a field as a form: which variant of the effect it is, tried but not fitted.
+
+    Args:
+        default: where nothing else is said.
+        lower, upper: ends of a scale; the search then looks between the values that `candidates`
+            tries.  Without them there are only those values.
+    """
+    if (lower is None) != (upper is None):
+        raise TypeError("a form's scale has two ends")
+    scale = None if lower is None else (lower, upper)
+    return dataclasses.field(default=default, metadata={_FORM: scale})
+
+
+def moving_joints(arm: Arm) -> list[int]:
+    """Row ids of the joints that move, passive ones too."""
+    return [joint.id for joint in arm.joints if joint.type != "fixed"]
+
+
+def rows(arm: Arm) -> list[int]:
+    """Ids of all rows."""
+    return [joint.id for joint in arm.joints]
+
+
+def frames(arm: Arm) -> list[int]:
+    """The base (0) and the frame of every row."""
+    return [0, *rows(arm)]
+
+
+def beams(arm: Arm) -> list[str]:
+    """Names of the declared beams."""
+    return [beam.name for beam in arm.links]
+
+
+def markers(arm: Arm) -> list[str]:
+    """Names of the declared markers; empty for the tip."""
+    return ["", *arm.markers]
 
 
 @dataclass(frozen=True)
@@ -59,8 +127,17 @@ class _Term:
         seen_only: moves the frame that the arm is seen in, and gravity with it.
         continuous: a small motion of the joints changes it by little; no command undoes others.
         loaded: depends on the loads, so that it must be reconverged as the arm sags.
-        tunable: placement fields that may have any value, with the least and the largest; the
-            candidates try a few of them and the search looks between.
+        searched: a diagnosis tries it; geometry is fitted always instead.
+        aliases: effects that no pose can tell from it, whatever is measured; it is enough that
+            one of the two says so.
+        limit_aliases: effects that it becomes at an end of its form's scale or of a parameter's
+            bounds; studies count either name as right there.
+        free_levels: of an effect that is a function of the position of one turning joint alone:
+            at so many distinct positions of the joint it can take any values, the joint's zero
+            helping.  On a grid that is no finer it imitates every other such function.  0 for an
+            effect that depends on anything else.
+        displaces_joint: its one parameter displaces one joint, so that its column is what any
+            displacement of that joint does at the tip; structure that is left is sought there.
     """
 
     name: ClassVar[str]
@@ -69,15 +146,19 @@ class _Term:
     seen_only: ClassVar[bool] = False
     loaded: ClassVar[bool] = False
     continuous: ClassVar[bool] = True
-    tunable: ClassVar[Mapping[str, tuple[float, float]]] = {}
+    searched: ClassVar[bool] = True
+    aliases: ClassVar[tuple[str, ...]] = ()
+    limit_aliases: ClassVar[tuple[str, ...]] = ()
+    free_levels: ClassVar[int] = 0
+    displaces_joint: ClassVar[bool] = False
 
     @classmethod
     def declared(cls) -> tuple[Parameter, ...]:
         """The parameters of this kind of effect, in the order of its fields."""
         return tuple(
-            Parameter(f.name, **f.metadata["parameter"])
+            Parameter(f.name, **f.metadata[_PARAMETER])
             for f in dataclasses.fields(cls)
-            if "parameter" in f.metadata
+            if _PARAMETER in f.metadata
         )
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
@@ -88,10 +169,47 @@ class _Term:
         """The same effect with other values of some parameters."""
         return dataclasses.replace(self, **{name: float(v) for name, v in values.items()})
 
+    @classmethod
+    def undeclared(cls) -> tuple[str, ...]:
+        """Fields that do not say what they are; an effect must have none."""
+        known = {_PARAMETER, _PLACE, _FORM}
+        return tuple(f.name for f in dataclasses.fields(cls) if not known & set(f.metadata))
+
+    @classmethod
+    def allowed_places(cls) -> Mapping[str, Places]:
+        """By place field, what it may hold on an arm; fields that may hold any text left out."""
+        meta = {f.name: f.metadata for f in dataclasses.fields(cls)}
+        return {name: m[_PLACE] for name, m in meta.items() if m.get(_PLACE) is not None}
+
+    @classmethod
+    def scales(cls) -> Mapping[str, tuple[float, float]]:
+        """Forms that may have any value between two ends."""
+        meta = {f.name: f.metadata for f in dataclasses.fields(cls)}
+        return {name: m[_FORM] for name, m in meta.items() if m.get(_FORM) is not None}
+
+    @property
+    def places(self) -> dict[str, Any]:
+        """The place fields."""
+        return self._declared_as(_PLACE)
+
+    @property
+    def forms(self) -> dict[str, Any]:
+        """The form fields."""
+        return self._declared_as(_FORM)
+
+    @property
+    def placement(self) -> dict[str, Any]:
+        """The fields that are not parameters: they say where and in which form."""
+        return self._declared_as(_PLACE, _FORM)
+
+    def _declared_as(self, *roles: str) -> dict[str, Any]:
+        declared = (f for f in dataclasses.fields(self) if any(r in f.metadata for r in roles))
+        return {f.name: getattr(self, f.name) for f in declared}
+
     @property
     def where(self) -> str:
-        """Where on the arm, in words: ``joint 2``, ``beam boom_inner``."""
-        return "arm"
+        """Its places in words, ``joint 2``, ``joint 3, driver 1``; ``arm`` for all of it."""
+        return ", ".join(f"{name} {value}" for name, value in self.places.items()) or "arm"
 
     @property
     def place(self) -> str:
@@ -99,10 +217,10 @@ class _Term:
         return self.where
 
     @property
-    def placement(self) -> dict[str, Any]:
-        """The fields that are not parameters: they say where and in which form."""
-        fields = dataclasses.fields(self)
-        return {f.name: getattr(self, f.name) for f in fields if "parameter" not in f.metadata}
+    def joints(self) -> tuple[int, ...]:
+        """Row ids of the joints among its places: structure that it explains depends on them."""
+        kinds = self.allowed_places()
+        return tuple(v for name, v in self.places.items() if kinds.get(name) is moving_joints)
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
@@ -121,8 +239,15 @@ class _Term:
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """What this instance reads of the record of circumstances: per-joint fields, columns."""
+        """What this instance reads of the record of circumstances: per-joint fields, columns.
+
+        Structure that it explains depends on them, beside its joints.
+        """
         return self.needs
+
+    def history_joints(self, arm: Arm) -> tuple[int, ...]:
+        """Commanded joints (0-based) whose history it reads."""
+        return ()
 
     def require(self, context: Context) -> None:
         """Raise `InputError` when an input without which it cannot be tested was not recorded."""

@@ -10,7 +10,7 @@ from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import Parameter, parameter
+from longarm_comp.core.effects.effect import Parameter, form, parameter
 from longarm_comp.core.effects.joint_term import JointTerm, with_prior
 
 
@@ -30,7 +30,7 @@ class FrictionHysteresis(JointTerm):
     name: ClassVar[str] = "friction_hysteresis"
     needs: ClassVar[tuple[str, ...]] = ("approach",)
 
-    reach: float = 0.1
+    reach: float = form(0.1)
     width: float = parameter("rad", "full width that the approach decides", prior=0.01, lower=0.0)
     memory: float = parameter(
         "rad", "full width that the move before decides", prior=3e-3, lower=0.0

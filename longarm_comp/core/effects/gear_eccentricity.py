@@ -12,7 +12,7 @@ from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import parameter
+from longarm_comp.core.effects.effect import form, parameter
 from longarm_comp.core.effects.joint_term import JointTerm
 
 
@@ -25,8 +25,9 @@ class GearEccentricity(JointTerm):
     """
 
     name: ClassVar[str] = "gear_eccentricity"
+    free_levels: ClassVar[int] = 3
 
-    order: int = 1
+    order: int = form(1)
     cosine: float = parameter("rad", "cosine amplitude", prior=2e-3)
     sine: float = parameter("rad", "sine amplitude", prior=2e-3)
 

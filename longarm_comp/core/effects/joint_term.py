@@ -12,16 +12,15 @@ from typing_extensions import Self
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import PER_JOINT
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Scalar, Twist
-from longarm_comp.core.effects.effect import Effect, Parameter
+from longarm_comp.core.effects.effect import Effect, Parameter, moving_joints, place
 
 GATES = (0.0, 0.03, 0.075, 0.15, 0.3)
 """Loads below which friction may hold a joint (`JointTerm.side`), of the arm's typical ones."""
 BLEND = 1 / 6
 """Share of such a load over which friction and load change over, where it is not known."""
-SIDE_SCALES: Mapping[str, tuple[float, float]] = {"gate": (0.0, 1.0), "blend": (0.01, 0.5)}
-"""Least and largest of both (`Effect.tunable`)."""
 _RESTING = 1e-6  # N m: a vertical axis carries no torque but for rounding
 
 
@@ -33,12 +32,7 @@ class JointTerm(Effect):
         joint: row id.
     """
 
-    joint: int
-
-    @property
-    def where(self) -> str:
-        """``joint 2``."""
-        return f"joint {self.joint}"
+    joint: int = place(moving_joints)
 
     @classmethod
     def fits(cls, arm: Arm, row: int) -> bool:
@@ -54,6 +48,11 @@ class JointTerm(Effect):
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
         """Each joint alone."""
         return [(cls(joint=row),) for row in cls.rows(arm)]
+
+    def history_joints(self, arm: Arm) -> tuple[int, ...]:
+        """Its own joint, where it reads a history at all."""
+        reads = any(name in PER_JOINT for name in self.inputs)
+        return (arm.commanded.index(self.joint),) if reads else ()
 
     def motion(self, posture: Posture, amount: Scalar) -> Mapping[int, Twist]:
         """The joint moved by `amount` (rad or m) along its own z axis, at its bearing.

@@ -20,6 +20,7 @@ class JointZero(JointTerm):
 
     name: ClassVar[str] = "joint_zero"
     geometry: ClassVar[bool] = True
+    displaces_joint: ClassVar[bool] = True
 
     offset: float = parameter("rad", "joint value at command zero", prior=4e-3)
 

@@ -20,6 +20,7 @@ class LinkDeflection(Effect):
 
     name: ClassVar[str] = "link_deflection"
     loaded: ClassVar[bool] = True
+    searched: ClassVar[bool] = False
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Cantilever twist of every beam element at its end station."""

@@ -11,7 +11,7 @@ from typing_extensions import Self
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import Effect, parameter
+from longarm_comp.core.effects.effect import Effect, beams, parameter, place
 from longarm_comp.core.effects.link_deflection import cantilever
 
 
@@ -22,18 +22,13 @@ class LinkStiffness(Effect):
     name: ClassVar[str] = "link_stiffness"
     loaded: ClassVar[bool] = True
 
-    beam: str
+    beam: str = place(beams)
     softness: float = parameter(
         "1",
         "extra deflection over the declared one (EI true = EI / (1 + softness))",
         prior=0.5,
         lower=-0.9,
     )
-
-    @property
-    def where(self) -> str:
-        """``beam boom_outer``."""
-        return f"beam {self.beam}"
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:

@@ -12,7 +12,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.effects.effect import Effect, frames, place
 from longarm_comp.core.errors import InputError
 
 
@@ -29,17 +29,12 @@ class MeasuredTilt(Effect):
 
     name: ClassVar[str] = "measured_tilt"
 
-    frame: int = 0
+    frame: int = place(frames, default=0)
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
         """Every frame that may carry an inclinometer."""
         return [(cls(frame=frame),) for frame in range(len(arm.joints) + 1)]
-
-    @property
-    def where(self) -> str:
-        """``frame 0``."""
-        return f"frame {self.frame}"
 
     @property
     def inputs(self) -> tuple[str, ...]:

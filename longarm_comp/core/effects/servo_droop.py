@@ -12,11 +12,10 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import Parameter, parameter
+from longarm_comp.core.effects.effect import Parameter, form, parameter
 from longarm_comp.core.effects.joint_term import (
     BLEND,
     GATES,
-    SIDE_SCALES,
     JointTerm,
     typical_loads,
     with_prior,
@@ -38,10 +37,10 @@ class ServoDroop(JointTerm):
 
     name: ClassVar[str] = "servo_droop"
     loaded: ClassVar[bool] = True
-    tunable: ClassVar[Mapping[str, tuple[float, float]]] = SIDE_SCALES
+    aliases: ClassVar[tuple[str, ...]] = ("joint_compliance",)  # a sag is a compliance
 
-    gate: float = 0.0
-    blend: float = BLEND
+    gate: float = form(0.0, lower=0.0, upper=1.0)
+    blend: float = form(BLEND, lower=0.01, upper=0.5)
     sag: float = parameter("rad/(N m)", "proportional droop per torque", prior=4e-3, lower=0.0)
     deadband: float = parameter("rad", "half-width of the deadband", prior=5e-3, lower=0.0)
 

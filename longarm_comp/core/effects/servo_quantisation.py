@@ -13,6 +13,7 @@ from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.effects.effect import form
 from longarm_comp.core.effects.joint_term import JointTerm
 
 STEPS_PER_TURN = (
@@ -34,8 +35,9 @@ class ServoQuantisation(JointTerm):
 
     name: ClassVar[str] = "servo_quantisation"
     continuous: ClassVar[bool] = False
+    free_levels: ClassVar[int] = 3  # of steps of an unknown size
 
-    steps_per_turn: int = 1000
+    steps_per_turn: int = form(1000)
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:

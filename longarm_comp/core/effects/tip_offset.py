@@ -11,7 +11,7 @@ from typing_extensions import Self
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import Effect, parameter
+from longarm_comp.core.effects.effect import Effect, markers, parameter, place
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class TipOffset(Effect):
     name: ClassVar[str] = "tip_offset"
     geometry: ClassVar[bool] = True
 
-    marker: str = ""
+    marker: str = place(markers, default="")
     x: float = parameter("m", "tip position error along x", prior=3e-3)
     y: float = parameter("m", "tip position error along y", prior=3e-3)
     z: float = parameter("m", "tip position error along z", prior=3e-3)

@@ -1,35 +1,64 @@
-"""Name or set: which other effects the data could not tell from the one that was found."""
+"""Name or set: which other effects the data cannot tell from a found one, or from a part of it.
+
+A part is one place of the finding, or one kind of its parameters.  A servo's deadband and play
+are the same lost motion: beside a servo's sag nobody can tell which of them it is, though either
+alone explains less than the two kinds of parameters together.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.core.identify.candidates import Candidate, Columns, Term
-from longarm_comp.core.identify.evidence import Score, columns_at, key, marginal_without, score
-from longarm_comp.core.identify.linear import Marginal
-from longarm_comp.core.identify.partial_aliases import CLOSE, Part, parts
-from longarm_comp.core.identify.refine_forms import reshaped
-from longarm_comp.core.identify.search import SearchResult
-
-ALIASES: tuple[frozenset[str], ...] = (
-    frozenset({"joint_compliance", "servo_droop"}),  # proportional sag is a compliance
+from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
+from longarm_comp.core.identify.evidence import (
+    Score,
+    columns_at,
+    key,
+    marginal_without,
+    reshaped,
+    score,
 )
-"""Effects that no pose can tell apart, whatever is measured."""
-
+from longarm_comp.core.identify.linear import Marginal
+from longarm_comp.core.identify.search import SearchResult
+from longarm_comp.core.identify.search_state import ODDS
 
 FEW = 3
 """On so few levels of a joint, any function of it is an offset and two numbers."""
-ANY_FUNCTION = ("gear_eccentricity", "servo_quantisation")
-"""Effects that can take any values at three levels of a joint (of steps of an unknown size)."""
-OF_ONE_JOINT = (*ANY_FUNCTION, "joint_gain")
+
+
+MOST_NAMES = 7
+"""A set of more names than this names nothing."""
+CLOSE = 3.0
+"""Log evidence within which the data do not distinguish two explanations."""
 
 
 @dataclass(frozen=True)
-class Finding:
+class PartialAlias:
+    """Another effect in the place of a part of a finding.
+
+    Attributes:
+        part: in words: ``deadband``, ``part at joint 4``.
+        score: the other effect, with the rest of the finding in the model.
+        rival: whether it is so much better than the part that it may well be there instead: one
+            in twenty, all candidates being as likely beforehand.
+    """
+
+    part: str
+    score: Score
+    rival: bool
+
+    @property
+    def name(self) -> str:
+        """Canonical name of the other effect."""
+        return self.score.candidate.name
+
+
+@dataclass(frozen=True)
+class EffectFinding:
     """One effect that the data ask for, with what they cannot tell from it.
 
     Attributes:
@@ -37,9 +66,9 @@ class Finding:
         terms: the fitted instances.
         log_bayes_factor: against leaving the effect out, geometry and rest marginalised.
         alternatives: other effects that explain the same, best first.
-        runner_up: the best other effect, told apart or not; None if there is none.
+        runner_up: the best other effect, an alternative or not; None if there is none.
         effect_m: RMS shift of the tip that it stands for, m.
-        parts: effects that could stand for a part of it, best first.
+        partial_aliases: effects that could stand for a part of it, best first.
     """
 
     name: str
@@ -48,7 +77,7 @@ class Finding:
     alternatives: tuple[Score, ...]
     runner_up: Score | None
     effect_m: float
-    parts: tuple[Part, ...] = ()
+    partial_aliases: tuple[PartialAlias, ...] = ()
 
     @property
     def where(self) -> tuple[str, ...]:
@@ -61,82 +90,95 @@ class Finding:
         return tuple(dict.fromkeys((self.name, *(a.candidate.name for a in self.alternatives))))
 
 
-def findings(traced: SearchResult, candidates: Sequence[Candidate]) -> list[Finding]:
-    """Every found effect with its look-alikes, strongest first."""
-    columns = columns_at(traced.fit)
-    made = []
-    for name in dict.fromkeys(t.name for t in traced.chosen):
-        terms = tuple(_fitted(traced, t) for t in traced.chosen if t.name == name)
-        made.append(_finding(traced, candidates, columns, name, terms))
-    return sorted(made, key=lambda f: -f.log_bayes_factor)
+def findings(
+    result: SearchResult, candidates: Sequence[Candidate]
+) -> tuple[SearchResult, tuple[EffectFinding, ...]]:
+    """Every found effect with its look-alikes, strongest first, and the search that it is of.
 
-
-def with_parts(
-    traced: SearchResult, candidates: Sequence[Candidate], found: Sequence[Finding]
-) -> tuple[Finding, ...]:
-    """Findings with what could stand for a part of each."""
-    columns = columns_at(traced.fit)
-    chosen = {t.name for t in traced.chosen}
-    return tuple(
+    An effect that could be almost anything, one found already too, is the remainder of a stronger
+    one whose form is not quite the library's.  It gets no name: it is taken out of the search's
+    result and stays in the residual, as structure.
+    """
+    columns = columns_at(result.fit)
+    found = []
+    for name in dict.fromkeys(t.name for t in result.chosen):
+        terms = tuple(_fitted(result, t) for t in result.chosen if t.name == name)
+        found.append(_finding(result, candidates, columns, name, terms))
+    found.sort(key=lambda f: -f.log_bayes_factor)
+    for k, finding in enumerate(found):
+        stronger = {f.name for f in found[:k]}
+        if len(finding.names) > MOST_NAMES and stronger & set(finding.names):
+            return findings(result.without({key(t) for t in finding.terms}), candidates)
+    chosen = {t.name for t in result.chosen}
+    return result, tuple(
         dataclasses.replace(
-            f, parts=parts(traced, candidates, columns, f.terms, chosen.union(f.names))
+            f,
+            partial_aliases=_partial_aliases(
+                result, candidates, columns, f.terms, chosen.union(f.names)
+            ),
         )
         for f in found
     )
 
 
 def on_few_levels(
-    traced: SearchResult, candidates: Sequence[Candidate], found: Finding, levels: np.ndarray
-) -> Finding:
+    result: SearchResult, candidates: Sequence[Candidate], found: EffectFinding, q: np.ndarray
+) -> EffectFinding:
     """A finding with what nobody could tell from it on a coarse grid, whatever the evidence says.
 
     Args:
-        traced: the search.
+        result: the search.
         candidates: the library.
         found: the finding.
-        levels: (n,) distinct values of every commanded joint in all rows that were looked at.
+        q: (N, n) commanded joints of all rows that were looked at.
     """
-    commanded = traced.fit.model.arm.commanded
-    joints = [t.placement.get("joint") for t in found.terms]
-    if found.name not in OF_ONE_JOINT or any(levels[commanded.index(j)] > FEW for j in joints):
+    coarse = set(np.array(result.fit.model.arm.commanded)[_levels(q) <= FEW])
+    if not all(t.free_levels and coarse.issuperset(t.joints) for t in found.terms):
         return found
-    columns = columns_at(traced.fit)
-    marginal = marginal_without(traced.fit, columns, {key(t) for t in found.terms})
+    columns = columns_at(result.fit)
+    marginal = marginal_without(result.fit, columns, {key(t) for t in found.terms})
     added = []
-    for name in ANY_FUNCTION:
+    flexible = dict.fromkeys(c.name for c in candidates if c.terms[0].free_levels >= FEW)
+    for name in flexible:
         if name in found.names:
             continue
         options = [c for c in candidates if c.name == name]
-        scores = [score(traced.fit, marginal, c, columns) for c in options]
+        scores = [score(result.fit, marginal, c, columns) for c in options]
         added += sorted(scores, key=lambda s: -s.log_bayes_factor)[:1]
     return dataclasses.replace(found, alternatives=(*found.alternatives, *added))
 
 
-def without(traced: SearchResult, places: set[tuple[str, str]]) -> Marginal:
-    """Evidence on top of the final fit, the terms at some places taken out of it."""
-    return marginal_without(traced.fit, columns_at(traced.fit), places)
+def _levels(q: np.ndarray) -> np.ndarray:
+    """(n,) distinct values of every joint, to a hundredth of its range."""
+    span = np.maximum(np.ptp(q, axis=0), 1e-9)
+    return np.array([len(np.unique(np.round(c, 2))) for c in (q / span).T])
 
 
-def _fitted(traced: SearchResult, term: Term) -> Term:
+def _fitted(result: SearchResult, term: Term) -> Term:
     return next(
-        t for t in traced.fit.model.terms if key(t) == key(term) and t.placement == term.placement
+        t for t in result.fit.model.terms if key(t) == key(term) and t.placement == term.placement
     )
 
 
+def are_aliases(one: Term, other: Term) -> bool:
+    """Whether no pose can tell two effects apart, whatever is measured."""
+    return other.name in one.aliases or one.name in other.aliases
+
+
 def _finding(
-    traced: SearchResult,
+    result: SearchResult,
     candidates: Sequence[Candidate],
-    columns: Columns,
+    columns: CandidateColumns,
     name: str,
     terms: tuple[Term, ...],
-) -> Finding:
+) -> EffectFinding:
     places = {key(t) for t in terms}
-    marginal = marginal_without(traced.fit, columns, places)
+    marginal = marginal_without(result.fit, columns, places)
     mine = Candidate(name, terms)
-    own = score(traced.fit, marginal, mine, columns)
-    fixed = not _size(traced, mine)
-    limit = own.fit_gain if fixed else _likelihood(traced, marginal, columns, mine)
-    held = {key(t) for t in traced.chosen}
+    own = score(result.fit, marginal, mine, columns)
+    fixed = not _size(result, mine)
+    limit = own.fit_gain if fixed else _likelihood(result, marginal, columns, mine)
+    held = {key(t) for t in result.chosen}
     best: dict[str, Score] = {}
     close: dict[str, Score] = {}
     for other in _others(candidates, name, terms):
@@ -144,19 +186,19 @@ def _finding(
         if not new:
             continue
         option = Candidate(other.name, new)
-        scored = score(traced.fit, marginal, option, columns)
+        scored = score(result.fit, marginal, option, columns)
         if other.name not in best or scored.log_bayes_factor > best[other.name].log_bayes_factor:
             best[other.name] = scored
         alike = scored.log_bayes_factor > own.log_bayes_factor - CLOSE
-        if not alike and _size(traced, option) <= _size(traced, mine) + 1:
-            alike = _likelihood(traced, marginal, columns, option) > limit - CLOSE
-        alias = any({name, other.name} <= family for family in ALIASES)
+        if not alike and _size(result, option) <= _size(result, mine) + 1:
+            alike = _likelihood(result, marginal, columns, option) > limit - CLOSE
+        alias = are_aliases(terms[0], new[0])
         known = close.get(other.name)
         if (alike or alias) and (known is None or scored.log_bayes_factor > known.log_bayes_factor):
             close[other.name] = scored
     ranked = sorted(best.values(), key=lambda s: -s.log_bayes_factor)
     alternatives = sorted(close.values(), key=lambda s: -s.log_bayes_factor)
-    return Finding(
+    return EffectFinding(
         name,
         terms,
         own.log_bayes_factor,
@@ -168,32 +210,86 @@ def _finding(
 
 def _others(candidates: Sequence[Candidate], name: str, terms: tuple[Term, ...]) -> list[Candidate]:
     """Other effects: as they are, at the places that were found only, and in the found forms."""
-    joints = {t.placement["joint"] for t in terms if "joint" in t.placement}
+    places = {place for t in terms for place in t.places.items()}
     made = reshaped(terms, candidates)
     for other in candidates:
         if other.name == name:
             continue
         made.append(other)
-        same = tuple(t for t in other.terms if t.placement.get("joint") in joints)
+        same = tuple(t for t in other.terms if places & set(t.places.items()))
         if 1 < len(same) < len(other.terms):
             made.append(Candidate(other.name, same))
     return made
 
 
-def _size(traced: SearchResult, candidate: Candidate) -> int:
-    return len(candidate.slots(traced.fit.model.arm))
+def _size(result: SearchResult, candidate: Candidate) -> int:
+    return len(candidate.slots(result.fit.model.arm))
 
 
 def _likelihood(
-    traced: SearchResult, marginal: Marginal, columns: Columns, candidate: Candidate
+    result: SearchResult, marginal: Marginal, columns: CandidateColumns, candidate: Candidate
 ) -> float:
     """Gain in log likelihood with the candidate's own priors taken away."""
-    if not _size(traced, candidate):
+    if not _size(result, candidate):
         return -np.inf
-    b = traced.fit.whitened(columns.of(candidate.terms))
+    b = result.fit.whitened(columns.of(candidate.terms))
     gram = b.T @ marginal.project(b)
     t = b.T @ marginal.py
     values, vectors = np.linalg.eigh((gram + gram.T) / 2)
     good = values > 1e-9 * max(float(values.max(initial=0.0)), 1e-12)
     u = vectors[:, good].T @ t
     return float((u * u / values[good]).sum() / 2)
+
+
+def _partial_aliases(
+    result: SearchResult,
+    candidates: Sequence[Candidate],
+    columns: CandidateColumns,
+    terms: Sequence[Term],
+    known: Set[str],
+) -> tuple[PartialAlias, ...]:
+    """What could stand for a part of a finding without loss; the best of each effect.
+
+    A part counts only where its own evidence pays for a choice among all candidates: for what
+    is hardly there, anything could stand.
+
+    Args:
+        result: the search.
+        candidates: the library.
+        columns: of candidates at the fit's rows.
+        terms: of the finding.
+        known: effects that are found already, or cannot be told from the whole finding.
+    """
+    fit = result.fit
+    others = [c for c in candidates if c.name not in known]
+    shaped = [c for c in reshaped(terms, candidates) if c.name not in known]
+    best: dict[str, PartialAlias] = {}
+    for part, taken in _slots_of_parts(result, terms).items():
+        rest = np.setdiff1d(np.arange(len(fit.slots)), taken)
+        marginal = Marginal(fit.design[:, rest], fit.data)
+        own = marginal.added(fit.design[:, taken]).log_bayes_factor
+        if own < result.threshold:
+            continue
+        for other in (*others, *shaped):
+            if len(other.slots(fit.model.arm)) > len(taken) + 1:
+                continue
+            found = score(fit, marginal, other, columns)
+            held = best.get(other.name)
+            if found.log_bayes_factor > own - CLOSE and (
+                held is None or found.log_bayes_factor > held.score.log_bayes_factor
+            ):
+                rival = found.log_bayes_factor - own > result.threshold - ODDS - CLOSE
+                best[other.name] = PartialAlias(part, found, rival)
+    return tuple(sorted(best.values(), key=lambda p: -p.score.log_bayes_factor))
+
+
+def _slots_of_parts(result: SearchResult, terms: Sequence[Term]) -> dict[str, list[int]]:
+    """Positions in the fit's slots of every part that is less than the whole."""
+    mine = {key(t) for t in terms}
+    made: dict[str, list[int]] = {}
+    whole = [k for k, slot in enumerate(result.fit.slots) if key(slot.owner) in mine]
+    for k in whole:
+        slot = result.fit.slots[k]
+        for part in (slot.parameter.name, f"part at {slot.owner.where}"):
+            made.setdefault(part, []).append(k)
+    return {part: taken for part, taken in made.items() if len(taken) < len(whole)}

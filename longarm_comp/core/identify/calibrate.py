@@ -1,18 +1,23 @@
-"""Calibration: a ladder of ever fuller fits, each judged on poses that it did not see."""
+"""Calibration: what is always fitted, and a ladder of ever fuller fits judged on unseen poses."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.base_pose import BasePose
+from longarm_comp.core.effects.dh_error import DhError
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.effects.tip_offset import TipOffset
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.fit import Fit, align, fit, frames, geometry
+from longarm_comp.core.identify.fit import ModelFit, fit
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 
@@ -54,7 +59,7 @@ class Rung:
 
     name: str
     model: Model
-    fit: Fit | None
+    fit: ModelFit | None
     train: Errors
     held_out: Errors
 
@@ -63,6 +68,78 @@ def errors(model: Model, session: Session) -> np.ndarray:
     """(N, 3) measured - predicted over the seen rows, m."""
     seen = session.take(session.seen)
     return seen.xyz - model.measured(seen.q, seen.context())
+
+
+def geometry(arm: Arm, session: Session) -> tuple[Effect, ...]:
+    """What is always fitted: base placements, markers, every joint zero and DH row."""
+    return (*frames(arm, session), *JointZero.for_arm(arm), *DhError.for_arm(arm))
+
+
+def frames(arm: Arm, session: Session) -> tuple[Effect, ...]:
+    """Base placement(s) and markers only: what any measurement needs."""
+    groups = sorted(set(session.labels["group"])) if "group" in session.labels else []
+    bases = tuple(BasePose(group=str(g)) for g in groups) if len(groups) > 1 else (BasePose(),)
+    return (*bases, *TipOffset.for_arm(arm))
+
+
+def with_frames(model: Model, session: Session) -> Model:
+    """The model with its frames free to move, where it does not hold them already."""
+    return _with_missing(model, frames(model.arm, session))
+
+
+def with_geometry(model: Model, session: Session) -> Model:
+    """The model with all of its geometry free, where it does not hold it already."""
+    return _with_missing(model, geometry(model.arm, session))
+
+
+def _with_missing(model: Model, terms: Sequence[Effect]) -> Model:
+    known = {(t.name, t.where) for t in model.terms}
+    return model.plus(*(t for t in terms if (t.name, t.where) not in known))
+
+
+def align(model: Model, session: Session, beyond: float = 0.1) -> Model:
+    """Put the base placements roughly where the data say, when they are far off (Kabsch).
+
+    Args:
+        model: holds one `base_pose` per group.
+        session: measured rows.
+        beyond: median misfit (m) above which the placement is replaced.
+    """
+    seen = session.take(session.seen)
+    effects = list(model.effects)
+    for k, effect in enumerate(effects):
+        if not isinstance(effect, BasePose):
+            continue
+        mine = np.ones(len(seen), bool)
+        if effect.group and "group" in seen.labels:
+            mine = seen.labels["group"] == effect.group
+        rows = seen.take(mine)
+        if len(rows) < 4:
+            continue
+        predicted = model.tip(rows.q, rows.context())
+        if np.median(np.linalg.norm(rows.xyz - predicted, axis=1)) <= beyond:
+            continue
+        home = model.arm.base.frame().matrix()
+        local = (predicted - home[:3, 3]) @ home[:3, :3]
+        target = (rows.xyz - home[:3, 3]) @ home[:3, :3]
+        turn, _ = Rotation.align_vectors(target - target.mean(0), local - local.mean(0))
+        shift = target.mean(0) - turn.apply(local.mean(0))
+        d, w = _log(turn, shift)
+        names = ("x", "y", "z", "rx", "ry", "rz")
+        effects[k] = effect.with_values(dict(zip(names, (*d, *w), strict=True)))
+    return dataclasses.replace(model, effects=tuple(effects))
+
+
+def _log(turn: Rotation, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Twist of a finite motion: the inverse of `spatial.exp_large`."""
+    w = turn.as_rotvec()
+    angle = np.linalg.norm(w)
+    hat = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
+    if angle < 1e-9:
+        return shift, w
+    b = (1 - np.cos(angle)) / angle**2
+    c = (angle - np.sin(angle)) / angle**3
+    return np.linalg.solve(np.eye(3) + b * hat + c * hat @ hat, shift), w
 
 
 def ladder(
@@ -119,7 +196,9 @@ def warm(model: Model, known: Model) -> Model:
     )
 
 
-def _rung(name: str, model: Model, fitted: Fit | None, train: Session, held_out: Session) -> Rung:
+def _rung(
+    name: str, model: Model, fitted: ModelFit | None, train: Session, held_out: Session
+) -> Rung:
     return Rung(
         name,
         model,

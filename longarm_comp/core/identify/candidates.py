@@ -10,7 +10,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.effects.catalogue import LIBRARY
+from longarm_comp.core.effects.catalogue import searched
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model, Slot, slots_of
@@ -37,13 +37,12 @@ class Candidate:
 
     @property
     def form(self) -> tuple[tuple[str, object], ...]:
-        """The placement fields other than the place, shared by all terms."""
-        places = {"joint", "row", "beam", "frame", "group", "marker"}
-        return tuple((k, v) for k, v in self.terms[0].placement.items() if k not in places)
+        """The form fields, shared by all terms."""
+        return tuple(self.terms[0].forms.items())
 
     @property
     def label(self) -> str:
-        """For people: ``backlash (joint 2, threshold=0.36)``."""
+        """For people: ``backlash (joint 2, gate=0.15, blend=0.167)``."""
         form = ", ".join(f"{k}={v:g}" if isinstance(v, float) else f"{k}={v}" for k, v in self.form)
         return f"{self.name} ({', '.join(self.where)}{', ' + form if form else ''})"
 
@@ -68,7 +67,7 @@ class Library:
 def library(
     arm: Arm,
     context: Context,
-    kinds: Sequence[type[Effect] | type[Bias]] = LIBRARY,
+    kinds: Sequence[type[Effect] | type[Bias]] | None = None,
     declared: Sequence[Term] = (),
 ) -> Library:
     """Every form of every effect, singly and as a whole family.
@@ -76,13 +75,13 @@ def library(
     Args:
         arm: decides the places.
         context: decides which inputs there are.
-        kinds: the effects to try.
+        kinds: the effects to try; all of the catalogue where None.
         declared: terms that the model holds already; they are never added twice.
     """
     held = {(t.name, t.where) for t in declared}
     testable: list[Candidate] = []
     missing: list[tuple[str, str]] = []
-    for kind in kinds:
+    for kind in searched() if kinds is None else kinds:
         groups = kind.candidates(arm)
         if not groups:
             missing.append((kind.name, "the declared arm has no place for it"))
@@ -123,7 +122,7 @@ def _families(singles: list[Candidate]) -> list[Candidate]:
     return made
 
 
-class Columns:
+class CandidateColumns:
     """Prior-scaled columns of candidates at a posture, each parameter computed once."""
 
     def __init__(self, model: Model, posture: Posture) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
@@ -9,11 +10,10 @@ from itertools import combinations, pairwise
 import numpy as np
 from scipy.stats import norm
 
-from longarm_comp.core.identify.aliasing import Finding
-from longarm_comp.core.identify.candidates import Candidate
-from longarm_comp.core.identify.evidence import columns_at, key
-from longarm_comp.core.identify.fit import Fit
-from longarm_comp.core.identify.nuisance_columns import allowances
+from longarm_comp.core.identify.aliasing import EffectFinding
+from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
+from longarm_comp.core.identify.evidence import columns_at, key, neighbours
+from longarm_comp.core.identify.fit import ModelFit
 from longarm_comp.core.identify.search import SearchResult
 
 RESAMPLES = 300
@@ -66,13 +66,13 @@ class Confirmed:
 
 
 def confirm(
-    traced: SearchResult,
-    found: list[Finding],
+    result: SearchResult,
+    found: list[EffectFinding],
     candidates: Sequence[Candidate],
     rng: np.random.Generator,
 ) -> Confirmed:
     """Block bootstrap of the final linear problem, and its stability under doubt."""
-    fit = traced.fit
+    fit = result.fit
     blocks = len(_block_rows(len(fit.design) // 3))
     counts = rng.multinomial(blocks, np.full(blocks, 1 / blocks), size=RESAMPLES)
     index = {
@@ -90,15 +90,18 @@ def confirm(
 
 
 def _intervals(
-    fit: Fit, found: Sequence[Finding], candidates: Sequence[Candidate], counts: np.ndarray
+    fit: ModelFit,
+    found: Sequence[EffectFinding],
+    candidates: Sequence[Candidate],
+    counts: np.ndarray,
 ) -> dict[int, Interval]:
     """By position in the fit's slots; counts (R, B): how often each block is drawn.
 
     What could have come out otherwise is put beside the fitted parameters with its priors
-    (`allowances`).
+    (`nuisance_columns`).
     """
     wider = _wider(fit, found)
-    design = np.concatenate([fit.design * wider, allowances(fit, found, candidates)], axis=1)
+    design = np.concatenate([fit.design * wider, nuisance_columns(fit, found, candidates)], axis=1)
     gram, right = _blocks(design, fit.data)
     prior_gram = np.eye(design.shape[1])
     draws = np.array(
@@ -124,7 +127,7 @@ def _intervals(
 
 
 def _stability(
-    fit: Fit, found: Sequence[Finding], index: dict[str, np.ndarray], counts: np.ndarray
+    fit: ModelFit, found: Sequence[EffectFinding], index: dict[str, np.ndarray], counts: np.ndarray
 ) -> dict[str, float]:
     """By effect, share of the resamples in which its evidence stays."""
     gram, right = _blocks(fit.design, fit.data)
@@ -137,7 +140,7 @@ def _stability(
     return {name: float((np.array(values) > HOLDS).mean()) for name, values in tests.items()}
 
 
-def _wider(fit: Fit, found: Sequence[Finding]) -> np.ndarray:
+def _wider(fit: ModelFit, found: Sequence[EffectFinding]) -> np.ndarray:
     """(p,) how much wider the prior of a found parameter must be not to pull at its value.
 
     That it is there has been decided; how large it is, the data say.
@@ -150,7 +153,7 @@ def _wider(fit: Fit, found: Sequence[Finding]) -> np.ndarray:
     return np.maximum(1.0, LOOSE * np.array(sizes))
 
 
-def _overlaps(fit: Fit, index: dict[str, np.ndarray]) -> tuple[Overlap, ...]:
+def _overlaps(fit: ModelFit, index: dict[str, np.ndarray]) -> tuple[Overlap, ...]:
     """Pairs whose evidence beside each other is less than `SHARED` of what each has alone."""
     gram, right = fit.design.T @ fit.design, fit.design.T @ fit.data
     made = []
@@ -172,7 +175,7 @@ def _blocks(a: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([a[s].T @ a[s] for s in parts]), np.stack([a[s].T @ y[s] for s in parts])
 
 
-def _block_gains(fit: Fit, found: Finding) -> np.ndarray:
+def _block_gains(fit: ModelFit, found: EffectFinding) -> np.ndarray:
     """(B,) gain in log likelihood by block of an effect that has nothing to fit."""
     shift = columns_at(fit).shift(found.terms)
     white = fit.whitened(shift[..., None])[:, 0]
@@ -199,9 +202,9 @@ def _evidence(gram: np.ndarray, right: np.ndarray, own: np.ndarray) -> float:
     return float(t @ np.linalg.solve(m, t) / 2 - log_det / 2)
 
 
-def _doubts(fit: Fit, found: Finding, own: np.ndarray, stable: float) -> tuple[str, ...]:
+def _doubts(fit: ModelFit, found: EffectFinding, own: np.ndarray, stable: float) -> tuple[str, ...]:
     """What a sceptic would say."""
-    said = [f"{part.name} could stand for its {part.what}" for part in found.parts]
+    said = [f"{part.name} could stand for its {part.part}" for part in found.partial_aliases]
     if stable < 0.95:
         said.append(f"its evidence holds in {100 * stable:.0f} % of resampled sessions only")
     if not len(own):
@@ -220,3 +223,63 @@ def _doubts(fit: Fit, found: Finding, own: np.ndarray, stable: float) -> tuple[s
         if abs(value) > 5 * p.prior:
             said.append(f"{fit.slots[k].label} = {value:.3g} {p.unit} is implausibly large")
     return tuple(said)
+
+
+STEP = 0.05
+"""Of the width between the neighbouring tried values: step of a form's slope."""
+
+
+def nuisance_columns(
+    fit: ModelFit, found: Sequence[EffectFinding], candidates: Sequence[Candidate]
+) -> np.ndarray:
+    """(3M, k) whitened, prior-scaled columns."""
+    columns = columns_at(fit)
+    other = {**_dropped(fit, found, candidates), **_standing_in(found)}
+    made = [columns.of(tuple(other.values()))]
+    made += _slopes(fit, columns, [t for f in found for t in f.terms], candidates)
+    return fit.whitened(np.concatenate(made, axis=-1))
+
+
+def _dropped(
+    fit: ModelFit, found: Sequence[EffectFinding], candidates: Sequence[Candidate]
+) -> dict[tuple[str, str], Term]:
+    """A found effect's other places, in its form where there is one."""
+    held = {key(t) for t in fit.model.terms}
+    missing: dict[tuple[str, str], Term] = {}
+    for finding in found:
+        form = Candidate(finding.name, finding.terms).form
+        mine = [c for c in candidates if c.name == finding.name]
+        for candidate in sorted(mine, key=lambda c: c.form != form):
+            missing = {key(t): t for t in candidate.terms if key(t) not in held} | missing
+    return missing
+
+
+def _standing_in(found: Sequence[EffectFinding]) -> dict[tuple[str, str], Term]:
+    """Effects that may well be there instead of a part of a finding."""
+    rivals = [part.score.candidate for f in found for part in f.partial_aliases if part.rival]
+    return {key(t): t for rival in rivals for t in rival.terms}
+
+
+def _slopes(
+    fit: ModelFit, columns: CandidateColumns, terms: Sequence[Term], candidates: Sequence[Candidate]
+) -> list[np.ndarray]:
+    """(N, 3, 1) shift of the tip as each scale moves half way to the next tried value."""
+    ways: list[tuple[Term, Term, float]] = []
+    for term in terms:
+        for field in term.scales():
+            low, high = neighbours(term, field, candidates)
+            here = float(getattr(term, field))
+            step = STEP if here < 0.5 * (low + high) else -STEP
+            moved = dataclasses.replace(term, **{field: here + step * (high - low)})
+            ways.append((term, moved, 0.5 / step))
+    columns.of([t for term, moved, _ in ways for t in (term, moved)])  # all at once: much faster
+    made = []
+    for term, moved, times in ways:
+        values = [
+            v / slot.parameter.prior
+            for v, slot in zip(fit.model.values, fit.slots, strict=True)
+            if key(slot.owner) == key(term)
+        ]
+        change = (columns.of([moved]) - columns.of([term])) @ np.array(values)
+        made.append(times * change[..., None])
+    return made

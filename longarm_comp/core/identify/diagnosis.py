@@ -5,55 +5,33 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import Context
 from longarm_comp.core.data.holdout import Sealed, blocked_split
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.identify import noise as noise_step
-from longarm_comp.core.identify.aliasing import Finding, findings, on_few_levels, with_parts
-from longarm_comp.core.identify.calibrate import declared_model, errors
+from longarm_comp.core.identify.aliasing import MOST_NAMES, EffectFinding, findings, on_few_levels
+from longarm_comp.core.identify.calibrate import align, declared_model, with_frames, with_geometry
 from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.confirm import Confirmed, confirm
-from longarm_comp.core.identify.evidence import key
-from longarm_comp.core.identify.fit import Fit, align, fit, frames, geometry
+from longarm_comp.core.identify.fit import ModelFit, fit
 from longarm_comp.core.identify.next_poses import NextPoses, next_poses
-from longarm_comp.core.identify.proof import Proof, prove
-from longarm_comp.core.identify.search import SearchResult, dropped, search
+from longarm_comp.core.identify.noise import from_repeats
+from longarm_comp.core.identify.proof import LearnedCorrection, Proof, prove
+from longarm_comp.core.identify.search import SearchResult, search
 from longarm_comp.core.identify.structure import Structure, examine
 from longarm_comp.core.model.model import Model
 
 POSES_TO_SPLIT = 12
-MOST_NAMES = 7
-"""A set of more names than this names nothing."""
 LEAST_SHARE = 0.5
 """Where structure is left, names that took less than this of the held-out error are withdrawn."""
 MOST_OUTLIERS = 0.16
 """More rejected rows than this are not outliers but something that the model lacks."""
 
-
-class Residual(Protocol):
-    """A learned correction, as `core.learn` makes one."""
-
-    def predict(self, q: np.ndarray, context: Context | None = None) -> Prediction: ...
-
-
-class Prediction(Protocol):
-    """What a learned correction predicts."""
-
-    @property
-    def error(self) -> np.ndarray: ...
-
-    @property
-    def in_domain(self) -> np.ndarray: ...
-
-
-Train = Callable[[Model, Session], Residual]
+Train = Callable[[Model, Session], LearnedCorrection]
+Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -61,10 +39,8 @@ class Diagnosis:
     """Everything that was found, and how sure it is.
 
     Attributes:
-        verdict: noise, named, set, partly or unknown.
-        summary: one sentence.
         arm: as declared.
-        traced: the search.
+        search: what the search ended with, whether it was rolled back or not.
         findings: effects that were added, strongest first; empty after a rollback.
         confirmed: intervals and doubts.
         structure: what is left.
@@ -80,17 +56,15 @@ class Diagnosis:
         seed: of everything random.
     """
 
-    verdict: str
-    summary: str
     arm: Arm
-    traced: SearchResult
-    findings: tuple[Finding, ...]
+    search: SearchResult
+    findings: tuple[EffectFinding, ...]
     confirmed: Confirmed
     structure: Structure
     proof: Proof
     rolled_back: bool
     models: Mapping[str, Model]
-    network: Residual | None
+    network: LearnedCorrection | None
     split_by: tuple[NextPoses, ...]
     not_testable: tuple[tuple[str, str], ...]
     train: Session
@@ -104,9 +78,23 @@ class Diagnosis:
         return self.models["with_effects"]
 
     @property
-    def fit(self) -> Fit:
-        """The final fit."""
-        return self.traced.fit
+    def fit(self) -> ModelFit:
+        """The search's final fit."""
+        return self.search.fit
+
+    @property
+    def verdict(self) -> str:
+        """``noise``, ``named``, ``set``, ``partly`` or ``unknown``."""
+        if not self.findings:
+            return "unknown" if self.structure.flag or self.rolled_back else "noise"
+        if self.structure.flag or any(len(f.names) > MOST_NAMES for f in self.findings):
+            return "partly"
+        return "set" if any(f.alternatives for f in self.findings) else "named"
+
+    @property
+    def summary(self) -> str:
+        """The verdict in one sentence."""
+        return _summary(self)
 
 
 def diagnose(
@@ -115,10 +103,10 @@ def diagnose(
     *,
     test: Session | None = None,
     model: Model | None = None,
-    kinds: Sequence[type[Effect] | type[Bias]] = LIBRARY,
+    kinds: Sequence[type[Effect] | type[Bias]] | None = None,
     train_network: Train | None = None,
     seed: int = 0,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Diagnosis:
     """Trace the residual of a session to what the model lacks.
 
@@ -127,7 +115,7 @@ def diagnose(
         session: admitted measurements.
         test: hold-out; whole blocks of the session are locked away when not given.
         model: what is known already (its effects are never added twice).
-        kinds: the library to search.
+        kinds: the effects to try; all of the catalogue where None.
         train_network: makes the learned correction of what is left; none is trained without.
         seed: of everything random; the same seed gives the same bytes.
         progress: told what is going on.
@@ -141,139 +129,175 @@ def diagnose(
     train, rest = _split(session, test, seed)
     sealed = Sealed(rest)
     nominal = model or declared_model(arm)
-    base = _with_geometry(nominal, arm, train)
-    say("frames")
-    placed = fit(align(nominal_frames(nominal, arm, train), train), train)
+    base = with_geometry(nominal, train)
     candidates = library(arm, train.context(), kinds, base.terms)
-    start = align(base, train)
-    traced = search(
-        start,
-        train,
-        candidates.testable,
-        known_noise=noise_step.from_repeats(train),
-        progress=say,
-    )
-    say("look-alikes")
-    traced, found = _told_apart(traced, candidates.testable)
-    say("structure")
-    calibrated = fit(
-        start,
-        train,
-        sigma=traced.noise.sigma,
-        rho=traced.noise.rho,
-        weights=traced.fit.weights,
-    )
-    structure = examine(traced.fit, calibrated, rng)
-    confirmed = confirm(traced, list(found), candidates.testable, rng)
+    say("frames")
+    placed = fit(align(with_frames(nominal, train), train), train)
+    identified = _identify(align(base, train), train, candidates.testable, rng, say)
+    learn = _Learner(train_network, identified.search.fit, say)
+    network = learn.on(identified.search.fit.model, identified.structure)
+    sealed.release(f"{len(identified.search.chosen)} terms, seed {seed}")
+    opened = sealed.open("proof")
+    held_out = opened.take(opened.seen)
     models = {
         "nominal": nominal,
         "frames_only": placed.model,
-        "calibrated": calibrated.model,
-        "with_effects": traced.fit.model,
+        "calibrated": identified.calibrated.model,
+        "with_effects": identified.search.fit.model,
     }
-    seen = train.take(train.seen).take(traced.fit.weights > 0)
-
-    def learned() -> Residual | None:
-        if not structure.flag or train_network is None:
-            return None
-        say("network")
-        return train_network(models["with_effects"], seen)
-
-    network = learned()
-    sealed.release(f"{len(traced.chosen)} terms, seed {seed}")
-    held_out = sealed.open("proof")
-    held_out = held_out.take(held_out.seen)
-    spread = {
-        "calibrated": expected_spread(calibrated, held_out),
-        "with_effects": expected_spread(traced.fit, held_out),
-    }
-    proof = _prove(models, network, held_out, spread, rng)
-    network = network if _helps(proof) else None
-    minor = (structure.flag or proof.off) and proof.share < LEAST_SHARE
-    rolled_back = bool(found) and (minor or not proof.better)
-    if rolled_back:
-        models["with_effects"] = models["calibrated"]
-        structure = examine(calibrated, calibrated, rng)
-        network = learned()  # the other one was trained on what the effects left
-        proof = _with_network(proof, models["calibrated"], network, held_out)
-        network = network if _helps(proof, "calibrated") else None
-    structure = _other_signs(structure, traced, proof)
-    levels = _levels(np.concatenate([train.q, held_out.q]))
-    kept = () if rolled_back else found
-    kept = tuple(on_few_levels(traced, candidates.testable, f, levels) for f in kept)
+    proof = prove(models, identified.calibrated, identified.search.fit, held_out, rng)
+    outcome = _judge(identified, proof, network, learn, held_out, rng)
+    looked_at = np.concatenate([train.q, held_out.q])
+    found = tuple(
+        on_few_levels(identified.search, candidates.testable, f, looked_at)
+        for f in outcome.findings
+    )
     say("next poses")
-    splits = tuple(
-        next_poses(traced, f, f.alternatives[0], POSES_TO_SPLIT, seed)
-        for f in kept
-        if f.alternatives
-    )
-    verdict = _verdict(kept, structure, rolled_back)
     return Diagnosis(
-        verdict,
-        summary(verdict, kept, structure, confirmed, traced, proof, rolled_back),
-        arm,
-        traced,
-        kept,
-        confirmed,
-        structure,
-        proof,
-        rolled_back,
-        models,
-        network,
-        splits,
-        candidates.not_testable,
-        train,
-        held_out,
-        sealed.uses,
-        seed,
+        arm=arm,
+        search=identified.search,
+        findings=found,
+        confirmed=identified.confirmed,
+        structure=_all_signs(outcome.structure, identified.search, outcome.proof),
+        proof=outcome.proof,
+        rolled_back=outcome.rolled_back,
+        models={**models, "with_effects": outcome.model},
+        network=outcome.network,
+        split_by=tuple(
+            next_poses(identified.search, f, f.alternatives[0], POSES_TO_SPLIT, seed)
+            for f in found
+            if f.alternatives
+        ),
+        not_testable=candidates.not_testable,
+        train=train,
+        held_out=held_out,
+        holdout_uses=sealed.uses,
+        seed=seed,
     )
 
 
-def _told_apart(
-    traced: SearchResult, candidates: Sequence[Candidate]
-) -> tuple[SearchResult, tuple[Finding, ...]]:
-    """Findings with their look-alikes; what could be anything, one found already too, is dropped.
+# ------------------------------------------------------------------ the training rows
 
-    Such a finding is the remainder of a stronger one whose form is not quite the library's: it
-    stays in the residual, as structure, and gets no name.
+
+@dataclass(frozen=True)
+class _Identified:
+    """What the training rows say.
+
+    Attributes:
+        calibrated: the fit of the geometry alone, with the search's noise and outliers.
+        search: the effects that were found.
+        findings: the same with their look-alikes.
+        structure: what the fit with effects leaves.
+        confirmed: intervals and doubts.
     """
-    found = findings(traced, candidates)
-    for k, finding in enumerate(found):
-        stronger = {f.name for f in found[:k]}
-        if len(finding.names) > MOST_NAMES and stronger & set(finding.names):
-            return _told_apart(dropped(traced, {key(t) for t in finding.terms}), candidates)
-    return traced, with_parts(traced, candidates, found)
+
+    calibrated: ModelFit
+    search: SearchResult
+    findings: tuple[EffectFinding, ...]
+    structure: Structure
+    confirmed: Confirmed
 
 
-def _other_signs(structure: Structure, traced: SearchResult, proof: Proof) -> Structure:
-    """What shows that something is left where the test of the fitted rows does not."""
-    out = traced.fit.weights == 0
-    rejected = float(np.sqrt((traced.fit.residual[out] ** 2).sum() / len(out)))
+def _identify(
+    start: Model,
+    train: Session,
+    candidates: Sequence[Candidate],
+    rng: np.random.Generator,
+    say: Progress,
+) -> _Identified:
+    """Search, look-alikes, structure left, confirmation."""
+    searched = search(start, train, candidates, known_noise=from_repeats(train), progress=say)
+    say("look-alikes")
+    result, found = findings(searched, candidates)
+    say("structure")
+    noise = result.noise
+    weights = result.fit.weights
+    calibrated = fit(start, train, sigma=noise.sigma, rho=noise.rho, weights=weights)
+    structure = examine(result.fit, calibrated, rng)
+    confirmed = confirm(result, list(found), candidates, rng)
+    return _Identified(calibrated, result, found, structure, confirmed)
+
+
+@dataclass(frozen=True)
+class _Learner:
+    """Trains the learned correction of what a model leaves of the inliers of a fit."""
+
+    train: Train | None
+    fitted: ModelFit
+    say: Progress
+
+    def on(self, model: Model, structure: Structure) -> LearnedCorrection | None:
+        """A correction on top of a model; None where nothing is left, or none is wanted."""
+        if not structure.flag or self.train is None:
+            return None
+        self.say("network")
+        return self.train(model, self.fitted.session.take(self.fitted.weights > 0))
+
+
+# ------------------------------------------------------------------ the hold-out
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """What the hold-out leaves of the findings: the model to use and what goes with it."""
+
+    model: Model
+    findings: tuple[EffectFinding, ...]
+    structure: Structure
+    network: LearnedCorrection | None
+    proof: Proof
+    rolled_back: bool
+
+
+def _judge(
+    identified: _Identified,
+    proof: Proof,
+    network: LearnedCorrection | None,
+    learn: _Learner,
+    held_out: Session,
+    rng: np.random.Generator,
+) -> _Outcome:
+    """Effects that do not help unseen poses are taken back, whatever the fitted rows say.
+
+    So are those that took less than half of what is wrong, where structure is left.
+    """
+    model, structure = identified.search.fit.model, identified.structure
+    minor = (structure.flag or proof.off) and proof.share < LEAST_SHARE
+    tested = proof.with_network(model, network, held_out)
+    if identified.findings and (minor or not proof.better):
+        return _roll_back(identified, tested, learn, held_out, rng)
+    kept = network if tested.network_helps("with_effects") else None
+    return _Outcome(model, identified.findings, structure, kept, tested, False)
+
+
+def _roll_back(
+    identified: _Identified,
+    proof: Proof,
+    learn: _Learner,
+    held_out: Session,
+    rng: np.random.Generator,
+) -> _Outcome:
+    """The calibrated model, with a network trained on what that one leaves."""
+    model = identified.calibrated.model
+    structure = examine(identified.calibrated, identified.calibrated, rng)
+    network = learn.on(model, structure)
+    tested = proof.with_network(model, network, held_out)
+    kept = network if tested.network_helps("calibrated") else None
+    return _Outcome(model, (), structure, kept, tested, True)
+
+
+def _all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Structure:
+    """The structure, also where other signs than the test of the fitted rows show some."""
+    out = result.fit.weights == 0
+    rejected = float(np.sqrt((result.fit.residual[out] ** 2).sum() / len(out)))
     for shows, size, where in (
         (out.mean() > MOST_OUTLIERS, rejected, "outliers"),
         (proof.off, proof.excess_m, "unseen poses"),
-        (traced.exhausted, proof.excess_m, "more than the library holds"),
+        (result.exhausted, proof.excess_m, "more than the library holds"),
     ):
         if shows and not structure.flag:
             return dataclasses.replace(structure, flag=True, size_m=size, inputs=(where,))
     return structure
-
-
-def nominal_frames(nominal: Model, arm: Arm, session: Session) -> Model:
-    """The model with nothing but its frames free to move."""
-    known = {(t.name, t.where) for t in nominal.terms}
-    return nominal.plus(*(t for t in frames(arm, session) if (t.name, t.where) not in known))
-
-
-def _with_geometry(nominal: Model, arm: Arm, session: Session) -> Model:
-    known = {(t.name, t.where) for t in nominal.terms}
-    return nominal.plus(*(t for t in geometry(arm, session) if (t.name, t.where) not in known))
-
-
-def _levels(q: np.ndarray) -> np.ndarray:
-    """(n,) distinct values of every joint, to a hundredth of its range."""
-    span = np.maximum(np.ptp(q, axis=0), 1e-9)
-    return np.array([len(np.unique(np.round(c, 2))) for c in (q / span).T])
 
 
 def _split(session: Session, test: Session | None, seed: int) -> tuple[Session, Session]:
@@ -285,98 +309,50 @@ def _split(session: Session, test: Session | None, seed: int) -> tuple[Session, 
     return blocked_split(session, rng=seed)
 
 
-def expected_spread(fitted: Fit, rows: Session) -> np.ndarray:
-    """(N, 3) standard deviation of unseen errors: noise and parameter uncertainty, m."""
-    posture = fitted.model.posture([rows.q[:, j] for j in range(rows.n)], rows.context())
-    columns = fitted.model.columns(posture)[1]
-    own = np.einsum("nip,pq,niq->ni", columns, fitted.covariance, columns, optimize=True)
-    return np.sqrt(fitted.sigma**2 + own)
+# ------------------------------------------------------------------ in words
 
 
-def _prove(
-    models: Mapping[str, Model],
-    network: Residual | None,
-    held_out: Session,
-    spread: Mapping[str, np.ndarray],
-    rng: np.random.Generator,
-) -> Proof:
-    proof = prove({name: errors(m, held_out) for name, m in models.items()}, spread, rng)
-    return _with_network(proof, models["with_effects"], network, held_out)
-
-
-def _with_network(proof: Proof, model: Model, network: Residual | None, held_out: Session) -> Proof:
-    """The proof with the errors that a network on top of a model leaves."""
-    if network is None:
-        return proof
-    predicted = network.predict(held_out.q, held_out.context())
-    learned = np.where(predicted.in_domain[:, None], predicted.error, 0.0)
-    return proof.plus("with_network", errors(model, held_out) - learned)
-
-
-def _helps(proof: Proof, beside: str = "with_effects") -> bool:
-    rows = proof.rows
-    return "with_network" in rows and rows["with_network"].mean < rows[beside].mean
-
-
-def _verdict(found: tuple[Finding, ...], structure: Structure, rolled_back: bool) -> str:
-    if not found:
-        return "unknown" if structure.flag or rolled_back else "noise"
-    if structure.flag or any(len(f.names) > MOST_NAMES for f in found):
-        return "partly"
-    return "set" if any(f.alternatives for f in found) else "named"
-
-
-def summary(
-    verdict: str,
-    found: tuple[Finding, ...],
-    structure: Structure,
-    confirmed: Confirmed,
-    traced: SearchResult,
-    proof: Proof,
-    rolled_back: bool,
-) -> str:
-    """The verdict in one sentence."""
+def _summary(found: Diagnosis) -> str:
+    structure, proof = found.structure, found.proof
     left = (
         f"{1e3 * structure.size_m:.2f} mm of structure depends on {', '.join(structure.inputs)}"
         + (f", as if {structure.at} moved" if structure.at else "")
         if structure.flag
         else ""
     )
-    if rolled_back:
+    unnamed = f"{left} and has no name." if left else ""
+    if found.rolled_back:
         why = "is less than half of what is wrong" if proof.better else "is not beyond chance"
         text = f"Effects were found in the fitted poses but their gain on the held-out ones {why}"
-        return f"{text}; the model was left as it was." + (
-            f" {left} and has no name." if left else ""
-        )
-    if verdict == "noise":
+        return f"{text}; the model was left as it was." + (f" {unnamed}" if left else "")
+    if found.verdict == "noise":
         return "After calibration nothing but noise is left; no effect was added."
-    if verdict == "unknown":
+    if found.verdict == "unknown":
         return f"The model lacks something that no effect of the library explains: {left}."
-    parts = [_sentence(f, confirmed, traced) for f in found]
-    before, after = (proof.rows[k].mean for k in ("calibrated", "with_effects"))
-    text = "; ".join(parts)
-    for overlap in confirmed.overlaps:
+    text = "; ".join(_sentence(f, found) for f in found.findings)
+    for overlap in found.confirmed.overlaps:
         text += f"; {overlap.names[0]} and {overlap.names[1]} overlap"
         text += ", either alone explains most of what both do"
+    before, after = (proof.rows[k].mean for k in ("calibrated", "with_effects"))
     text += f". Held-out mean error {1e3 * before:.2f} -> {1e3 * after:.2f} mm"
-    return f"{text}; {left} and has no name." if left else f"{text}."
+    return f"{text}; {unnamed}" if left else f"{text}."
 
 
-def _sentence(found: Finding, confirmed: Confirmed, traced: SearchResult) -> str:
+def _sentence(finding: EffectFinding, found: Diagnosis) -> str:
     values = []
-    places = {(t.name, t.where) for t in found.terms}
-    for k, slot in enumerate(traced.fit.slots):
+    places = {(t.name, t.where) for t in finding.terms}
+    for k, slot in enumerate(found.fit.slots):
         if (slot.owner.name, slot.owner.where) in places:
-            i = confirmed.intervals[k]
+            i = found.confirmed.intervals[k]
             p = slot.parameter
             values.append(
                 f"{slot.owner.where} {p.name} {i.value:.3g} {p.unit} [{i.low:.3g}, {i.high:.3g}]"
             )
-    name = " or ".join(found.names)
+    name = " or ".join(finding.names)
     other = ""
-    if found.runner_up is not None and not found.alternatives:
-        odds = found.log_bayes_factor - found.runner_up.log_bayes_factor
-        other = f", runner-up {found.runner_up.candidate.name} (log odds {odds:.0f})"
-    for part in found.parts[:1]:
-        other += f"; {part.name} could stand for its {part.what}"
+    if finding.runner_up is not None and not finding.alternatives:
+        odds = finding.log_bayes_factor - finding.runner_up.log_bayes_factor
+        other = f", runner-up {finding.runner_up.candidate.name} (log odds {odds:.0f})"
+    for alias in finding.partial_aliases[:1]:
+        other += f"; {alias.name} could stand for its {alias.part}"
     return f"{name}: {', '.join(values[:4])}{', ...' if len(values) > 4 else ''}{other}"

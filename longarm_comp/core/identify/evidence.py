@@ -1,7 +1,12 @@
-"""Evidence: what one candidate would bring on top of a fit, everything else marginalised."""
+"""Evidence: what a candidate would bring on top of a fit, all else marginalised.
+
+Also in which form it brings most, between the forms that were tried, and how large it must be
+before the data show it.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,17 +14,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
-from longarm_comp.core.identify.candidates import Candidate, Columns, Term
-from longarm_comp.core.identify.fit import Fit
+from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
+from longarm_comp.core.identify.fit import ModelFit, priors
 from longarm_comp.core.identify.linear import Marginal
-from longarm_comp.core.model.model import Slot, slots_of
+from longarm_comp.core.model.model import slots_of
 
 
-def columns_at(fitted: Fit) -> Columns:
+def columns_at(fitted: ModelFit) -> CandidateColumns:
     """Columns of any candidate at the rows and the solution of a fit."""
     rows = fitted.session
     q = [rows.q[:, j] for j in range(rows.n)]
-    return Columns(fitted.model, fitted.model.posture(q, rows.context()))
+    return CandidateColumns(fitted.model, fitted.model.posture(q, rows.context()))
 
 
 @dataclass(frozen=True)
@@ -31,7 +36,6 @@ class Score:
         log_bayes_factor: evidence gained, sign bounds counted.
         fit_gain: gain in penalised log likelihood.
         mean: (k,) parameter estimates (SI).
-        sd: (k,) their posterior standard deviations.
         effect_m: RMS tip shift that it stands for, m.
     """
 
@@ -39,7 +43,6 @@ class Score:
     log_bayes_factor: float
     fit_gain: float
     mean: np.ndarray
-    sd: np.ndarray
     effect_m: float
 
 
@@ -48,7 +51,9 @@ def key(term: Term) -> tuple[str, str]:
     return term.name, term.place
 
 
-def marginal_without(fitted: Fit, columns: Columns, places: set[tuple[str, str]]) -> Marginal:
+def marginal_without(
+    fitted: ModelFit, columns: CandidateColumns, places: set[tuple[str, str]]
+) -> Marginal:
     """Evidence on top of a fit, the terms at some places taken out of it.
 
     A term with parameters leaves with its columns; one without gives its shift back to the data.
@@ -61,7 +66,9 @@ def marginal_without(fitted: Fit, columns: Columns, places: set[tuple[str, str]]
     return Marginal(fitted.design[:, kept], data)
 
 
-def score(fitted: Fit, marginal: Marginal, candidate: Candidate, columns: Columns) -> Score:
+def score(
+    fitted: ModelFit, marginal: Marginal, candidate: Candidate, columns: CandidateColumns
+) -> Score:
     """Evidence of a candidate on top of a marginal."""
     slots = candidate.slots(fitted.model.arm)
     if not slots:
@@ -70,36 +77,186 @@ def score(fitted: Fit, marginal: Marginal, candidate: Candidate, columns: Column
     white = fitted.whitened(scaled)
     if not np.isfinite(white).all() or not white.any():
         zero = np.zeros(len(slots))
-        return Score(candidate, 0.0, 0.0, zero, zero, 0.0)
+        return Score(candidate, 0.0, 0.0, zero, 0.0)
     added = marginal.added(white)
     sd = np.sqrt(np.diag(added.covariance))
     bounded = np.array([s.parameter.lower == 0.0 for s in slots])
     sided = (math.log(2.0) + norm.logcdf(added.mean / sd))[bounded].sum()
     mean = np.where(bounded, np.maximum(added.mean, 0.0), added.mean)
-    scale = _prior(slots)
+    scale = priors(slots)
     return Score(
         candidate,
         added.log_bayes_factor + float(sided),
         added.fit_gain,
         mean * scale,
-        sd * scale,
         _rms(scaled @ mean),
     )
 
 
-def _fixed(fitted: Fit, marginal: Marginal, candidate: Candidate, columns: Columns) -> Score:
+def _fixed(
+    fitted: ModelFit, marginal: Marginal, candidate: Candidate, columns: CandidateColumns
+) -> Score:
     """An effect without parameters: it is there, whole, or it is not."""
     shift = columns.shift(candidate.terms)
     white = fitted.whitened(shift[..., None])[:, 0]
     projected = marginal.project(white)
     gain = float(projected @ marginal.y - 0.5 * projected @ white)
-    empty = np.zeros(0)
-    return Score(candidate, gain, gain, empty, empty, _rms(shift))
+    return Score(candidate, gain, gain, np.zeros(0), _rms(shift))
 
 
 def _rms(shift: np.ndarray) -> float:
     return float(np.sqrt((shift**2).sum(-1).mean()))
 
 
-def _prior(slots: Sequence[Slot]) -> np.ndarray:
-    return np.array([s.parameter.prior for s in slots])
+IMPLAUSIBLE = 5.0
+"""Prior standard deviations beyond which nobody believes a size."""
+
+
+@dataclass(frozen=True)
+class Smallest:
+    """The smallest size of a candidate that would be accepted.
+
+    Attributes:
+        candidate: the hypothesis.
+        log_bayes_factor: what it scores on these data.
+        size: in its prior standard deviations; infinite where no size could be seen.
+        shift_m: RMS shift of the tip that this size stands for, m; infinite as `size`.
+    """
+
+    candidate: Candidate
+    log_bayes_factor: float
+    size: float
+    shift_m: float
+
+    @property
+    def visible(self) -> bool:
+        """Whether a plausible size would have shown."""
+        return self.size <= IMPLAUSIBLE
+
+
+def smallest(
+    fit: ModelFit,
+    marginal: Marginal,
+    columns: CandidateColumns,
+    candidate: Candidate,
+    threshold: float,
+) -> Smallest:
+    """Smallest size whose expected log Bayes factor reaches the threshold, noise apart.
+
+    With ``S = B'PB`` of the k prior-scaled columns, parameters drawn with a standard deviation
+    of c priors give ``E[t'(I+S)^-1 t] = c^2 tr(S (I+S)^-1 S)``; c solves
+    ``c^2 tr(S (I+S)^-1 S) / 2 - ln|I+S| / 2 = threshold``.  An effect without parameters has
+    one size: it is seen or not.
+
+    Args:
+        fit: whose rows, noise and weights count.
+        marginal: what is in the model already.
+        columns: of candidates at the fit's rows.
+        candidate: the hypothesis.
+        threshold: log Bayes factor to reach.
+    """
+    scored = score(fit, marginal, candidate, columns).log_bayes_factor
+    if candidate.slots(fit.model.arm):
+        raw = columns.of(candidate.terms)
+    else:
+        raw = columns.shift(candidate.terms)[..., None]
+    b = fit.whitened(raw)
+    s = b.T @ marginal.project(b)
+    values = np.clip(np.linalg.eigvalsh((s + s.T) / 2), 0.0, None)
+    if candidate.slots(fit.model.arm):
+        gain = float((values**2 / (1.0 + values)).sum())
+        need = 2.0 * threshold + float(np.log1p(values).sum())
+        size = math.sqrt(need / gain) if gain > 1e-12 else math.inf
+    else:
+        size = 1.0 if values.sum() / 2.0 >= threshold else math.inf
+    length = float(np.sqrt((raw**2).sum((1, 2)).mean()))
+    return Smallest(candidate, scored, size, size * length if length else math.inf)
+
+
+def detectable(
+    fit: ModelFit, candidates: Sequence[Candidate], threshold: float
+) -> tuple[Smallest, ...]:
+    """`smallest` of candidates on top of everything that was fitted, in the order given."""
+    columns, marginal = columns_at(fit), Marginal(fit.design, fit.data)
+    return tuple(smallest(fit, marginal, columns, c, threshold) for c in candidates)
+
+
+LOOKS = 9
+"""Values looked at side by side; then as many again around the best of them."""
+WORTH = 0.5
+"""Log evidence that a form must bring to be taken instead of the one that is there."""
+SWEEPS = 2
+"""Times that every scale is gone along, where a term has several."""
+
+
+def reshaped(terms: Sequence[Term], candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Other effects at the same places, in the forms that some terms were refined to.
+
+    Only effects that have all of the terms' scales: a deadband and a play share their load gate.
+    """
+    scales = set(terms[0].scales())
+    if not scales:
+        return []
+    others: dict[str, dict[str, Term]] = {}
+    for candidate in candidates:
+        for term in candidate.terms:
+            if term.name != terms[0].name and scales <= set(term.scales()):
+                others.setdefault(term.name, {}).setdefault(term.where, term)
+    made = []
+    for name, at in others.items():
+        shaped = tuple(
+            dataclasses.replace(at[t.where], **{k: getattr(t, k) for k in scales})
+            for t in terms
+            if t.where in at
+        )
+        if len(shaped) == len(terms):
+            made.append(Candidate(name, shaped))
+    return made
+
+
+def refined(
+    fit: ModelFit,
+    marginal: Marginal,
+    columns: CandidateColumns,
+    term: Term,
+    candidates: Sequence[Candidate],
+) -> Score:
+    """The term in the form of highest evidence between the neighbouring tried values.
+
+    As it is, where that is hardly better: a refit costs more than it brings.
+
+    Args:
+        fit: whose rows, noise and weights count.
+        marginal: what is in the model beside the term.
+        columns: of candidates at the fit's rows.
+        term: where it starts from; one without scales is scored as it is.
+        candidates: their values of the scales are the tried ones.
+    """
+
+    def scored(terms: Sequence[Term]) -> list[Score]:
+        columns.of(terms)  # all at once: much faster
+        return [score(fit, marginal, Candidate(term.name, (t,)), columns) for t in terms]
+
+    start = best = scored([term])[0]
+    for _ in range(min(len(term.scales()), SWEEPS)):
+        for field in term.scales():
+            low, high = neighbours(term, field, candidates)
+            for _ in range(2):
+                here = best.candidate.terms[0]
+                values = np.linspace(low, high, LOOKS)
+                moved = [dataclasses.replace(here, **{field: float(v)}) for v in values]
+                best = max(best, *scored(moved), key=lambda s: s.log_bayes_factor)
+                step = (high - low) / (LOOKS - 1)
+                centre = float(getattr(best.candidate.terms[0], field))
+                low, high = max(low, centre - step), min(high, centre + step)
+    return best if best.log_bayes_factor > start.log_bayes_factor + WORTH else start
+
+
+def neighbours(term: Term, field: str, candidates: Sequence[Candidate]) -> tuple[float, float]:
+    """The values of a scale that were tried to either side of a term's, or the scale's ends."""
+    least, largest = term.scales()[field]
+    value = float(getattr(term, field))
+    tried = {float(getattr(t, field)) for c in candidates if c.name == term.name for t in c.terms}
+    low = max((v for v in tried if v < value), default=least)
+    high = min((v for v in tried if v > value), default=largest)
+    return low, high

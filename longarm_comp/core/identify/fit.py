@@ -7,31 +7,23 @@ that no model of this kind explains get weight 0, anew at every step.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import Scalar
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.base_pose import BasePose
-from longarm_comp.core.effects.dh_error import DhError
-from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.effects.joint_zero import JointZero
-from longarm_comp.core.effects.tip_offset import TipOffset
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify import linear
-from longarm_comp.core.identify.weights import inliers, spread, whiten
+from longarm_comp.core.identify.linear import inliers, spread, whiten
 from longarm_comp.core.model.model import Model, Slot, unstack
 
 
 @dataclass(frozen=True)
-class Fit:
+class ModelFit:
     """A model fitted to a session's seen rows.
 
     Attributes:
@@ -96,63 +88,6 @@ def priors(slots: tuple[Slot, ...]) -> np.ndarray:
     return np.array([s.parameter.prior for s in slots], dtype=float)
 
 
-def geometry(arm: Arm, session: Session) -> tuple[Effect, ...]:
-    """What is always fitted: base placements, markers, every joint zero and DH row."""
-    return (*frames(arm, session), *JointZero.for_arm(arm), *DhError.for_arm(arm))
-
-
-def frames(arm: Arm, session: Session) -> tuple[Effect, ...]:
-    """Base placement(s) and markers only: what any measurement needs."""
-    groups = sorted(set(session.labels["group"])) if "group" in session.labels else []
-    bases = tuple(BasePose(group=str(g)) for g in groups) if len(groups) > 1 else (BasePose(),)
-    return (*bases, *TipOffset.for_arm(arm))
-
-
-def align(model: Model, session: Session, beyond: float = 0.1) -> Model:
-    """Put the base placements roughly where the data say, when they are far off (Kabsch).
-
-    Args:
-        model: holds one `base_pose` per group.
-        session: measured rows.
-        beyond: median misfit (m) above which the placement is replaced.
-    """
-    seen = session.take(session.seen)
-    effects = list(model.effects)
-    for k, effect in enumerate(effects):
-        if not isinstance(effect, BasePose):
-            continue
-        mine = np.ones(len(seen), bool)
-        if effect.group and "group" in seen.labels:
-            mine = seen.labels["group"] == effect.group
-        rows = seen.take(mine)
-        if len(rows) < 4:
-            continue
-        predicted = model.tip(rows.q, rows.context())
-        if np.median(np.linalg.norm(rows.xyz - predicted, axis=1)) <= beyond:
-            continue
-        home = model.arm.base.frame().matrix()
-        local = (predicted - home[:3, 3]) @ home[:3, :3]
-        target = (rows.xyz - home[:3, 3]) @ home[:3, :3]
-        turn, _ = Rotation.align_vectors(target - target.mean(0), local - local.mean(0))
-        shift = target.mean(0) - turn.apply(local.mean(0))
-        d, w = _log(turn, shift)
-        names = ("x", "y", "z", "rx", "ry", "rz")
-        effects[k] = effect.with_values(dict(zip(names, (*d, *w), strict=True)))
-    return dataclasses.replace(model, effects=tuple(effects))
-
-
-def _log(turn: Rotation, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Twist of a finite motion: the inverse of `spatial.exp_large`."""
-    w = turn.as_rotvec()
-    angle = np.linalg.norm(w)
-    hat = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
-    if angle < 1e-9:
-        return shift, w
-    b = (1 - np.cos(angle)) / angle**2
-    c = (angle - np.sin(angle)) / angle**3
-    return np.linalg.solve(np.eye(3) + b * hat + c * hat @ hat, shift), w
-
-
 def fit(
     model: Model,
     session: Session,
@@ -162,7 +97,7 @@ def fit(
     robust: bool = True,
     weights: np.ndarray | None = None,
     max_iterations: int = 25,
-) -> Fit:
+) -> ModelFit:
     """Fit all free parameters of a model to one session.
 
     Args:
@@ -179,17 +114,17 @@ def fit(
         InputError: fewer than four seen rows, or an input that a term needs is missing.
         JobError: the fit did not stay finite.
     """
-    part = _Part.of(model, session, sigma, weights, robust, rho)
+    part = _SessionProblem.of(model, session, sigma, weights, robust, rho)
     return _fit_parts([part], max_iterations)[0]
 
 
-def unfitted(model: Model, session: Session) -> Fit:
+def unfitted(model: Model, session: Session) -> ModelFit:
     """A model held against a session as it is: residual and design, nothing fitted yet."""
-    part = _Part.of(model, session, None, None, False)
+    part = _SessionProblem.of(model, session, None, None, False)
     part.look()
     part.weigh(settled=False)
     prior = np.diag(priors(model.slots) ** 2)
-    return Fit(
+    return ModelFit(
         model,
         part.seen,
         part.residual,
@@ -208,7 +143,7 @@ def fit_together(
     own: Callable[[Slot], bool],
     *,
     max_iterations: int = 25,
-) -> list[Fit]:
+) -> list[ModelFit]:
     """Fit several arms that share a part of their chain (two arms on one torso).
 
     Args:
@@ -220,12 +155,12 @@ def fit_together(
     Raises:
         InputError, JobError: as `fit`.
     """
-    made = [_Part.of(model, session, None, None, True) for model, session in parts]
+    made = [_SessionProblem.of(model, session, None, None, True) for model, session in parts]
     return _fit_parts(made, max_iterations, own)
 
 
 @dataclass
-class _Part:
+class _SessionProblem:
     """One session on its way through the Gauss-Newton steps."""
 
     model: Model
@@ -251,7 +186,7 @@ class _Part:
         weights: np.ndarray | None,
         robust: bool,
         rho: float = 0.0,
-    ) -> _Part:
+    ) -> _SessionProblem:
         seen = session.take(session.seen)
         if len(seen) < 4:
             raise InputError(session.source, "xyz", f"{len(seen)} seen rows", "at least 4")
@@ -300,8 +235,8 @@ class _Part:
 
 
 def _fit_parts(
-    parts: list[_Part], max_iterations: int, own: Callable[[Slot], bool] | None = None
-) -> list[Fit]:
+    parts: list[_SessionProblem], max_iterations: int, own: Callable[[Slot], bool] | None = None
+) -> list[ModelFit]:
     """Gauss-Newton on the posterior mode of all parts at once."""
     place: dict[tuple[object, ...], int] = {}
     maps, chosen = [], []
@@ -346,7 +281,7 @@ def _fit_parts(
             part.noise = spread(part.residual, part.weights, part.effective)
         size = np.outer(scale[mine], scale[mine])
         made.append(
-            Fit(
+            ModelFit(
                 part.model,
                 part.seen,
                 part.residual,

@@ -8,10 +8,10 @@ import numpy as np
 from scipy.stats import qmc
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.identify.aliasing import Finding
-from longarm_comp.core.identify.candidates import Columns
+from longarm_comp.core.identify.aliasing import EffectFinding
+from longarm_comp.core.identify.candidates import CandidateColumns
 from longarm_comp.core.identify.evidence import Score, key
-from longarm_comp.core.identify.fit import Fit
+from longarm_comp.core.identify.fit import ModelFit
 from longarm_comp.core.identify.search import SearchResult
 
 POOL = 512
@@ -37,7 +37,7 @@ class NextPoses:
 
 
 def next_poses(
-    traced: SearchResult, found: Finding, other: Score, count: int, seed: int = 0
+    result: SearchResult, found: EffectFinding, other: Score, count: int, seed: int = 0
 ) -> NextPoses:
     """Greedy choice of the poses that the alternative explains worst.
 
@@ -45,7 +45,7 @@ def next_poses(
     predicts for the session and the poses chosen so far, and the pose where it is then most
     wrong, in units of the noise, is added.
     """
-    fit = traced.fit
+    fit = result.fit
     arm = fit.model.arm
     unit = qmc.Sobol(arm.n, seed=seed).random(POOL)
     q = arm.lower + (arm.upper - arm.lower) * unit
@@ -77,12 +77,12 @@ def next_poses(
     return NextPoses(q[chosen], side[chosen], between, float(total) / 2, payload)
 
 
-def _rows(fit: Fit) -> tuple[np.ndarray, Context]:
+def _rows(fit: ModelFit) -> tuple[np.ndarray, Context]:
     return fit.session.q, fit.session.context()
 
 
 def _designs(
-    fit: Fit, found: Finding, other: Score, at: tuple[np.ndarray, Context]
+    fit: ModelFit, found: EffectFinding, other: Score, at: tuple[np.ndarray, Context]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Design of geometry, rest and alternative, and the shift that the found effect makes.
 
@@ -95,7 +95,7 @@ def _designs(
     rest = [s for s in fit.slots if key(s.owner) not in places]
     priors = np.array([s.parameter.prior for s in rest])
     columns = fit.model.columns(posture, rest)[1] * priors
-    built = Columns(fit.model, posture)
+    built = CandidateColumns(fit.model, posture)
     a = np.concatenate([columns, built.of(other.candidate.terms)], axis=-1)
     own = [s for s in fit.slots if key(s.owner) in places]
     values = np.array([getattr(s.owner, s.parameter.name) for s in own])

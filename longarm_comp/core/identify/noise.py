@@ -9,16 +9,15 @@ from scipy.stats import f
 
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify import linear
-from longarm_comp.core.identify.fit import Fit
-from longarm_comp.core.identify.weights import OUTLIER, whiten
+from longarm_comp.core.identify.fit import ModelFit, priors
+from longarm_comp.core.identify.linear import MAD, OUTLIER, whiten
 
 ENOUGH_REPEATS = 15
 """Degrees of freedom that repeats must have to be trusted."""
-_MAD = 1.4826
 
 
 @dataclass(frozen=True)
-class Noise:
+class NoiseEstimate:
     """Standard deviation per axis and correlation from row to row.
 
     Attributes:
@@ -34,7 +33,7 @@ class Noise:
     degrees: float
 
 
-def from_repeats(session: Session) -> Noise | None:
+def from_repeats(session: Session) -> NoiseEstimate | None:
     """Pure error of repeated poses that were reached from the same side, if there are enough.
 
     Repeats from different sides differ by hysteresis too, so each side is a group of its own.
@@ -54,16 +53,18 @@ def from_repeats(session: Session) -> Noise | None:
     if not deviation:
         return None
     scatter, share = np.concatenate(deviation), np.concatenate(freedom)
-    robust = _MAD * np.median(np.abs(scatter), axis=0) / np.sqrt(share.mean())
+    robust = MAD * np.median(np.abs(scatter), axis=0) / np.sqrt(share.mean())
     kept = (np.abs(scatter) <= OUTLIER * np.maximum(robust, 1e-9)).all(axis=1)
     degrees = float(share[kept].sum())
     if degrees < ENOUGH_REPEATS:
         return None
     sigma = np.sqrt((scatter[kept] ** 2).sum(0) / degrees)
-    return Noise(np.maximum(sigma, 1e-7), "repeats", 0.0, degrees)
+    return NoiseEstimate(np.maximum(sigma, 1e-7), "repeats", 0.0, degrees)
 
 
-def from_residual(fit: Fit, extra: np.ndarray, steps: int = 12) -> tuple[Noise, np.ndarray]:
+def from_residual(
+    fit: ModelFit, extra: np.ndarray, steps: int = 12
+) -> tuple[NoiseEstimate, np.ndarray]:
     """Noise as what is left when everything in the library is fitted at once.
 
     Args:
@@ -73,7 +74,7 @@ def from_residual(fit: Fit, extra: np.ndarray, steps: int = 12) -> tuple[Noise, 
     Returns:
         The noise, and the (N,) weights it was found with.
     """
-    columns = np.concatenate([fit.columns * _priors(fit), extra], axis=-1)
+    columns = np.concatenate([fit.columns * priors(fit.slots), extra], axis=-1)
     y = (fit.residual + fit.columns @ fit.model.values)[..., None]
     weights = fit.weights
     sigma = fit.sigma.copy()
@@ -84,7 +85,7 @@ def from_residual(fit: Fit, extra: np.ndarray, steps: int = 12) -> tuple[Noise, 
         white = whiten(np.concatenate([columns, y], -1), weights, sigma, 0.0)
         posterior = linear.solve(white[:, :-1], white[:, -1])
         residual = (y - columns @ posterior.u[:, None])[..., 0]
-        robust = _MAD * np.median(np.abs(residual[weights > 0]), axis=0)
+        robust = MAD * np.median(np.abs(residual[weights > 0]), axis=0)
         degrees = max(weights.sum() - posterior.effective / 3, weights.sum() / 10)
         inflate = np.sqrt(weights.sum() / degrees)
         worst = (np.abs(residual) / np.maximum(robust * inflate, 1e-9)).max(axis=1)
@@ -95,10 +96,10 @@ def from_residual(fit: Fit, extra: np.ndarray, steps: int = 12) -> tuple[Noise, 
         if done:
             break
     rho = lag_correlation(residual / sigma, weights)
-    return Noise(sigma, "residual", rho, degrees), weights
+    return NoiseEstimate(sigma, "residual", rho, degrees), weights
 
 
-def agreed(repeats: Noise, residual: Noise) -> Noise:
+def agreed(repeats: NoiseEstimate, residual: NoiseEstimate) -> NoiseEstimate:
     """The residual's figure, but the repeats' on axes where they are significantly smaller.
 
     A few dozen repeats give sigma to a factor of 1.5 only, too rough to weigh evidence with;
@@ -110,7 +111,7 @@ def agreed(repeats: Noise, residual: Noise) -> Noise:
     lack = repeats.sigma < limit * residual.sigma
     sigma = np.where(lack, repeats.sigma, residual.sigma)
     source = "repeats" if lack.any() else "residual"
-    return Noise(sigma, source, residual.rho, residual.degrees)
+    return NoiseEstimate(sigma, source, residual.rho, residual.degrees)
 
 
 def lag_correlation(white: np.ndarray, weights: np.ndarray) -> float:
@@ -120,7 +121,3 @@ def lag_correlation(white: np.ndarray, weights: np.ndarray) -> float:
         return 0.0
     rho = float((kept[1:] * kept[:-1]).sum() / (kept**2).sum())
     return rho if abs(rho) > 4 / np.sqrt(kept.size) and abs(rho) > 0.1 else 0.0
-
-
-def _priors(fit: Fit) -> np.ndarray:
-    return np.array([s.parameter.prior for s in fit.slots])

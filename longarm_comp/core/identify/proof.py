@@ -5,19 +5,42 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.stats import chi, norm
 
-from longarm_comp.core.identify.calibrate import Errors
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.identify.calibrate import Errors, errors
+from longarm_comp.core.identify.fit import ModelFit
+from longarm_comp.core.model.model import Model
 
 OFF = 1.5
 """Held-out errors of more than this many times the noise are not noise."""
 DECIDES = (4 * norm.ppf(0.95)) ** 2
 """Gain in squared error, in units of the noise, from which on a real effect of the fitted size
 would pass a 95 % test 95 times in 100: the gain scatters by twice its root."""
+NETWORK = "with_network"
+"""Name of the stage with a learned correction on top of the model."""
 RESAMPLES = 2000
 BLOCKS = 20
+
+
+class LearnedError(Protocol):
+    """What a learned correction expects: (N, 3) errors in m, and where it may be trusted."""
+
+    @property
+    def error(self) -> np.ndarray: ...
+
+    @property
+    def in_domain(self) -> np.ndarray: ...
+
+
+class LearnedCorrection(Protocol):
+    """A learned correction of what a model leaves, as `core.learn` makes one."""
+
+    def predict(self, q: np.ndarray, context: Context | None = None) -> LearnedError: ...
 
 
 @dataclass(frozen=True)
@@ -27,7 +50,7 @@ class Proof:
     Attributes:
         errors: by model name, (N, 3) measured - predicted, m.
         rows: by model name, their figures.
-        gain_ci95: of the mean 3-D error, calibrated minus with effects, m; None without both.
+        gain_ci95: of the mean 3-D error, calibrated minus with effects, m.
         better: whether the effects lowered the held-out squared error, each axis in units of its
             noise, beyond chance (95 %, one-sided), or at all where the hold-out is too small to
             show effects of their size; a model may not grow on a gain that the hold-out does not
@@ -40,47 +63,79 @@ class Proof:
 
     errors: Mapping[str, np.ndarray]
     rows: Mapping[str, Errors]
-    gain_ci95: tuple[float, float] | None
+    gain_ci95: tuple[float, float]
     better: bool
-    misfit: float = 1.0
-    excess_m: float = 0.0
-    share: float = 1.0
+    misfit: float
+    excess_m: float
+    share: float
 
     @property
     def off(self) -> bool:
         """Whether held-out poses err by much more than the noise, whatever the fit says."""
         return self.misfit > OFF
 
-    def plus(self, name: str, error: np.ndarray) -> Proof:
-        """With the errors (N, 3), m, of one more model."""
-        rows = {**self.rows, name: Errors.of(error)}
-        return dataclasses.replace(self, errors={**self.errors, name: error}, rows=rows)
+    def with_network(self, model: Model, network: LearnedCorrection | None, rows: Session) -> Proof:
+        """With the errors that a network on top of a model leaves; inside its domain only."""
+        if network is None:
+            return self
+        expected = network.predict(rows.q, rows.context())
+        learned = np.where(expected.in_domain[:, None], expected.error, 0.0)
+        error = errors(model, rows) - learned
+        return dataclasses.replace(
+            self,
+            errors={**self.errors, NETWORK: error},
+            rows={**self.rows, NETWORK: Errors.of(error)},
+        )
+
+    def network_helps(self, beside: str) -> bool:
+        """Whether the network's mean error is below that of a model without it."""
+        return NETWORK in self.rows and self.rows[NETWORK].mean < self.rows[beside].mean
 
 
 def prove(
-    errors: Mapping[str, np.ndarray], spread: Mapping[str, np.ndarray], rng: np.random.Generator
+    models: Mapping[str, Model],
+    calibrated: ModelFit,
+    with_effects: ModelFit,
+    rows: Session,
+    rng: np.random.Generator,
 ) -> Proof:
     """Figures, a paired block bootstrap of the difference, and the hold-out against the noise.
 
     Args:
-        errors: by model name, in the order of the ladder, (N, 3) in m, rows in time order.
-        spread: for `calibrated` and `with_effects`, (N, 3) what the errors should scatter by:
-            noise and the uncertainty of the fitted parameters, m.
+        models: by name, in the order of the ladder; `calibrated` and `with_effects` among them.
+        calibrated: the fit without effects.
+        with_effects: the fit with them.
+        rows: the hold-out, in time order, all rows seen.
         rng: for the bootstrap.
     """
-    rows = {name: Errors.of(e) for name, e in errors.items()}
-    if "with_effects" not in errors or "calibrated" not in errors:
-        return Proof(errors, rows, None, False)
-    before = np.linalg.norm(errors["calibrated"], axis=1)
-    after = np.linalg.norm(errors["with_effects"], axis=1)
-    means = _resampled(before - after, rng)
-    low, high = np.percentile(means, [2.5, 97.5])
-    better = _better(errors["calibrated"], errors["with_effects"], spread["with_effects"], rng)
-    name = "with_effects" if better else "calibrated"
-    misfit, excess = _misfit(errors[name], spread[name])
-    left = {k: _misfit(errors[k], spread[k])[1] for k in ("calibrated", "with_effects")}
-    share = 1.0 - (left["with_effects"] / max(left["calibrated"], 1e-12)) ** 2
-    return Proof(errors, rows, (float(low), float(high)), better, misfit, excess, share)
+    left = {name: errors(model, rows) for name, model in models.items()}
+    spread = {
+        "calibrated": expected_spread(calibrated, rows),
+        "with_effects": expected_spread(with_effects, rows),
+    }
+    before, after = left["calibrated"], left["with_effects"]
+    gain = np.linalg.norm(before, axis=1) - np.linalg.norm(after, axis=1)
+    low, high = np.percentile(_resampled(gain, rng), [2.5, 97.5])
+    better = _better(before, after, spread["with_effects"], rng)
+    misfit = {name: _misfit(left[name], spread[name]) for name in spread}
+    final = misfit["with_effects" if better else "calibrated"]
+    share = 1.0 - (misfit["with_effects"][1] / max(misfit["calibrated"][1], 1e-12)) ** 2
+    return Proof(
+        left,
+        {name: Errors.of(error) for name, error in left.items()},
+        (float(low), float(high)),
+        better,
+        *final,
+        share,
+    )
+
+
+def expected_spread(fitted: ModelFit, rows: Session) -> np.ndarray:
+    """(N, 3) standard deviation of unseen errors: noise and parameter uncertainty, m."""
+    posture = fitted.model.posture([rows.q[:, j] for j in range(rows.n)], rows.context())
+    columns = fitted.model.columns(posture)[1]
+    own = np.einsum("nip,pq,niq->ni", columns, fitted.covariance, columns, optimize=True)
+    return np.sqrt(fitted.sigma**2 + own)
 
 
 def _better(

@@ -2,7 +2,7 @@
 
 Forward by the largest Bayes factor, the geometry refitted jointly each time and never
 frozen; outliers and noise are judged anew after every accepted effect, so that structure is
-not thrown out as noise; then forms are sharpened, two effects at one place that one effect
+not thrown out as noise; then forms are refined, two effects at one place that one effect
 explains are merged, families swapped or split in two, and a backward pass drops what no longer
 pays.
 """
@@ -12,14 +12,14 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.candidates import Candidate, Term
-from longarm_comp.core.identify.evidence import Score, key
-from longarm_comp.core.identify.fit import Fit, fit
-from longarm_comp.core.identify.moves import merge, split, swap
-from longarm_comp.core.identify.noise import Noise
-from longarm_comp.core.identify.search_state import State
+from longarm_comp.core.identify.evidence import Score, key, reshaped
+from longarm_comp.core.identify.fit import ModelFit, fit
+from longarm_comp.core.identify.noise import NoiseEstimate
+from longarm_comp.core.identify.search_state import SearchState
 from longarm_comp.core.model.model import Model
 
 ROUNDS = 4
@@ -40,14 +40,26 @@ class SearchResult:
         exhausted: the residual asked for more effects than were allowed: it is something else.
     """
 
-    fit: Fit
+    fit: ModelFit
     base: Model
     chosen: tuple[Term, ...]
-    noise: Noise
+    noise: NoiseEstimate
     first: tuple[Score, ...]
     last: tuple[Score, ...]
     threshold: float
     exhausted: bool = False
+
+    def without(self, places: set[tuple[str, str]]) -> SearchResult:
+        """The same search with some of the found terms taken out again, the rest refitted."""
+        was = self.fit
+        model = dataclasses.replace(
+            was.model,
+            effects=tuple(t for t in was.model.effects if key(t) not in places),
+            biases=tuple(t for t in was.model.biases if key(t) not in places),
+        )
+        refitted = fit(model, was.session, sigma=was.sigma, rho=was.rho, weights=was.weights)
+        chosen = tuple(t for t in self.chosen if key(t) not in places)
+        return dataclasses.replace(self, fit=refitted, chosen=chosen)
 
 
 def search(
@@ -55,7 +67,7 @@ def search(
     session: Session,
     candidates: Sequence[Candidate],
     *,
-    known_noise: Noise | None = None,
+    known_noise: NoiseEstimate | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> SearchResult:
     """Find what the model lacks.
@@ -71,7 +83,7 @@ def search(
         InputError, JobError: as `fit`.
     """
     say = progress or (lambda _: None)
-    state = State(base, session, candidates, known_noise)
+    state = SearchState(base, session, candidates, known_noise)
     say("geometry")
     state.refit()
     first = state.scores()
@@ -80,7 +92,7 @@ def search(
         if state.exhausted:
             state.prune()
             break
-        changed = state.sharpen(say) | merge(state, say) | swap(state, say) | state.prune()
+        changed = state.refine_forms(say) | merge(state, say) | swap(state, say) | state.prune()
         if not (changed or split(state, say)):
             break
     state.settle()
@@ -96,19 +108,88 @@ def search(
     )
 
 
-def dropped(traced: SearchResult, places: set[tuple[str, str]]) -> SearchResult:
-    """The same search with some of the found terms taken out again, the rest refitted."""
-    was = traced.fit
-    kept = fit(
-        dataclasses.replace(
-            was.model,
-            effects=tuple(t for t in was.model.effects if key(t) not in places),
-            biases=tuple(t for t in was.model.biases if key(t) not in places),
-        ),
-        was.session,
-        sigma=was.sigma,
-        rho=was.rho,
-        weights=was.weights,
-    )
-    chosen = tuple(t for t in traced.chosen if key(t) not in places)
-    return dataclasses.replace(traced, fit=kept, chosen=chosen)
+SWAP = 1.0
+"""A new name must be this much (log) more probable than the one it replaces."""
+COARSE = 50.0
+"""A form this much (log) worse than the best may still win once its scale is refined."""
+PAIRED = 6
+"""Names, the best ones, of which every two are tried together in the place of one."""
+
+
+def merge(state: SearchState, say: Callable[[str], None]) -> bool:
+    """Where two effects sit at one place, let one of them do, in another form if need be."""
+    merged = False
+    for where in dict.fromkeys(t.where for t in state.chosen.values()):
+        places = [k for k, t in state.chosen.items() if t.where == where]
+        if len(places) < 2:
+            continue
+        now = state.score(
+            state.marginal(places), Candidate("", tuple(state.chosen[p] for p in places))
+        )
+        names = {name for name, _ in places}
+        first: dict[str, Score] = {}
+        for single in state.scores(places):
+            close = single.log_bayes_factor > now.log_bayes_factor - COARSE
+            if close and single.candidate.name in names and single.candidate.where == (where,):
+                first.setdefault(single.candidate.name, single)
+        options = [state.best_form(s.candidate.terms[0], places) for s in first.values()]
+        best = max(options, key=lambda s: s.log_bayes_factor, default=None)
+        if best is not None and best.log_bayes_factor >= now.log_bayes_factor:
+            say(f"{best.candidate.label} alone")
+            state.replace(places, best)
+            merged = True
+    return merged
+
+
+def swap(state: SearchState, say: Callable[[str], None]) -> bool:
+    """Replace a family by a better one, a better form, or more places of another that is there."""
+    changed = False
+    for name in dict.fromkeys(name for name, _ in state.chosen):
+        if name not in state.names(()):
+            continue  # pruned while others were replaced
+        places, marginal, now = state.family(name)
+        terms = now.candidate.terms
+        shaped = [state.score(marginal, c) for c in reshaped(terms, state.candidates)]
+        options = sorted((*state.scores(places), *shaped), key=lambda s: -s.log_bayes_factor)
+        form = now.candidate.form
+        surplus = now.log_bayes_factor - state.threshold
+        for option in options:
+            other = option.candidate
+            if (other.name, other.form) == (name, form):
+                continue  # more places of the same are for `grow`, fewer for `prune`
+            margin = 0.0 if other.name in state.names(places) else SWAP
+            if option.log_bayes_factor - state.need(other.name, places) > surplus + margin:
+                say(f"{other.label} instead of {name}")
+                state.replace(places, option)
+                changed = True
+                break
+    return changed
+
+
+def split(state: SearchState, say: Callable[[str], None]) -> bool:
+    """Let two effects take the place of one that does for both what neither does alone.
+
+    A search that adds one effect at a time finds the compromise first.
+    """
+    for name in dict.fromkeys(name for name, _ in state.chosen):
+        places, marginal, now = state.family(name)
+        least = now.log_bayes_factor - state.threshold + SWAP
+        forms: dict[str, list[Candidate]] = {}
+        for option in state.scores(places):
+            forms.setdefault(option.candidate.name, []).append(option.candidate)
+        forms.pop(name, None)
+        few = [form for options in list(forms.values())[:PAIRED] for form in options[:2]]
+        both = [
+            state.score(marginal, Candidate(f"{a.name} and {b.name}", (*a.terms, *b.terms)))
+            for a, b in combinations(few, 2)
+            if a.name != b.name
+        ]
+        best = max(both, key=lambda s: s.log_bayes_factor, default=None)
+        if best is None:
+            continue
+        names = {t.name for t in best.candidate.terms}
+        if best.log_bayes_factor - sum(state.need(n, places) for n in names) > least:
+            say(f"{best.candidate.label} instead of {name}")
+            state.replace(places, best)
+            return True
+    return False

@@ -1,4 +1,4 @@
-"""The state of a search: what is chosen so far, its fit, noise, and every candidate's columns."""
+"""The state of a search: the chosen terms, their fit, the noise, every candidate's columns."""
 
 from __future__ import annotations
 
@@ -13,35 +13,41 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify import noise as noise_step
 from longarm_comp.core.identify.candidates import Candidate, Term
-from longarm_comp.core.identify.evidence import Score, columns_at, key, marginal_without, score
+from longarm_comp.core.identify.evidence import (
+    Score,
+    columns_at,
+    key,
+    marginal_without,
+    refined,
+    score,
+)
 from longarm_comp.core.identify.fit import fit, unfitted
 from longarm_comp.core.identify.linear import Marginal
-from longarm_comp.core.identify.noise import Noise
-from longarm_comp.core.identify.refine_forms import sharpened
+from longarm_comp.core.identify.noise import NoiseEstimate
 from longarm_comp.core.model.model import Model, slots_of
 
 ODDS = math.log(20.0)
 """An effect must be this much (log) more probable than none after paying for the choice."""
 LOCATED = 2.0
 """Within an effect, a place must be this much (log) more probable with it than without."""
-SHARPENED = 4
-"""Times that a term is sharpened at most, each with the rest as it has become."""
+REFINEMENTS = 4
+"""Times that a term is refined at most, each with the rest as it has become."""
 MOST_ACCEPTED = 10
 """Effects that are tried on in all; a residual that asks for more is none of the library's."""
 STEPS = 6
-"""Of every fit on the way; the next one goes on from there, and the last one to the end."""
+"""Iterations of an intermediate fit; only the final fit converges."""
 MOST_TERMS = 72
 
 
-class State:
-    """The model on its way: chosen terms, fit, noise and columns of every candidate."""
+class SearchState:
+    """The model while it grows: chosen terms, fit, noise and columns of every candidate."""
 
     def __init__(
         self,
         base: Model,
         session: Session,
         candidates: Sequence[Candidate],
-        known: Noise | None,
+        known: NoiseEstimate | None,
     ) -> None:
         self.base, self.session, self.candidates = base, session, candidates
         self.known = known
@@ -50,7 +56,7 @@ class State:
         self._start = base
         self.refused: set[str] = set()
         self.accepted = 0
-        self.sharp: Counter[tuple[str, str]] = Counter()
+        self.refinements: Counter[tuple[str, str]] = Counter()
 
     def refit(self) -> None:
         """Judge the noise by all that the library could explain, then fit geometry and terms."""
@@ -134,7 +140,7 @@ class State:
             before = dict(self.chosen), self._start, self.fit, self.columns, self.noise
             try:
                 self.accept(best)
-                while self.sharpen(say):
+                while self.refine_forms(say):
                     pass
                 self.prune()
             except JobError:
@@ -147,7 +153,7 @@ class State:
         self._put(found)
         self._rebuild()
 
-    def exchange(self, places: Sequence[tuple[str, str]], found: Score) -> None:
+    def replace(self, places: Sequence[tuple[str, str]], found: Score) -> None:
         """Accept it in the place of what is chosen at some places."""
         for place in places:
             del self.chosen[place]
@@ -188,13 +194,13 @@ class State:
         )
         self.refit()
 
-    def sharpen(self, say: Callable[[str], None]) -> bool:
+    def refine_forms(self, say: Callable[[str], None]) -> bool:
         """Move forms that lie on a scale to where the evidence is highest; whether any moved."""
         better: list[Score] = []
         for place, term in self.chosen.items():
-            if term.tunable and self.sharp[place] < SHARPENED:
-                best = self.sharpened_form(term, [place])
-                self.sharp[place] += 1
+            if term.scales() and self.refinements[place] < REFINEMENTS:
+                best = self.best_form(term, [place])
+                self.refinements[place] += 1
                 if best.candidate.terms != (term,):
                     better.append(best)
         for best in better:
@@ -204,9 +210,9 @@ class State:
             self._rebuild()
         return bool(better)
 
-    def sharpened_form(self, term: Term, without: Sequence[tuple[str, str]]) -> Score:
+    def best_form(self, term: Term, without: Sequence[tuple[str, str]]) -> Score:
         marginal = self.marginal(without)
-        return sharpened(self.fit, marginal, self.columns, term, self.candidates)
+        return refined(self.fit, marginal, self.columns, term, self.candidates)
 
     def prune(self) -> bool:
         """Drop terms that the rest makes superfluous; whether anything went."""

@@ -41,7 +41,8 @@ class Problem:
         starts, lower, upper: (N, n); a locked joint has both limits at its start.
         points: restarts (S, n + 1): a point in the unit box and how far to go to it (0 to 1).
         length: metres that a radian of tool angle counts for.
-        tol: on position (m) and angle (rad).
+        tol: what a search works towards, on position (m) and angle (rad).
+        reached: what counts as success, on both; what misses by more is started elsewhere.
         max_iterations: per start.
         threads: at work at once in machine code.
     """
@@ -54,6 +55,7 @@ class Problem:
     points: np.ndarray
     length: float
     tol: float
+    reached: float
     max_iterations: int
     threads: int
 
@@ -131,7 +133,7 @@ def run(
             report[ids, 3] += 1
             won = left @ (1.0, p.length) < report[ids, :2] @ (1.0, p.length)
             q[ids[won]], report[ids[won], :2] = found[won], left[won]
-            ids = ids[~(left <= p.tol).all(axis=1)]
+            ids = ids[~(left <= p.reached).all(axis=1)]
             if not ids.size:
                 break
     return q, report

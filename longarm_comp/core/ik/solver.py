@@ -35,6 +35,10 @@ from longarm_comp.core.model.model import Model
 __all__ = ["Engine", "Reason", "Solution", "Solutions", "solve", "solve_many", "warm_up"]
 
 TOLERANCE = 1e-9
+"""m and rad: what a search works towards."""
+REACHED = 1e-6
+"""m and rad: a target that is missed by less is reached. On the boundary of what the arm reaches
+the last digits of a target decide whether any joints meet it more closely."""
 MAX_ITERATIONS = 60
 MAX_STARTS = 16
 _MACHINE = (Engine.AUTO, Engine.COMPILED)
@@ -57,7 +61,7 @@ class Solution(NamedTuple):
 
     Attributes:
         q: (n,), inside the limits; the best found when not `ok`.
-        ok: residuals are within the tolerance.
+        ok: residuals are within `REACHED`, or within `tol` where that is wider.
         reason: why the search ended.
         position_residual_m, angle_residual_rad: what is left at q (0 rad for position tasks).
         iterations: in total, over all starts.
@@ -136,7 +140,8 @@ def solve(
         found = solve_compiled(model, target, seed, context, (m, tol, max_iterations), engine)
         if found is not None:
             q, (position, angle, iterations, stuck, _) = found
-            if position <= tol and angle <= tol:
+            reached = max(tol, REACHED)
+            if position <= reached and angle <= reached:
                 at = _active(model, q) if stuck else ()
                 return Solution(q, True, _CONVERGED, position, angle, int(iterations), at, 1)
     many = solve_many(
@@ -179,7 +184,7 @@ def solve_many(
         context: circumstances of the targets, scalars or (N,) arrays.
         position_only: leave the orientation free (always so for (N, 3)).
         locked: joints that stay at their seed: 0-based numbers in q, or names.
-        tol: on the position (m) and on the angle (rad).
+        tol: what a search works towards, on the position (m) and on the angle (rad).
         max_iterations: per start.
         max_starts: the seed and so many restarts less one; 1 never leaves the seed's branch.
         rng: draws the restarts; by default a fixed low-discrepancy sequence does.
@@ -213,6 +218,7 @@ def solve_many(
         points,
         characteristic_length(model),
         float(tol),
+        max(float(tol), REACHED),
         int(max_iterations),
         max(1, threads),
     )
@@ -311,7 +317,7 @@ def _collect(model: Model, q: np.ndarray, report: np.ndarray, problem: Problem) 
     position, angle = report[:, 0], report[:, 1]
     iterations, starts = report[:, 2].astype(int), report[:, 3].astype(int)
     at_limit = (q <= model.arm.lower) | (q >= model.arm.upper)
-    ok = (position <= problem.tol) & (angle <= problem.tol)
+    ok = (position <= problem.reached) & (angle <= problem.reached)
     reasons = [Reason.CONVERGED] * len(q)
     for i in np.flatnonzero(~ok):
         exhausted = iterations[i] >= starts[i] * problem.max_iterations

@@ -31,7 +31,7 @@ Errata of the paper's printed Eq. (6)-(8), kept selectable as ``form="printed"``
 * (8) second line draws one scalar ``beta``; the canonical form draws one per dimension.
 
 The measured effect stands in ``docs/ssa_bp.md`` and is printed again by
-``python -m longarm_comp.bench.ssa_pays``.
+``python -m bench.ssa_pays``.
 
 Known weakness: the update is biased towards the origin and the diagonal (all coordinates alike),
 so as a general-purpose optimiser it loses to differential evolution on shifted problems.

@@ -52,6 +52,8 @@ class Model:
         biases: camera side, applied in order; they never reach a joint command.
         passes: load passes (1 leaves 0.14 mm at 18 mm of sag, 2 leave 0.001; docs/physics.md).
         elements_per_beam: pieces each beam is cut in.
+        arrivals: by commanded joint, rows of the data that it was fitted to that arrived from
+            above (-1) and from below (+1); empty: not recorded.
     """
 
     arm: Arm
@@ -59,6 +61,7 @@ class Model:
     biases: tuple[Bias, ...] = ()
     passes: int = 3
     elements_per_beam: int = 2
+    arrivals: tuple[tuple[int, int], ...] = ()
 
     def __getstate__(self) -> dict[str, object]:
         """Copies and other processes get what was declared, not what was compiled for it."""

@@ -10,14 +10,14 @@ import dataclasses
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import yaml
 from pydantic import Field
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.effects.catalogue import effect_class
+from longarm_comp.core.effects.catalogue import effect_class, origin
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path, write_text
@@ -113,9 +113,19 @@ def store(
         arm=ArmReference(name=model.arm.name, hash=model.arm.hash),
         passes=model.passes,
         elements_per_beam=model.elements_per_beam,
-        provenance=dict(provenance or {}),
+        provenance={**(provenance or {}), **_sources(model)},
         **sides,
     )
+
+
+def _sources(model: Model) -> dict[str, str]:
+    """Where effects of others came from: for people, who have to give it again."""
+    known = {term.name: origin(type(term)) for term in model.terms}
+    return {_source_key(name): source for name, source in known.items() if source}
+
+
+def _source_key(effect: str) -> str:
+    return f"{effect}_from"
 
 
 def save_model(path: str | Path, stored: StoredModel) -> None:
@@ -167,8 +177,8 @@ def load_model(path: str | Path, arm: Arm) -> Model:
     """The model in a file.
 
     Raises:
-        InputError: as `read_stored`; the file belongs to another arm; an unknown effect,
-            place or parameter.
+        InputError: as `read_stored`; the file belongs to another arm; an unknown place or
+            parameter; an effect that is not registered: says which file or package it is from.
     """
     return restore(read_stored(path), arm, str(path))
 
@@ -184,7 +194,8 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
         )
     terms: list[Effect | Bias] = []
     for entry in (*stored.geometry, *stored.effects, *stored.camera):
-        kind = effect_class(entry.effect, where)
+        known_from = str(stored.provenance.get(_source_key(entry.effect), ""))
+        kind = effect_class(entry.effect, where, known_from)
         known = {f.name for f in dataclasses.fields(kind)}
         for name in (*entry.form, *entry.parameters):
             if name not in known:
@@ -215,14 +226,7 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
 
 def _check_place(term: Effect | Bias, arm: Arm, where: str) -> None:
     """Check that the place named in the file exists on this arm."""
-    rows = range(len(arm.joints) + 1)
-    places: dict[str, Any] = {
-        "joint": [j.id for j in arm.joints if j.type != "fixed"],
-        "row": rows[1:],
-        "frame": rows,
-        "beam": [b.name for b in arm.links],
-        "marker": ["", *arm.markers],
-    }
-    for name, allowed in places.items():
-        if name in term.placement and term.placement[name] not in allowed:
-            raise InputError(where, f"{term.name}.{name}", term.placement[name], list(allowed))
+    for name, allowed in term.allowed_places().items():
+        value, exist = term.places[name], list(allowed(arm))
+        if value not in exist:
+            raise InputError(where, f"{term.name}.{name}", value, exist)

@@ -1,4 +1,4 @@
-"""The loop, step by step: bring up, measure, collect, learn, reload, measure again."""
+"""The loop, step by step: bring up, measure, collect, diagnose, train, reload, measure again."""
 
 from __future__ import annotations
 
@@ -7,61 +7,79 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from std_srvs.srv import Trigger
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.compensation.compensate import Method
 from longarm_comp.core.data.plan import random_targets, sobol
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.collect import collect
 from longarm_comp.jobs.demo import table
-from longarm_comp.jobs.demo.learn import Learned, learn
-from longarm_comp.jobs.demo.setting import NAMESPACE, PACE, Setting, declared
-from longarm_comp.jobs.demo.trial import Course, Trial
+from longarm_comp.jobs.demo.learn import find_effects, train_network
+from longarm_comp.jobs.demo.settings import NAMESPACE, PACE, DemoSettings
+from longarm_comp.jobs.demo.trial import TargetRunner, Trial
 from longarm_comp.jobs.measurement_schedule import visits
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import running
 from longarm_comp.nodes.simulated_arm import sizes
 from longarm_comp.sessions.poses import write_poses
 from longarm_comp.sim.plant import hidden_effects
+from longarm_interfaces.srv import Compensate
 
 Say = Callable[[str, float], None]
 
+_READY_S = 120.0
+"""Five processes start; on a busy machine that takes its time."""
+
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
-    """Trials in order, what was learned, and how long each step took (s)."""
+class DemoResult:
+    """What came of it.
+
+    Attributes:
+        trials: in the order of `table`.
+        diagnosis: as report.json holds it.
+        inputs: of the network.
+        seconds: how long each step took.
+    """
 
     trials: list[Trial]
-    learned: Learned
-    seconds: dict[str, float] = field(default_factory=dict)
+    diagnosis: dict[str, Any]
+    inputs: tuple[str, ...]
+    seconds: dict[str, float]
 
     @property
     def improved(self) -> bool:
         """Whether compensation helped."""
         return table.improved(self.trials)
 
+    @property
+    def outside(self) -> int:
+        """How many targets of the last trial lay outside the network's training data."""
+        return self.trials[-1].count(Compensate.Response.OUT_OF_DOMAIN)
+
 
 def demonstrate(
-    setting: Setting, stop: threading.Event, say: Say = lambda text, share: None
-) -> Outcome:
+    settings: DemoSettings, stop: threading.Event, say: Say = lambda text, share: None
+) -> DemoResult:
     """Run the whole loop; every process has ended when this returns or raises.
 
     Raises:
         InputError: the folder is not empty or cannot be written.
         JobError: a step could not be done. Interrupted: ``stop`` was set.
     """
-    arm = declared(setting)
-    hidden_effects(arm, sizes(setting.hidden), np.random.default_rng(setting.seed))  # or a refusal
-    _prepare(setting)
+    arm = Arm.load(settings.arm)
+    hidden_effects(arm, sizes(settings.hidden), np.random.default_rng(settings.seed))  # checked
+    _prepare(settings)
     clock = _Clock()
     with ExitStack() as stack:
-        supervisor = stack.enter_context(running(setting.graph()))
+        supervisor = stack.enter_context(running(settings.graph()))
         ended = threading.Event()
         watch = threading.Thread(target=supervisor.run, args=(ended,), daemon=True)
         watch.start()
@@ -69,41 +87,49 @@ def demonstrate(
         stack.callback(ended.set)
         client = stack.enter_context(ArmClient(arm, NAMESPACE, stop, "demo"))
         say("bring up", 0.0)
-        client.ready(60.0)
-        course = Course(client, PACE)
+        client.ready(_READY_S)
+        runner = TargetRunner(client, PACE)
+        fresh = random_targets(declared_model(arm), settings.targets, settings.seed + 1)
+        runner.ready(fresh[0], _READY_S)
         clock.done("bring_up")
-        fresh = random_targets(declared_model(arm), setting.targets, setting.seed + 1)
-        trials = [course.drive("original", fresh, "none", say)]
-        clock.done("before")
-        _collect(setting, arm, client, say)
-        clock.done("collect")
-        learned = learn(setting, arm, say)
-        clock.done("learn")
-        _reload(client)
-        for name, method in (("deflection", "deflection"), ("deflection + network", "both")):
-            trials.append(course.drive(name, fresh, method, say))
+        trials = []
+
+        def drive(name: str, method: Method) -> None:
+            trials.append(runner.run(name, fresh, method, say))
             clock.done(name)
+
+        drive(table.ORIGINAL, Method.NONE)
+        drive(table.DECLARED, Method.DEFLECTION)
+        _collect(settings, arm, client, say)
+        clock.done("collect")
+        diagnosis = find_effects(settings, arm, say)
+        clock.done("diagnose")
+        predictor = train_network(settings, arm, say)
+        clock.done("train")
+        _reload(client)
+        drive(table.FOUND, Method.DEFLECTION)
+        drive(table.LEARNED, Method.BOTH)
     clock.done("clean_up")
-    return Outcome(trials, learned, clock.seconds)
+    return DemoResult(trials, diagnosis, tuple(predictor.encoding.names), clock.seconds)
 
 
-def _prepare(setting: Setting) -> None:
-    if setting.out.exists() and (not setting.out.is_dir() or any(setting.out.iterdir())):
-        raise InputError("demo", "--out", setting.out, "a new or empty folder")
+def _prepare(settings: DemoSettings) -> None:
+    if settings.out.exists() and (not settings.out.is_dir() or any(settings.out.iterdir())):
+        raise InputError("demo", "--out", settings.out, "a new or empty folder")
     try:
-        setting.out.mkdir(parents=True, exist_ok=True)
+        settings.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        said = error.strerror or str(error)
-        raise InputError(setting.out, "--out", said, "a folder to write in") from error
-    os.environ.setdefault("ROS_LOG_DIR", str(setting.out.absolute() / "log"))
+        why = error.strerror or str(error)
+        raise InputError(settings.out, "--out", why, "a folder to write in") from error
+    os.environ.setdefault("ROS_LOG_DIR", str(settings.out.absolute() / "log"))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
-def _collect(setting: Setting, arm: Arm, client: ArmClient, say: Say) -> None:
-    plan = sobol(arm, setting.poses, setting.seed)
-    write_poses(plan, setting.out / "poses.csv")
-    todo = visits(plan, arm, repeats=min(5, setting.poses // 10), seed=setting.seed)
-    collect(client, todo, setting.bag, pace=PACE, progress=say)
+def _collect(settings: DemoSettings, arm: Arm, client: ArmClient, say: Say) -> None:
+    plan = sobol(arm, settings.poses, settings.seed)
+    write_poses(plan, settings.out / "poses.csv")
+    todo = visits(plan, arm, repeats=min(5, settings.poses // 10), seed=settings.seed)
+    collect(client, todo, settings.bag, pace=PACE, progress=say)
 
 
 def _reload(client: ArmClient) -> None:
@@ -127,26 +153,24 @@ class _Clock:
         self.seconds[step], self._begun = now - self._begun, now
 
 
-def report(setting: Setting, outcome: Outcome) -> dict[str, Any]:
+def report(settings: DemoSettings, result: DemoResult) -> dict[str, Any]:
     """Everything as plain data, for --json and the file in the folder."""
-    kinds = {
-        int(s): int((outcome.trials[-1].status == s).sum())
-        for s in np.unique(outcome.trials[-1].status)
+    files = {
+        "session": settings.bag,
+        "model": settings.model,
+        "predictor": settings.predictor,
+        "report": settings.out / "report.html",
     }
     return {
-        "rows": table.rows(outcome.trials),
-        "improved": outcome.improved,
-        "collected": len(outcome.learned.session),
-        "status_of_last": kinds,
-        "diagnosis": outcome.learned.finding,
-        "effects_in_the_model": list(outcome.learned.effects),
-        "network_inputs": list(outcome.learned.inputs),
-        "hidden": setting.hidden,
-        "seed": setting.seed,
-        "seconds": {**outcome.seconds, "total": sum(outcome.seconds.values())},
-        "files": {
-            "session": str(setting.bag),
-            "model": str(setting.model),
-            "predictor": str(setting.predictor),
-        },
+        "rows": table.rows(result.trials),
+        "improved": result.improved,
+        "outside_training_data": result.outside,
+        "verdict": result.diagnosis["verdict"],
+        "diagnosis": result.diagnosis["summary"],
+        "effects_found": [finding["set"] for finding in result.diagnosis["findings"]],
+        "network_inputs": list(result.inputs),
+        "hidden": settings.hidden,
+        "seed": settings.seed,
+        "seconds": {**result.seconds, "total": sum(result.seconds.values())},
+        "files": {name: str(path) for name, path in files.items()},
     }

@@ -6,17 +6,13 @@ import os
 import signal
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
-import numpy as np
-from geometry_msgs.msg import PoseStamped
 from std_srvs.srv import SetBool
 
 from longarm_comp.core.files import write_text
+from longarm_comp.jobs.soak.scene import Scene
 from longarm_comp.nodes import interfaces as graph
-
-if TYPE_CHECKING:
-    from longarm_comp.jobs.soak.run import Scene
 
 _BROKEN_S = 1.5
 
@@ -94,21 +90,3 @@ class EmergencyStop:
         client.call_async(SetBool.Request(data=True))
         scene.go_on(_BROKEN_S)
         client.call_async(SetBool.Request(data=False))
-
-
-def bad_target(good: PoseStamped, rng: np.random.Generator) -> PoseStamped:
-    """A target that must be refused: one of five ways to be wrong."""
-    made = PoseStamped(header=good.header)
-    made.pose.position.x = good.pose.position.x
-    made.pose.position.y = good.pose.position.y
-    made.pose.position.z = good.pose.position.z
-    made.pose.orientation.w = 1.0
-    ways = (
-        lambda: setattr(made.pose.position, "x", float("nan")),
-        lambda: setattr(made.pose.position, "z", float("inf")),
-        lambda: setattr(made.header, "frame_id", "kitchen"),
-        lambda: setattr(made.pose.orientation, "w", 2.0),
-        lambda: setattr(made.pose.position, "y", made.pose.position.y + 30.0),
-    )
-    ways[int(rng.integers(len(ways)))]()
-    return made

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.nodes.bringup import BringUp, folder
+from longarm_comp.nodes.bringup import BringUp
+from longarm_comp.share import folder
 
 NAMESPACE = "longarm_soak"
 

@@ -47,13 +47,15 @@ class HiddenEffect:
     name: ClassVar[str]
     doses: ClassVar[tuple[str, ...]]
     gated: ClassVar[bool] = False
+    of_command: ClassVar[bool] = False
+    """Whether it acts on what a joint is told, before everything that acts on the joint."""
 
     def scaled(self: Dosed, dose: float) -> Dosed:
         """The same effect `dose` times as large: the fields in `doses` times `dose`."""
         return replace(self, **{f: dose * getattr(self, f) for f in self.doses})  # type: ignore
 
     def joints(self, q: Array, state: State) -> Array:
-        """True joint values (N, n) from those that the effects before it leave."""
+        """True joint values (N, n) from those that the effects before it leave (`TrueArm`)."""
         return q
 
     def held(self, torques: Array, state: State) -> Array | float:

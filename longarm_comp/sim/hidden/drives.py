@@ -54,10 +54,11 @@ STEPS_PER_TURN = (180, 256, 300, 360, 512, 720, 1000, 1024, 2048, 4096, 16384)
 
 @dataclass(frozen=True)
 class ServoQuantisation(HiddenEffect):
-    """Servos stand on whole steps: q rounded to `step` (n,), rad or m; 0 leaves a joint alone."""
+    """Servos are told whole steps: the command is rounded to `step` (n,), rad or m; 0: not."""
 
     name: ClassVar[str] = "servo_quantisation"
     doses: ClassVar[tuple[str, ...]] = ("step",)
+    of_command: ClassVar[bool] = True
     step: Array
 
     def scaled(self, dose: float) -> ServoQuantisation:

@@ -1,0 +1,231 @@
+"""Bags measured: messages a second, written and read, and the memory for a session of 1 GB.
+
+The peers handle the same messages: `rosbags`, which this package stands on, as bare as it goes, and
+the readers and writers that come with the mcap format for ROS 2.
+"""
+
+from __future__ import annotations
+
+import io
+import shutil
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from rosbags.rosbag2 import Reader
+
+from bench.apart import cost_of
+from bench.arms import demo_arm
+from bench.bag_made import Raw, recording, write_raw
+from bench.comparison import Result, beside, missing
+from longarm_comp.core.data.session import Session
+from longarm_comp.sessions.bag import read_bag
+from longarm_comp.sessions.bag_segments import SegmentedBag
+from longarm_comp.sessions.bag_write import write_bag
+from longarm_comp.sessions.message_buffer import TYPES
+from longarm_comp.sessions.message_types import message_types
+
+MESSAGES, REPEATS = 40_000, 3
+LONG_BYTES = 1_000_000_000
+ROSBAGS = "rosbags, messages decoded"
+MCAP = "mcap-ros2-support"
+
+
+def _scratch() -> AbstractContextManager[str]:
+    return tempfile.TemporaryDirectory(prefix="longarm_bench_")
+
+
+def _rates(
+    sides: tuple[Callable[[int], int], Callable[[int], int]], repeats: int
+) -> list[np.ndarray]:
+    """Messages per second of processor time of both sides, which take turns."""
+    made: tuple[list[float], list[float]] = ([], [])
+    for turn in range(repeats):
+        for rates, work in zip(made, sides, strict=True):
+            begin = time.process_time()
+            done = work(turn)
+            rates.append(done / (time.process_time() - begin))
+    return [np.array(rates) for rates in made]
+
+
+# ------------------------------------------------------------------ reading
+
+
+def decoded(path: Path) -> int:
+    """Read and decode every message with the bare library."""
+    types, count = message_types(), 0
+    with Reader(path) as reader:
+        for connection, _, raw in reader.messages(reader.connections):
+            types.deserialize_cdr(raw, connection.msgtype)
+            count += 1
+    return count
+
+
+def decoded_by_mcap(path: Path) -> int:
+    """The same with `mcap-ros2-support`."""
+    from mcap_ros2.reader import read_ros2_messages
+
+    (file,) = path.glob("*.mcap")
+    return sum(1 for _ in read_ros2_messages(str(file)))
+
+
+def _reading(name: str, peer: str, theirs: Callable[[Path], int], count: int, n: int) -> Result:
+    arm = demo_arm()
+    with _scratch() as scratch:
+        path = Path(scratch) / "bag"
+        write_raw(path, recording(arm), count)
+
+        def ours(_: int) -> int:
+            read_bag(path, arm)
+            return count
+
+        mine, other = _rates((ours, lambda _: theirs(path)), n)
+    return beside(name, "messages/s CPU", mine, peer, other, more_is_better=True,
+                  note="to a checked Session here, to decoded messages there")  # fmt: skip
+
+
+def bag_read_vs_rosbags(count: int = MESSAGES, repeats: int = REPEATS) -> Result:
+    """A robot's recording to a session, against decoding alone."""
+    return _reading("bag_read_vs_rosbags", ROSBAGS, decoded, count, repeats)
+
+
+def bag_read_vs_mcap_ros2(count: int = MESSAGES, repeats: int = REPEATS) -> Result:
+    """The same against the library of the mcap format."""
+    try:
+        import mcap_ros2.reader  # noqa: F401
+    except ImportError:
+        return missing("bag_read_vs_mcap_ros2", MCAP, f"{MCAP} is not installed")
+    return _reading("bag_read_vs_mcap_ros2", MCAP, decoded_by_mcap, count, repeats)
+
+
+# ------------------------------------------------------------------ writing
+
+
+def _recorded(path: Path, messages: list[Raw]) -> int:
+    """As `longarm record` and `collect` do."""
+    with SegmentedBag(path) as bag:
+        for topic, stamp, data in messages:
+            bag.write(f"/{topic}", TYPES[topic], stamp, data)
+    return len(messages)
+
+
+def bag_record_vs_rosbags(count: int = MESSAGES, repeats: int = REPEATS) -> Result:
+    """Messages as they come from ROS, into a bag that survives a kill, against the bare writer."""
+    messages = list(islice(recording(demo_arm()), count))
+    with _scratch() as scratch:
+        mine, other = _rates(
+            (
+                lambda turn: _recorded(Path(scratch) / f"a{turn}", messages),
+                lambda turn: write_raw(Path(scratch) / f"b{turn}", iter(messages)),
+            ),
+            repeats,
+        )
+    peer = "rosbags writer"
+    return beside("bag_record_vs_rosbags", "messages/s CPU", mine, peer, other, more_is_better=True)
+
+
+def bag_write_vs_mcap_ros2(rows: int = 4_000, repeats: int = REPEATS) -> Result:
+    """A session to a bag, message by message, against the library of the mcap format."""
+    try:
+        from mcap_ros2.writer import Writer
+    except ImportError:
+        return missing("bag_write_vs_mcap_ros2", MCAP, f"{MCAP} is not installed")
+    arm, rng = demo_arm(), np.random.default_rng(0)
+    q = rng.uniform(arm.lower, arm.upper, (rows, arm.n))
+    session = Session.record(q, rng.standard_normal((rows, 3)))
+    definitions = _definitions()
+
+    with _scratch() as scratch:
+
+        def ours(turn: int) -> int:
+            path = Path(scratch) / f"bag{turn}"
+            write_bag(session, path, arm)
+            with Reader(path) as reader:
+                return reader.message_count
+
+        def theirs(_: int) -> int:
+            buffer = io.BytesIO()
+            writer = Writer(buffer)
+            schemas = {
+                kind: writer.register_msgdef(kind, text) for kind, text in definitions.items()
+            }
+            for row, (joints, xyz) in enumerate(zip(session.q, session.xyz, strict=True)):
+                for topic, message in _messages(arm.joint_names, joints, xyz):
+                    stamp = 10**12 + row * 10**9
+                    writer.write_message(f"/{topic}", schemas[TYPES[topic]], message, stamp)
+            writer.finish()
+            return 3 * rows
+
+        mine, other = _rates((ours, theirs), repeats)
+    return beside(
+        "bag_write_vs_mcap_ros2", "messages/s CPU", mine, MCAP, other, more_is_better=True
+    )
+
+
+def _definitions() -> dict[str, str]:
+    """Message definitions as the format wants them."""
+    types = message_types()
+    topics = ("joint_trajectory", "tip_measured", "session_row")
+    return {TYPES[t]: types.generate_msgdef(TYPES[t], ros_version=2)[0] for t in topics}
+
+
+def _messages(
+    names: tuple[str, ...], q: np.ndarray, xyz: np.ndarray
+) -> list[tuple[str, dict[str, object]]]:
+    """What `write_bag` writes of a row, as that library takes it."""
+    header = {"stamp": {"sec": 1, "nanosec": 0}, "frame_id": "base"}
+    after = {"sec": 0, "nanosec": 0}
+    point = {"positions": q.tolist(), "velocities": [], "accelerations": [], "effort": [],
+             "time_from_start": after}  # fmt: skip
+    position = dict(zip("xyz", xyz.tolist(), strict=True))
+    pose = {"position": position, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+    return [
+        ("joint_trajectory", {"header": header, "joint_names": list(names), "points": [point]}),
+        ("tip_measured", {"header": header, "pose": {"pose": pose, "covariance": [0.0] * 36}}),
+        ("session_row", {"data": '{"index": 1, "repeat_id": -1, "columns": {}, "labels": {}}'}),
+    ]
+
+
+# ------------------------------------------------------------------ a long session
+
+
+def read_once(path: str) -> dict[str, float]:
+    """Rows of a bag; run in a process of its own."""
+    return {"rows": float(len(read_bag(Path(path), demo_arm())))}
+
+
+def bag_read_1gb(size: int = LONG_BYTES) -> Result:
+    """Hours of recording to a session: memory that it takes beside the size of the bag."""
+    arm, name = demo_arm(), "bag_read_1gb"
+    with _scratch() as scratch:
+        free = shutil.disk_usage(scratch).free
+        if free < 3 * size:
+            return missing(name, "the bag's own size", f"{free / 1e9:.1f} GB free on the disk")
+        per_message = _bytes_per_message(Path(scratch) / "probe")
+        costs = []
+        for part in (size // 100, size):
+            path = Path(scratch) / f"bag_{part}"
+            count = write_raw(path, recording(arm), int(part / per_message))
+            costs.append((count, cost_of(__name__, "read_once", str(path))))
+            shutil.rmtree(path)
+    (_, short), (count, long) = costs
+    return beside(
+        name,
+        "MB grown",
+        [long.grown_mb],
+        "the bag's own size",
+        [size / 1e6],
+        note=f"{count} messages, {long.result['rows']:.0f} rows in {long.cpu_s:.0f} s; a bag of "
+        f"a hundredth takes {short.grown_mb:.1f} MB",
+        messages_per_s=count / long.cpu_s,
+        peak_mb=long.peak_mb,
+    )
+
+
+def _bytes_per_message(path: Path, count: int = 5_000) -> float:
+    write_raw(path, recording(demo_arm()), count)
+    return sum(file.stat().st_size for file in path.iterdir()) / count

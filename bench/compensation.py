@@ -1,0 +1,55 @@
+"""From target to command in one process, with a predictor that costs nothing."""
+
+from __future__ import annotations
+
+import time
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from bench.arms import demo_arm
+from bench.comparison import Result, alone
+from bench.kinematics import soft_model, timed
+from longarm_comp.core.compensation.compensate import Method, compensate, compensate_many
+from longarm_comp.core.data.plan import random_joints
+from longarm_comp.core.ik import solver as ik
+
+
+class _Smooth:
+    """A predictor whose time is next to none: what is timed is the compensation."""
+
+    def predict(self, q: np.ndarray, context: Any = None) -> Any:
+        """Some 2 mm down, growing with the first joint."""
+        error = np.tile([1e-3, 0.0, -2e-3], (len(q), 1)) * (1.0 + q[:, :1])
+        sigma, inside = np.full_like(error, 1e-4), np.ones(len(q), bool)
+        return SimpleNamespace(error=error, sigma=sigma, in_domain=inside)
+
+
+def compensate_batch_10000(count: int = 10_000) -> Result:
+    """Physics and predictor, passes until the expected error settles."""
+    model = soft_model(demo_arm())
+    targets = model.tip(random_joints(model.arm, count, 5))
+    ik.warm_up()
+    made = compensate_many(model, _Smooth(), targets, method=Method.BOTH)
+    rates = count / timed(
+        lambda _: compensate_many(model, _Smooth(), targets, method=Method.BOTH),
+        range(5),
+        time.process_time,
+    )
+    note = f"success {made.success.mean():.4f}, {made.passes.mean():.1f} passes"
+    return alone("compensate_batch_10000", "targets/s", rates, note)
+
+
+def compensate_single() -> Result:
+    """One target after another."""
+    model = soft_model(demo_arm())
+    targets = model.tip(random_joints(model.arm, 200, 5))
+    ik.warm_up()
+
+    def work(i: int) -> None:
+        compensate(model, _Smooth(), targets[i], method=Method.BOTH)
+
+    timed(work, range(20))
+    each = 1e6 * timed(work, range(200)).reshape(8, -1)
+    return alone("compensate_single", "us", np.median(each, axis=1), "one target, all passes")

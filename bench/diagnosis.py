@@ -1,0 +1,95 @@
+"""Diagnosis measured: seconds and memory against samples and against candidates.
+
+The whole of it: geometry, search, structure, look-alikes, bootstrap, proof on a sealed hold-out and
+next poses.  Two effects are hidden in the session, a compliant joint 2 and play in joint 4.
+"""
+
+from __future__ import annotations
+
+import time
+from functools import lru_cache
+from typing import Any
+
+from bench.apart import Cost, cost_of
+from bench.arms import demo_arm
+from bench.calibration import made_session
+from bench.comparison import Result, beside
+from longarm_comp.core.effects.backlash import Backlash
+from longarm_comp.core.effects.catalogue import LIBRARY
+from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.identify.candidates import library
+from longarm_comp.core.identify.diagnosis import diagnose
+
+GOAL_S = 30.0
+HIDDEN = (JointCompliance(2, 2e-3), Backlash(joint=4, width=6e-3))
+
+
+def diagnose_once(samples: int, kinds: int = len(LIBRARY), seed: int = 0) -> dict[str, object]:
+    """One diagnosis with the first so many kinds of effects; making the data is not timed."""
+    session = made_session(demo_arm(), samples, seed, hidden=HIDDEN)
+    begin, used = time.perf_counter(), time.process_time()
+    found = diagnose(demo_arm(), session, kinds=LIBRARY[:kinds], seed=seed)
+    candidates = library(demo_arm(), session.context(), LIBRARY[:kinds]).testable
+    return {
+        "wall_s": time.perf_counter() - begin,
+        "cpu_s": time.process_time() - used,
+        "candidates": len(candidates),
+        "verdict": found.verdict,
+        "found": sorted({finding.name for finding in found.findings}),
+    }
+
+
+@lru_cache(maxsize=8)
+def _cost(samples: int, kinds: int = len(LIBRARY), seed: int = 0) -> Cost:
+    return cost_of(__name__, "diagnose_once", samples, kinds, seed)
+
+
+def _told(cost: Cost) -> dict[str, Any]:
+    found = ", ".join(cost.result["found"]) or "nothing"
+    return {
+        "grown_mb": cost.grown_mb,
+        "note": f"{cost.result['candidates']} candidates; {cost.result['verdict']}: {found}",
+    }
+
+
+def diagnose_300_vs_goal(repeats: int = 3) -> Result:
+    """The whole diagnosis of 300 samples with bootstrap, one core; goal 30 s."""
+    costs = [_cost(300, len(LIBRARY), seed) for seed in range(repeats)]
+    each = [cost.result["cpu_s"] for cost in costs]
+    return beside("diagnose_300_vs_goal", "s CPU", each, "goal", [GOAL_S], **_told(costs[0]))
+
+
+def diagnose_3000() -> Result:
+    """3,000 samples."""
+    return _grown(3_000)
+
+
+def diagnose_20000() -> Result:
+    """20,000 samples."""
+    return _grown(20_000)
+
+
+def _grown(samples: int) -> Result:
+    few, many = _cost(300), _cost(samples)
+    return beside(
+        f"diagnose_{samples}",
+        "s CPU",
+        [many.result["cpu_s"]],
+        "linear growth from 300",
+        [few.result["cpu_s"] * samples / 300],
+        **_told(many),
+    )
+
+
+def diagnose_candidates(samples: int = 300) -> Result:
+    """The whole library against its first half."""
+    half, whole = _cost(samples, len(LIBRARY) // 2), _cost(samples)
+    few, many = (cost.result["candidates"] for cost in (half, whole))
+    return beside(
+        "diagnose_candidates",
+        "s CPU",
+        [whole.result["cpu_s"]],
+        f"linear growth from {few} candidates",
+        [half.result["cpu_s"] * many / few],
+        **_told(whole),
+    )

@@ -1,0 +1,189 @@
+"""Forward kinematics of the deflected arm beside rigid ones, and what its columns cost."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from bench.arms import demo_arm
+from bench.comparison import Result, alone, beside, missing
+from bench.ik_peers import Pinocchio, Toolbox
+from bench.kinematics import soft_model, timed
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.plan import random_joints
+from longarm_comp.core.effects.catalogue import BUILT_IN
+from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.ik import solver as ik
+from longarm_comp.core.ik.kernel import Kernel, Layout, kernel_of
+from longarm_comp.core.ik.newton import LEVELS, evaluation
+from longarm_comp.core.model.model import Model, unstack
+
+COUNT = 4096
+REPEATS = 7
+
+Work = tuple[Callable[[], Any], int]  # what is timed, and how many poses it makes
+
+
+def machine_forward(model: Model, q: np.ndarray) -> Callable[[], None]:
+    """Deflected tip pose and Jacobian at joints (N, n), in machine code; N a multiple of 8."""
+    kernel = kernel_of(model, Layout.of(ik.Context.empty()))
+    width = kernel.code.width
+    blocks = np.zeros((len(q) // width, kernel.size, width))
+    blocks[:, kernel.slice("trial")] = q.reshape(-1, width, q.shape[1]).swapaxes(1, 2)
+    calls = [kernel.code.function(f"many_{name}") for name in _passes(kernel)]
+
+    def work() -> None:
+        for at in range(0, len(blocks), 16):  # a few blocks at a time stay in the cache
+            for call in calls:
+                call(blocks[at:].ctypes.data, min(16, len(blocks) - at))
+
+    return work
+
+
+def _passes(kernel: Kernel) -> tuple[str, ...]:
+    return evaluation(LEVELS[-1], kernel.passes, anew=True)
+
+
+def _per_pose(work: Work) -> np.ndarray:
+    call, count = work
+    call()
+    return 1e6 * timed(lambda _: call(), range(REPEATS), time.process_time) / count
+
+
+def _toolbox(arm: Arm, q: np.ndarray) -> Work:
+    ets = Toolbox(arm).ets
+    return lambda: ets.eval(q), len(q)
+
+
+def _pinocchio(arm: Arm, q: np.ndarray) -> Work:
+    peer = Pinocchio(arm)
+    jacobians, model, data = peer.package.computeJointJacobians, peer.model, peer.data
+
+    def work() -> None:
+        for one in q[:512]:
+            jacobians(model, data, one)
+
+    return work, 512
+
+
+def _beside(name: str, kind: Callable[[Arm, np.ndarray], Work], peer: str) -> Result:
+    """Machine code, or arrays where there is no compiler, beside rigid forward kinematics."""
+    model = soft_model(demo_arm())
+    q = random_joints(model.arm, COUNT, 4)
+    try:
+        theirs = kind(model.arm, q)
+    except ImportError as error:
+        return missing(name, peer, f"not installed: {error.name}")
+    compiled = ik.warm_up()
+    ours = (machine_forward(model, q), COUNT) if compiled else _on_arrays(model, q)
+    turns = [(_per_pose(ours), _per_pose(theirs)) for _ in range(REPEATS)]
+    mine, other = (
+        np.array([np.median(side) for side in sides]) for sides in zip(*turns, strict=True)
+    )
+    note = f"tip and Jacobian of the deflected arm; {'machine code' if compiled else 'arrays'}"
+    return beside(name, "us", mine, peer, other, note=note)
+
+
+def forward_batch_vs_rtb() -> Result:
+    """Poses of 4096 joints."""
+    return _beside("forward_batch_vs_rtb", _toolbox, "roboticstoolbox-python eval (rigid, batch)")
+
+
+def forward_batch_vs_pinocchio() -> Result:
+    """Poses of 4096 joints."""
+    peer = "pinocchio computeJointJacobians (rigid, from Python one by one)"
+    return _beside("forward_batch_vs_pinocchio", _pinocchio, peer)
+
+
+def forward_batch_model() -> Result:
+    """By the model's own code."""
+    model = soft_model(demo_arm())
+    q = random_joints(model.arm, COUNT, 4)
+    each = _per_pose((lambda: model.tip(q), COUNT))
+    return alone("forward_batch_model", "us", each, "deflected tip by the model's own code, NumPy")
+
+
+def forward_batch_arrays() -> Result:
+    """Traced, on arrays."""
+    model = soft_model(demo_arm())
+    work = _on_arrays(model, random_joints(model.arm, COUNT, 4))
+    note = "tip and Jacobian, traced code on arrays"
+    return alone("forward_batch_arrays", "us", _per_pose(work), note)
+
+
+def _on_arrays(model: Model, q: np.ndarray) -> Work:
+    kernel = kernel_of(model, Layout.of(ik.Context.empty()))
+    state = np.zeros((kernel.size, COUNT))
+    state[kernel.slice("trial")] = q.T
+    return lambda: [kernel.arrays[name](state) for name in _passes(kernel)], COUNT
+
+
+def forward_single_model() -> Result:
+    """One pose by the model's own code."""
+    model = soft_model(demo_arm())
+    one = unstack(random_joints(model.arm, 1, 4)[0])
+    each = _per_pose((lambda: model.posture(one), 1))
+    return alone("forward_single_model", "us", each, "posture with loads by the model's own code")
+
+
+def forward_single_python() -> Result:
+    """One pose, traced."""
+    model = soft_model(demo_arm())
+    kernel = kernel_of(model, Layout.of(ik.Context.empty()))
+    column = [0.0] * kernel.size
+    column[slice(*kernel.slice("trial").indices(kernel.size))] = model.arm.mid.tolist()
+    work: Work = lambda: [kernel.floats[name](column) for name in _passes(kernel)], 1
+    note = "tip and Jacobian, traced code in plain Python"
+    return alone("forward_single_python", "us", _per_pose(work), note)
+
+
+def _columns(name: str, count: int) -> Result:
+    model = soft_model(demo_arm())
+    q = random_joints(model.arm, count, 5)
+    posture = model.posture(unstack(q[0] if count == 1 else q))
+    note = f"{len(model.slots)} parameters by Eq. (5), posture at hand, the model's own code"
+    return alone(name, "us", _per_pose((lambda: model.columns(posture), count)), note)
+
+
+def columns_single() -> Result:
+    """Prediction and columns of one pose."""
+    return _columns("columns_single", 1)
+
+
+def columns_batch() -> Result:
+    """Prediction and columns of 4096 poses."""
+    return _columns("columns_batch", COUNT)
+
+
+def forward_cost() -> Result:
+    """Machine code against the number of effects, beam elements and load passes."""
+    if not ik.warm_up():
+        return missing("forward_cost", "none", "not installed: llvmlite")
+    arm = demo_arm()
+    soft = soft_model(arm)
+    found = [e for name in sorted(BUILT_IN) for e in BUILT_IN[name].for_arm(arm)]
+    many = tuple(_valued(e) for e in found if isinstance(e, Effect) and not e.needs)
+    models = {
+        "rigid": Model(arm),
+        "1 element a beam": soft_model(arm, 1),
+        "4 elements": soft_model(arm, 4),
+        "1 load pass": dataclasses.replace(soft, passes=1),
+        f"all {len(many)} effects at once": Model(arm, many),
+    }
+    q = random_joints(arm, COUNT, 6)
+    costs = {name: _per_pose((machine_forward(m, q), COUNT)) for name, m in models.items()}
+    note = "5 effects, 2 elements a beam, 3 load passes; " + ", ".join(
+        f"{name}: {np.median(each):.2f}" for name, each in costs.items()
+    )
+    return alone("forward_cost", "us", _per_pose((machine_forward(soft, q), COUNT)), note)
+
+
+def _valued(effect: Effect) -> Effect:
+    """With parameters that are not zero, so that nothing of it folds away."""
+    return effect.with_values(
+        {p.name: max(0.1 * p.prior, p.lower) for p in effect.declared() if p.prior > 0}
+    )

@@ -1,0 +1,235 @@
+"""Inverse kinematics measured beside its peers in one run.
+
+The peers solve the *rigid* arm, this package the deflected one: targets are each model's own
+poses of the same random joints.  An answer counts where its error is below 1e-5 m and inside
+the limits.  Sides take turns in blocks, so that both meet the machine in the same mood; ratios
+above 1 mean faster than the peer.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from bench.arms import demo_arm
+from bench.comparison import Result, alone, beside, missing
+from bench.ik_peers import IkPy, Peer, Pinocchio, RoboPlan, Toolbox, TracIk
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.plan import paper_grid, random_joints
+from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.ik import solver as ik
+from longarm_comp.core.ik.solver import Engine
+from longarm_comp.core.model.model import Model
+
+TOLERANCE = 1e-7  # m and rad, ten times closer than what is asked of the peers
+BLOCKS = 8
+PER_BLOCK = 50
+BATCH = 4000
+
+
+def soft_model(arm: Arm, elements_per_beam: int = 2) -> Model:
+    """Links that sag and joints that give way."""
+    soft = tuple(JointCompliance(row, 1e-3) for row in arm.commanded if row in (1, 2, 5, 6))
+    return Model(arm, (LinkDeflection(), *soft), elements_per_beam=elements_per_beam)
+
+
+Clock = Callable[[], float]
+
+
+def timed(
+    work: Callable[[int], Any], rows: Sequence[int], clock: Clock = time.perf_counter
+) -> np.ndarray:
+    """Seconds of single calls."""
+    seconds = []
+    for i in rows:
+        begin = clock()
+        work(i)
+        seconds.append(clock() - begin)
+    return np.array(seconds)
+
+
+def _in_turns(
+    ours: Callable[[int], Any], theirs: Callable[[int], Any], per_block: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Seconds of single calls, (BLOCKS, per_block) each."""
+    made: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
+    for block in range(BLOCKS):
+        rows = range(block * per_block, (block + 1) * per_block)
+        for side, solve in zip(made, (ours, theirs), strict=True):
+            side.append(timed(solve, rows))
+    return np.array(made[0]), np.array(made[1])
+
+
+def _engine(fallback: Engine) -> Engine:
+    return Engine.COMPILED if ik.warm_up() else fallback
+
+
+def _single(
+    name: str,
+    kind: Callable[[Arm], Peer],
+    start: Callable[[Arm, np.ndarray], np.ndarray],
+    per_block: int = PER_BLOCK,
+) -> Result:
+    """Medians of single pose tasks; `start` makes the seeds of given joints."""
+    model = soft_model(demo_arm())
+    arm, engine = model.arm, _engine(Engine.PYTHON)
+    try:
+        peer = kind(arm)
+    except ImportError as error:
+        return missing(name, getattr(kind, "name", name), f"not installed: {error.name}")
+    q = random_joints(arm, BLOCKS * per_block, 1)
+    seeds, targets, rigid = start(arm, q), model.pose(q), Model(arm).pose(q)
+
+    def our(i: int) -> np.ndarray:
+        return ik.solve(model, targets[i], seed=seeds[i], tol=TOLERANCE, engine=engine).q
+
+    def their(i: int) -> np.ndarray:
+        return peer.solve(rigid[i], seeds[i])
+
+    solved = [
+        _solved(of, np.array([work(i) for i in range(len(q))]), goals)
+        for of, work, goals in ((model, our, targets), (Model(arm), their, rigid))
+    ]
+    ours, theirs = _in_turns(our, their, per_block)
+    return beside(
+        name,
+        "us",
+        1e6 * np.median(ours, axis=1),
+        peer.name,
+        1e6 * np.median(theirs, axis=1),
+        mean=1e6 * float(ours.mean()),
+        peer_mean=1e6 * float(theirs.mean()),
+        note=f"{engine.name.lower()}; solved {solved[0]:.3f}, peer {solved[1]:.3f}",
+    )
+
+
+def _solved(model: Model, q: np.ndarray, targets: np.ndarray) -> float:
+    arm, given = model.arm, np.isfinite(q).all(axis=1)
+    error = np.linalg.norm(model.tip(np.nan_to_num(q)) - targets[:, :3, 3], axis=1)
+    inside = ((q >= arm.lower - 1e-9) & (q <= arm.upper + 1e-9)).all(axis=1)
+    return float((given & inside & (error < 1e-5)).mean())
+
+
+def _middle(arm: Arm, q: np.ndarray) -> np.ndarray:
+    return np.tile(arm.mid, (len(q), 1))
+
+
+def _near(arm: Arm, q: np.ndarray) -> np.ndarray:
+    shift = 0.01 * (arm.upper - arm.lower) * np.where(np.arange(arm.n) % 2, 1.0, -1.0)
+    return np.clip(q + shift, arm.lower, arm.upper)
+
+
+def ik_single_vs_rtb_ik_lm_median() -> Result:
+    """One pose from mid-range; goal 3, ambitious 7."""
+    return _single("ik_single_vs_rtb_ik_lm_median", Toolbox, _middle)
+
+
+def ik_warm_vs_rtb_ik_lm_median() -> Result:
+    """One pose from joints 1 % of their range away; goal 1.5."""
+    return _single("ik_warm_vs_rtb_ik_lm_median", Toolbox, _near)
+
+
+def ik_single_vs_pinocchio() -> Result:
+    """One pose from mid-range."""
+    return _single("ik_single_vs_pinocchio", Pinocchio, _middle)
+
+
+def ik_single_vs_trac_ik() -> Result:
+    """One pose from mid-range."""
+    return _single("ik_single_vs_trac_ik", TracIk, _middle)
+
+
+def ik_single_vs_roboplan() -> Result:
+    """One pose from mid-range."""
+    return _single("ik_single_vs_roboplan", RoboPlan, _middle)
+
+
+def ik_single_vs_ikpy() -> Result:
+    """One pose from mid-range."""
+    return _single("ik_single_vs_ikpy", IkPy, _middle, per_block=3)
+
+
+def _batch(name: str, q: np.ndarray, engine: Engine, threads: int = 1) -> Result:
+    """Poses a second of a batch from mid-range, beside the peer's mean rate on the same joints."""
+    model = soft_model(demo_arm())
+    arm = model.arm
+    try:
+        peer = Toolbox(arm)
+    except ImportError as error:
+        return missing(name, Toolbox.name, f"not installed: {error.name}")
+    targets, mid = model.pose(q), arm.mid
+    some = np.random.default_rng(0).permutation(len(q))[: BLOCKS * PER_BLOCK]
+    rigid = Model(arm).pose(q[some])
+    solve = partial(ik.solve_many, model, tol=TOLERANCE, engine=engine, threads=threads)
+    solved = solve(targets).ok.mean()
+    clock = time.process_time if threads == 1 else time.perf_counter
+    ours, theirs = [], []
+    for block in range(BLOCKS):
+        rows = range(block * PER_BLOCK, (block + 1) * PER_BLOCK)
+        ours.append(len(q) / timed(lambda _: solve(targets), [0], clock)[0])
+        theirs.append(1 / timed(lambda i: peer.solve(rigid[i], mid), rows, clock).mean())
+    by = "processor seconds, 1 thread" if threads == 1 else f"wall seconds, {threads} threads"
+    note = f"{engine.name.lower()}, {by}; solved {solved:.4f}"
+    rate = [float(np.mean(theirs))]
+    return beside(name, "poses/s", ours, Toolbox.name, rate, more_is_better=True, note=note)
+
+
+def ik_batch_vs_rtb_ik_lm_mean() -> Result:
+    """Random joints; goal 20."""
+    q = random_joints(demo_arm(), BATCH, 2)
+    return _batch("ik_batch_vs_rtb_ik_lm_mean", q, _engine(Engine.ARRAYS))
+
+
+def ik_batch_all_cores_vs_rtb_ik_lm_mean() -> Result:
+    """The same on every core; the peer has one thread."""
+    q, cores = random_joints(demo_arm(), BATCH, 2), len(os.sched_getaffinity(0))
+    name = "ik_batch_all_cores_vs_rtb_ik_lm_mean"
+    return _batch(name, q, _engine(Engine.ARRAYS), cores)
+
+
+def ik_grid_vs_rtb_ik_lm_mean() -> Result:
+    """The paper's grid, on limits and at singularities; goal 20."""
+    return _batch("ik_grid_vs_rtb_ik_lm_mean", paper_grid(demo_arm()), _engine(Engine.ARRAYS))
+
+
+def ik_single_without_compiler() -> Result:
+    """Plain Python; goal 400 us."""
+    model = soft_model(demo_arm())
+    targets, mid = model.pose(random_joints(model.arm, 201, 3)), model.arm.mid
+
+    def work(i: int) -> None:
+        ik.solve(model, targets[i], seed=mid, tol=TOLERANCE, engine=Engine.PYTHON)
+
+    work(0)
+    each = timed(work, range(1, 201), time.process_time).reshape(BLOCKS, -1)
+    return beside("ik_single_without_compiler", "us", 1e6 * np.median(each, 1), "goal", [400.0])
+
+
+def ik_batch_without_compiler() -> Result:
+    """NumPy; goal 30,000 poses/s."""
+    model = soft_model(demo_arm())
+    targets = model.pose(random_joints(model.arm, BATCH, 3))
+    solve = partial(ik.solve_many, model, tol=TOLERANCE, engine=Engine.ARRAYS)
+    solve(targets[:100])
+    rates = BATCH / timed(lambda _: solve(targets), range(5), time.process_time)
+    return beside(
+        "ik_batch_without_compiler", "poses/s", rates, "goal", [30e3], more_is_better=True
+    )
+
+
+def ik_compile_seconds() -> Result:
+    """What the first target of a model waits for: tracing and compiling it."""
+    arm = demo_arm()
+
+    def work(k: int) -> None:
+        ik.warm_up(soft_model(arm, elements_per_beam=2).plus(JointCompliance(4, 1e-4 * (k + 1))))
+
+    ik.warm_up()
+    seconds = timed(work, range(3), time.process_time)
+    return alone("ik_compile_seconds", "s", seconds, "trace and compile, once a model")

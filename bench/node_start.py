@@ -1,0 +1,116 @@
+"""Start of the nodes measured: from the start of the process until it serves its first callback.
+
+The floor is a node of rclpy that offers one service and nothing else.  Discovery is left out: it is
+the middleware's, and a client that was there before learns of a new node only with its next
+announcement, up to 3 s later, whatever the node is.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+
+from bench.apart import environment
+from bench.arms import demo_arm, demo_arm_file
+from bench.comparison import Result, beside, missing
+from longarm_comp.core.errors import JobError
+
+REPEATS = 5
+FLOOR = "bare rclpy node"
+
+
+def start_simulated_arm() -> Result:
+    """The arm that stands in for hardware."""
+    return _node("simulated_arm")
+
+
+def start_servo_driver() -> Result:
+    """Unconfigured: the servos are asked when it is configured."""
+    return _node("servo_driver")
+
+
+def start_stereo_bridge() -> Result:
+    """With the marker and the parameters of the demonstration."""
+    return _node("stereo_bridge")
+
+
+def start_kinematics() -> Result:
+    """With the arm of the demonstration; the search is compiled afterwards, beside the targets."""
+    return _node("kinematics")
+
+
+def start_error_predictor() -> Result:
+    """With a trained predictor."""
+    return _node("error_predictor")
+
+
+def _node(node: str) -> Result:
+    name = f"start_{node}"
+    if find_spec("rclpy") is None:
+        return missing(name, FLOOR, "rclpy is not installed")
+    found = ready_times()
+    return beside(name, "ms", found[node], FLOOR, found["bare"])
+
+
+@lru_cache(maxsize=1)
+def ready_times(repeats: int = REPEATS, *, warm: bool = True) -> dict[str, list[float]]:
+    """Milliseconds of every node and of the floor, in turns; `warm`: one turn before that.
+
+    Raises:
+        JobError: a node did not come up.
+    """
+    from longarm_comp.nodes.bringup import SIMULATED
+
+    made: dict[str, list[float]] = {name: [] for name in ("bare", *SIMULATED)}
+    with tempfile.TemporaryDirectory(prefix="longarm_bench_") as scratch:
+        commands = _commands(Path(scratch), SIMULATED)
+        if warm:  # read from disk once
+            for command in commands.values():
+                _ready(command, scratch)
+        for _ in range(repeats):
+            for name, command in commands.items():
+                made[name].append(1e3 * _ready(command, scratch))
+    return made
+
+
+def _commands(folder: Path, nodes: Sequence[str]) -> dict[str, list[str]]:
+    """What starts the floor and each node, which ends by itself once it serves."""
+    from longarm_comp.jobs.dummy_predictor import train_stand_in
+    from longarm_comp.nodes.bringup import BringUp
+
+    predictor = folder / "predictor.npz"
+    train_stand_in(demo_arm(), predictor)
+    space = f"longarm_bench_{os.getpid()}"
+    graph = BringUp(demo_arm_file(), predictor=predictor, sim=True, namespace=space)
+    made = {"bare": [sys.executable, "-m", "bench.bare_node"]}
+    for node in nodes:
+        python, flag, module, *rest = graph.command(node, str(folder / "bus"))
+        made[node] = [python, flag, "bench.ready_node", module, *rest]
+    return made
+
+
+def _ready(command: Sequence[str], folder: str) -> float:
+    """Seconds until a process says that it is ready."""
+    variables = {
+        **environment(),
+        "ROS_LOG_DIR": folder,
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    }
+    begin = time.perf_counter()
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=variables
+    ) as process:
+        assert process.stdout is not None and process.stderr is not None
+        said = process.stdout.readline()
+        taken = time.perf_counter() - begin
+        error = process.communicate(timeout=60)[1]
+    if said.strip() != "ready":
+        raise JobError(f"{' '.join(command[2:4])} did not come up: {error.strip()[-300:]}")
+    return taken

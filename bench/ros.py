@@ -1,0 +1,189 @@
+"""Latency of the graph beside a bare rclpy echo of the same messages, in the same run.
+
+Processes: `kinematics`, `error_predictor` with a trained predictor, the echo, and this one.
+Blocks of calls take turns, so that every side meets the machine in the same mood.  Shares of a
+target, all p50: DDS is the echo; the predictor is its service's round trip times the questions
+that a target takes; the inverse kinematics is the whole compensation, done here with an error
+that is known at once; the node is what is left (threads, executors, messages).
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.arms import demo_arm, demo_arm_file
+from bench.comparison import Result, alone, beside
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.jobs.dummy_predictor import train_stand_in
+
+PEER = "bare rclpy echo of the same messages"
+BLOCKS, PER_BLOCK = 8, 50
+BURST = 80  # below every queue on the way
+BURSTS = 3
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Milliseconds (blocks, calls) of each path; rates in targets per second, one a burst."""
+
+    topic: np.ndarray
+    topic_echo: np.ndarray
+    service: np.ndarray
+    service_echo: np.ndarray
+    predictor: np.ndarray
+    compute: np.ndarray
+    questions: float
+    rate: np.ndarray
+    echo_rate: np.ndarray
+
+    @property
+    def shares(self) -> dict[str, np.ndarray]:
+        """Median milliseconds of a target, block by block; their sum is the whole."""
+        dds, ik = _p(self.topic_echo, 50), _p(self.compute, 50)
+        predictor = self.questions * _p(self.predictor, 50)
+        node = _p(self.topic, 50) - dds - ik - predictor
+        return {"dds": dds, "predictor": predictor, "ik": ik, "node": node}
+
+
+def ros_target_to_trajectory_vs_echo_p50_ms() -> Result:
+    """`target_pose` to `joint_trajectory`."""
+    f = figures()
+    return _beside("ros_target_to_trajectory_vs_echo_p50_ms", f.topic, f.topic_echo, 50)
+
+
+def ros_target_to_trajectory_vs_echo_p99_ms() -> Result:
+    """The slow ones."""
+    f = figures()
+    return _beside("ros_target_to_trajectory_vs_echo_p99_ms", f.topic, f.topic_echo, 99)
+
+
+def ros_compensate_vs_echo_p50_ms() -> Result:
+    """Round trip of the `compensate` service, not executed."""
+    f = figures()
+    return _beside("ros_compensate_vs_echo_p50_ms", f.service, f.service_echo, 50)
+
+
+def ros_compensate_vs_echo_p99_ms() -> Result:
+    """The slow ones."""
+    f = figures()
+    return _beside("ros_compensate_vs_echo_p99_ms", f.service, f.service_echo, 99)
+
+
+def ros_share_dds_ms() -> Result:
+    """Of a target: what the echo takes."""
+    return _share("dds")
+
+
+def ros_share_predictor_ms() -> Result:
+    """Of a target: asking the predictor."""
+    return _share("predictor", questions_per_target=figures().questions)
+
+
+def ros_share_ik_ms() -> Result:
+    """Of a target: compensation with the error known."""
+    return _share("ik")
+
+
+def ros_share_node_ms() -> Result:
+    """Of a target: the rest."""
+    return _share("node")
+
+
+def ros_sustained_rate_vs_echo_hz() -> Result:
+    """Targets a second that are worked off while some wait: above it queues grow."""
+    f = figures()
+    return beside(
+        "ros_sustained_rate_vs_echo_hz", "1/s", f.rate, PEER, f.echo_rate, more_is_better=True
+    )
+
+
+def _p(values: np.ndarray, share: float) -> np.ndarray:
+    """Percentile of each block."""
+    made: np.ndarray = np.percentile(values, share, axis=1)
+    return made
+
+
+def _beside(name: str, ours: np.ndarray, echo: np.ndarray, percent: float) -> Result:
+    """Medians over the blocks for p50; p99 is that of all calls together."""
+    if percent != 50:
+        ours, echo = ours.reshape(1, -1), echo.reshape(1, -1)
+    mine, theirs = _p(ours, percent), _p(echo, percent)
+    added = float(np.median(mine) - np.median(theirs))
+    return beside(name, "ms", mine, PEER, theirs, added_ms=added)
+
+
+def _share(of: str, **further: object) -> Result:
+    note = "of target_pose to joint_trajectory, p50"
+    return alone(f"ros_share_{of}_ms", "ms", figures().shares[of], note, **further)
+
+
+@lru_cache(maxsize=1)
+def figures(blocks: int = BLOCKS, per_block: int = PER_BLOCK) -> Figures:
+    """Everything, measured once a process."""
+    from bench.ros_calls import Calls
+
+    arm = demo_arm()
+    with _graph(arm) as calls_on:
+        calls: Calls = calls_on(Calls)
+        calls.warm_up()
+        sides: tuple[Callable[[int], float], ...] = (
+            calls.topic, calls.topic_echo, calls.service, calls.service_echo, calls.predict,
+            calls.compute,
+        )  # fmt: skip
+        made: list[list[list[float]]] = [[] for _ in sides]
+        for block in range(blocks):
+            rows = range(block * per_block, (block + 1) * per_block)
+            for side, call in zip(made, sides, strict=True):
+                side.append([1e3 * call(i) for i in rows])
+        per_target = calls.predictions_per_target(per_block)
+        rates = [(calls.rate(BURST), calls.echo_rate(BURST)) for _ in range(BURSTS)]
+    rate, echo_rate = np.array(rates).T
+    topic, topic_echo, service, service_echo, predictor, compute = (np.array(m) for m in made)
+    return Figures(
+        topic, topic_echo, service, service_echo, predictor, compute, per_target, rate, echo_rate
+    )
+
+
+@contextmanager
+def _graph(arm: Arm) -> Iterator[Callable[[Any], Any]]:
+    """The processes; gives what makes the caller's side."""
+    from longarm_comp.nodes.supervisor import Supervisor
+
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    space = f"longarm_bench_{os.getpid()}"
+    with tempfile.TemporaryDirectory(prefix="longarm_bench_") as scratch:
+        os.environ.setdefault("ROS_LOG_DIR", scratch)
+        predictor = Path(scratch) / "predictor.npz"
+        train_stand_in(arm, predictor)
+        module, ros = [sys.executable, "-m"], ["--ros-args", "-r", f"__ns:=/{space}"]
+        file = ["-p", f"arm:='{demo_arm_file()}'"]
+        commands = {
+            "echo": [sys.executable, str(Path(__file__).with_name("ros_echo.py")), *ros],
+            "kinematics": [*module, "longarm_comp.nodes.kinematics", *ros, *file],
+            "error_predictor": [
+                *(*module, "longarm_comp.nodes.error_predictor", *ros, *file),
+                *("-p", f"predictor:='{predictor}'"),
+            ],
+        }
+        with Supervisor(commands, respawn=False):
+            made: list[Any] = []
+
+            def calls_on(kind: Any) -> Any:
+                made.append(kind(arm, space))
+                return made[-1]
+
+            try:
+                yield calls_on
+            finally:
+                for calls in made:
+                    calls.close()

@@ -1,0 +1,106 @@
+"""Seconds of training until a held-out error is reached, beside scikit-learn's learners.
+
+Every learner has a ladder of settings from cheap to dear, as a user would try them; what counts is
+the cheapest one that reaches the error, alone.  The error is against the noise-free truth of the
+smooth benchmark, RMS per axis.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from bench.comparison import Result, beside, missing
+from bench.smooth import SmoothSet, rms_mm, smooth_set
+from longarm_comp.core.learn.ensemble import train
+from longarm_comp.studies.peers import train_gaussian_process, train_mlp
+
+Learner = Callable[[SmoothSet, int], Any]
+TARGET_MM = {300: 0.25, 900: 0.17}
+"""About what the slowest learner can reach."""
+
+
+def _ours(**settings: Any) -> Learner:
+    return lambda data, seed: train(data.q, data.residual, seed=seed, **settings)
+
+
+def _mlp(hidden: int) -> Learner:
+    return lambda data, seed: train_mlp(data.q, data.residual, seed=seed, hidden=hidden)
+
+
+LADDERS: dict[str, tuple[tuple[str, Learner], ...]] = {
+    "ssa_bp": (
+        ("one network of 8", _ours(hidden=8, ensemble=1)),
+        ("one network of 12", _ours(hidden=12, ensemble=1)),
+        ("two networks of 17", _ours(hidden=17, ensemble=2)),
+        ("defaults", _ours()),
+    ),
+    "mlp": tuple((f"{hidden} hidden, alpha by CV", _mlp(hidden)) for hidden in (8, 12, 24)),
+    "gp": (("ARD + white", lambda d, seed: train_gaussian_process(d.q, d.residual, seed=seed)),),
+}
+PEERS = {"mlp": "scikit-learn MLPRegressor", "gp": "scikit-learn GaussianProcessRegressor"}
+
+
+@lru_cache(maxsize=8)
+def reached(kind: str, samples: int, target_mm: float, repeats: int) -> dict[str, Any] | None:
+    """The cheapest setting whose median error is below the target: seconds and errors."""
+    for setting, learn in LADDERS[kind]:
+        seconds, errors = [], []
+        for seed in range(repeats):
+            data = smooth_set(samples, seed)
+            begin = time.process_time()
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                learned = learn(data, seed)
+            seconds.append(time.process_time() - begin)
+            errors.append(rms_mm(learned.predict(data.test_q).error - data.test_truth))
+        if np.median(errors) <= target_mm:
+            return {"setting": setting, "seconds": seconds, "rms_mm": float(np.median(errors))}
+    return None
+
+
+def time_to_error(
+    peer: str, samples: int, target_mm: float | None = None, repeats: int = 3
+) -> Result:
+    """One learner against ours."""
+    name, target = f"ssa_time_to_error_vs_{peer}_{samples}", target_mm or TARGET_MM[samples]
+    mine = reached("ssa_bp", samples, target, repeats)
+    theirs = reached(peer, samples, target, repeats)
+    if mine is None or theirs is None:
+        who = PEERS[peer] if mine is not None else "SSA-BP"
+        return missing(name, PEERS[peer], f"{who} does not reach {target} mm")
+    return beside(
+        name,
+        "s CPU",
+        mine["seconds"],
+        f"{PEERS[peer]}, {theirs['setting']}",
+        theirs["seconds"],
+        rms_mm=mine["rms_mm"],
+        peer_rms_mm=theirs["rms_mm"],
+        note=f"to {target} mm: {mine['setting']}",
+    )
+
+
+def ssa_time_to_error_vs_mlp_300() -> Result:
+    """300 samples, 0.25 mm."""
+    return time_to_error("mlp", 300)
+
+
+def ssa_time_to_error_vs_gp_300() -> Result:
+    """300 samples, 0.25 mm."""
+    return time_to_error("gp", 300)
+
+
+def ssa_time_to_error_vs_mlp_900() -> Result:
+    """900 samples, 0.17 mm."""
+    return time_to_error("mlp", 900)
+
+
+def ssa_time_to_error_vs_gp_900() -> Result:
+    """900 samples, 0.17 mm."""
+    return time_to_error("gp", 900)

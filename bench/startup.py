@@ -1,0 +1,52 @@
+"""Start-up measured: commands and imports, each beside its floor in the same turns."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+
+from bench.comparison import Result, beside
+
+REPEATS = 7
+NOTHING = ("-c", "pass")
+NUMPY = ("-c", "import numpy")
+NUMPY_PYDANTIC = ("-c", "import numpy, pydantic")
+
+
+def _ended(arguments: Sequence[str]) -> float:
+    """Wall seconds of a Python process from start to end."""
+    begin = time.perf_counter()
+    subprocess.run([sys.executable, *arguments], check=True, capture_output=True)
+    return time.perf_counter() - begin
+
+
+def _ends_beside(
+    name: str, ours: Sequence[str], peer: str, theirs: Sequence[str], repeats: int
+) -> Result:
+    _ended(ours), _ended(theirs)  # both read from disk once
+    made = [(1e3 * _ended(ours), 1e3 * _ended(theirs)) for _ in range(repeats)]
+    mine, other = zip(*made, strict=True)
+    return beside(name, "ms", mine, peer, other)
+
+
+def start_help(repeats: int = REPEATS) -> Result:
+    """``longarm --help`` beside a Python that does nothing."""
+    ours = ("-m", "longarm_comp", "--help")
+    return _ends_beside("start_help", ours, "python -c pass", NOTHING, repeats)
+
+
+def start_import_core(repeats: int = REPEATS) -> Result:
+    """What a control program imports, model and inverse kinematics, beside numpy alone."""
+    ours, peer = (
+        ("-c", "import longarm_comp.core.compensation.compensate"),
+        "python -c 'import numpy'",
+    )
+    return _ends_beside("start_import_core", ours, peer, NUMPY, repeats)
+
+
+def start_import_arm(repeats: int = REPEATS) -> Result:
+    """The arm's declaration and its checks beside the two libraries that it stands on."""
+    ours, peer = ("-c", "import longarm_comp.core.arm.arm"), "python -c 'import numpy, pydantic'"
+    return _ends_beside("start_import_arm", ours, peer, NUMPY_PYDANTIC, repeats)

@@ -1,0 +1,99 @@
+"""Commands are moves: from which side every joint arrives, and the run-up that makes it so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.history import SAME_POSE
+
+RUN_UP = 0.06
+"""Way of a run-up, as a share of each joint's range: longer than the play of most joints."""
+
+
+@dataclass(frozen=True, eq=False)
+class Move:
+    """How the joints come to rest at a command.
+
+    Attributes:
+        q: (n,) where they rest (rad, m).
+        run_up: (n,) where the last approach begins, or None where the direct move will do.
+        side: (n,) of -1, 0, +1: the side that each joint arrives from; 0: it does not move.
+        doubtful: (n,) joints whose side was wanted but whose way is shorter than a run-up, and
+            that have no room for one.
+    """
+
+    q: np.ndarray
+    run_up: np.ndarray | None
+    side: np.ndarray
+    doubtful: np.ndarray
+
+    @property
+    def points(self) -> np.ndarray:
+        """(k, n) way-points to send."""
+        return self.q[None] if self.run_up is None else np.stack([self.run_up, self.q])
+
+
+def run_up_lengths(arm: Arm) -> np.ndarray:
+    """(n,) length of a run-up of every joint (rad, m)."""
+    return RUN_UP * (arm.upper - arm.lower)
+
+
+def plan_move(
+    arm: Arm,
+    start: np.ndarray | None,
+    q: np.ndarray,
+    wanted: np.ndarray,
+    *,
+    length: np.ndarray | None = None,
+) -> Move:
+    """The shortest move that arrives at q from the wanted sides, inside the limits.
+
+    A joint whose direct way comes from its side and is as long as a run-up needs none.  One that
+    has no room for a run-up goes directly and is marked.  Joints that need no run-up are put on
+    their own way to q while the others run up, so that they too arrive from their side.
+
+    Args:
+        start: (n,) where the joints stand; None: nobody knows.
+        q: (n,) where they shall rest.
+        wanted: (n,) of -1, 0, +1; 0: any side.
+        length: (n,) of the run-ups; `run_up_lengths` by default.
+    """
+    length = run_up_lengths(arm) if length is None else length
+    step = np.zeros_like(q) if start is None else q - start
+    natural = np.where(np.abs(step) < SAME_POSE, 0.0, np.sign(step))
+    via = q - wanted * length
+    room = (via >= arm.lower) & (via <= arm.upper)
+    direct = (wanted == 0) | ((natural == wanted) & (np.abs(step) >= length))
+    runs_up = ~direct & room
+    doubtful = ~direct & ~room
+    if not runs_up.any():
+        return Move(q, None, natural, doubtful)
+    on_the_way = q - natural * np.minimum(length, np.abs(step))
+    run_up = np.where(runs_up, via, on_the_way)
+    return Move(q, run_up, np.where(runs_up, wanted, natural), doubtful)
+
+
+def wanted_sides(
+    arm: Arm, start: np.ndarray | None, q: np.ndarray, known: np.ndarray
+) -> np.ndarray:
+    """(n,) side to arrive from: the one that the data know, has room, and needs least extra way.
+
+    Args:
+        start: (n,) where the joints stand; None: nobody knows.
+        q: (n,) where they shall rest.
+        known: (n, 2) weight of what the data know of arrivals from above (-1) and from below (+1).
+    """
+    length = run_up_lengths(arm)
+    room = np.stack([q + length <= arm.upper, q - length >= arm.lower], axis=-1)
+    forward = np.ones(len(q), bool) if start is None else q > start
+    joints, natural = np.arange(len(q)), forward.astype(int)
+    usable = known * room
+    better = usable[joints, 1 - natural] > _MUCH_BETTER * usable[joints, natural]
+    return np.where(better ^ forward, 1.0, -1.0)
+
+
+_MUCH_BETTER = 3.0
+"""A side that the data know so many times better is worth a longer way."""

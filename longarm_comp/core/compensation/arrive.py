@@ -1,0 +1,135 @@
+"""One target as a move: joints, and how they arrive there, found together.
+
+Where the model depends on how the joints arrive, the side of arrival is chosen, a run-up makes it
+so, and the joints are found for that side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.history import History
+from longarm_comp.core.arm.moves import Move, plan_move, wanted_sides
+from longarm_comp.core.compensation.compensate import compensate, physics_of
+from longarm_comp.core.compensation.result import (
+    Compensation,
+    ErrorPredictor,
+    Method,
+    Settling,
+)
+from longarm_comp.core.compensation.unknown import history_joints
+from longarm_comp.core.ik import solver as ik
+from longarm_comp.core.model.model import Model
+
+_TRIALS = 5
+"""Commands that are tried until one arrives as it assumes; the last assumes less."""
+
+
+@dataclass(frozen=True)
+class CompensationOptions:
+    """How far compensation may go; as in `compensate`.
+
+    Attributes:
+        run_up: whether a run-up may be added so that joints arrive from a chosen side.
+    """
+
+    method: Method = Method.BOTH
+    settling: Settling = field(default_factory=Settling)
+    locked: tuple[int | str, ...] = ()
+    run_up: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Arrival:
+    """A compensated target, the move that it holds for, and what effects and predictor saw."""
+
+    outcome: Compensation
+    move: Move
+    context: Context
+    history: History
+
+
+def compensate_move(
+    model: Model,
+    predictor: ErrorPredictor | None,
+    target: np.ndarray,
+    *,
+    start: np.ndarray | None,
+    history: History,
+    context_after: Callable[[History], Context],
+    sides: np.ndarray | None = None,
+    seed: np.ndarray | None = None,
+    position_only: bool = False,
+    options: CompensationOptions | None = None,
+) -> Arrival:
+    """Compensate one target as a move from where the arm is.
+
+    What the model and the predictor are told of the joints' history is what the move leaves.
+    The move follows from a first solution and is checked against the command.  Where no move
+    arrives as its command assumes (a joint that would hardly move, and has no run-up), the side
+    of that joint counts as unknown.
+
+    Args:
+        target: (3,) m or (4, 4), base frame.
+        start: (n,) joints now (rad, m); None: not known.
+        history: of the joints at ``start``.
+        context_after: the circumstances at the command, given the history that the move leaves.
+        sides: (n,) sides to arrive from, asked for; by default they are chosen.
+        seed: (n,) start of the search; ``start`` by default.
+
+    Raises:
+        InputError: as `compensate`.
+    """
+    options = options or CompensationOptions()
+    physics = physics_of(model, options.method)
+    seed = start if seed is None else seed
+    matters = history_joints(physics)
+
+    def move_to(q: np.ndarray) -> Move:
+        return plan_move(model.arm, start, q, wanted)
+
+    def solved(context: Context, doubtful: np.ndarray) -> Compensation:
+        return compensate(
+            model, predictor, target, context=context, seed=seed, position_only=position_only,
+            method=options.method, locked=options.locked, doubtful=doubtful,
+            **vars(options.settling),
+        )  # fmt: skip
+
+    wanted = np.zeros(model.arm.n) if sides is None else sides
+    move = Move(np.zeros(0), None, wanted, np.zeros(model.arm.n, bool))
+    arrived = history
+    if predictor is not None or matters or sides is not None:
+        first = ik.solve(
+            physics, target, seed=seed, context=context_after(history),
+            position_only=position_only, locked=options.locked,
+        )  # fmt: skip
+        if sides is None and options.run_up:
+            wanted = _chosen(model, start, first.q, matters)
+        move = move_to(first.q)
+        arrived = history.after(move.points, start)
+    for trials_left in reversed(range(_TRIALS)):
+        assumed, context = arrived, context_after(arrived)
+        outcome = solved(context, move.doubtful)
+        seed, move = outcome.command, move_to(outcome.command)
+        arrived = history.after(move.points, start)
+        if not outcome.success or not matters or arrived.agrees(assumed):
+            break
+        if trials_left == 1:
+            arrived = arrived.agreed(assumed)
+    return Arrival(outcome, move, context, arrived)
+
+
+def _chosen(
+    model: Model, start: np.ndarray | None, q: np.ndarray, matters: dict[str, tuple[int, ...]]
+) -> np.ndarray:
+    """Sides (n,) for the joints whose side matters; 0 for the others."""
+    joints = sorted({joint for held in matters.values() for joint in held})
+    wanted = np.zeros(model.arm.n)
+    if joints:
+        known = np.array(model.arrivals or np.ones((model.arm.n, 2)), float)
+        wanted[joints] = wanted_sides(model.arm, start, q, known)[joints]
+    return wanted

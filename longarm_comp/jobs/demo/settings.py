@@ -1,0 +1,83 @@
+"""What the demonstration does, and the graph that it does it on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.jobs.collect import Pace
+from longarm_comp.nodes.bringup import BringUp
+from longarm_comp.share import folder
+
+NAMESPACE = "longarm_demo"
+"""Its own namespace: apart from any real arm on the same network."""
+
+PACE = Pace(sightings=3, dwell_s=0.06, move_s=0.05, arrive_s=20.0, look_s=3.0, tolerance=5e-4)
+_FRAME_RATE_HZ = 15.0
+
+
+@dataclass(frozen=True)
+class DemoSettings:
+    """One demonstration.
+
+    Attributes:
+        out: folder for everything that it makes.
+        poses: to measure, from random sides. targets: fresh ones to judge by.
+        hidden: undeclared effects of the simulated arm, ``name=mm``.
+        speed: motion so many times faster than the servos' file says.
+        seed: of the hidden effects, the plan and the targets.
+        arm: file; the demonstration's own by default.
+        parameters: of nodes, on top.
+    """
+
+    out: Path
+    poses: int = 130
+    targets: int = 40
+    hidden: str = "joint_compliance=8.0 backlash=3.0"
+    speed: float = 20.0
+    seed: int = 1
+    arm: Path = field(default_factory=lambda: folder("config") / "arm_demo.yaml")
+    parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, least in (("poses", 30), ("targets", 2)):
+            if getattr(self, name) < least:
+                raise InputError("demo", f"--{name}", getattr(self, name), f"at least {least}")
+
+    @property
+    def bag(self) -> Path:
+        """Session that was collected."""
+        return self.out / "session"
+
+    @property
+    def model(self) -> Path:
+        """Calibrated model with the effects that the diagnosis found."""
+        return self.out / "model.yaml"
+
+    @property
+    def predictor(self) -> Path:
+        """Learned residual."""
+        return self.out / "predictor.npz"
+
+    def graph(self) -> BringUp:
+        """The graph; model and predictor are taken up once they are there."""
+        given: dict[str, dict[str, Any]] = {
+            "servo_driver": {"follower.blend_s": 0.05},
+            "simulated_arm": {
+                "hidden": self.hidden, "seed": self.seed, "frame_rate_hz": _FRAME_RATE_HZ,
+            },
+            "kinematics": {"move_time_s": PACE.move_s},
+        }  # fmt: skip
+        for node, more in self.parameters.items():
+            given[node] = {**given.get(node, {}), **more}
+        return BringUp(
+            arm=self.arm,
+            model=self.model,
+            predictor=self.predictor,
+            sim=True,
+            namespace=NAMESPACE,
+            speed=self.speed,
+            set=given,
+        )

@@ -1,0 +1,202 @@
+"""The graph under soak: a stream of targets into it, and the books of what came of them."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from trajectory_msgs.msg import JointTrajectory
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.jobs.client import ArmClient
+from longarm_comp.jobs.path import slow_path
+from longarm_comp.jobs.soak.leaks import LeakWatch
+from longarm_comp.jobs.soak.ledger import Books
+from longarm_comp.jobs.soak.setting import NAMESPACE, Setting
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.images import stamp_ns, stamp_of
+from longarm_comp.nodes.messages import pose_message
+from longarm_comp.nodes.supervisor import Supervisor
+from longarm_interfaces.msg import Compensation
+
+_PATH = 2000
+_SAMPLE_S = 1.0
+_PATIENCE_S = 60.0
+_MOST_WAITING = 50
+"""Far below the depth of the topics: what is too much for a queue is lost where nobody answers."""
+
+
+@dataclass
+class Scene:
+    """The running graph, the stream of targets into it, and what is known of both."""
+
+    setting: Setting
+    arm: Arm
+    supervisor: Supervisor
+    client: ArmClient
+    rng: np.random.Generator
+    books: Books = field(default_factory=Books)
+    leaks: LeakWatch = field(default_factory=LeakWatch)
+    expected_deaths: Counter[str] = field(default_factory=Counter)
+    struck: Counter[str] = field(default_factory=Counter)
+    held_back: int = 0
+    _driver: int = 0
+    _driver_told: int = 0
+    _driver_rose: bool = False
+    _driver_at: tuple[int, int] | None = None
+    _probing: bool = False
+    _probed: int = 0
+    _next: float = 0.0
+    _sampled: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Listen to everything that the books need."""
+        node = self.client.node
+        self._poses = [pose_message(m) for m in slow_path(self.arm, _PATH)]
+        self._target = graph.TARGET_POSE.publisher(node)
+        graph.COMPENSATION.subscription(node, self._on_story)
+        graph.JOINT_TRAJECTORY.subscription(node, self._on_trajectory)
+        graph.DIAGNOSTICS.subscription(node, self._on_diagnostics)
+
+    def _on_story(self, message: Compensation) -> None:
+        if self._probing:
+            self._probed = stamp_ns(message.target.header.stamp)
+            return
+        self.books.answer(
+            stamp_ns(message.target.header.stamp),
+            int(message.status),
+            int(message.status) > Compensation.OUT_OF_DOMAIN,
+            message.message,
+            tuple(message.executed.position),
+        )
+
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        if self._probing:
+            return
+        self.books.trajectory(tuple(message.points[-1].positions))
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name == f"/{NAMESPACE}/servo_driver: arm":
+                facts = {pair.key: pair.value for pair in status.values}
+                before = self._driver
+                self._driver = int(facts["trajectories"]) + int(facts["refused"])
+                self._driver_rose = self._driver_rose or self._driver > before
+                self._driver_told += 1
+
+    # ------------------------------------------------------------------ the stream
+
+    def ready(self) -> None:
+        """Wait until every node does its part, by targets that are in no book.
+
+        A reader that was killed stays matched for a while, so that counting readers says nothing.
+        """
+        client = self.client
+        client.ready(_PATIENCE_S)
+        self._probing, self._probed, self._driver_rose = True, 0, False
+
+        def through() -> bool:
+            if not (self._probed and self._driver_rose):
+                self._publish(good=True)
+                client.spin(0.2)
+            return bool(self._probed and self._driver_rose)
+
+        client.until(through, _PATIENCE_S, "no target gets through to the servos")
+        last = self._publish(good=True)  # answered in their order: then all are
+        client.until(lambda: self._probed == last, _PATIENCE_S, "a target has no answer")
+        client.spin(1.0)
+        self._rested()
+        self._probing = False
+        self._mark()
+
+    def _rested(self) -> None:
+        """The driver's report was made after everything came to rest."""
+        told = self._driver_told + 2
+        self.client.until(lambda: self._driver_told >= told, _PATIENCE_S, "no /diagnostics")
+
+    def go_on(self, seconds: float) -> None:
+        """Targets at the rate for so long."""
+        end = time.monotonic() + seconds
+        self._next = max(self._next, time.monotonic())
+        while (now := time.monotonic()) < end:
+            if now >= self._next:
+                if self.books.waiting < _MOST_WAITING:
+                    self._send(now)
+                else:  # the machine does not keep up
+                    self.held_back += 1
+                self._next += 1.0 / self.setting.rate_hz
+            if now - self._sampled > _SAMPLE_S:
+                self._sample(now)
+            self.client.spin(max(1e-3, min(self._next, end) - time.monotonic()))
+
+    def _send(self, now: float) -> None:
+        good = bool(self.rng.random() >= self.setting.bad_share)
+        self.books.target(self._publish(good=good), now, good=good)
+
+    def _publish(self, *, good: bool) -> int:
+        stamp = int(self.client.node.get_clock().now().nanoseconds)
+        made = PoseStamped(pose=self._poses[self.books.sent % _PATH])
+        made.header.frame_id, made.header.stamp = "base", stamp_of(stamp)
+        self._target.publish(made if good else bad_target(made, self.rng))
+        return stamp
+
+    def _sample(self, now: float) -> None:
+        self._sampled = now
+        for name in self.supervisor.commands:
+            self.leaks.sample(name, self.supervisor.pid(name))
+        self.leaks.sample("soak", os.getpid())
+
+    # ------------------------------------------------------------------ the books
+
+    def quiet(self) -> None:
+        """No target, and every one answered; one that never is goes into the books."""
+        end = time.monotonic() + _PATIENCE_S
+        self.client.until(
+            lambda: not self.books.waiting or time.monotonic() > end, 2 * _PATIENCE_S, "answers"
+        )
+        self.books.give_up()
+        self.client.spin(0.3)
+
+    def audit(self) -> None:
+        """Let everything come to rest, and compare what was sent with what the driver got."""
+        self.quiet()
+        self._rested()
+        if self._driver_at is not None:
+            sent, got = (
+                self.books.trajectories - self._driver_at[0], self._driver - self._driver_at[1],
+            )  # fmt: skip
+            if sent != got:
+                self.books.wrong["trajectory that the driver did not get once"] += abs(sent - got)
+        self._mark()
+
+    def _mark(self) -> None:
+        self._driver_at = self.books.trajectories, self._driver
+
+    def wait_back(self, node: str, before: int) -> None:
+        """A node that was killed is running again and connected; its counters begin anew."""
+        back = lambda: self.supervisor.pid(node) != before  # noqa: E731
+        self.client.until(back, _PATIENCE_S, f"{node} is away")
+        self.ready()
+
+
+def bad_target(good: PoseStamped, rng: np.random.Generator) -> PoseStamped:
+    """A target that must be refused: one of five ways to be wrong."""
+    made = PoseStamped(header=good.header)
+    made.pose.position.x = good.pose.position.x
+    made.pose.position.y = good.pose.position.y
+    made.pose.position.z = good.pose.position.z
+    made.pose.orientation.w = 1.0
+    ways = (
+        lambda: setattr(made.pose.position, "x", float("nan")),
+        lambda: setattr(made.pose.position, "z", float("inf")),
+        lambda: setattr(made.header, "frame_id", "kitchen"),
+        lambda: setattr(made.pose.orientation, "w", 2.0),
+        lambda: setattr(made.pose.position, "y", made.pose.position.y + 30.0),
+    )
+    ways[int(rng.integers(len(ways)))]()
+    return made

@@ -1,0 +1,29 @@
+"""Whether a test session is the one that a model or a predictor was fitted to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.model.model_file import read_stored
+
+if TYPE_CHECKING:
+    from longarm_comp.core.learn.predictor import Predictor
+
+
+def fitted_to(session: Session, model: Path | None, predictor: Predictor | None) -> list[str]:
+    """``model``, ``predictor``: those that were fitted to this session, by its hash.
+
+    Files keep the hash of the whole session, not of its rows: a session that shares only some of
+    its rows with this one is not recognised.
+
+    Raises:
+        InputError: the model file cannot be read.
+    """
+    origins = {}
+    if model is not None:
+        origins["model"] = read_stored(model).provenance.get("session_hash")
+    if predictor is not None:
+        origins["predictor"] = predictor.provenance.session_hash
+    return [name for name, origin in origins.items() if origin == session.hash]

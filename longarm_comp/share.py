@@ -1,0 +1,58 @@
+"""Where the installed files of a package are: ``share/<package>`` of the prefix that holds it."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from longarm_comp.core.errors import InputError
+
+PACKAGE = "longarm_comp"
+_SOURCES = Path(__file__).resolve().parents[1]
+"""The folder that holds this package: of a checkout, or ``site-packages``."""
+
+
+def folder(name: str) -> Path:
+    """``config`` or ``launch`` of this package: of its checkout, else as installed.
+
+    Raises:
+        InputError: it is in none of the places.
+    """
+    places = [_SOURCES / name] if _is_checkout() else []
+    places += installed(PACKAGE, name)
+    for place in places:
+        if place.is_dir():
+            return place
+    raise InputError("installation", name, "missing", " or ".join(map(str, places)))
+
+
+def interface_folders(package: str, kind: str) -> list[Path]:
+    """Where ``msg`` or ``srv`` files of a package may be: as installed, else of the checkout."""
+    beside = [_SOURCES / package / kind] if _is_checkout() else []
+    return installed(package, kind) + beside
+
+
+def installed(package: str, name: str) -> list[Path]:
+    """Where a folder of an installed package may be, in the order to look."""
+    return [prefix / "share" / package / name for prefix in dict.fromkeys(_prefixes())]
+
+
+def _is_checkout() -> bool:
+    return (_SOURCES / "package.xml").is_file()
+
+
+def _prefixes() -> Iterator[Path]:
+    """This package's own prefix, the sourced workspaces (the ament index), Python's."""
+    yield from _prefix_of(_SOURCES)
+    yield from map(Path, filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)))
+    for entry in sys.path:
+        yield from _prefix_of(Path(entry))
+    yield Path(sys.prefix)
+
+
+def _prefix_of(packages: Path) -> Iterator[Path]:
+    """The prefix of ``prefix/lib/pythonX.Y/site-packages``; none of any other folder."""
+    if packages.name in ("site-packages", "dist-packages") and len(packages.parents) > 2:
+        yield packages.parents[2]

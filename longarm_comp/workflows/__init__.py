@@ -1,0 +1,1 @@
+"""What each command does, callable from Python: one file a workflow, no command line in it."""

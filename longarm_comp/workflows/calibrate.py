@@ -1,0 +1,209 @@
+"""Calibration: geometry and declared effects fitted to a session, judged on held-out blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from longarm_comp import __version__
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.holdout import blocked_split
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.catalogue import effect_class
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.calibrate import Rung, ladder
+from longarm_comp.core.identify.fit import ModelFit, fit
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model_file import save_model, store
+from longarm_comp.workflows.error_table import ErrorTable
+from longarm_comp.workflows.inputs import (
+    FilePath,
+    Note,
+    Progress,
+    SessionLike,
+    admitted,
+    log_note,
+    silent,
+)
+
+Term = Effect | Bias
+
+
+@dataclass(frozen=True)
+class FittedParameter:
+    """One fitted parameter.
+
+    Attributes:
+        effect, where, name: which one.
+        value: in SI units.
+        unit: of the value.
+        ci95: its 95 % interval.
+        geometry: whether it belongs to the arm's geometry, not to an effect beyond it.
+    """
+
+    effect: str
+    where: str
+    name: str
+    value: float
+    unit: str
+    ci95: tuple[float, float]
+    geometry: bool
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration:
+    """A calibrated model, and how well every rung of the ladder did.
+
+    Attributes:
+        rungs: ever fuller models, fitted without the held-out rows.
+        effect_rungs: how many of them, the last, add an effect to the geometry.
+        held_out_rows: rows held out, those without a marker included.
+        fit: of the last rung to all rows.
+        session: all rows.
+        seed: of the split.
+    """
+
+    rungs: tuple[Rung, ...]
+    effect_rungs: int
+    held_out_rows: int
+    fit: ModelFit
+    session: Session
+    seed: int
+
+    @property
+    def model(self) -> Model:
+        """The calibrated model."""
+        return self.fit.model
+
+    @property
+    def held_out(self) -> ErrorTable:
+        """Errors of every rung on the held-out rows."""
+        return ErrorTable({rung.name: rung.held_out for rung in self.rungs})
+
+    @property
+    def not_helping(self) -> tuple[str, ...]:
+        """Effects that did not lower the held-out RMS error: better left out."""
+        first = len(self.rungs) - self.effect_rungs
+        pairs = zip(self.rungs[first - 1 :], self.rungs[first:], strict=False)
+        return tuple(
+            rung.name for before, rung in pairs if rung.held_out.rms >= before.held_out.rms
+        )
+
+    @property
+    def parameters(self) -> tuple[FittedParameter, ...]:
+        """Every fitted parameter with its interval."""
+        fitted = self.fit
+        rows = zip(fitted.slots, fitted.model.values, fitted.standard_errors, strict=True)
+        return tuple(
+            FittedParameter(
+                slot.owner.name,
+                slot.owner.where,
+                slot.parameter.name,
+                value,
+                slot.parameter.unit,
+                (value - 1.96 * se, value + 1.96 * se),
+                slot.owner.geometry,
+            )
+            for slot, value, se in rows
+        )
+
+    @property
+    def summary(self) -> str:
+        """What the calibration brought, in one sentence."""
+        first, last = self.rungs[0], self.rungs[-1]
+        return (
+            f"held-out mean error {1e3 * first.held_out.mean:.2f} mm ({first.name}) -> "
+            f"{1e3 * last.held_out.mean:.2f} mm ({last.name}), "
+            f"{len(self.fit.slots)} parameters fitted to {len(self.fit.session)} rows"
+        )
+
+    def __repr__(self) -> str:
+        return f"Calibration({self.summary})"
+
+    def save(self, path: FilePath) -> None:
+        """Write model.yaml with 95 % intervals; a file already there becomes the version before.
+
+        Raises:
+            InputError: the folder cannot be written.
+        """
+        provenance: dict[str, str | int | float] = {
+            "session_hash": self.session.hash,
+            "session": self.session.source,
+            "rows": len(self.fit.session),
+            "seed": self.seed,
+            "longarm_comp": __version__,
+        }
+        save_model(path, store(self.model, self.fit.standard_errors, provenance=provenance))
+
+
+def calibrate(
+    arm: Arm,
+    session: SessionLike,
+    *,
+    effects: Sequence[str | Term | Sequence[Term]] = (),
+    deflection: bool = True,
+    fraction: float = 0.2,
+    seed: int = 0,
+    note: Note = log_note,
+    progress: Progress = silent,
+) -> Calibration:
+    """ModelFit geometry and declared effects of an arm to a session.
+
+    A ladder of ever fuller models is fitted without the held-out blocks and judged on them; the
+    last is then fitted to all rows.
+
+    Args:
+        arm: as declared.
+        session: measurements, or their CSV or bag. Rows without a marker are not fitted.
+        effects: to fit besides, each a rung: a canonical name (on every joint or beam that may
+            have it), one instance, or several that are fitted together.
+        deflection: whether the declared beams sag.
+        fraction: of the rows to hold out.
+        seed: of the split.
+        note: told what admission found.
+        progress: told what is being fitted.
+
+    Raises:
+        InputError: the session cannot be what it claims to be, an effect has no place on this
+            arm or needs an input that was not recorded.
+        JobError: a fit did not stay finite.
+    """
+    chosen = [_named(effect, arm) for effect in effects]
+    whole = admitted(session, arm, note=note)
+    train, held_out = blocked_split(whole, fraction, rng=seed)
+    steps = 5 + len(chosen)
+    done = iter(range(steps))
+    rungs = ladder(
+        arm,
+        train,
+        held_out,
+        chosen,
+        deflection=deflection,
+        progress=lambda name: progress(name, next(done) / steps),
+    )
+    progress("all rows", (steps - 1) / steps)
+    final = fit(rungs[-1].model, whole)
+    return Calibration(tuple(rungs), len(chosen), len(held_out), final, whole, seed)
+
+
+def instances(name: str, arm: Arm, where: str = "calibrate") -> tuple[Term, ...]:
+    """An effect on every joint or beam of an arm that may have it.
+
+    Raises:
+        InputError: no such effect, or no place for it; `where` names the source of the name.
+    """
+    made: tuple[Term, ...] = effect_class(name, where).for_arm(arm)
+    if not made:
+        raise InputError(where, name, "no place on this arm", "an effect this arm can have")
+    return made
+
+
+def _named(given: str | Term | Sequence[Term], arm: Arm) -> tuple[str, tuple[Term, ...]]:
+    """A rung of the ladder: its name and its terms."""
+    if isinstance(given, str):
+        return given, instances(given, arm)
+    terms = (given,) if isinstance(given, Effect | Bias) else tuple(given)
+    if not terms:
+        raise InputError("calibrate", "effects", "nothing", "a name or instances of an effect")
+    return terms[0].name, terms

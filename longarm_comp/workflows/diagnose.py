@@ -1,0 +1,207 @@
+"""Diagnosis: trace the residual to a missing effect; report, model, predictor, poses to measure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.admission import FEW_POSES
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify import diagnosis as core
+from longarm_comp.core.identify.aliasing import EffectFinding
+from longarm_comp.core.learn import ensemble as networks
+from longarm_comp.core.learn.predictor import Predictor, Provenance
+from longarm_comp.core.model.model import Model
+from longarm_comp.report.assemble import assemble, refused
+from longarm_comp.report.write import write_report
+from longarm_comp.workflows.diagnosis_files import write_model, write_next, write_predictor
+from longarm_comp.workflows.error_table import ErrorTable
+from longarm_comp.workflows.inputs import (
+    FilePath,
+    ModelLike,
+    Note,
+    SessionLike,
+    admitted,
+    file_hash,
+    log_note,
+    physics,
+)
+from longarm_comp.workflows.residual import training_rows
+
+Say = Callable[[str], None]
+
+MODEL, PREDICTOR = "model.yaml", "predictor.npz"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DiagnosisResult:
+    """What a diagnosis found; `save` writes everything that the command writes.
+
+    Attributes:
+        diagnosis: every step: search, intervals, structure, proof.
+        session_hash: of the rows that were diagnosed.
+        facts: further provenance for the report's page.
+        model_before: file of the model that was known already, if it came from one.
+    """
+
+    diagnosis: core.Diagnosis
+    session_hash: str
+    facts: Mapping[str, str]
+    model_before: Path | None = None
+
+    @property
+    def verdict(self) -> str:
+        """``noise``, ``named``, ``set``, ``partly`` or ``unknown``."""
+        return self.diagnosis.verdict
+
+    @property
+    def summary(self) -> str:
+        """What was found, in one sentence."""
+        return self.diagnosis.summary
+
+    @property
+    def findings(self) -> tuple[EffectFinding, ...]:
+        """Effects that were added, strongest first, each with its `name` and `where`."""
+        return self.diagnosis.findings
+
+    @property
+    def model(self) -> Model:
+        """The model to use from now on."""
+        return self.diagnosis.model
+
+    @property
+    def predictor(self) -> Predictor | None:
+        """The network of what is left, where one was trained and helped the hold-out."""
+        network = self.diagnosis.network
+        return network if isinstance(network, Predictor) else None
+
+    @property
+    def held_out(self) -> ErrorTable:
+        """Errors of every model on the hold-out."""
+        return ErrorTable(self.diagnosis.proof.rows)
+
+    def __repr__(self) -> str:
+        return f"DiagnosisResult({self.verdict}: {self.summary})"
+
+    def report(self) -> dict[str, Any]:
+        """The contents of report.json."""
+        return self._assembled[0]
+
+    def save(self, folder: FilePath) -> None:
+        """Write report.json, report.html, plots, model.yaml; predictor.npz where a network
+        helped, and next_poses.csv where more poses would tell two effects apart.
+
+        Raises:
+            InputError: the folder cannot be written.
+        """
+        target = Path(folder)
+        write_report(*self._assembled, target)
+        write_model(self.diagnosis, self.session_hash, self.model_before, target)
+        write_predictor(self.predictor, self.session_hash, target)
+        write_next(self.diagnosis, target)
+
+    @cached_property
+    def _assembled(self) -> tuple[dict[str, Any], Any]:
+        return assemble(self.diagnosis, self.session_hash, self.facts)
+
+
+def diagnose(
+    arm: Arm,
+    session: SessionLike,
+    *,
+    test: SessionLike | None = None,
+    model: ModelLike | None = None,
+    network: bool = True,
+    seed: int = 0,
+    note: Note = log_note,
+    progress: Say = lambda _: None,
+) -> DiagnosisResult:
+    """Trace what a model lacks in a session, add it and prove it on a hold-out.
+
+    Args:
+        arm: as declared.
+        session: measurements, or their CSV or bag.
+        test: hold-out; blocks of the session are locked away when not given.
+        model: what is known already, or its file; its effects are never added twice.
+        network: whether to train on what is left.
+        seed: of everything random.
+        note: told what admission found.
+        progress: told what is being done.
+
+    Raises:
+        InputError: the data were refused, or a file cannot be used at all.
+        JobError: a fit did not stay finite.
+    """
+    known = None if model is None else physics(arm, model)
+    whole = admitted(session, arm, known, FEW_POSES, note)
+    held_out = None if test is None else admitted(test, arm, known, 1, note)
+    found = core.diagnose(
+        arm,
+        whole,
+        test=held_out,
+        model=known,
+        train_network=_train(seed) if network else None,
+        seed=seed,
+        progress=progress,
+    )
+    facts = {"session": _name(session), "arm": arm.hash, "rows": str(len(whole))}
+    if test is not None and held_out is not None:
+        facts |= {"hold-out": _name(test), "hold-out sha256": held_out.hash}
+    before = None if model is None or isinstance(model, Model) else Path(model)
+    if before is not None:
+        facts["model before"] = file_hash(before)
+    return DiagnosisResult(found, whole.hash, facts, before)
+
+
+def diagnose_files(
+    arm: Arm,
+    session: Path,
+    folder: Path,
+    *,
+    test: Path | None = None,
+    model: Path | None = None,
+    network: bool = True,
+    seed: int = 0,
+    progress: Say = lambda _: None,
+) -> DiagnosisResult:
+    """Diagnose files and write everything to a folder; arguments as in `diagnose`.
+
+    Raises:
+        InputError: the data were refused (the report says so too, verdict ``bad_data``), or a
+            file of the request cannot be used at all.
+        JobError: a fit did not stay finite.
+    """
+    for path in (session, test, model):
+        if path is not None and not path.exists():
+            raise InputError(path, "file", "missing", "a file or a bag that exists")
+    if model is not None:
+        physics(arm, model)
+    try:
+        found = diagnose(
+            arm, session, test=test, model=model, network=network, seed=seed, progress=progress
+        )
+    except InputError as error:
+        write_report(*refused(error, seed, session.name, file_hash(session)), folder)
+        raise
+    progress("report")
+    found.save(folder)
+    return found
+
+
+def _train(seed: int) -> core.Train:
+    def made(model: Model, session: Session) -> Predictor:
+        arm = model.arm
+        origin = Provenance(arm.hash, session.hash, arm.joint_names, {"deflection": True})
+        rows = training_rows(model, session)
+        return networks.train(*rows, seed=seed, provenance=origin)
+
+    return made
+
+
+def _name(given: SessionLike) -> str:
+    return Path(given.source if isinstance(given, Session) else given).name

@@ -1,0 +1,108 @@
+"""The files of a diagnosis: model with the effect added, predictor, poses to measure next."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from longarm_comp import __version__
+from longarm_comp.core.data.plan import Plan
+from longarm_comp.core.files import atomic_path
+from longarm_comp.core.identify.diagnosis import Diagnosis
+from longarm_comp.core.identify.evidence import key
+from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.learn.predictor import Predictor
+from longarm_comp.core.model.model_file import StoredModel, read_stored, save_model, store
+from longarm_comp.report.drawing import SPLITS
+from longarm_comp.sessions.next_poses import FILE
+from longarm_comp.sessions.poses import write_poses
+from longarm_comp.workflows.inputs import file_hash
+
+MODEL, PREDICTOR = "model.yaml", "predictor.npz"
+
+
+def write_model(found: Diagnosis, session_hash: str, before: Path | None, folder: Path) -> None:
+    """Write the model; the version before, if one was given, is what `undo` puts back.
+
+    Args:
+        found: the diagnosis.
+        session_hash: where it came from.
+        before: file of the version that it replaces.
+        folder: to write to.
+    """
+    stored = _stored(found, session_hash, None if before is None else read_stored(before))
+    path = folder / MODEL
+    if before is not None and before.resolve() != path.resolve():
+        with atomic_path(path) as partial:
+            partial.write_bytes(before.read_bytes())
+    save_model(path, stored)
+
+
+def write_predictor(predictor: Predictor | None, session_hash: str, folder: Path) -> None:
+    """The network where it helped, bound to the model beside it; else none."""
+    path = folder / PREDICTOR
+    if predictor is None:
+        path.unlink(missing_ok=True)
+        return
+    origin = predictor.provenance
+    mark = {"model_hash": file_hash(folder / MODEL), "deflection": True}
+    bound = dataclasses.replace(
+        origin, session_hash=session_hash, settings={**origin.settings, **mark}
+    )
+    dataclasses.replace(predictor, provenance=bound).save(path)
+
+
+def write_next(found: Diagnosis, folder: Path) -> None:
+    """Every splitting pose with its side, for ``longarm collect``; no file where there is none."""
+    splits = [s for s in found.split_by if s.log_bayes_factor >= SPLITS]
+    path = folder / FILE
+    if not splits:
+        path.unlink(missing_ok=True)
+        return
+    q = np.concatenate([s.q for s in splits])
+    side = np.concatenate([s.approach for s in splits])
+    loads = [s.payload_kg for s in splits if s.payload_kg is not None]
+    write_poses(Plan(q, side.astype(int), np.concatenate(loads) if loads else None), path)
+
+
+def _stored(found: Diagnosis, session_hash: str, before: StoredModel | None) -> StoredModel:
+    """The model to use from now on, as it is written."""
+    model = found.model
+    intervals: dict[tuple[int, str], tuple[float, float]] = {}
+    spread = None
+    if found.rolled_back:
+        weights = found.fit.weights
+        spread = fit(
+            model, found.train, sigma=found.fit.sigma, rho=found.fit.rho, weights=weights
+        ).standard_errors
+    else:
+        for k, slot in enumerate(model.slots):
+            interval = found.confirmed.intervals[k]
+            intervals[slot.term, slot.parameter.name] = (interval.low, interval.high)
+    added = {key(t) for f in found.findings for t in f.terms}
+    held = {} if before is None else _origins(before)
+    origins = {}
+    for number, term in enumerate(model.terms):
+        new = f"{found.verdict}, session {session_hash[:16]}, seed {found.seed}"
+        origins[number] = new if key(term) in added else held.get(key(term), "")
+    return store(
+        model,
+        spread,
+        version=1 if before is None else before.version + 1,
+        provenance={
+            "session_hash": session_hash,
+            "rows": len(found.train),
+            "verdict": found.verdict,
+            "seed": found.seed,
+            "longarm_comp": __version__,
+        },
+        origins=origins,
+        intervals=intervals,
+    )
+
+
+def _origins(stored: StoredModel) -> dict[tuple[str, str], str]:
+    terms = (*stored.geometry, *stored.effects, *stored.camera)
+    return {(t.effect, t.where): t.origin for t in terms}

@@ -1,0 +1,90 @@
+"""Errors of every stage on measured poses, as in the paper's Table I."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.identify.calibrate import Errors, errors
+from longarm_comp.core.model.model import Model
+from longarm_comp.sessions.training_rows import fitted_to
+from longarm_comp.workflows.error_table import ErrorTable
+from longarm_comp.workflows.inputs import (
+    FilePath,
+    ModelLike,
+    Note,
+    SessionLike,
+    admitted,
+    log_note,
+    physics,
+    predictor_of,
+)
+from longarm_comp.workflows.residual import expected
+
+if TYPE_CHECKING:
+    from longarm_comp.core.learn.predictor import Predictor
+
+
+@dataclass(frozen=True, repr=False)
+class Evaluation(ErrorTable):
+    """Errors by stage: `rigid`, `deflection` (an arm with beams), `calibrated` (with a model),
+    `network` (with a predictor).
+
+    Attributes:
+        outside: poses outside the network's training data: physics only.
+        fitted: ``model``, ``predictor``: what was fitted to this very session (known of files).
+    """
+
+    outside: int = 0
+    fitted: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        said = f"\n{self.outside} poses outside the network's training data: physics only"
+        return f"{super().__repr__()}{said if self.outside else ''}"
+
+
+def evaluate(
+    arm: Arm,
+    test: SessionLike,
+    *,
+    model: ModelLike | None = None,
+    predictor: Predictor | FilePath | None = None,
+    note: Note = log_note,
+) -> Evaluation:
+    """Errors of every stage on measured poses.
+
+    Args:
+        arm: as declared.
+        test: measured poses, or their CSV or bag; rows without a marker do not count.
+        model: calibrated model, or its file.
+        predictor: trained with this model, or its file. A pose outside its training data keeps
+            the physics' prediction.
+        note: told what admission found.
+
+    Raises:
+        InputError: the session cannot be what it claims to be; the model or the predictor is of
+            another arm, or the predictor of another model.
+    """
+    calibrated = None if model is None else physics(arm, model)
+    session = admitted(test, arm, calibrated, min_poses=1, note=note)
+    stages = {"rigid": errors(physics(arm, None, False), session)}
+    if arm.links:
+        stages["deflection"] = errors(physics(arm, None), session)
+    if calibrated is not None:
+        stages["calibrated"] = errors(calibrated, session)
+    outside, learned = 0, None
+    if predictor is not None:
+        learned = predictor_of(predictor, arm, model)
+        beside = learned.provenance.beside_deflection
+        found = expected(learned, session)
+        inside = np.asarray(found.in_domain)
+        outside = int((~inside).sum())
+        taken_off = np.where(inside[:, None], found.error, 0.0)
+        stages["network"] = errors(physics(arm, model, beside), session) - taken_off
+    file = None if model is None or isinstance(model, Model) else Path(model)
+    table = {name: Errors.of(error) for name, error in stages.items()}
+    return Evaluation(table, outside, tuple(fitted_to(session, file, learned)))

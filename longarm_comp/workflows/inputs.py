@@ -1,0 +1,149 @@
+"""What workflows take: an admitted session, the physics, the predictor that goes with it."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.compensation.compensate import rigid
+from longarm_comp.core.data.admission import FEW_POSES, admit
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model_file import load_model, store
+from longarm_comp.sessions.read import read_session
+
+if TYPE_CHECKING:
+    from longarm_comp.core.learn.predictor import Predictor
+
+FilePath = str | Path
+SessionLike = Session | FilePath
+"""A session, or the CSV or bag that it is read from."""
+ModelLike = Model | FilePath
+"""A model, or the model.yaml that it is read from."""
+Note = Callable[[str], None]
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the share that is done, 0 to 1."""
+
+DIGEST = "model_digest"
+"""Setting of a predictor that was trained on top of a model in memory."""
+
+log_note: Note = logging.getLogger("longarm_comp").info
+"""Where notes go that nobody asked for: the log of the package, level INFO."""
+
+
+def silent(text: str, share: float) -> None:
+    """Show no progress."""
+
+
+def admitted(
+    given: SessionLike,
+    arm: Arm,
+    model: Model | None = None,
+    min_poses: int = FEW_POSES,
+    note: Note = log_note,
+) -> Session:
+    """A session that passed admission; what admission finds is noted.
+
+    Raises:
+        InputError: it cannot be read, or cannot be what it claims to be.
+    """
+    session = given if isinstance(given, Session) else read_session(given, arm)
+    admission = admit(session, arm, model, min_poses)
+    where = session.source if isinstance(given, Session) else given
+    for finding in admission.findings:
+        note(f"{where}: {finding}")
+    return admission.session
+
+
+def physics(arm: Arm, given: ModelLike | None, deflection: bool = True) -> Model:
+    """The calibrated model, or the arm as declared; without its sag where asked.
+
+    Raises:
+        InputError: the model is of another arm, or its file cannot be read.
+    """
+    if given is None:
+        return declared_model(arm, deflection=deflection)
+    model = given if isinstance(given, Model) else load_model(given, arm)
+    if model.arm.hash != arm.hash:
+        found = f"of arm {model.arm.name} {model.arm.hash[:12]}"
+        raise InputError("model", "arm", found, f"a model of {arm.name} {arm.hash[:12]}")
+    return model if deflection else rigid(model)
+
+
+def physics_mark(given: ModelLike | None, deflection: bool = True) -> dict[str, object]:
+    """What a predictor was trained on top of; a different physics has a different residual."""
+    if isinstance(given, Model):
+        return {DIGEST: _digest(given), "deflection": deflection}
+    digest = "" if given is None else file_hash(given)
+    return {"model_hash": digest, "deflection": deflection}
+
+
+def load_predictor(path: FilePath, arm: Arm, model: ModelLike | None = None) -> Predictor:
+    """A predictor that belongs to the arm and the model.
+
+    Args:
+        path: file that `train` or a diagnosis wrote.
+        arm: as declared.
+        model: what it is to be used with: a model, its file, or the arm as declared (None).
+            A predictor that was trained with a file is told from others by the file only.
+
+    Raises:
+        InputError: corrupt, or trained for another arm or on top of another model.
+    """
+    from longarm_comp.core.learn.predictor_file import belongs, load
+
+    predictor = load(path, arm_hash=arm.hash, joint_names=arm.joint_names)
+    if not isinstance(model, Model):
+        wanted = str(physics_mark(model)["model_hash"])
+        to = f"the model that it was trained with, not {model or 'none'}"
+        belongs(predictor, path, wanted, to)
+    check_predictor(predictor, physics(arm, model), path)
+    return predictor
+
+
+def predictor_of(given: Predictor | FilePath, arm: Arm, model: ModelLike | None) -> Predictor:
+    """A predictor in memory or in a file that belongs to the arm and the model.
+
+    Raises:
+        InputError: as `load_predictor`.
+    """
+    if isinstance(given, str | Path):
+        return load_predictor(given, arm, model)
+    check_predictor(given, physics(arm, model), "predictor")
+    return given
+
+
+def check_predictor(predictor: Predictor, model: Model, where: object) -> None:
+    """Check that a predictor in memory was trained on what this model leaves.
+
+    Raises:
+        InputError: it says that it was trained for another arm, or with another model.
+    """
+    origin = predictor.provenance
+    if origin.arm_hash and origin.arm_hash != model.arm.hash:
+        allowed = f"{model.arm.hash[:12]} (arm {model.arm.name}, in use)"
+        raise InputError(where, "predictor.arm_hash", origin.arm_hash[:12], allowed)
+    trained_with = origin.settings.get(DIGEST)
+    if trained_with is not None and trained_with != _digest(model):
+        found = str(trained_with)[:12]
+        raise InputError(where, f"predictor.{DIGEST}", found, "the model that it was trained with")
+
+
+def file_hash(path: FilePath) -> str:
+    """SHA-256 of a file; of a folder's files in the order of their names."""
+    whole, digest = Path(path), hashlib.sha256()
+    for part in sorted(whole.rglob("*")) if whole.is_dir() else [whole]:
+        if part.is_file():
+            digest.update(part.read_bytes())
+    return digest.hexdigest()
+
+
+def _digest(model: Model) -> str:
+    """SHA-256 of a model's terms and values."""
+    return hashlib.sha256(store(model).model_dump_json().encode()).hexdigest()

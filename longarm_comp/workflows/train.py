@@ -1,0 +1,125 @@
+"""Training: SSA-BP on what the physics leaves of a session."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.calibrate import Errors
+from longarm_comp.core.learn import ensemble as networks
+from longarm_comp.core.learn.predictor import Predictor, Provenance
+from longarm_comp.workflows.inputs import (
+    ModelLike,
+    Note,
+    Progress,
+    SessionLike,
+    admitted,
+    log_note,
+    physics,
+    physics_mark,
+    silent,
+)
+from longarm_comp.workflows.residual import expected, training_rows
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TrainedPredictor(Predictor):
+    """A predictor, and what it made of the rows that it was trained on.
+
+    Attributes:
+        samples: rows it was trained on.
+        before: errors of the physics alone on these rows, m.
+        after: errors with the predictor; on other rows they are larger: see `evaluate`.
+    """
+
+    samples: int = field(kw_only=True)
+    before: Errors = field(kw_only=True)
+    after: Errors = field(kw_only=True)
+
+    @property
+    def summary(self) -> str:
+        """What the training brought, in one sentence."""
+        return (
+            f"{self.samples} samples: mean error {1e3 * self.before.mean:.2f} -> "
+            f"{1e3 * self.after.mean:.2f} mm on the training rows"
+        )
+
+    def __repr__(self) -> str:
+        return f"TrainedPredictor({self.summary})"
+
+
+def train(
+    arm: Arm,
+    session: SessionLike,
+    *,
+    model: ModelLike | None = None,
+    deflection: bool = True,
+    inputs: Literal["context", "joints"] = "context",
+    init: Literal["ssa", "xavier"] = "ssa",
+    ensemble: int = 5,
+    hidden: int | None = None,
+    weights: ArrayLike | None = None,
+    seed: int = 0,
+    device: str | None = None,
+    note: Note = log_note,
+    progress: Progress = silent,
+) -> TrainedPredictor:
+    """Train SSA-BP on what the physics of an arm leaves of a session.
+
+    Args:
+        arm: as declared.
+        session: measurements, or their CSV or bag. Rows without a marker are left out.
+        model: calibrated model or its file; the arm as declared when not given. A predictor
+            that is trained with the file is told from others by the file's hash.
+        deflection: False is the paper's "network only": the physics is rigid.
+        inputs: ``context``: joints, approach, temperature, payload; ``joints``: as in the paper.
+        init: where back-propagation starts: sparrow search or Xavier.
+        ensemble: networks, each from its own start.
+        hidden: hidden units; by evidence if not given.
+        weights: (N,) precision factors of the session's rows; 0 leaves one out.
+        seed: of everything random.
+        device: torch device of the sparrow search, such as ``cuda``; numpy if not given.
+        note: told what admission found.
+        progress: told which network is being trained.
+
+    Raises:
+        InputError: the session cannot be what it claims to be, has fewer than 20 rows with a
+            marker or one pose only; the model is of another arm; an option is not allowed.
+    """
+    base = physics(arm, model, deflection)
+    whole = admitted(session, arm, None if model is None else base, note=note)
+    rows = training_rows(base, whole)
+    origin = Provenance(arm.hash, whole.hash, arm.joint_names, physics_mark(model, deflection))
+    made = networks.train(
+        *rows,
+        inputs=inputs,
+        init=init,
+        seed=seed,
+        ensemble=ensemble,
+        hidden=hidden,
+        weights=None if weights is None else _of_rows(weights, whole.seen),
+        progress=lambda k, of: progress(f"{k} of {of} networks", k / of),
+        provenance=origin,
+        device=device,
+    )
+    residual = rows[1]
+    left = residual - expected(made, whole).error
+    return TrainedPredictor(
+        **{f.name: getattr(made, f.name) for f in dataclasses.fields(made)},
+        samples=len(residual),
+        before=Errors.of(residual),
+        after=Errors.of(left),
+    )
+
+
+def _of_rows(weights: ArrayLike, seen: np.ndarray) -> np.ndarray:
+    given = np.asarray(weights, dtype=float)
+    if given.shape != seen.shape:
+        raise InputError("train", "weights", f"shape {given.shape}", f"shape {seen.shape}")
+    return given[seen]

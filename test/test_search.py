@@ -1,0 +1,79 @@
+"""The evidence search on small sessions: a planted effect is found, none is made up."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
+from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.identify.calibrate import geometry
+from longarm_comp.core.identify.candidates import library
+from longarm_comp.core.identify.search import SearchResult, search
+from longarm_comp.core.model.model import Model
+
+KINDS = (JointCompliance, JointGain, GearEccentricity, ThermalGrowth)
+N = 90
+
+
+@pytest.fixture(scope="module")
+def arm(demo_arm_path: Path) -> Arm:
+    return Arm.load(demo_arm_path)
+
+
+def session_of(arm: Arm, seed: int, *hidden: Effect) -> Session:
+    """Poses of an arm with geometry errors, 0.4 mm of noise and what is hidden."""
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(arm.lower, arm.upper, (N, arm.n))
+    zeros = tuple(JointZero(row, offset=3e-3 * rng.standard_normal()) for row in (1, 2, 4, 5, 6))
+    truth = Model(arm, (LinkDeflection(), *zeros, *hidden))
+    return Session.record(q, truth.tip(q) + 4e-4 * rng.standard_normal((N, 3)))
+
+
+def searched(arm: Arm, session: Session) -> SearchResult:
+    base = Model(arm, (LinkDeflection(), *geometry(arm, session)))
+    candidates = library(arm, session.context(), KINDS, base.terms)
+    assert [name for name, _ in candidates.not_testable] == ["thermal_growth"]  # no temperature
+    return search(base, session, candidates.testable)
+
+
+def test_a_planted_compliance_is_named_with_its_value(arm: Arm) -> None:
+    result = searched(arm, session_of(arm, 1, JointCompliance(2, compliance=8e-3)))
+    assert [(t.name, t.where) for t in result.chosen] == [("joint_compliance", "joint 2")]
+    found = [t for t in result.fit.model.effects if isinstance(t, JointCompliance)]
+    assert found[0].compliance == pytest.approx(8e-3, rel=0.25)
+    assert result.first[0].candidate.name == "joint_compliance"
+    assert result.last[0].log_bayes_factor < result.threshold
+
+
+def test_the_place_follows_the_effect(arm: Arm) -> None:
+    result = searched(arm, session_of(arm, 2, JointGain(5, gain=0.04)))
+    assert [(t.name, t.where) for t in result.chosen] == [("joint_gain", "joint 5")]
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_geometry_and_noise_alone_name_nothing(arm: Arm, seed: int) -> None:
+    result = searched(arm, session_of(arm, seed))
+    assert result.chosen == ()
+    assert result.noise.sigma == pytest.approx(4e-4, rel=0.3)
+
+
+def test_correlated_noise_is_no_effect_and_reaches_the_fit(arm: Arm) -> None:
+    session = session_of(arm, 5)
+    rng = np.random.default_rng(6)
+    drift = np.zeros((N, 3))
+    for k in range(1, N):
+        drift[k] = 0.9 * drift[k - 1] + 3e-4 * rng.standard_normal(3)
+    result = searched(arm, Session.record(session.q, session.xyz + drift))
+    assert result.chosen == ()
+    assert result.noise.rho > 0.3
+    assert result.fit.rho == result.noise.rho
