@@ -79,7 +79,7 @@ def distributions(top_level: str) -> set[str]:
     return providers().get(top_level, set()) | PREFIXED.get(top_level, set())
 
 
-@pytest.mark.parametrize("folder", [PACKAGE, "bench", "test"])
+@pytest.mark.parametrize("folder", [PACKAGE, "bench", "test", "examples"])
 def test_every_import_is_declared(folder: str, wheel: Path) -> None:
     allowed = declared(wheel, extras=True)
     undeclared = {
