@@ -17,8 +17,6 @@ DIFFERENCE = 1e-4
 """Half the difference (rad, m) from which the tip's derivative is taken."""
 EDGE = 1e-9
 """Share of a step, or rad or m, by which rounding may put a joint beyond a limit."""
-HELD = 1e3
-"""Price factor of joints at limits, for a target whose lattice the limits cut off altogether."""
 _CHUNK = 2048  # targets at a time
 
 Predict = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -35,9 +33,9 @@ class Search:
         length_m: metres that a radian of tool angle counts for; best the arm's own
             (`ik.kernel.characteristic_length`).
         kept: points of the lattice that the model judges in each round.
-        rounds: linearisations, the first at the ideal joints, the others at the best so far.
+        rounds: linearisations, the first at the rounded joints, the others at the best so far.
         max_nodes: of the search tree of one target and round.
-        compiled: machine code or plain Python; by default machine code where llvmlite is.
+        compiled: machine code or plain Python; by default as in `Traced.run`.
     """
 
     length_m: float
@@ -130,15 +128,18 @@ class _Work:
         self.axes = None if targets.ndim == 2 else _axes(targets)
         self.ideal, self.whole = ideal, problem.whole(ideal)
         self.rounded = problem.at(ideal, self.whole)
-        self.at_limits = (self.whole == problem.low) | (self.whole == problem.high)
-        self.cut_off = np.zeros(len(ideal), bool)
         self.nodes = np.zeros(len(ideal))
 
     def found(self) -> Found:
         """Round after round the best of rounding, of what was the best, and of what is near."""
         first = np.stack([self.ideal, self.rounded], axis=1)
         errors = self.errors(first)
-        self._require_finite(errors)
+        bad = np.flatnonzero(~np.isfinite(errors).all(axis=(1, 2)))
+        if bad.size:
+            allowed = (
+                f"a finite tip at the ideal and the rounded joints of target {self.ids[bad[0]]}"
+            )
+            raise InputError("realisable", "predict", "not finite", allowed)
         best, error = self.rounded, errors[:, 1]
         for _ in range(self.search.rounds if self.problem.stepped.size else 0):
             tried = np.concatenate([best[:, None], self.near(best)], axis=1)
@@ -167,7 +168,7 @@ class _Work:
             turn = np.zeros((3, len(rows)))
             rotation_error(self.axes[rows].T, 0, _axes(tip).T, 0, turn, 0)
             made = np.concatenate([made, self.search.length_m * turn.T], axis=1)
-        shaped: np.ndarray = made.reshape(*q.shape[:2], -1)
+        shaped: np.ndarray = made.reshape(*q.shape[:2], made.shape[1])
         return shaped
 
     def near(self, at: np.ndarray) -> np.ndarray:
@@ -179,17 +180,15 @@ class _Work:
         problem, count = self.problem, len(at)
         moving = np.concatenate([problem.free, problem.stepped])
         size = np.concatenate([np.ones(problem.free.size), problem.step])
-        held = np.zeros((count, moving.size), bool)
-        held[:, problem.free.size :] = self.cut_off[:, None] & self.at_limits
-        price = problem.price[moving] * np.where(held, HELD, 1.0)
+        price = problem.price[moving]
         error, slope = self.linearised(at, moving)
         off = (self.rounded - at)[:, moving]
         A = np.empty((count, error.shape[1] + moving.size, moving.size + 1))
         m = error.shape[1]
         A[:, :m, :-1] = slope * size
         A[:, :m, -1] = error + (slope @ off[..., None])[..., 0]
-        A[:, m:, :-1] = np.eye(moving.size) * (price * size)[:, None]
-        A[:, m:, -1] = np.where(held, 0.0, price * (self.rounded - self.ideal)[:, moving])
+        A[:, m:, :-1] = np.diag(price * size)
+        A[:, m:, -1] = price * (self.rounded - self.ideal)[:, moving]
         factor: np.ndarray = np.linalg.qr(A, mode="r")  # type: ignore[assignment]
         R, f = factor[:, : moving.size], problem.free.size
         points = nearest(
@@ -210,10 +209,8 @@ class _Work:
             )
             q[..., problem.free] += _in_box(R[:, :f, :f], b, low, high)
         q = problem.at(q, self.whole[:, None] + points.k)
-        none = points.distance2 >= NOTHING
-        self.cut_off = none[:, 0]
-        q[none] = np.broadcast_to(self.rounded[:, None], q.shape)[none]
-        return q
+        nothing = (points.distance2 >= NOTHING)[..., None]
+        return np.where(nothing, self.rounded[:, None], q)
 
     def linearised(self, at: np.ndarray, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Error (N, m) at joints (N, n) and its derivative (N, m, moving), by differences."""
@@ -224,15 +221,9 @@ class _Work:
         q[:, 1 + number, moving] = up
         q[:, 1 + moving.size + number, moving] = down
         errors = self.errors(q)
-        self._require_finite(errors)
         rise = errors[:, 1 : 1 + moving.size] - errors[:, 1 + moving.size :]
-        return errors[:, 0], (rise / (up - down)[..., None]).swapaxes(1, 2)
-
-    def _require_finite(self, errors: np.ndarray) -> None:
-        bad = np.flatnonzero(~np.isfinite(errors).all(axis=(1, 2)))
-        if bad.size:
-            target = f"tip of target {self.ids[bad[0]]} near its ideal joints"
-            raise InputError("realisable", "predict", "not finite", f"a finite {target}")
+        slope = (rise / (up - down)[..., None]).swapaxes(1, 2)
+        return errors[:, 0], np.where(np.isfinite(slope), slope, 0.0)
 
 
 def _axes(T: np.ndarray) -> np.ndarray:

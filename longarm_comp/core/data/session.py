@@ -136,6 +136,10 @@ class Session:
         """Number of rows."""
         return len(self.q)
 
+    def __repr__(self) -> str:
+        seen = int(self.seen.sum())
+        return f"Session({self.source}: {len(self)} rows of {self.n} joints, marker seen in {seen})"
+
     @property
     def n(self) -> int:
         """Number of commanded joints."""
