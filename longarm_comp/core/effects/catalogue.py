@@ -232,8 +232,10 @@ def _check(kind: Kind, source: str) -> None:
     frozen = "__dataclass_params__" in vars(kind) and vars(kind)["__dataclass_params__"].frozen
     if not frozen:
         raise InputError(source, name, kind.__name__, "a frozen dataclass, @dataclass(frozen=True)")
-    for unsaid in kind.undeclared():
-        raise InputError(source, f"{name}.{unsaid}", "undeclared", "place(), form() or parameter()")
+    for missing in kind.undeclared():
+        raise InputError(
+            source, f"{name}.{missing}", "undeclared", "place(), form() or parameter()"
+        )
     for field in dataclasses.fields(kind):
         where = f"{name}.{field.name}"
         if hasattr(Effect, field.name) or hasattr(Bias, field.name):
