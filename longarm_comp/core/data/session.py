@@ -166,6 +166,14 @@ class Session:
         return ~np.isnan(self.xyz[:, 0])
 
     @cached_property
+    def arrivals(self) -> tuple[tuple[int, int], ...]:
+        """By joint, rows that arrived from above (-1) and from below (+1); empty: not recorded."""
+        if not self.approach.any():
+            return ()
+        above, below = (self.approach < 0).sum(axis=0), (self.approach > 0).sum(axis=0)
+        return tuple(zip(above.tolist(), below.tolist(), strict=True))
+
+    @cached_property
     def pose_id(self) -> np.ndarray:
         """(N,) a number per pose: rows of equal joints, or of one `repeat_id`, share it."""
         keys = np.round(self.q / SAME_POSE).astype(np.int64)

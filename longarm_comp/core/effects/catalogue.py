@@ -233,7 +233,9 @@ def _check(kind: Kind, source: str) -> None:
     if not frozen:
         raise InputError(source, name, kind.__name__, "a frozen dataclass, @dataclass(frozen=True)")
     for missing in kind.undeclared():
-        raise InputError(source, f"{name}.{missing}", "undeclared", "place(), form() or parameter()")
+        raise InputError(
+            source, f"{name}.{missing}", "undeclared", "place(), form() or parameter()"
+        )
     for field in dataclasses.fields(kind):
         where = f"{name}.{field.name}"
         if hasattr(Effect, field.name) or hasattr(Bias, field.name):
