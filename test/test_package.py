@@ -55,8 +55,8 @@ def ros_depends() -> set[str]:
 def outside_imports(folder: Path) -> dict[str, set[str]]:
     """Top-level names imported from outside this repository -> the files that import them."""
     found: dict[str, set[str]] = {}
-    scripts = [file.stem for room in ("test", "examples") for file in (ROOT / room).glob("*.py")]
-    own = {PACKAGE, "bench", *scripts}
+    beside = (file.stem for name in ("test", "examples") for file in (ROOT / name).glob("*.py"))
+    own = {PACKAGE, "bench", *beside}
     for file in sorted(folder.rglob("*.py")):
         for node in ast.walk(ast.parse(file.read_text("utf-8"))):
             names: list[str] = []
