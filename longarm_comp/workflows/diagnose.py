@@ -36,8 +36,6 @@ from longarm_comp.workflows.residual import training_rows
 
 Say = Callable[[str], None]
 
-MODEL, PREDICTOR = "model.yaml", "predictor.npz"
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DiagnosisResult:
