@@ -47,7 +47,7 @@ ROOMS = {
     "sim": Room(ROS, only=("core.arm", "core.errors", "core.files", "devices")),
     "sessions": Room((*ROS, "nodes", "devices", "sim", "report", "workflows", "cli")),
     "report": Room((*ROS, "nodes", "devices", "sim", "workflows", "cli")),
-    "workflows": Room((*ROS, "click", "rich"), only=("core", "sessions", "report")),
+    "workflows": Room((*ROS, "click", "rich"), only=("core", "sessions", "report", "version")),
     "nodes": Room(("cli", "report", "workflows", "studies", "bench", "scipy", "torch")),
 }
 

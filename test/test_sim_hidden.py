@@ -30,7 +30,14 @@ LIBRARY = (
     *("joint_compliance", "bearing_tilt", "link_stiffness", "tip_payload", "telescope_clearance"),
     *("base_compliance", "measured_tilt", "gravity_direction", "backlash", "friction_hysteresis"),
     *("gear_eccentricity", "joint_gain", "prismatic_pitch", "servo_droop", "servo_quantisation"),
-    *("thermal_growth", "creep", "camera_scale", "camera_radial", "camera_drift"),
+    *(
+        "friction_memory",
+        "thermal_growth",
+        "creep",
+        "camera_scale",
+        "camera_radial",
+        "camera_drift",
+    ),
 )
 
 

@@ -21,12 +21,15 @@ class Context:
         temperature_c: (N,) or one number, degrees Celsius.
         payload_kg: carried mass, (N,) or one number.
         t_s: time since the session began, (N,) or one number.
+        wound: how far each joint's gear train is wound up, (N, n) or (n,), -1 to +1: fully by
+            motion downwards or upwards.
     """
 
     approach: Array | None = None
     temperature_c: Array | float | None = None
     payload_kg: Array | float | None = None
     t_s: Array | float | None = None
+    wound: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,7 @@ class State:
         temperature_c: (N,).
         payload_kg: (N,).
         t_s: (N,).
+        wound: (N, n).
     """
 
     arm: Arm
@@ -48,6 +52,7 @@ class State:
     temperature_c: Array
     payload_kg: Array
     t_s: Array
+    wound: Array
 
     @classmethod
     def of(cls, arm: Arm, q: Array, context: Context | None) -> State:
@@ -75,6 +80,7 @@ class State:
             column("temperature_c", given.temperature_c, arm.reference_temperature_c),
             column("payload_kg", given.payload_kg, declared),
             column("t_s", given.t_s, 0.0),
+            _array("wound", 0.0 if given.wound is None else given.wound, q.shape),
         )
 
 

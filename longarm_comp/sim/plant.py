@@ -101,9 +101,16 @@ class Workshop:
 
     def side(self) -> Array:
         """(n,) of -1, 0, +1: the side that each joint arrived from."""
-        turned = self.emulator.approaches()
-        sides = {j.name: np.sign(j.travel) * turned[j.servo_id] for j in self.room.servos.joints}
-        return np.array([sides[name] for name in self.room.arm.joint_names])
+        return self._upwards(self.emulator.approaches())
+
+    def wound(self) -> Array:
+        """(n,) of -1 to +1: how far each joint's gear train is wound up."""
+        return self._upwards(self.emulator.windings())
+
+    def _upwards(self, turned: Mapping[int, float]) -> Array:
+        """(n,) of what is positive where a servo's ticks grow, positive where its joint does."""
+        made = {j.name: np.sign(j.travel) * turned[j.servo_id] for j in self.room.servos.joints}
+        return np.array([made[name] for name in self.room.arm.joint_names])
 
     def temperature_c(self, t_s: float) -> float:
         """The room warms up slowly."""
@@ -112,10 +119,10 @@ class Workshop:
 
     def tip_pose(self, t_s: float) -> Array:
         """(4, 4) true tip in the base frame: what nobody is told."""
-        q, side = self.joints(), self.side()
-        known = np.concatenate([q, side, [self.temperature_c(t_s)]])
+        q, side, wound = self.joints(), self.side(), self.wound()
+        known = np.concatenate([q, side, wound, [self.temperature_c(t_s)]])
         if self._last is None or np.abs(known - self._last[0]).max() > _SAME:
-            context = Context(side, self.temperature_c(t_s), self.room.payload_kg, t_s)
+            context = Context(side, self.temperature_c(t_s), self.room.payload_kg, t_s, wound)
             self._last = known, self._true.pose(q, context)
         return self._last[1]
 

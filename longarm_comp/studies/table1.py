@@ -34,6 +34,7 @@ from longarm_comp.sim import context as sim_context
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.measure import Camera, measure_session
 from longarm_comp.sim.random_arms import paper_mix, random_arm
+from longarm_comp.studies.extra import extra
 from longarm_comp.studies.peers import train_gaussian_process
 from longarm_comp.workflows.residual import training_rows
 
@@ -246,8 +247,12 @@ def study(
         seed: of everything; the same seed gives the same table.
         jobs: processes; -1 is one per core.
         settings: rows.
+
+    Raises:
+        JobError: joblib is not installed.
     """
-    from joblib import Parallel, delayed
+    with extra():
+        from joblib import Parallel, delayed
 
     work = (delayed(one_arm)(base, seed, number, settings) for number in range(arms))
     yield from Parallel(n_jobs=jobs, return_as="generator")(work)

@@ -127,6 +127,7 @@ HIDDEN: dict[str, Maker] = {
     "friction_hysteresis": lambda arm, rng: drives.FrictionHysteresis(
         _turning(arm, rng, 2e-3, 6e-3)
     ),
+    "friction_memory": lambda arm, rng: drives.FrictionMemory(_turning(arm, rng, 1e-3, 3e-3)),
     "joint_compliance": lambda arm, rng: loads.JointCompliance(_turning(arm, rng, 1e-3, 5e-3)),
     "bearing_tilt": lambda arm, rng: loads.BearingTilt(_turning(arm, rng, 5e-4, 2e-3)),
     "base_compliance": lambda arm, rng: loads.BaseCompliance(rng.uniform(5e-4, 1.5e-3)),
@@ -208,9 +209,10 @@ def _tip(effect: Hidden, arm: Arm, poses: Array, context: Context, sound: Array)
 
 
 def typical_context(postures: int, arm: Arm, rng: np.random.Generator) -> Context:
-    """Random approach, two hours, some warming."""
+    """Random approach and winding, two hours, some warming."""
     return Context(
         approach=np.repeat(_signs(rng, postures)[:, None], arm.n, axis=1),
         temperature_c=arm.reference_temperature_c + rng.uniform(0, 12, postures),
         t_s=rng.uniform(0, 7200, postures),
+        wound=rng.spawn(1)[0].uniform(-1.0, 1.0, (postures, arm.n)),
     )

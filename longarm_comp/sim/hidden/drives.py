@@ -88,6 +88,22 @@ class FrictionHysteresis(HiddenEffect):
 
 
 @dataclass(frozen=True)
+class FrictionMemory(HiddenEffect):
+    """A gear train that winds up: the joint lags by up to `lag` (n,) behind its motion, rad or m.
+
+    A turn of direction unwinds it over a long way, so a short last approach leaves it to the
+    move before.
+    """
+
+    name: ClassVar[str] = "friction_memory"
+    doses: ClassVar[tuple[str, ...]] = ("lag",)
+    lag: Array
+
+    def joints(self, q: Array, state: State) -> Array:
+        return q - self.lag * state.wound
+
+
+@dataclass(frozen=True)
 class Backlash(HiddenEffect):
     """Play: the load lies on one flank where |torque| > gate, else the approach decides.
 

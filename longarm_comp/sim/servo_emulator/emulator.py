@@ -130,6 +130,12 @@ class ServoEmulator:
             self._advance()
             return {i: d.motor.approach for i, d in self._devices.items()}
 
+    def windings(self) -> dict[int, float]:
+        """How far each gear train is wound up, -1 to +1 (`MotorSpec.wind_up_ticks`)."""
+        with self._lock:
+            self._advance()
+            return {i: d.motor.wound for i, d in self._devices.items()}
+
     def torques_on(self) -> dict[int, bool]:
         """Which servos drive."""
         with self._lock:

@@ -22,6 +22,8 @@ class MotorSpec:
         max_speed_ticks_s: no-load speed (STS3215 at 7.4 V: about 3,000).
         lag_s: time constant of the position loop near the goal.
         dead_band_ticks: the drive rests within this distance, so the arrival side shows.
+        wind_up_ticks: travel that winds the gear train up from slack to one side; turning round,
+            it takes twice as much to wind it up to the other.
         droop_ticks: how far full external load pushes the horn off its goal.
         stiff_ticks: position error at which a jammed drive gives its full effort.
         friction_share: effort to turn freely at full speed.
@@ -34,6 +36,7 @@ class MotorSpec:
     max_speed_ticks_s: float = 3000.0
     lag_s: float = 0.03
     dead_band_ticks: float = 0.0
+    wind_up_ticks: float = 650.0
     droop_ticks: float = 0.0
     stiff_ticks: float = 200.0
     friction_share: float = 0.2
@@ -61,6 +64,7 @@ class Motor:
         self.voltage_v = 7.4
         self.blocked = False
         self.approach = 0
+        self.wound = 0.0
         self.alarms: set[str] = set()
         self._overloaded_s = 0.0
 
@@ -90,6 +94,8 @@ class Motor:
         if self.torque_on and not self.blocked:
             self.position = self._travelled(dt_s)
         self.velocity = (self.position - start) / dt_s
+        wound = self.wound + (self.position - start) / self.spec.wind_up_ticks
+        self.wound = max(-1.0, min(1.0, wound))
         if abs(self.position - start) > 1e-3:
             self.approach = 1 if self.position > start else -1
         self._drive(dt_s)
