@@ -55,7 +55,8 @@ def ros_depends() -> set[str]:
 def outside_imports(folder: Path) -> dict[str, set[str]]:
     """Top-level names imported from outside this repository -> the files that import them."""
     found: dict[str, set[str]] = {}
-    own = {PACKAGE, "bench", *(file.stem for file in (ROOT / "test").glob("*.py"))}
+    beside = (file.stem for name in ("test", "examples") for file in (ROOT / name).glob("*.py"))
+    own = {PACKAGE, "bench", *beside}
     for file in sorted(folder.rglob("*.py")):
         for node in ast.walk(ast.parse(file.read_text("utf-8"))):
             names: list[str] = []

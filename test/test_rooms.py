@@ -178,7 +178,8 @@ def graph() -> dict[str, set[str]]:
     """The modules of the package and of the benchmarks, and what each needs of them.
 
     An import within a function, of a neighbour in the same folder, does not count: a record's own
-    ``save`` may hand itself to the file format beside it.
+    ``save`` may hand itself to the file format beside it. Imports for types alone count, except
+    those of the package's own file, which names what it loads when it is asked for.
     """
     return {
         module.removesuffix(".__init__"): {
@@ -187,6 +188,7 @@ def graph() -> dict[str, set[str]]:
             if entry.name in known() and not (entry.in_function and neighbours(module, entry.name))
         }
         for module in sources()
+        if module != f"{PACKAGE}.__init__"
     }
 
 
