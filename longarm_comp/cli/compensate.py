@@ -36,6 +36,10 @@ if TYPE_CHECKING:
 @click.option("--no-run-up", is_flag=True, help="Joints go directly, whichever side that is.")
 @click.option("--position-only", is_flag=True, help="Leave the orientation free.")
 @click.option("--single-pass", is_flag=True, help="Correct once, as the paper does.")
+@click.option(
+    "--realisable/--no-realisable", default=True, show_default=True,
+    help="Choose joints together among the steps that ARM declares; off for paths.",
+)  # fmt: skip
 @options.output("commands.csv", "Joint commands to write.")
 @options.effects
 @options.as_json
@@ -52,6 +56,7 @@ def command(
     no_run_up: bool,
     position_only: bool,
     single_pass: bool,
+    realisable: bool,
     output: Path,
     as_json: bool,
 ) -> None:
@@ -95,6 +100,7 @@ def command(
         locked=[int(v) if v.isdigit() else v for v in lock],
         position_only=position_only,
         single_pass=single_pass,
+        realisable=realisable,
     )
     made.save(output)
     commands = made.lines()

@@ -89,7 +89,8 @@ class Command:
         passes: pseudo-target passes used.
         approach: (n,) side that each joint must arrive from for the prediction to hold; 0: any.
         run_up: (n,) via point from which the last approach begins; None: none needed.
-        ideal: (n,) joints that the physics alone gives.
+        ideal: (n,) joints that the physics alone gives; where the command was chosen among the
+            servos' steps, the joints before that choice.
     """
 
     index: int

@@ -16,6 +16,7 @@ from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.arrive import Arrival, CompensationOptions, compensate_move
+from longarm_comp.core.compensation.realisable import Lattice
 from longarm_comp.core.compensation.result import Compensation, Method, Settling, Status
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
@@ -104,6 +105,7 @@ def compensate(
     context: Context | None = None,
     history: SessionLike | None = None,
     run_up: bool = True,
+    realisable: bool | Lattice = True,
     seed: ArrayLike | None = None,
     position_only: bool = False,
     locked: Sequence[int | str] = (),
@@ -122,6 +124,8 @@ def compensate(
         history: session, or its file, after which the targets are executed in their order; its
             end says where the joints stand and how they came there. Without it that is unknown.
         run_up: whether joints may run up to a target, so that they arrive from a chosen side.
+        realisable: whether commands are chosen among the joints that the servos can stand at, by
+            the steps that the arm declares or by a lattice (docs/realisable.md); off for paths.
         seed: (n,) or (N, n) joints to start from, rad and m; default mid-range.
         position_only: leave the orientation free.
         locked: joints that stay at their seed, by name or number from 0.
@@ -144,7 +148,7 @@ def compensate(
         raise InputError("compensate", "method", chosen.value, allowed)
     goals, told, numbers = _goals(model, targets, context)
     starts = None if seed is None else _starts(seed, len(goals))
-    options = CompensationOptions(chosen, Settling(**settling), tuple(locked), run_up)
+    options = CompensationOptions(chosen, Settling(**settling), tuple(locked), run_up, realisable)
     at, came = (None, History.unknown(model.arm.n)) if history is None else _last(history, model)
     arrivals = []
     for k, goal in enumerate(goals):
@@ -232,6 +236,10 @@ def _goal(targets: Targets, row: int) -> np.ndarray:
     return quaternion.pose(targets.xyz[row], targets.quaternion[row])
 
 
+def _before_steps(found: Compensation) -> np.ndarray:
+    return found.ideal if found.realisable is None else found.realisable.ideal
+
+
 def _line(index: int, arrival: Arrival) -> Command:
     found, move = arrival.outcome, arrival.move
     sigma = float(np.max(found.sigma))
@@ -246,5 +254,5 @@ def _line(index: int, arrival: Arrival) -> Command:
         passes=found.passes,
         approach=move.side if found.success else None,
         run_up=move.run_up if found.success else None,
-        ideal=found.ideal if found.success else None,
+        ideal=_before_steps(found) if found.success else None,
     )

@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.realisable import Realisable
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik.solver import Solution
 
@@ -144,6 +145,8 @@ class Compensation:
         command: (n,) joints to send; `ideal` where the status is no success.
         passes: pseudo-target passes used.
         status, reason: the outcome, and why or with what doubt (empty on plain success).
+        realisable: how `command` was chosen among the servos' steps; its `ideal` are the joints
+            before. None where nothing was chosen.
     """
 
     target: np.ndarray
@@ -156,6 +159,7 @@ class Compensation:
     passes: int
     status: Status
     reason: str
+    realisable: Realisable | None = None
 
     @property
     def success(self) -> bool:
