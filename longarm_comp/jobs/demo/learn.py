@@ -26,7 +26,7 @@ def find_effects(settings: DemoSettings, arm: Arm, say: Say) -> dict[str, Any]:
 def train_network(settings: DemoSettings, arm: Arm, say: Say) -> Predictor:
     """Train on what the diagnosed model leaves of the session; writes the predictor."""
     predictor = train(
-        arm, settings.bag, model=settings.model, seed=settings.seed, ensemble=settings.networks,
+        arm, settings.bag, model=settings.model, seed=settings.seed,
         progress=lambda text, share: say(f"train: {text}", 0.6 + 0.4 * share),
     )  # fmt: skip
     predictor.save(settings.predictor)
