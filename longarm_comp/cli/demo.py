@@ -70,7 +70,8 @@ def command(
         print_rows(f"{targets} fresh targets, 3-D errors; the paper's arm beside", columns)
         seconds = made["seconds"]["total"]
         note(f"measured by the cameras; true_mean_mm is the simulation's own; {seconds:.0f} s")
-        note(f"hidden in the arm: {settings.hidden} (mm); diagnosis: {made['diagnosis']}")
+        note(f"hidden in the arm: {settings.hidden} (mm rms at the tip)")
+        note(f"diagnosis ({made['verdict']}): {made['diagnosis']}")
         inside = targets - made["outside_training_data"]
         note(f"{inside} of {targets} targets lay inside the network's training data")
         note(f"report in {made['files']['report']}")
