@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -100,6 +101,11 @@ class Problem:
         ]
         return Found(*map(np.concatenate, zip(*parts, strict=True)))
 
+    @cached_property
+    def moving(self) -> np.ndarray:
+        """Numbers of the joints that are not held: the free ones, then the stepped ones."""
+        return np.concatenate([self.free, self.stepped])
+
     def whole(self, q: np.ndarray) -> np.ndarray:
         """The k inside the limits that are nearest to joints (N, n): (N, s)."""
         return np.clip(np.rint((q[:, self.stepped] - self.offset) / self.step), self.low, self.high)
@@ -132,17 +138,19 @@ class _Work:
 
     def found(self) -> Found:
         """Round after round the best of rounding, of what was the best, and of what is near."""
-        first = np.stack([self.ideal, self.rounded], axis=1)
+        first = np.concatenate([self.ideal[:, None], self.around(self.rounded)], axis=1)
         errors = self.errors(first)
-        bad = np.flatnonzero(~np.isfinite(errors).all(axis=(1, 2)))
+        bad = np.flatnonzero(~np.isfinite(errors[:, :2]).all(axis=(1, 2)))
         if bad.size:
             allowed = (
                 f"a finite tip at the ideal and the rounded joints of target {self.ids[bad[0]]}"
             )
             raise InputError("realisable", "predict", "not finite", allowed)
-        best, error = self.rounded, errors[:, 1]
-        for _ in range(self.search.rounds if self.problem.stepped.size else 0):
-            tried = np.concatenate([best[:, None], self.near(best)], axis=1)
+        best, error, local = self.rounded, errors[:, 1], errors[:, 1:]
+        for turn in range(self.search.rounds if self.problem.stepped.size else 0):
+            if turn:
+                local = self.errors(self.around(best))
+            tried = np.concatenate([best[:, None], self.near(best, local)], axis=1)
             left = self.errors(tried)
             moved = self.problem.price * (tried - self.ideal[:, None])
             cost = (left**2).sum(axis=2) + (moved**2).sum(axis=2)
@@ -150,7 +158,7 @@ class _Work:
             place = np.argmin(cost, axis=1)[:, None, None]
             best = np.take_along_axis(tried, place, axis=1)[:, 0]
             error = np.take_along_axis(left, place, axis=1)[:, 0]
-        rows = np.concatenate([errors, error[:, None]], axis=1)
+        rows = np.concatenate([errors[:, :2], error[:, None]], axis=1)
         length = np.linalg.norm(rows[..., :3], axis=2)
         angle = np.linalg.norm(rows[..., 3:], axis=2) / self.search.length_m
         return Found(best, self.rounded, np.stack([length, angle], axis=2), self.nodes)
@@ -171,17 +179,20 @@ class _Work:
         shaped: np.ndarray = made.reshape(*q.shape[:2], made.shape[1])
         return shaped
 
-    def near(self, at: np.ndarray) -> np.ndarray:
+    def near(self, at: np.ndarray, local: np.ndarray) -> np.ndarray:
         """Candidates (N, kept, n) by the model linearised at joints (N, n).
 
         Of joints ``rounded + size x`` the tip's error and the price are ``A x + b``; with the free
         joints before the stepped ones the triangular factor of (A b) parts them.
+
+        Args:
+            local: errors at the joints that `around` gives.
         """
         problem, count = self.problem, len(at)
-        moving = np.concatenate([problem.free, problem.stepped])
+        moving = problem.moving
         size = np.concatenate([np.ones(problem.free.size), problem.step])
         price = problem.price[moving]
-        error, slope = self.linearised(at, moving)
+        error, slope = local[:, 0], self.slope(at, local)
         off = (self.rounded - at)[:, moving]
         A = np.empty((count, error.shape[1] + moving.size, moving.size + 1))
         m = error.shape[1]
@@ -212,18 +223,25 @@ class _Work:
         nothing = (points.distance2 >= NOTHING)[..., None]
         return np.where(nothing, self.rounded[:, None], q)
 
-    def linearised(self, at: np.ndarray, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Error (N, m) at joints (N, n) and its derivative (N, m, moving), by differences."""
-        number = np.arange(moving.size)
+    def around(self, at: np.ndarray) -> np.ndarray:
+        """Joints (N, n), then with each moving one a little up, then a little down, in limits."""
+        moving = self.problem.moving
+        number = 1 + np.arange(moving.size)
         q = np.repeat(at[:, None], 1 + 2 * moving.size, axis=1)
-        up = np.minimum(at + DIFFERENCE, self.problem.upper)[:, moving]
-        down = np.maximum(at - DIFFERENCE, self.problem.lower)[:, moving]
-        q[:, 1 + number, moving] = up
-        q[:, 1 + moving.size + number, moving] = down
-        errors = self.errors(q)
-        rise = errors[:, 1 : 1 + moving.size] - errors[:, 1 + moving.size :]
-        slope = (rise / (up - down)[..., None]).swapaxes(1, 2)
-        return errors[:, 0], np.where(np.isfinite(slope), slope, 0.0)
+        up = np.minimum(at + DIFFERENCE, self.problem.upper)
+        down = np.maximum(at - DIFFERENCE, self.problem.lower)
+        q[:, number, moving] = up[:, moving]
+        q[:, moving.size + number, moving] = down[:, moving]
+        return q
+
+    def slope(self, at: np.ndarray, local: np.ndarray) -> np.ndarray:
+        """Derivative (N, m, moving) from the errors at the joints that `around` gives."""
+        moving = self.problem.moving
+        up = np.minimum(at + DIFFERENCE, self.problem.upper)
+        down = np.maximum(at - DIFFERENCE, self.problem.lower)
+        rise = local[:, 1 : 1 + moving.size] - local[:, 1 + moving.size :]
+        slope = (rise / (up - down)[:, moving, None]).swapaxes(1, 2)
+        return np.where(np.isfinite(slope), slope, 0.0)
 
 
 def _axes(T: np.ndarray) -> np.ndarray:
