@@ -21,7 +21,7 @@ from longarm_comp.jobs.demo import table
 from longarm_comp.jobs.demo.trial import Trial
 from longarm_comp.sessions.read import read_session
 
-SMALL = ("--poses", "32", "--targets", "5", "--no-diagnosis")
+SMALL = ("--poses", "60", "--targets", "6")
 
 
 def demo(*words: str) -> subprocess.Popen[str]:
@@ -57,17 +57,27 @@ def test_the_loop_brings_the_arm_nearer_to_its_targets(
     report = json.loads(said)
     assert report == json.loads((out / "demo.json").read_text())
     rows = {row["model"]: row for row in report["rows"]}
-    before, after = rows["original"], rows["deflection + network"]
-    assert before["n"] == after["n"] == 5
-    assert after["mean_mm"] < 0.5 * before["mean_mm"]
-    assert after["true_mean_mm"] < 0.5 * before["true_mean_mm"]
+    assert list(rows) == [table.ORIGINAL, table.DECLARED, table.FOUND, table.LEARNED]
+    true_mm = [row["true_mean_mm"] for row in rows.values()]
+    assert true_mm[1] < 0.7 * true_mm[0]
+    assert max(true_mm[2:]) < 0.05 * true_mm[1]
     for row in rows.values():  # the cameras tell nearly what is true
-        assert abs(row["mean_mm"] - row["true_mean_mm"]) < 0.6
-        assert row["paper_mean_mm"] > 0
+        assert row["n"] == 6
+        assert abs(row["mean_mm"] - row["true_mean_mm"]) < 0.3
+    assert report["outside_training_data"] <= 1
+    named = {name for names in report["effects_found"] for name in names}
+    assert {"joint_compliance", "backlash"} <= named
+    assert "or joint_compliance with backlash for the deadband" in report["diagnosis"]
+    assert report["hidden"] == "joint_compliance=8.0 backlash=3.0"
+    page = Path(report["files"]["report"]).read_text()
+    assert report["diagnosis"].split(":")[0] in page
+    assert "ERROR" not in noise
+    assert "no joint_states" not in noise
     arm = Arm.load(demo_arm_path)
     session = read_session(out / "session", arm)
     assert len(session) == report["collected"]
-    assert len(session) >= 32
+    assert len(session) >= 60
+    assert (session.approach != session.approach[:, :1]).any()
     load_model(out / "model.yaml", arm)
     assert not nodes_of(process)
 
@@ -106,8 +116,8 @@ def test_a_worse_arm_is_told() -> None:
         moved = target + size * rng.normal(size=target.shape)
         return Trial(name, target, moved, moved, np.zeros(10))
 
-    assert table.improved([trial("original", 1e-2), trial("deflection + network", 1e-3)])
-    assert not table.improved([trial("original", 1e-3), trial("deflection + network", 1e-2)])
+    assert table.improved([trial("original", 1e-2), trial("effect found + network", 1e-3)])
+    assert not table.improved([trial("original", 1e-3), trial("effect found + network", 1e-2)])
     seen = trial("original", 1e-3)
     lost = Trial("original", target, np.where(np.arange(10)[:, None] < 4, np.nan, seen.seen),
                  seen.true, seen.status)  # fmt: skip

@@ -32,7 +32,7 @@ from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnosis import diagnose
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, save_model, store
-from longarm_comp.report.drawing import inputs
+from longarm_comp.sessions.csv import read_csv
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import drives
 
@@ -84,6 +84,15 @@ def test_an_effect_of_a_file_is_named_at_its_own_place(example: Path) -> None:
     page = (example / "diagnosis" / "report.html").read_text()
     assert "cable_coupling" in page
     assert "q2" in page
+    assert "file custom_effect.py" in page
+
+
+def test_without_it_the_structure_says_what_to_write(example: Path) -> None:
+    arm = Arm.load(example / "arm.yaml")
+    seen, test = (read_csv(example / f"{name}.csv", arm) for name in ("samples", "test"))
+    structure = diagnose(arm, seen, test=test).structure
+    assert structure.flag
+    assert (structure.inputs[0], structure.at) == ("q2", "joint 5")
 
 
 def test_its_places_are_one_family(demo_arm_path: Path) -> None:
@@ -366,6 +375,18 @@ def test_our_own_effects_say_all_that_others_must(name: str) -> None:
             assert term.places[field] in allowed(ARM)
 
 
+def test_the_library_is_what_its_classes_say() -> None:
+    assert {"joint_zero", "dh_error", "link_deflection"} <= set(BUILT_IN)
+    assert not any(k.geometry or k.name == "link_deflection" for k in LIBRARY)
+    assert {n: dict(k.scales()) for n, k in BUILT_IN.items() if k.scales()} == {
+        "backlash": {"gate": (0.0, 1.0), "blend": (0.01, 0.5)},
+        "servo_droop": {"gate": (0.0, 1.0), "blend": (0.01, 0.5)},
+        "creep": {"time": (100.0, 1e5)},
+    }
+    assert [n for n, k in BUILT_IN.items() if k.displaces_joint] == ["joint_zero"]
+    assert GearEccentricity(2, order=2).forms == {"order": 2}
+
+
 # ------------------------------------------------------------------ what the diagnosis asks a class
 
 
@@ -428,15 +449,13 @@ class Stiff(Flexible):
     free_levels: ClassVar[int] = 2
 
 
-def test_the_report_plots_the_joints_at_all_places_of_an_effect(example: Path) -> None:
+def test_an_effect_sits_at_all_of_its_joints(example: Path) -> None:
     load_file(EXAMPLE)
     arm = Arm.load(example / "arm.yaml")
     model = load_model(example / "diagnosis" / "model.yaml", arm)
     (term,) = (e for e in model.effects if e.name == "cable_coupling")
     assert term.joints == (5, 2)
     assert term.placement == {"joint": 5, "driver": 2}
-    names = [entry.name for entry in inputs(session(), ["rad"] * 4)]
-    assert names[:2] == ["q1", "q2"]
 
 
 def test_a_place_may_be_anything_that_the_arm_has() -> None:

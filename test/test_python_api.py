@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import inspect
 import logging
+import re
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.model.model_file import read_stored
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sim.hidden import drives
+from longarm_comp.workflows.compensate import Commands
 from longarm_comp.workflows.train import TrainedPredictor
 
 QUICK = {"ensemble": 1, "hidden": 4}
@@ -104,6 +106,25 @@ def test_ten_lines_diagnose_train_compensate_and_reach(tmp_path: Path) -> None:
     assert missed(out.command) < 0.3
     calibrated.save(tmp_path / "model.yaml")
     assert la.load_model(tmp_path / "model.yaml", ARM) == calibrated.model
+
+
+def test_the_page_says_what_runs(
+    work: Path, shell: Shell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The program of docs/python.md, beside the files that it names; every name has its row."""
+    page = (Path(__file__).parents[1] / "docs" / "python.md").read_text("utf-8")
+    program = re.search(r"```python\n(.*?)```", page, re.DOTALL)
+    assert program is not None
+    monkeypatch.chdir(work)
+    names: dict[str, object] = {}
+    exec(program[1], names)
+    said = capsys.readouterr().out
+    assert "network" in said
+    commands = names["commands"]
+    assert isinstance(commands, Commands)
+    assert commands.success.all()
+    for name in set(la.__all__) - {"Context", "LongarmError", "Model", "Session", "write_poses"}:
+        assert re.search(rf"^(\| `{name}\b|.*`{name}`)", page, re.MULTILINE), name
 
 
 # ------------------------------------------------------------------ the same as the commands

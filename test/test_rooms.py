@@ -214,6 +214,24 @@ def test_no_module_imports_itself_through_others() -> None:
     assert not loops, f"import cycle through {loops}"
 
 
+def test_what_a_diagnosis_is_made_of_has_names_of_its_own() -> None:
+    """The simulator is apart and may call its parts as the model does."""
+    rooms = ("core.identify", "core.data", "report")
+    where: dict[str, list[str]] = {}
+    for module, path in sources().items():
+        if not below(module, (f"{PACKAGE}.sim",)):
+            for node in ast.parse(path.read_text("utf-8")).body:
+                if isinstance(node, ast.ClassDef):
+                    where.setdefault(node.name, []).append(module)
+    twice = {
+        name: modules
+        for name, modules in where.items()
+        if len(modules) > 1
+        and any(below(m, tuple(f"{PACKAGE}.{room}" for room in rooms)) for m in modules)
+    }
+    assert not twice
+
+
 def test_nodes_hold_no_maths() -> None:
     found = [
         f"{name}:{line}: {what}"

@@ -20,7 +20,7 @@ SHOWN = ("model", "n", "mean_mm", "rms_mm", "max_mm", "mean_abs_z_mm", "true_mea
     required=True,
     help="New folder for the session, the model, the predictor and the report.",
 )
-@click.option("--poses", type=int, default=130, show_default=True, help="Poses to learn from.")
+@click.option("--poses", type=int, default=180, show_default=True, help="Poses to learn from.")
 @click.option("--targets", type=int, default=40, show_default=True, help="Fresh targets.")
 @click.option("--hidden", help="Undeclared effects of the arm: 'name=mm name=mm'.")
 @click.option("--speed", type=float, default=20.0, show_default=True, help="Times real motion.")
@@ -70,7 +70,8 @@ def command(
         print_rows(f"{targets} fresh targets, 3-D errors; the paper's arm beside", columns)
         seconds = made["seconds"]["total"]
         note(f"measured by the cameras; true_mean_mm is the simulation's own; {seconds:.0f} s")
-        note(f"hidden in the arm: {settings.hidden} (mm); diagnosis: {made['diagnosis']}")
+        note(f"hidden in the arm: {settings.hidden} (mm rms at the tip)")
+        note(f"diagnosis ({made['verdict']}): {made['diagnosis']}")
         inside = targets - made["outside_training_data"]
         note(f"{inside} of {targets} targets lay inside the network's training data")
         note(f"report in {made['files']['report']}")

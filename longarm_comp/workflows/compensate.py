@@ -52,7 +52,7 @@ class Commands(Sequence[Compensation]):
     @overload
     def __getitem__(self, k: slice) -> tuple[Compensation, ...]: ...
     def __getitem__(self, k: int | slice) -> Compensation | tuple[Compensation, ...]:
-        return self.results[k]
+        return self.results[k] if isinstance(k, slice) else self.arrivals[k].outcome
 
     @property
     def command(self) -> np.ndarray:
@@ -245,7 +245,7 @@ def _line(index: int, arrival: Arrival) -> Command:
     sigma = float(np.max(found.sigma))
     return Command(
         index=index,
-        status=found.status.name.lower(),
+        status=str(found.status),
         reason=found.reason,
         q=found.command if found.success else None,
         target=found.target if found.target.ndim == 1 else found.target[:3, 3],

@@ -55,6 +55,10 @@ class Status(IntEnum):
     CORRECTION_TOO_LARGE = 9
     INTERNAL_ERROR = 10
 
+    def __str__(self) -> str:
+        """``success``, ``unreachable``, ... as in files."""
+        return self.name.lower()
+
     @property
     def success(self) -> bool:
         """Whether the command is fit to be sent."""

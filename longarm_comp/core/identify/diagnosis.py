@@ -348,11 +348,26 @@ def _sentence(finding: EffectFinding, found: Diagnosis) -> str:
             values.append(
                 f"{slot.owner.where} {p.name} {i.value:.3g} {p.unit} [{i.low:.3g}, {i.high:.3g}]"
             )
-    name = " or ".join(finding.names)
     other = ""
     if finding.runner_up is not None and not finding.alternatives:
         odds = finding.log_bayes_factor - finding.runner_up.log_bayes_factor
         other = f", runner-up {finding.runner_up.candidate.name} (log odds {odds:.0f})"
-    for alias in finding.partial_aliases[:1]:
-        other += f"; {alias.name} could stand for its {alias.part}"
-    return f"{name}: {', '.join(values[:4])}{', ...' if len(values) > 4 else ''}{other}"
+    names, remark = _names(finding)
+    listed = f"{', '.join(values[:4])}{', ...' if len(values) > 4 else ''}"
+    return f"{names}: {listed}{other}{remark}"
+
+
+def _names(finding: EffectFinding) -> tuple[str, str]:
+    """What a finding may be, and what else could stand for a part of it.
+
+    An alias that is one parameter of the effect under another name is told with what stands for
+    the other parameter: a servo that droops is a joint that gives way, with play.
+    """
+    names, others = " or ".join(finding.names), finding.names[1:]
+    if not finding.partial_aliases:
+        return names, ""
+    part, term = finding.partial_aliases[0], finding.terms[0]
+    parameter = part.part in {p.name for p in term.declared()}
+    if parameter and others and set(others) <= set(term.aliases):
+        return f"{finding.name}, or {' or '.join(others)} with {part.name} for the {part.part}", ""
+    return names, f"; {part.name} could stand for its {part.part}"

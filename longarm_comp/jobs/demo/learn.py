@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.jobs.demo.settings import DemoSettings
-from longarm_comp.workflows.diagnose import diagnose_files
+from longarm_comp.workflows.diagnose import DiagnosisResult, diagnose_files
 from longarm_comp.workflows.train import train
 
 Say = Callable[[str, float], None]
 
 
-def find_effects(settings: DemoSettings, arm: Arm, say: Say) -> dict[str, Any]:
-    """Diagnose the session; writes model.yaml, report.html and report.json, which is returned."""
-    found = diagnose_files(
+def find_effects(settings: DemoSettings, arm: Arm, say: Say) -> DiagnosisResult:
+    """Diagnose the session; writes model.yaml, report.html and report.json."""
+    return diagnose_files(
         arm, settings.bag, settings.out, seed=settings.seed, network=False,
         progress=lambda step: say(f"diagnose: {step}", 0.3),
     )  # fmt: skip
-    return found.report()
 
 
 def train_network(settings: DemoSettings, arm: Arm, say: Say) -> Predictor:

@@ -17,6 +17,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.compensation.compensate import Method
 from longarm_comp.core.data.plan import random_targets, sobol
 from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.collect import collect
@@ -30,6 +31,7 @@ from longarm_comp.nodes.bringup import running
 from longarm_comp.nodes.simulated_arm import sizes
 from longarm_comp.sessions.poses import write_poses
 from longarm_comp.sim.plant import hidden_effects
+from longarm_comp.workflows.diagnose import DiagnosisResult
 from longarm_interfaces.srv import Compensate
 
 Say = Callable[[str, float], None]
@@ -44,13 +46,13 @@ class DemoResult:
 
     Attributes:
         trials: in the order of `table`.
-        diagnosis: as report.json holds it.
+        diagnosis: of the session.
         inputs: of the network.
         seconds: how long each step took.
     """
 
     trials: list[Trial]
-    diagnosis: dict[str, Any]
+    diagnosis: DiagnosisResult
     inputs: tuple[str, ...]
     seconds: dict[str, float]
 
@@ -153,6 +155,11 @@ class _Clock:
         self.seconds[step], self._begun = now - self._begun, now
 
 
+def _names(finding: EffectFinding) -> list[str]:
+    """An effect, what cannot be told from it, and what could stand for a part of it."""
+    return list(dict.fromkeys((*finding.names, *(a.name for a in finding.partial_aliases))))
+
+
 def report(settings: DemoSettings, result: DemoResult) -> dict[str, Any]:
     """Everything as plain data, for --json and the file in the folder."""
     files = {
@@ -165,9 +172,9 @@ def report(settings: DemoSettings, result: DemoResult) -> dict[str, Any]:
         "rows": table.rows(result.trials),
         "improved": result.improved,
         "outside_training_data": result.outside,
-        "verdict": result.diagnosis["verdict"],
-        "diagnosis": result.diagnosis["summary"],
-        "effects_found": [finding["set"] for finding in result.diagnosis["findings"]],
+        "verdict": result.diagnosis.verdict,
+        "diagnosis": result.diagnosis.summary,
+        "effects_found": [_names(finding) for finding in result.diagnosis.findings],
         "network_inputs": list(result.inputs),
         "hidden": settings.hidden,
         "seed": settings.seed,

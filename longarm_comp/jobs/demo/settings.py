@@ -33,7 +33,7 @@ class DemoSettings:
     """
 
     out: Path
-    poses: int = 130
+    poses: int = 180
     targets: int = 40
     hidden: str = "joint_compliance=8.0 backlash=3.0"
     speed: float = 20.0
