@@ -12,7 +12,6 @@ NODES = ["error_predictor", "kinematics", "servo_driver", "simulated_arm", "ster
 RUNTIME = [
     "click>=8.1",
     "jinja2>=3.1",
-    "joblib>=1.4",
     "llvmlite>=0.43",
     "matplotlib>=3.8",
     "numpy>=1.26",
@@ -23,18 +22,22 @@ RUNTIME = [
     "pyyaml>=6.0",
     "rich>=13.7",
     "rosbags>=0.10",
-    "scikit-learn>=1.4",
     "scipy>=1.12",
     "torch>=2.2",
     "typing-extensions>=4.6",
 ]
 
+STUDIES = ["joblib>=1.4", "scikit-learn>=1.4"]
+CLUSTER = ["dask[distributed]>=2024.1"]
+
 EXTRAS = {
     "test": ["pytest"],  # by this name colcon test finds that pytest runs the tests
-    "cluster": ["dask[distributed]>=2024.1"],
+    "studies": STUDIES,  # longarm study table1, study loop
+    "cluster": [*STUDIES, *CLUSTER],  # study loop --dask
     "dev": [
+        *STUDIES,
+        *CLUSTER,
         "PyNiteFEA",
-        "dask[distributed]>=2024.1",
         "colcon-common-extensions",
         "dynamixel-sdk",
         "example-robot-data",

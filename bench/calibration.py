@@ -21,7 +21,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.identify.calibrate import geometry
+from longarm_comp.core.identify.calibrate import Errors, errors, geometry
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
@@ -54,8 +54,7 @@ def _start(arm: Arm, session: Session, *, rigid: bool = False) -> Model:
 
 
 def _held_out_mm(model: Model, session: Session) -> float:
-    left = session.xyz - model.measured(session.q, session.context())
-    return 1e3 * float(np.linalg.norm(left, axis=1).mean())
+    return 1e3 * Errors.of(errors(model, session)).mean
 
 
 # ------------------------------------------------------------------ run in processes of their own

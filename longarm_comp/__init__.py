@@ -15,7 +15,7 @@ Names are imported when they are first used (PEP 562): importing this package im
 `docs/python.md` says what each returns.
 """
 
-__version__ = "0.1.0"
+from longarm_comp.version import __version__ as __version__
 
 __all__ = [
     "Arm",

@@ -74,7 +74,10 @@ def test_calibration_against_scipy() -> None:
     assert row["held_out_mm"] == pytest.approx(row["peer_held_out_mm"], rel=0.05)
 
 
-def test_calibration_against_samples() -> None:
+def test_calibration_against_samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a process of its own, wherever the command is run."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PYTHONPATH", raising=False)
     (row,) = calibration.against_samples((40,))
     assert row["us_per_sample_and_step"] > 0
     assert row["value"] > 0

@@ -10,6 +10,7 @@ import pytest
 
 from bench import compensation, forward, ik_peers, kinematics
 from bench.arms import demo_arm
+from longarm_comp.core.data.plan import paper_grid
 from longarm_comp.core.model.model import Model
 
 FAST = importlib.util.find_spec("llvmlite") is not None
@@ -17,8 +18,8 @@ FAST = importlib.util.find_spec("llvmlite") is not None
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    grid = kinematics.paper_grid()[::182]
-    monkeypatch.setattr(kinematics, "paper_grid", lambda: grid)
+    grid = paper_grid(demo_arm())[::182]
+    monkeypatch.setattr(kinematics, "paper_grid", lambda arm: grid)
     for module, names in (
         (kinematics, {"BLOCKS": 2, "PER_BLOCK": 4, "BATCH": 16}),
         (forward, {"COUNT": 32, "REPEATS": 2, "BUILT_IN": {}}),

@@ -72,6 +72,26 @@ def test_sign_and_settling(plant):
     assert miss(measure(opposite.command), targets) > 1.8 * miss(measure(made.ideal), targets)
 
 
+def test_a_pose_is_corrected_in_position_and_kept_in_orientation(plant):
+    """The arm is really commanded; with the other sign its tip would miss by twice the error."""
+    model, _, measure = plant
+    arm = model.arm
+    rng = np.random.default_rng(8)
+    q = arm.mid + 0.4 * (arm.upper - arm.lower) * (rng.random((12, arm.n)) - 0.5)
+    poses = model.pose(q)
+    made = compensate_many(model, Known(), poses, seed=q)
+    good = made.status == Status.SUCCESS
+    assert good.sum() >= 8
+    reached = model.pose(made.command[good])
+    real = measure(made.command[good])
+    assert miss(real, poses[good, :3, 3]) < 1.2e-5
+    np.testing.assert_allclose(reached[:, :3, :3], poses[good, :3, :3], atol=1e-7)
+    np.testing.assert_allclose(
+        made.pseudo_target[good, :3, 3], poses[good, :3, 3] - made.predicted_error[good]
+    )
+    assert miss(measure(q), poses[:, :3, 3]) > 2e-3  # what it would be uncorrected
+
+
 def test_single_pass_leaves_the_second_order(plant):
     model, targets, measure = plant
     once = compensate_many(model, Known(), targets, single_pass=True)
@@ -132,6 +152,11 @@ def test_correction_is_bounded(plant):
     assert (made.status == Status.CORRECTION_TOO_LARGE).all()
     assert not made.success.any()
     assert "permitted" in made.reason[0]
+    one = compensate(model, Known(), targets[0], max_correction_m=1e-3)
+    assert one.status is Status.CORRECTION_TOO_LARGE
+    np.testing.assert_array_equal(one.command, one.ideal)
+    size = np.linalg.norm(smooth_error(made.ideal), axis=1).max()
+    assert compensate_many(model, Known(), targets, max_correction_m=1.5 * size).success.all()
 
 
 def test_what_does_not_settle_is_said(plant):

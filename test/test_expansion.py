@@ -103,3 +103,23 @@ def test_another_side_is_another_question(predictor: Predictor) -> None:
     assert len(asked) == 2
     np.testing.assert_array_equal(one.error, again.error)
     assert np.abs(one.error - other.error).max() > 1e-3
+
+
+def test_several_joints_are_answered_by_the_slope_at_the_first(predictor: Predictor) -> None:
+    asked = []
+    expand = Expander(predictor)
+
+    def ask(q, context):
+        asked.append(q)
+        return expand(q, context)
+
+    near = Nearby(ask)
+    q = ARM.mid + SPAN * np.linspace(0, 0.01, 5)[:, None] * [1, -1, 0.5, 1]
+    many = near.predict(q, FROM_BELOW)
+    assert len(asked) == 1
+    np.testing.assert_array_equal(many.error[:1], near.predict(q[:1], FROM_BELOW).error)
+    np.testing.assert_allclose(many.error, predictor.predict(q, FROM_BELOW).error, atol=5e-5)
+    assert np.abs(many.error[-1] - many.error[0]).max() > 1e-4
+    assert many.sigma.shape == (5, 3)
+    assert many.in_domain.all()
+    assert len(many.reason) == len(many.doubt) == 5

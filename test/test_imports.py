@@ -40,6 +40,19 @@ def command_line(*words: str) -> str:
     return f"from longarm_comp.cli.run import run\nassert run({list(words)!r}) == 0\n"
 
 
+def test_importing_the_package_loads_nothing_but_its_version() -> None:
+    code = f"""
+import sys
+before = set(sys.modules)
+import longarm_comp
+dir(longarm_comp)
+print(sorted(set(sys.modules) - before))
+assert longarm_comp.Arm and "numpy" in sys.modules and {HEAVY[0]!r} not in sys.modules
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "['longarm_comp', 'longarm_comp.version']"
+
+
 def test_help_and_the_list_of_commands_load_nothing_heavy() -> None:
     every = "".join(command_line(*entry.name.split(), "--help") for entry in COMMANDS)
     assert loaded(command_line("--help") + every) == set()

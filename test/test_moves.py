@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import csv
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from small_arm import ARM
+from small_arm import ARM, measured
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import SAME_POSE, History
@@ -17,6 +19,7 @@ from longarm_comp.core.compensation.arrive import Arrival, CompensationOptions, 
 from longarm_comp.core.compensation.compensate import Method
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.model.model import Model
+from longarm_comp.workflows.compensate import compensate
 
 SPAN = ARM.upper - ARM.lower
 LENGTH = run_up_lengths(ARM)
@@ -147,3 +150,56 @@ def test_an_unknown_start_is_no_obstacle(loose: Model) -> None:
     assert found.move.run_up is not None
     truly = loose.tip(found.outcome.command, Context(tuple(found.move.side)))
     np.testing.assert_allclose(truly, target, rtol=0, atol=1e-6)
+
+
+# ------------------------------------------------------------------ targets of a file
+
+
+def test_targets_of_a_file_follow_one_another_after_a_session(
+    loose: Model, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    session = measured(30, rng)
+    goals = ARM.mid + 0.3 * SPAN * (rng.random((12, ARM.n)) - 0.5)
+    made = compensate(loose, Model(ARM).tip(goals), history=session)
+    at, side = session.q[-1], session.approach[-1].astype(float)
+    for arrival in made.arrivals:
+        assert arrival.outcome.reason == ""
+        for point in arrival.move.points:
+            side = np.where(np.abs(point - at) > SAME_POSE, np.sign(point - at), side)
+            at = point
+        truly = loose.tip(arrival.outcome.command, Context(tuple(side)))
+        np.testing.assert_allclose(truly, arrival.outcome.target, rtol=0, atol=1e-6)
+    path = tmp_path / "commands.csv"
+    made.save(path)
+    with path.open() as file:
+        rows = list(csv.DictReader(file))
+    for row, arrival in zip(rows, made.arrivals, strict=True):
+        for j in range(ARM.n):
+            assert float(row[f"approach_q{j + 1}"]) == arrival.move.side[j]
+            assert float(row[f"ideal_q{j + 1}"]) == pytest.approx(arrival.outcome.ideal[j])
+            via = row[f"run_up_q{j + 1}"]
+            if arrival.move.run_up is None:
+                assert via == ""
+            else:
+                assert float(via) == pytest.approx(arrival.move.run_up[j])
+    assert any(row["run_up_q1"] for row in rows)
+
+
+def test_without_a_history_each_target_has_its_own_run_up(loose: Model) -> None:
+    made = compensate(loose, Model(ARM).tip(np.stack([ARM.mid, ARM.mid + 0.01 * SPAN])))
+    for arrival in made.arrivals:
+        assert arrival.move.run_up is not None and arrival.outcome.reason == ""
+        truly = loose.tip(arrival.outcome.command, Context(tuple(arrival.move.side)))
+        np.testing.assert_allclose(truly, arrival.outcome.target, rtol=0, atol=1e-6)
+    direct = compensate(loose, Model(ARM).tip(ARM.mid), run_up=False)
+    assert direct.arrivals[0].move.run_up is None
+    assert "depends on what is not known" in direct[0].reason
+
+
+def test_a_side_that_a_target_asks_for_is_kept(loose: Model) -> None:
+    target = Model(ARM).tip(ARM.mid)
+    for side in (-1.0, 1.0):
+        made = compensate(loose, target, context=Context((side,) * ARM.n))
+        assert made.arrivals[0].move.side.tolist() == [side] * ARM.n
+        truly = loose.tip(made[0].command, Context((side,) * ARM.n))
+        np.testing.assert_allclose(truly, target, rtol=0, atol=1e-6)

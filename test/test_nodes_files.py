@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import os
 import sys
 import types
 from pathlib import Path
@@ -113,6 +114,14 @@ def test_bring_up_scales_the_simulation_and_leaves_hardware_alone(tmp_path: Path
     assert own.file("kinematics") == folder("config") / "kinematics.yaml"
     with pytest.raises(InputError, match="ros__parameters"):
         own.parameters("servo_driver", "")
+
+
+def test_files_with_effects_reach_the_node_that_loads_models() -> None:
+    files = (ROOT / "examples" / "custom_effect.py", Path("mine.py"))
+    graph = BringUp(arm=folder("config") / "arm_demo.yaml", effects=files)
+    given = graph.parameters("kinematics", "")["effects"]
+    assert given.split(os.pathsep) == [str(files[0]), str(Path.cwd() / "mine.py")]
+    assert "effects" not in graph.parameters("error_predictor", "")
 
 
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))

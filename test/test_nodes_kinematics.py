@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-from nodes_bench import Bench, bench
+from nodes_bench import ROOT, Bench, bench
 from sensor_msgs.msg import Imu, Temperature
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -21,6 +21,7 @@ from trajectory_msgs.msg import JointTrajectory
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.effects import catalogue
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.model.declared_model import declared_model
@@ -81,6 +82,25 @@ def test_target_pose_becomes_a_trajectory(stage: Bench, arm: Arm, demo_arm_path:
 def request(matrix: np.ndarray, arm: Arm, **more: object) -> Compensate.Request:
     seed = joints_message(arm, arm.mid)
     return Compensate.Request(**{"target": pose(matrix), "seed": seed, **more})
+
+
+def test_an_effect_of_a_file_is_compensated(
+    stage: Bench, arm: Arm, demo_arm_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(catalogue, "_others", {})  # the node's process knows of the file alone
+    monkeypatch.setattr(catalogue, "_origins", {})
+    example = ROOT / "examples" / "custom_effect.py"
+    (kind,) = catalogue.load_file(example)
+    model = declared_model(arm).plus(kind(joint=5, driver=2, gain=0.03))
+    save_model(tmp_path / "model.yaml", store(model))
+    files = {"arm": demo_arm_path, "model": tmp_path / "model.yaml"}
+    stage.start("kinematics", {**files, "effects": example})
+    target = model.pose(arm.mid + 0.02)
+    client = graph.COMPENSATE.client(stage.node)
+    answer = stage.call(client, request(target, arm))
+    assert answer.status == Compensate.Response.NO_PREDICTOR
+    np.testing.assert_allclose(model.pose(np.array(answer.command.position)), target, atol=2e-6)
+    assert np.linalg.norm(declared_model(arm).tip(arm.mid + 0.02) - target[:3, 3]) > 1e-3
 
 
 def test_of_a_burst_every_target_and_request_is_answered_once(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import email
 import json
 import os
 import re
@@ -11,7 +12,7 @@ import sys
 import xml.etree.ElementTree as ElementTree
 import zipfile
 from functools import cache
-from importlib.metadata import entry_points, packages_distributions, requires
+from importlib.metadata import entry_points, packages_distributions
 from pathlib import Path
 
 import pytest
@@ -34,12 +35,14 @@ PIP = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
 PREFIXED = {"pinocchio": {"pin"}, "roboplan": {"roboplan"}}
 
 
-def declared(*, extras: bool) -> set[str]:
-    """Distributions that setup.py names, with or without its extras."""
-    named = [Requirement(line) for line in requires(PACKAGE) or []]
+def declared(wheel: Path, *, extras: bool) -> set[str]:
+    """Distributions that a wheel asks for, with or without its extras."""
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = (n for n in archive.namelist() if n.endswith(".dist-info/METADATA"))
+        lines = email.message_from_bytes(archive.read(name)).get_all("Requires-Dist", [])
     return {
         canonicalize_name(entry.name)
-        for entry in named
+        for entry in map(Requirement, lines)
         if extras or "extra" not in str(entry.marker or "")
     }
 
@@ -52,7 +55,8 @@ def ros_depends() -> set[str]:
 def outside_imports(folder: Path) -> dict[str, set[str]]:
     """Top-level names imported from outside this repository -> the files that import them."""
     found: dict[str, set[str]] = {}
-    own = {PACKAGE, "bench", *(file.stem for file in (ROOT / "test").glob("*.py"))}
+    beside = (file.stem for name in ("test", "examples") for file in (ROOT / name).glob("*.py"))
+    own = {PACKAGE, "bench", *beside}
     for file in sorted(folder.rglob("*.py")):
         for node in ast.walk(ast.parse(file.read_text("utf-8"))):
             names: list[str] = []
@@ -76,9 +80,9 @@ def distributions(top_level: str) -> set[str]:
     return providers().get(top_level, set()) | PREFIXED.get(top_level, set())
 
 
-@pytest.mark.parametrize("folder", [PACKAGE, "bench", "test"])
-def test_every_import_is_declared(folder: str) -> None:
-    allowed = declared(extras=True)
+@pytest.mark.parametrize("folder", [PACKAGE, "bench", "test", "examples"])
+def test_every_import_is_declared(folder: str, wheel: Path) -> None:
+    allowed = declared(wheel, extras=True)
     undeclared = {
         name: sorted(files)
         for name, files in outside_imports(ROOT / folder).items()
@@ -87,9 +91,37 @@ def test_every_import_is_declared(folder: str) -> None:
     assert not undeclared, f"not in setup.py or package.xml: {undeclared}"
 
 
-def test_every_runtime_dependency_is_used() -> None:
-    used = set().union(*(distributions(name) for name in outside_imports(ROOT / PACKAGE)))
-    assert not declared(extras=False) - used
+def test_what_is_installed_with_the_package_is_what_it_uses_outside_of_studies(wheel: Path) -> None:
+    found = outside_imports(ROOT / PACKAGE)
+    needed = {
+        name: distributions(name)
+        for name, files in found.items()
+        if any(not file.startswith(f"{PACKAGE}/studies/") for file in files)
+        and name not in ros_depends()
+    }
+    runtime = declared(wheel, extras=False)
+    assert not {name for name, brought in needed.items() if not brought & runtime}
+    assert not runtime - set().union(*needed.values())
+    assert not {"scikit-learn", "joblib", "dask"} & runtime
+
+
+@pytest.mark.parametrize(
+    ("library", "study"), [("sklearn", ("table1", "--arms", "1")), ("joblib", ("loop",))]
+)
+def test_a_study_says_which_library_it_lacks(
+    library: str, study: tuple[str, ...], tmp_path: Path
+) -> None:
+    words = ["study", *study, "-o", str(tmp_path / "out")]
+    code = f"""
+import sys
+sys.modules[{library!r}] = None
+from longarm_comp.cli.run import run
+sys.exit(run({words!r}))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 3
+    assert f"this study needs {library}: pip install 'longarm_comp[studies]'" in done.stderr
+    assert "Traceback" not in done.stderr
 
 
 def test_versions_agree() -> None:
@@ -168,25 +200,20 @@ print(json.dumps({
 """
 
 
-def test_an_installation_finds_its_own_files(wheel: Path, tmp_path: Path) -> None:
-    """Installed below any prefix, run from any folder, with another installation beside it."""
-    prefix = tmp_path / "prefix"
-    subprocess.run(
-        [*PIP, "install", "--quiet", "--no-deps", "--ignore-installed", "--prefix", prefix, wheel],
-        check=True,
-    )
+def below(prefix: Path, *command: object) -> subprocess.CompletedProcess[str]:
+    """A command with the installation below a prefix, run from that folder."""
     (packages,) = prefix.glob("**/site-packages")
     environment = os.environ | {"PYTHONPATH": str(packages)}
+    words = [*map(str, command)]
+    return subprocess.run(words, cwd=prefix, env=environment, capture_output=True, text=True)
 
-    def output(*command: object) -> str:
-        done = subprocess.run(
-            [*map(str, command)], cwd=tmp_path, env=environment, capture_output=True, text=True
-        )
-        assert done.returncode == 0, done.stderr
-        return done.stdout
 
-    found = json.loads(output(sys.executable, "-c", FIND_SHARES))
-    assert Path(found["package"]).parent == packages / PACKAGE
+def finds_its_own_files(prefix: Path) -> None:
+    """Package, config and launch of a prefix, with another installation beside it."""
+    done = below(prefix, sys.executable, "-c", FIND_SHARES)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert prefix in Path(found["package"]).parents
     share = prefix / "share" / PACKAGE
     assert Path(found["launch"]) == share / "launch"
     for folder in ("config", "launch"):
@@ -194,11 +221,17 @@ def test_an_installation_finds_its_own_files(wheel: Path, tmp_path: Path) -> Non
     assert len(found["nodes"]) == 5
     assert all(Path(file).is_file() and share in Path(file).parents for file in found["nodes"])
     assert found["interfaces"]
-    assert "--sim" in output(prefix / "bin" / "longarm", "up", "--help")
-    assert "is run from a checkout" in subprocess.run(
-        [prefix / "bin" / "longarm", "bench"], cwd=tmp_path, env=environment, capture_output=True,
-        text=True,
-    ).stderr  # fmt: skip
+
+
+def test_an_installation_below_any_prefix_finds_its_own_files(wheel: Path, tmp_path: Path) -> None:
+    options = ["--quiet", "--no-deps", "--ignore-installed", "--prefix", tmp_path]
+    subprocess.run([*PIP, "install", *options, wheel], check=True)
+    finds_its_own_files(tmp_path)
+    longarm = tmp_path / "bin" / "longarm"
+    assert "--sim" in below(tmp_path, longarm, "up", "--help").stdout
+    bench = below(tmp_path, longarm, "bench")
+    assert bench.returncode == 3
+    assert "is run from a checkout of the project" in bench.stderr
 
 
 def test_colcon_installs_what_ros2_run_and_launch_look_for(tmp_path: Path) -> None:
@@ -225,8 +258,6 @@ def test_colcon_installs_what_ros2_run_and_launch_look_for(tmp_path: Path) -> No
         entry.name for entry in entry_points(group="console_scripts") if PACKAGE in entry.value
     }
     assert scripts <= {file.name for file in (prefix / "lib" / PACKAGE).iterdir()}
-    share = prefix / "share"
-    assert (share / "ament_index" / "resource_index" / "packages" / PACKAGE).is_file()
-    for folder, pattern in {"config": "*", "launch": "*.launch.py"}.items():
-        for file in (ROOT / folder).glob(pattern):
-            assert (share / PACKAGE / folder / file.name).is_file()
+    index = prefix / "share" / "ament_index" / "resource_index" / "packages"
+    assert (index / PACKAGE).is_file()
+    finds_its_own_files(prefix)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import subprocess
 import sys
@@ -159,6 +160,13 @@ def test_variance_alone_can_refuse():
     known = predictor.predict(q)
     assert known.in_domain.mean() > 0.95
     assert far.sigma.max() > np.median(known.sigma)
+    corner = predictor.lower[:7] + 0.5 * (predictor.upper - predictor.lower)[:7]  # in every range
+    assert predictor.predict(corner[None]).doubt[0] > np.median(known.doubt)
+    limit = predictor.variance_limit * float(predictor.predict(corner[None]).doubt[0])
+    strict = dataclasses.replace(predictor, variance_limit=0.9 * limit).predict(corner[None])
+    lax = dataclasses.replace(predictor, variance_limit=1.1 * limit).predict(corner[None])
+    assert not strict.in_domain[0] and "uncertainty" in strict.reason[0]
+    assert lax.in_domain[0] and lax.reason[0] == ""
 
 
 def test_one_row_and_many_rows_give_the_same_numbers(data, small):

@@ -47,7 +47,7 @@ ROOMS = {
     "sim": Room(ROS, only=("core.arm", "core.errors", "core.files", "devices")),
     "sessions": Room((*ROS, "nodes", "devices", "sim", "report", "workflows", "cli")),
     "report": Room((*ROS, "nodes", "devices", "sim", "workflows", "cli")),
-    "workflows": Room((*ROS, "click", "rich"), only=("core", "sessions", "report")),
+    "workflows": Room((*ROS, "click", "rich"), only=("core", "sessions", "report", "version")),
     "nodes": Room(("cli", "report", "workflows", "studies", "bench", "scipy", "torch")),
 }
 
@@ -178,7 +178,8 @@ def graph() -> dict[str, set[str]]:
     """The modules of the package and of the benchmarks, and what each needs of them.
 
     An import within a function, of a neighbour in the same folder, does not count: a record's own
-    ``save`` may hand itself to the file format beside it.
+    ``save`` may hand itself to the file format beside it. Imports for types alone count, except
+    those of the package's own file, which names what it loads when it is asked for.
     """
     return {
         module.removesuffix(".__init__"): {
@@ -187,6 +188,7 @@ def graph() -> dict[str, set[str]]:
             if entry.name in known() and not (entry.in_function and neighbours(module, entry.name))
         }
         for module in sources()
+        if module != f"{PACKAGE}.__init__"
     }
 
 
@@ -210,6 +212,24 @@ def test_core_imports_point_upward() -> None:
 def test_no_module_imports_itself_through_others() -> None:
     loops = [module for module in graph() if module in reach(graph(), module)]
     assert not loops, f"import cycle through {loops}"
+
+
+def test_what_a_diagnosis_is_made_of_has_names_of_its_own() -> None:
+    """The simulator is apart and may call its parts as the model does."""
+    rooms = ("core.identify", "core.data", "report")
+    where: dict[str, list[str]] = {}
+    for module, path in sources().items():
+        if not below(module, (f"{PACKAGE}.sim",)):
+            for node in ast.parse(path.read_text("utf-8")).body:
+                if isinstance(node, ast.ClassDef):
+                    where.setdefault(node.name, []).append(module)
+    twice = {
+        name: modules
+        for name, modules in where.items()
+        if len(modules) > 1
+        and any(below(m, tuple(f"{PACKAGE}.{room}" for room in rooms)) for m in modules)
+    }
+    assert not twice
 
 
 def test_nodes_hold_no_maths() -> None:

@@ -30,8 +30,16 @@ if TYPE_CHECKING:
 )
 @click.option("--seed-q", help="Joints to start from, q1,..,qn (rad, m); default mid-range.")
 @click.option("--lock", multiple=True, metavar="ROW|NAME", help="Joint that stays at its seed.")
+@options.path_option(
+    "--history", "Session after which the targets are executed in their order; else unknown."
+)
+@click.option("--no-run-up", is_flag=True, help="Joints go directly, whichever side that is.")
 @click.option("--position-only", is_flag=True, help="Leave the orientation free.")
 @click.option("--single-pass", is_flag=True, help="Correct once, as the paper does.")
+@click.option(
+    "--realisable/--no-realisable", default=True, show_default=True,
+    help="Choose joints together among the steps that ARM declares; off for paths.",
+)  # fmt: skip
 @options.output("commands.csv", "Joint commands to write.")
 @options.effects
 @options.as_json
@@ -44,14 +52,18 @@ def command(
     method: str | None,
     seed_q: str | None,
     lock: tuple[str, ...],
+    history: Path | None,
+    no_run_up: bool,
     position_only: bool,
     single_pass: bool,
+    realisable: bool,
     output: Path,
     as_json: bool,
 ) -> None:
     """Joint commands of ARM that bring its real tip to targets (m, base frame).
 
     commands.csv has a line per target, with the reason where one fails; then the exit code is 3.
+    approach_q* says from which side each joint must arrive, run_up_q* the via point for it.
 
     \b
     Examples:
@@ -82,10 +94,13 @@ def command(
         wanted,
         learned,
         method=chosen,
+        history=history,
+        run_up=not no_run_up,
         seed=None if seed_q is None else _joints(seed_q, declared),
         locked=[int(v) if v.isdigit() else v for v in lock],
         position_only=position_only,
         single_pass=single_pass,
+        realisable=realisable,
     )
     made.save(output)
     commands = made.lines()
@@ -134,6 +149,7 @@ def _row(c: Command, n: int) -> dict[str, object]:
         "status": c.status,
         **({"reason": c.reason} if c.reason else {}),
         **{f"q{j}": value for j, value in enumerate(q, 1)},
+        **({} if c.run_up is None else {"run_up": list(c.run_up)}),
         "sigma_mm": None if c.sigma_m is None else 1e3 * c.sigma_m,
         "passes": c.passes,
     }

@@ -29,6 +29,9 @@ COMMANDS = (
     Entry("bag from-csv", "bag_from_csv", "A samples.csv as a bag."),
     Entry("study table1", "study_table1", "The paper's Table I on simulated arms."),
     Entry("study real", "study_real", "Held-out errors on public data of real arms."),
+    Entry(
+        "study realisable", "study_realisable", "Joints among the servos' steps, beside rounding."
+    ),
     Entry("up", "up", "Bring up an arm's ROS graph, real or simulated."),
     Entry("study loop", "study_loop", "Benchmark the diagnosis on simulated arms."),
     Entry("bench", "bench", "Speed beside peers, in one run."),
@@ -43,6 +46,6 @@ COMMANDS = (
 
 GROUPS = {
     "bag": "Sessions as rosbag2.",
-    "study": "Studies: Table I, real arms, closing the loop.",
+    "study": "Studies: Table I, real arms, realisable joints, closing the loop.",
 }
 """One line of help for each first word of a two-word name."""

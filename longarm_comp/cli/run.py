@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 import click
 
-from longarm_comp import __version__
 from longarm_comp.cli.registry import COMMANDS, GROUPS, Entry
 from longarm_comp.core.errors import LongarmError
+from longarm_comp.version import __version__
 
 
 class LazyGroup(click.Group):

@@ -15,13 +15,13 @@ Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
-class Declared(BaseModel):
+class ServoSettings(BaseModel):
     """A part of the configuration: unknown keys are errors, nothing changes afterwards."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class JointConfig(Declared):
+class JointConfig(ServoSettings):
     """One joint and its servo; ``lower``, ``upper``, ``max_velocity`` in rad or m.
 
     Attributes:

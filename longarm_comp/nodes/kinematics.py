@@ -32,7 +32,7 @@ from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
 from longarm_comp.nodes.markers import Markers
 from longarm_comp.nodes.messages import (
-    Provenance,
+    FileHashes,
     Refusal,
     Told,
     compensation_message,
@@ -64,6 +64,7 @@ PARAMS = (
     Param("max_correction_m", 0.05, "largest expected error that is corrected", 1e-6, 1.0),
     Param("position_only", False, "targets on target_pose leave the orientation free", live=True),
     Param("run_up", True, "joints run up to their target where the model needs a side", live=True),
+    Param("realisable", True, "choose joints among the steps that the arm declares", live=True),
     Param("move_time_s", 0.5, "asked of the driver, which slows down to its limits", 0.0, 600.0),
     Param("predictor_timeout_s", 0.5, "no answer within it counts as no predictor", 0.01, 60.0),
     Param("context_max_age_s", 60.0, "older temperature, payload, tilt are stale", 0.1, 1e6),
@@ -236,7 +237,7 @@ class Kinematics(Node):
             outcome.status,
             outcome.reason + (why if outcome.status is Status.NO_PREDICTOR else ""),
             options.method.value,
-            Provenance(
+            FileHashes(
                 self._arm.hash, loaded.file_hash, "" if client is None else client.file_hash
             ),
             arrival,
@@ -248,6 +249,7 @@ class Kinematics(Node):
             Method(self.get_parameter("method").value),
             replace(self._settling, single_pass=once) if once else self._settling,
             run_up=bool(self.get_parameter("run_up").value),
+            realisable=bool(self.get_parameter("realisable").value),
         )
 
     def _start(self, request: Compensate.Request) -> np.ndarray:
@@ -268,7 +270,7 @@ class Kinematics(Node):
             status,
             reason,
             str(self.get_parameter("method").value),
-            Provenance(self._arm.hash, self._files.loaded.file_hash),
+            FileHashes(self._arm.hash, self._files.loaded.file_hash),
         )
 
     def _tell_story(self, work: _Work) -> None:

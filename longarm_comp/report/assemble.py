@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp import __version__
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.aliasing import EffectFinding
@@ -18,6 +17,7 @@ from longarm_comp.report.candidate_states import candidate_rows, sizes
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.drawing import SPLITS, detail
 from longarm_comp.report.record import SCHEMA
+from longarm_comp.version import __version__
 
 NO_STRUCTURE: dict[str, Any] = {
     "flag": False,

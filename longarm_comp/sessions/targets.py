@@ -87,6 +87,10 @@ class Command:
         predicted_error: expected error (3,), m; None where none was predicted.
         sigma_m: its standard deviation per axis, m.
         passes: pseudo-target passes used.
+        approach: (n,) side that each joint must arrive from for the prediction to hold; 0: any.
+        run_up: (n,) via point from which the last approach begins; None: none needed.
+        ideal: (n,) joints that the physics alone gives; where the command was chosen among the
+            servos' steps, the joints before that choice.
     """
 
     index: int
@@ -97,6 +101,9 @@ class Command:
     predicted_error: np.ndarray | None = None
     sigma_m: float | None = None
     passes: int = 0
+    approach: np.ndarray | None = None
+    run_up: np.ndarray | None = None
+    ideal: np.ndarray | None = None
 
 
 def read_targets(path: str | Path) -> Targets:
@@ -133,17 +140,26 @@ def read_targets(path: str | Path) -> Targets:
     return Targets(index, xyz, quaternion, approach, columns, labels, table.where)
 
 
+_OF_THE_MOVE = ("approach", "run_up", "ideal")
+
+
+def _cells(values: np.ndarray | None, n: int) -> list[float | None]:
+    return [None] * n if values is None else list(values)
+
+
 def write_commands(path: str | Path, n: int, commands: Sequence[Command]) -> None:
     """Write commands.csv for an arm of n joints, whole or not at all."""
     header = [
         *("index", "status", "reason", *joint_names(n)),
         *("target_x", "target_y", "target_z"),
         *("predicted_error_x", "predicted_error_y", "predicted_error_z", "sigma_mm", "passes"),
+        *(f"{kind}_{name}" for kind in _OF_THE_MOVE for name in joint_names(n)),
     ]
     rows = []
     for c in commands:
         q = [None] * n if c.q is None else list(c.q)
         error = [None] * 3 if c.predicted_error is None else list(c.predicted_error)
         sigma_mm = None if c.sigma_m is None else 1e3 * c.sigma_m
-        rows.append([c.index, c.status, c.reason, *q, *c.target, *error, sigma_mm, c.passes])
+        move = [value for kind in _OF_THE_MOVE for value in _cells(getattr(c, kind), n)]
+        rows.append([c.index, c.status, c.reason, *q, *c.target, *error, sigma_mm, c.passes, *move])
     write_table(path, header, rows)

@@ -18,6 +18,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.identify.diagnosis import diagnose
+from longarm_comp.studies.extra import extra
 from longarm_comp.studies.loop_cases import Case
 from longarm_comp.studies.loop_score import score
 from longarm_comp.studies.loop_setting import set_up
@@ -63,8 +64,10 @@ def run(
 
     Raises:
         InputError: the file holds something else, dask is missing, or its scheduler is.
+        JobError: joblib is not installed.
     """
-    from joblib import Parallel, delayed
+    with extra():
+        from joblib import Parallel, delayed
 
     wanted = {case.id for case in cases}
     done = {i: line for i, line in read(out).items() if i in wanted}

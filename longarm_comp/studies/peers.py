@@ -1,6 +1,6 @@
 """Learners that a user would pick instead of SSA-BP, with its train/predict signature.
 
-Both are scikit-learn (a study and test dependency, never imported by the core).
+Both are scikit-learn, which only the studies need.
 """
 
 from __future__ import annotations
@@ -11,15 +11,18 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.exceptions import ConvergenceWarning
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
-from sklearn.model_selection import GridSearchCV
-from sklearn.neural_network import MLPRegressor
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.learn.inputs import Encoding, check_rows, fit_encoding
 from longarm_comp.core.learn.predictor import Prediction
+from longarm_comp.studies.extra import extra
+
+with extra():
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+    from sklearn.model_selection import GridSearchCV
+    from sklearn.neural_network import MLPRegressor
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from longarm_comp import __version__
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.holdout import blocked_split
 from longarm_comp.core.data.session import Session
@@ -16,6 +15,7 @@ from longarm_comp.core.identify.calibrate import Rung, ladder
 from longarm_comp.core.identify.fit import ModelFit, fit
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
+from longarm_comp.version import __version__
 from longarm_comp.workflows.error_table import ErrorTable
 from longarm_comp.workflows.inputs import (
     FilePath,

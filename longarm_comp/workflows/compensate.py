@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
-from longarm_comp.core.arm.context import Context
-from longarm_comp.core.compensation.compensate import compensate_many
-from longarm_comp.core.compensation.result import Compensation, Method, Status
+from longarm_comp.core.arm import quaternion
+from longarm_comp.core.arm.context import PER_JOINT, Context
+from longarm_comp.core.arm.history import History
+from longarm_comp.core.compensation.arrive import Arrival, CompensationOptions, compensate_move
+from longarm_comp.core.compensation.realisable import Lattice
+from longarm_comp.core.compensation.result import Compensation, Method, Settling, Status
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
+from longarm_comp.sessions.read import read_session
 from longarm_comp.sessions.targets import Command, Targets, write_commands
-from longarm_comp.workflows.inputs import FilePath, check_predictor
+from longarm_comp.workflows.inputs import FilePath, SessionLike, check_predictor
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -27,21 +33,26 @@ class Commands(Sequence[Compensation]):
 
     Attributes:
         numbers: (N,) number of each target.
-        results: what came of each.
+        arrivals: what came of each, and the move that it holds for.
     """
 
     numbers: np.ndarray
-    results: tuple[Compensation, ...]
+    arrivals: tuple[Arrival, ...]
 
     def __len__(self) -> int:
-        return len(self.results)
+        return len(self.arrivals)
+
+    @property
+    def results(self) -> tuple[Compensation, ...]:
+        """What came of each target."""
+        return tuple(each.outcome for each in self.arrivals)
 
     @overload
     def __getitem__(self, k: int) -> Compensation: ...
     @overload
     def __getitem__(self, k: slice) -> tuple[Compensation, ...]: ...
     def __getitem__(self, k: int | slice) -> Compensation | tuple[Compensation, ...]:
-        return self.results[k]
+        return self.results[k] if isinstance(k, slice) else self.arrivals[k].outcome
 
     @property
     def command(self) -> np.ndarray:
@@ -74,7 +85,7 @@ class Commands(Sequence[Compensation]):
 
     def lines(self) -> list[Command]:
         """The lines of commands.csv."""
-        return [_line(int(k), each) for k, each in zip(self.numbers, self, strict=True)]
+        return [_line(int(k), each) for k, each in zip(self.numbers, self.arrivals, strict=True)]
 
     def save(self, path: FilePath) -> None:
         """Write commands.csv, with the reason where a target failed.
@@ -92,6 +103,9 @@ def compensate(
     *,
     method: Method | str | None = None,
     context: Context | None = None,
+    history: SessionLike | None = None,
+    run_up: bool = True,
+    realisable: bool | Lattice = True,
     seed: ArrayLike | None = None,
     position_only: bool = False,
     locked: Sequence[int | str] = (),
@@ -105,7 +119,13 @@ def compensate(
             `Targets` that were read from a file. Those with an orientation are poses.
         predictor: of what this model leaves, from `train` or `load_predictor`.
         method: ``none``, ``deflection``, ``network`` or ``both``; by default all that is given.
-        context: circumstances in which the arm will stand; `Targets` have their own.
+        context: circumstances in which the arm will stand; `Targets` have their own. Sides of
+            arrival that it holds are asked for.
+        history: session, or its file, after which the targets are executed in their order; its
+            end says where the joints stand and how they came there. Without it that is unknown.
+        run_up: whether joints may run up to a target, so that they arrive from a chosen side.
+        realisable: whether commands are chosen among the joints that the servos can stand at, by
+            the steps that the arm declares or by a lattice (docs/realisable.md); off for paths.
         seed: (n,) or (N, n) joints to start from, rad and m; default mid-range.
         position_only: leave the orientation free.
         locked: joints that stay at their seed, by name or number from 0.
@@ -126,23 +146,47 @@ def compensate(
     if predictor is not None and chosen.learned and chosen is not fitting(predictor):
         allowed = f"{fitting(predictor).value}: as the predictor was trained"
         raise InputError("compensate", "method", chosen.value, allowed)
-    numbers, batches = _batches(model, targets, context)
-    starts = None if seed is None else _starts(seed, len(numbers))
-    results: dict[int, Compensation] = {}
-    for rows, goals, told in batches:
-        found = compensate_many(
+    goals, told, numbers = _goals(model, targets, context)
+    starts = None if seed is None else _starts(seed, len(goals))
+    options = CompensationOptions(chosen, Settling(**settling), tuple(locked), run_up, realisable)
+    at, came = (None, History.unknown(model.arm.n)) if history is None else _last(history, model)
+    arrivals = []
+    for k, goal in enumerate(goals):
+        sides = _sides(told[k], model.arm.n)
+        arrival = compensate_move(
             model,
             predictor,
-            goals,
-            context=told,
-            seed=starts[rows] if starts is not None and starts.ndim == 2 else starts,
-            method=chosen,
-            position_only=position_only,
-            locked=tuple(locked),
-            **settling,
+            goal,
+            start=at,
+            history=came,
+            context_after=partial(_after, told[k]),
+            sides=sides,
+            seed=starts[k] if starts is not None and starts.ndim == 2 else starts,
+            position_only=position_only or goal.ndim == 1,
+            options=options,
         )
-        results.update((int(row), found[k]) for k, row in enumerate(rows))
-    return Commands(numbers, tuple(results[row] for row in range(len(numbers))))
+        arrivals.append(arrival)
+        if history is not None and arrival.outcome.success:
+            at, came = arrival.outcome.command, arrival.history
+    return Commands(numbers, tuple(arrivals))
+
+
+def _after(told: Context, arrived: History) -> Context:
+    """What is told of a target, with the history that the move leaves where none was told."""
+    fields = {k: getattr(told, k) or v for k, v in arrived.fields().items()}
+    return dataclasses.replace(told, **fields)
+
+
+def _sides(told: Context, n: int) -> np.ndarray | None:
+    """(n,) sides that were asked for."""
+    sides = np.sign(np.broadcast_to(told.approach or 0.0, n))
+    return np.array(sides, float) if sides.any() else None
+
+
+def _last(history: SessionLike, model: Model) -> tuple[np.ndarray, History]:
+    """Where the joints stood at the end of a session, and how they came there."""
+    session = history if isinstance(history, Session) else read_session(history, model.arm)
+    return session.q[-1], History(**{name: getattr(session, name)[-1] for name in PER_JOINT})
 
 
 def fitting(predictor: Predictor | None) -> Method:
@@ -167,47 +211,48 @@ def _starts(seed: ArrayLike, count: int) -> np.ndarray:
     return given
 
 
-_Batch = tuple[np.ndarray, np.ndarray, Context | None]
-
-
-def _batches(
+def _goals(
     model: Model, targets: ArrayLike | Targets, context: Context | None
-) -> tuple[np.ndarray, list[_Batch]]:
-    """Numbers of the targets; (rows, positions or poses, circumstances) to do together."""
-    if not isinstance(targets, Targets):
-        goals = np.asarray(targets, dtype=float)
-        goals = goals[None] if goals.shape in ((3,), (4, 4)) else goals
-        if goals.ndim not in (2, 3) or goals.shape[1:] not in ((3,), (4, 4)) or not len(goals):
-            allowed = "positions (N, 3) or poses (N, 4, 4), N of at least 1"
-            raise InputError("compensate", "targets", f"shape {goals.shape}", allowed)
-        rows = np.arange(len(goals))
-        return rows, [(rows, goals, context)]
-    if context is not None:
-        raise InputError("compensate", "context", "given", "None: the targets have their own")
-    told = targets.context(model.arm.n)
-    posed = ~np.isnan(targets.quaternion[:, 0])
-    made: list[_Batch] = []
-    for rows in (np.flatnonzero(posed), np.flatnonzero(~posed)):
-        if not rows.size:
-            continue
-        goals = targets.xyz[rows]
-        if posed[rows[0]]:
-            goals = np.tile(np.eye(4), (len(rows), 1, 1))
-            goals[:, :3, :3] = Rotation.from_quat(targets.quaternion[rows]).as_matrix()
-            goals[:, :3, 3] = targets.xyz[rows]
-        made.append((rows, goals, told.take(rows)))
-    return targets.index, made
+) -> tuple[list[np.ndarray], list[Context], np.ndarray]:
+    """Positions (3,) or poses (4, 4), the circumstances of each, and their numbers."""
+    if isinstance(targets, Targets):
+        if context is not None:
+            raise InputError("compensate", "context", "given", "None: the targets have their own")
+        all_told = targets.context(model.arm.n)
+        goals = [_goal(targets, row) for row in range(len(targets))]
+        return goals, [all_told.take(row) for row in range(len(targets))], targets.index
+    given = np.asarray(targets, dtype=float)
+    given = given[None] if given.shape in ((3,), (4, 4)) else given
+    if given.ndim not in (2, 3) or given.shape[1:] not in ((3,), (4, 4)) or not len(given):
+        allowed = "positions (N, 3) or poses (N, 4, 4), N of at least 1"
+        raise InputError("compensate", "targets", f"shape {given.shape}", allowed)
+    all_told = context or Context.empty()
+    return list(given), [all_told.take(row) for row in range(len(given))], np.arange(len(given))
 
 
-def _line(index: int, found: Compensation) -> Command:
+def _goal(targets: Targets, row: int) -> np.ndarray:
+    if np.isnan(targets.quaternion[row, 0]):
+        return targets.xyz[row]
+    return quaternion.pose(targets.xyz[row], targets.quaternion[row])
+
+
+def _before_steps(found: Compensation) -> np.ndarray:
+    return found.ideal if found.realisable is None else found.realisable.ideal
+
+
+def _line(index: int, arrival: Arrival) -> Command:
+    found, move = arrival.outcome, arrival.move
     sigma = float(np.max(found.sigma))
     return Command(
         index=index,
-        status=found.status.name.lower(),
+        status=str(found.status),
         reason=found.reason,
         q=found.command if found.success else None,
         target=found.target if found.target.ndim == 1 else found.target[:3, 3],
         predicted_error=found.predicted_error if np.isfinite(sigma) else None,
         sigma_m=sigma if np.isfinite(sigma) else None,
         passes=found.passes,
+        approach=move.side if found.success else None,
+        run_up=move.run_up if found.success else None,
+        ideal=_before_steps(found) if found.success else None,
     )

@@ -11,6 +11,7 @@ from typing import Any
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.admission import FEW_POSES
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.catalogue import origin
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify import diagnosis as core
 from longarm_comp.core.identify.aliasing import EffectFinding
@@ -34,8 +35,6 @@ from longarm_comp.workflows.inputs import (
 from longarm_comp.workflows.residual import training_rows
 
 Say = Callable[[str], None]
-
-MODEL, PREDICTOR = "model.yaml", "predictor.npz"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -155,6 +154,8 @@ def diagnose(
     before = None if model is None or isinstance(model, Model) else Path(model)
     if before is not None:
         facts["model before"] = file_hash(before)
+    kinds = {type(term) for term in found.model.terms}
+    facts |= {f"effect {k.name}": origin(k) for k in kinds if origin(k)}
     return DiagnosisResult(found, whole.hash, facts, before)
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from longarm_comp import __version__
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.files import atomic_path
 from longarm_comp.core.identify.diagnosis import Diagnosis
@@ -18,6 +17,7 @@ from longarm_comp.core.model.model_file import StoredModel, read_stored, save_mo
 from longarm_comp.report.drawing import SPLITS
 from longarm_comp.sessions.next_poses import FILE
 from longarm_comp.sessions.poses import write_poses
+from longarm_comp.version import __version__
 from longarm_comp.workflows.inputs import file_hash
 
 MODEL, PREDICTOR = "model.yaml", "predictor.npz"

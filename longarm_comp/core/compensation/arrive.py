@@ -7,18 +7,19 @@ so, and the joints are found for that side.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.moves import Move, plan_move, wanted_sides
-from longarm_comp.core.compensation.compensate import compensate, physics_of
+from longarm_comp.core.compensation.compensate import compensate, lattice_of, physics_of
+from longarm_comp.core.compensation.realisable import Lattice
 from longarm_comp.core.compensation.result import (
     Compensation,
-    ErrorPredictor,
     Method,
+    ResidualPredictor,
     Settling,
 )
 from longarm_comp.core.compensation.unknown import history_joints
@@ -35,12 +36,14 @@ class CompensationOptions:
 
     Attributes:
         run_up: whether a run-up may be added so that joints arrive from a chosen side.
+        realisable: as in `compensate`.
     """
 
     method: Method = Method.BOTH
     settling: Settling = field(default_factory=Settling)
     locked: tuple[int | str, ...] = ()
     run_up: bool = True
+    realisable: bool | Lattice = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +58,7 @@ class Arrival:
 
 def compensate_move(
     model: Model,
-    predictor: ErrorPredictor | None,
+    predictor: ResidualPredictor | None,
     target: np.ndarray,
     *,
     start: np.ndarray | None,
@@ -92,11 +95,13 @@ def compensate_move(
     def move_to(q: np.ndarray) -> Move:
         return plan_move(model.arm, start, q, wanted)
 
-    def solved(context: Context, doubtful: np.ndarray) -> Compensation:
+    def solved(
+        context: Context, doubtful: np.ndarray, realisable: bool | Lattice = False
+    ) -> Compensation:
         return compensate(
             model, predictor, target, context=context, seed=seed, position_only=position_only,
             method=options.method, locked=options.locked, doubtful=doubtful,
-            **vars(options.settling),
+            realisable=realisable, **vars(options.settling),
         )  # fmt: skip
 
     wanted = np.zeros(model.arm.n) if sides is None else sides
@@ -120,6 +125,14 @@ def compensate_move(
             break
         if trials_left == 1:
             arrived = arrived.agreed(assumed)
+    if outcome.success and lattice_of(model, options.realisable) is not None:
+        chosen = solved(context, move.doubtful, options.realisable)
+        its_move = move_to(chosen.command)
+        its_arrival = history.after(its_move.points, start)
+        if not matters or np.array_equal(its_arrival.approach, arrived.approach):
+            return Arrival(chosen, its_move, context, its_arrival)
+        why = "joints are not chosen among their steps: one would arrive from its other side"
+        outcome = replace(outcome, reason="; ".join(filter(None, (outcome.reason, why))))
     return Arrival(outcome, move, context, arrived)
 
 

@@ -19,13 +19,14 @@ import numpy as np
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import Frame
+from longarm_comp.core.compensation.realisable import Lattice, Realisable, Search, choose
 from longarm_comp.core.compensation.result import (
     NO_PREDICTOR,
     Compensation,
     Compensations,
-    ErrorPredictor,
     ExpectedError,
     Method,
+    ResidualPredictor,
     Settling,
     Status,
     missed,
@@ -36,6 +37,8 @@ from longarm_comp.core.compensation.unknown import missing_column, unknown_histo
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
+from longarm_comp.core.ik.forward import tip_poses
+from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.model.model import Model
 
 NEARBY_STARTS = 3
@@ -70,7 +73,7 @@ def _part(model: Model, name: str, wanted: Callable[[Effect], bool]) -> Model:
 
 def compensate(
     model: Model,
-    predictor: ErrorPredictor | None,
+    predictor: ResidualPredictor | None,
     target: np.ndarray | Frame,
     *,
     context: Context | None = None,
@@ -79,6 +82,7 @@ def compensate(
     position_only: bool = False,
     locked: Sequence[int | str] = (),
     doubtful: np.ndarray | None = None,
+    realisable: bool | Lattice = True,
     **settling: Any,
 ) -> Compensation:
     """Joints that bring the *real* tip to one target.
@@ -92,6 +96,9 @@ def compensate(
         position_only: leave the orientation free.
         locked: joints that stay at their seed, as in `ik.solve_many`.
         doubtful: (n,) joints whose side of arrival the context tells, but not for certain.
+        realisable: choose the command among the joints that the servos can stand at: by the steps
+            that the arm declares, from each joint's zero, or by a lattice; arms without steps are
+            commanded as they are. Off for paths of close targets; a single pass never chooses.
         settling: fields of `Settling`: when the passes end.
 
     Returns:
@@ -106,14 +113,17 @@ def compensate(
     if given.shape not in ((3,), (4, 4)):
         raise InputError("compensate", "target", f"shape {given.shape}", "shape (3,) or (4, 4)")
     free = position_only or given.ndim == 1
-    task = _Task(model, predictor, method, free, tuple(locked), Settling(**settling), doubtful)
+    lattice = lattice_of(model, realisable)
+    task = _Task(
+        model, predictor, method, free, tuple(locked), Settling(**settling), doubtful, lattice
+    )
     start = ik.checked_seed(model, seed, 1, "compensate")[0]
     return task.run(given, (context or Context.empty()).take(0), start)
 
 
 def compensate_many(
     model: Model,
-    predictor: ErrorPredictor | None,
+    predictor: ResidualPredictor | None,
     targets: np.ndarray,
     *,
     context: Context | None = None,
@@ -121,6 +131,7 @@ def compensate_many(
     method: Method = Method.BOTH,
     position_only: bool = False,
     locked: Sequence[int | str] = (),
+    realisable: bool | Lattice = True,
     **settling: Any,
 ) -> Compensations:
     """`compensate` for each of N targets, one after another.
@@ -138,11 +149,22 @@ def compensate_many(
         allowed = "shape (N, 3) or (N, 4, 4)"
         raise InputError("compensate", "targets", f"shape {targets.shape}", allowed)
     free = position_only or targets.ndim == 2
-    task = _Task(model, predictor, method, free, tuple(locked), Settling(**settling))
+    lattice = lattice_of(model, realisable)
+    task = _Task(
+        model, predictor, method, free, tuple(locked), Settling(**settling), lattice=lattice
+    )
     start = ik.checked_seed(model, seed, len(targets), "compensate")
     given = context or Context.empty()
     rows = [task.run(targets[k], given.take(k), start[k]) for k in range(len(targets))]
     return Compensations.of(rows, targets, model.arm.n)
+
+
+def lattice_of(model: Model, realisable: bool | Lattice) -> Lattice | None:
+    """Where the servos can stand; None: nothing is known of it, or it is not asked for."""
+    if realisable is False:
+        return None
+    lattice = Lattice.of(model.arm) if realisable is True else realisable
+    return lattice if lattice.step.any() else None
 
 
 @dataclass
@@ -150,12 +172,13 @@ class _Task:
     """Targets that differ in place, circumstances and seed alone."""
 
     model: Model
-    predictor: ErrorPredictor | None
+    predictor: ResidualPredictor | None
     method: Method
     position_only: bool
     locked: tuple[int | str, ...]
     settling: Settling
     doubtful: np.ndarray | None = None
+    lattice: Lattice | None = None
 
     def run(self, target: np.ndarray, context: Context, seed: np.ndarray) -> Compensation:
         """One target, (3,) or (4, 4); seed (n,) inside the limits."""
@@ -191,7 +214,7 @@ class _Target:
             return self._ended(Status.NO_PREDICTOR, NO_PREDICTOR)
         return self._correct(task.predictor)
 
-    def _correct(self, predictor: ErrorPredictor) -> Compensation:
+    def _correct(self, predictor: ResidualPredictor) -> Compensation:
         settling = self.task.settling
         while True:
             expected = predictor.predict(self.q[None], self.context)
@@ -225,6 +248,12 @@ class _Target:
     def _ended(self, status: Status, reason: str = "") -> Compensation:
         applied = np.zeros(3) if status.physics_only else self.error
         command = self.q if status is Status.SUCCESS else self.ideal
+        chosen = None
+        if status.success and self.task.lattice and not self.task.settling.single_pass:
+            chosen = self._chosen(self.task.lattice, command, status)
+            command = chosen.joints
+            applied = np.zeros(3) if status.physics_only else self.error
+            reason = "; ".join(filter(None, (reason, chosen.note)))
         sigma = self.sigma
         if status.success:
             spread, why = unknown_history(self.model, command, self.context, self.task.doubtful)
@@ -233,8 +262,31 @@ class _Target:
                 reason = f"{reason}; {why}" if reason else why
         return Compensation(
             self.target, self.ideal, applied, sigma, self.inside, shifted(self.target, applied),
-            command, self.passes, status, reason,
+            command, self.passes, status, reason, chosen,
         )  # fmt: skip
+
+    def _chosen(self, lattice: Lattice, joints: np.ndarray, status: Status) -> Realisable:
+        """Realisable joints in place of some; what is learned is looked up again where they are."""
+        task = self.task
+        learned = task.predictor if task.method.learned and not status.physics_only else None
+
+        def tip(q: np.ndarray, _: np.ndarray) -> np.ndarray:
+            poses = tip_poses(self.model, q, self.context)
+            if learned is not None:
+                poses[:, :3, 3] += learned.predict(q, self.context).error
+            return poses
+
+        free = task.position_only and self.target.ndim == 2
+        target = self.target[:3, 3] if free else self.target
+        arm = self.model.arm
+        locked = ik.locked_joints(self.model, task.locked)
+        search = Search(characteristic_length(self.model))
+        chosen = choose(arm, lattice, tip, target[None], joints[None], search, locked=locked)[0]
+        if learned is not None:
+            expected = learned.predict(chosen.joints[None], self.context)
+            self.error = np.asarray(expected.error[0], float)
+            self.sigma = np.asarray(expected.sigma[0], float)
+        return chosen
 
 
 def _reason(expected: ExpectedError) -> str:

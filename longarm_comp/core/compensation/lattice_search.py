@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -17,8 +18,6 @@ DIFFERENCE = 1e-4
 """Half the difference (rad, m) from which the tip's derivative is taken."""
 EDGE = 1e-9
 """Share of a step, or rad or m, by which rounding may put a joint beyond a limit."""
-HELD = 1e3
-"""Price factor of joints at limits, for a target whose lattice the limits cut off altogether."""
 _CHUNK = 2048  # targets at a time
 
 Predict = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -35,9 +34,9 @@ class Search:
         length_m: metres that a radian of tool angle counts for; best the arm's own
             (`ik.kernel.characteristic_length`).
         kept: points of the lattice that the model judges in each round.
-        rounds: linearisations, the first at the ideal joints, the others at the best so far.
+        rounds: linearisations, the first at the rounded joints, the others at the best so far.
         max_nodes: of the search tree of one target and round.
-        compiled: machine code or plain Python; by default machine code where llvmlite is.
+        compiled: machine code or plain Python; by default as in `Traced.run`.
     """
 
     length_m: float
@@ -70,7 +69,7 @@ class Found(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Problem:
+class LatticeProblem:
     """What N targets share: where the joints may stand, and what it costs.
 
     Attributes:
@@ -97,10 +96,15 @@ class Problem:
         """Joints for N targets; the arguments are those of `realisable.choose`."""
         ideal = np.clip(ideal, self.lower, self.upper)
         parts = [
-            _Work(self, search, predict, targets[ids], ideal[ids], ids).found()
+            _Search(self, search, predict, targets[ids], ideal[ids], ids).found()
             for ids in np.array_split(np.arange(len(ideal)), -(-len(ideal) // _CHUNK) or 1)
         ]
         return Found(*map(np.concatenate, zip(*parts, strict=True)))
+
+    @cached_property
+    def moving(self) -> np.ndarray:
+        """Numbers of the joints that are not held: the free ones, then the stepped ones."""
+        return np.concatenate([self.free, self.stepped])
 
     def whole(self, q: np.ndarray) -> np.ndarray:
         """The k inside the limits that are nearest to joints (N, n): (N, s)."""
@@ -113,12 +117,12 @@ class Problem:
         return np.clip(q, self.lower, self.upper)
 
 
-class _Work:
+class _Search:
     """Some targets at a time.  Shapes: N targets, M candidates of each, m equations."""
 
     def __init__(
         self,
-        problem: Problem,
+        problem: LatticeProblem,
         search: Search,
         predict: Predict,
         targets: np.ndarray,
@@ -130,18 +134,23 @@ class _Work:
         self.axes = None if targets.ndim == 2 else _axes(targets)
         self.ideal, self.whole = ideal, problem.whole(ideal)
         self.rounded = problem.at(ideal, self.whole)
-        self.at_limits = (self.whole == problem.low) | (self.whole == problem.high)
-        self.cut_off = np.zeros(len(ideal), bool)
         self.nodes = np.zeros(len(ideal))
 
     def found(self) -> Found:
         """Round after round the best of rounding, of what was the best, and of what is near."""
-        first = np.stack([self.ideal, self.rounded], axis=1)
+        first = np.concatenate([self.ideal[:, None], self.around(self.rounded)], axis=1)
         errors = self.errors(first)
-        self._require_finite(errors)
-        best, error = self.rounded, errors[:, 1]
-        for _ in range(self.search.rounds if self.problem.stepped.size else 0):
-            tried = np.concatenate([best[:, None], self.near(best)], axis=1)
+        bad = np.flatnonzero(~np.isfinite(errors[:, :2]).all(axis=(1, 2)))
+        if bad.size:
+            allowed = (
+                f"a finite tip at the ideal and the rounded joints of target {self.ids[bad[0]]}"
+            )
+            raise InputError("realisable", "predict", "not finite", allowed)
+        best, error, local = self.rounded, errors[:, 1], errors[:, 1:]
+        for turn in range(self.search.rounds if self.problem.stepped.size else 0):
+            if turn:
+                local = self.errors(self.around(best))
+            tried = np.concatenate([best[:, None], self.near(best, local)], axis=1)
             left = self.errors(tried)
             moved = self.problem.price * (tried - self.ideal[:, None])
             cost = (left**2).sum(axis=2) + (moved**2).sum(axis=2)
@@ -149,7 +158,7 @@ class _Work:
             place = np.argmin(cost, axis=1)[:, None, None]
             best = np.take_along_axis(tried, place, axis=1)[:, 0]
             error = np.take_along_axis(left, place, axis=1)[:, 0]
-        rows = np.concatenate([errors, error[:, None]], axis=1)
+        rows = np.concatenate([errors[:, :2], error[:, None]], axis=1)
         length = np.linalg.norm(rows[..., :3], axis=2)
         angle = np.linalg.norm(rows[..., 3:], axis=2) / self.search.length_m
         return Found(best, self.rounded, np.stack([length, angle], axis=2), self.nodes)
@@ -167,29 +176,30 @@ class _Work:
             turn = np.zeros((3, len(rows)))
             rotation_error(self.axes[rows].T, 0, _axes(tip).T, 0, turn, 0)
             made = np.concatenate([made, self.search.length_m * turn.T], axis=1)
-        shaped: np.ndarray = made.reshape(*q.shape[:2], -1)
+        shaped: np.ndarray = made.reshape(*q.shape[:2], made.shape[1])
         return shaped
 
-    def near(self, at: np.ndarray) -> np.ndarray:
+    def near(self, at: np.ndarray, local: np.ndarray) -> np.ndarray:
         """Candidates (N, kept, n) by the model linearised at joints (N, n).
 
         Of joints ``rounded + size x`` the tip's error and the price are ``A x + b``; with the free
         joints before the stepped ones the triangular factor of (A b) parts them.
+
+        Args:
+            local: errors at the joints that `around` gives.
         """
         problem, count = self.problem, len(at)
-        moving = np.concatenate([problem.free, problem.stepped])
+        moving = problem.moving
         size = np.concatenate([np.ones(problem.free.size), problem.step])
-        held = np.zeros((count, moving.size), bool)
-        held[:, problem.free.size :] = self.cut_off[:, None] & self.at_limits
-        price = problem.price[moving] * np.where(held, HELD, 1.0)
-        error, slope = self.linearised(at, moving)
+        price = problem.price[moving]
+        error, slope = local[:, 0], self.slope(at, local)
         off = (self.rounded - at)[:, moving]
         A = np.empty((count, error.shape[1] + moving.size, moving.size + 1))
         m = error.shape[1]
         A[:, :m, :-1] = slope * size
         A[:, :m, -1] = error + (slope @ off[..., None])[..., 0]
-        A[:, m:, :-1] = np.eye(moving.size) * (price * size)[:, None]
-        A[:, m:, -1] = np.where(held, 0.0, price * (self.rounded - self.ideal)[:, moving])
+        A[:, m:, :-1] = np.diag(price * size)
+        A[:, m:, -1] = price * (self.rounded - self.ideal)[:, moving]
         factor: np.ndarray = np.linalg.qr(A, mode="r")  # type: ignore[assignment]
         R, f = factor[:, : moving.size], problem.free.size
         points = nearest(
@@ -210,29 +220,28 @@ class _Work:
             )
             q[..., problem.free] += _in_box(R[:, :f, :f], b, low, high)
         q = problem.at(q, self.whole[:, None] + points.k)
-        none = points.distance2 >= NOTHING
-        self.cut_off = none[:, 0]
-        q[none] = np.broadcast_to(self.rounded[:, None], q.shape)[none]
+        nothing = (points.distance2 >= NOTHING)[..., None]
+        return np.where(nothing, self.rounded[:, None], q)
+
+    def around(self, at: np.ndarray) -> np.ndarray:
+        """Joints (N, n), then with each moving one a little up, then a little down, in limits."""
+        moving = self.problem.moving
+        number = 1 + np.arange(moving.size)
+        q = np.repeat(at[:, None], 1 + 2 * moving.size, axis=1)
+        up = np.minimum(at + DIFFERENCE, self.problem.upper)
+        down = np.maximum(at - DIFFERENCE, self.problem.lower)
+        q[:, number, moving] = up[:, moving]
+        q[:, moving.size + number, moving] = down[:, moving]
         return q
 
-    def linearised(self, at: np.ndarray, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Error (N, m) at joints (N, n) and its derivative (N, m, moving), by differences."""
-        number = np.arange(moving.size)
-        q = np.repeat(at[:, None], 1 + 2 * moving.size, axis=1)
-        up = np.minimum(at + DIFFERENCE, self.problem.upper)[:, moving]
-        down = np.maximum(at - DIFFERENCE, self.problem.lower)[:, moving]
-        q[:, 1 + number, moving] = up
-        q[:, 1 + moving.size + number, moving] = down
-        errors = self.errors(q)
-        self._require_finite(errors)
-        rise = errors[:, 1 : 1 + moving.size] - errors[:, 1 + moving.size :]
-        return errors[:, 0], (rise / (up - down)[..., None]).swapaxes(1, 2)
-
-    def _require_finite(self, errors: np.ndarray) -> None:
-        bad = np.flatnonzero(~np.isfinite(errors).all(axis=(1, 2)))
-        if bad.size:
-            target = f"tip of target {self.ids[bad[0]]} near its ideal joints"
-            raise InputError("realisable", "predict", "not finite", f"a finite {target}")
+    def slope(self, at: np.ndarray, local: np.ndarray) -> np.ndarray:
+        """Derivative (N, m, moving) from the errors at the joints that `around` gives."""
+        moving = self.problem.moving
+        up = np.minimum(at + DIFFERENCE, self.problem.upper)
+        down = np.maximum(at - DIFFERENCE, self.problem.lower)
+        rise = local[:, 1 : 1 + moving.size] - local[:, 1 + moving.size :]
+        slope = (rise / (up - down)[:, moving, None]).swapaxes(1, 2)
+        return np.where(np.isfinite(slope), slope, 0.0)
 
 
 def _axes(T: np.ndarray) -> np.ndarray:

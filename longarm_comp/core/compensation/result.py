@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.realisable import Realisable
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik.solver import Solution
 
@@ -53,6 +54,10 @@ class Status(IntEnum):
     NOT_CONVERGED = 8
     CORRECTION_TOO_LARGE = 9
     INTERNAL_ERROR = 10
+
+    def __str__(self) -> str:
+        """``success``, ``unreachable``, ... as in files."""
+        return self.name.lower()
 
     @property
     def success(self) -> bool:
@@ -121,7 +126,7 @@ class ExpectedError(Protocol):
         """(N,) bool."""
 
 
-class ErrorPredictor(Protocol):
+class ResidualPredictor(Protocol):
     """The learned residual, as far as compensation knows it."""
 
     def predict(self, q: np.ndarray, context: Context | None = None) -> ExpectedError:
@@ -144,6 +149,8 @@ class Compensation:
         command: (n,) joints to send; `ideal` where the status is no success.
         passes: pseudo-target passes used.
         status, reason: the outcome, and why or with what doubt (empty on plain success).
+        realisable: how `command` was chosen among the servos' steps; its `ideal` are the joints
+            before. None where nothing was chosen.
     """
 
     target: np.ndarray
@@ -156,6 +163,7 @@ class Compensation:
     passes: int
     status: Status
     reason: str
+    realisable: Realisable | None = None
 
     @property
     def success(self) -> bool:

@@ -136,6 +136,10 @@ class Session:
         """Number of rows."""
         return len(self.q)
 
+    def __repr__(self) -> str:
+        seen = int(self.seen.sum())
+        return f"Session({self.source}: {len(self)} rows of {self.n} joints, marker seen in {seen})"
+
     @property
     def n(self) -> int:
         """Number of commanded joints."""
@@ -160,6 +164,14 @@ class Session:
     def seen(self) -> np.ndarray:
         """(N,) whether the marker was seen."""
         return ~np.isnan(self.xyz[:, 0])
+
+    @cached_property
+    def arrivals(self) -> tuple[tuple[int, int], ...]:
+        """By joint, rows that arrived from above (-1) and from below (+1); empty: not recorded."""
+        if not self.approach.any():
+            return ()
+        above, below = (self.approach < 0).sum(axis=0), (self.approach > 0).sum(axis=0)
+        return tuple(zip(above.tolist(), below.tolist(), strict=True))
 
     @cached_property
     def pose_id(self) -> np.ndarray:

@@ -86,6 +86,7 @@ BUILT_IN: dict[str, Kind] = {kind.name: kind for kind in _OURS}
 LIBRARY: tuple[Kind, ...] = tuple(k for k in _OURS if k.searched and not k.geometry)
 """Those of this package that a diagnosis tries: what studies and benchmarks go by."""
 
+_STORED = (int, float, str, "int", "float", "str")
 _origins: dict[str, str] = {}
 _others: dict[str, Kind] = {}
 
@@ -231,7 +232,13 @@ def _check(kind: Kind, source: str) -> None:
     frozen = "__dataclass_params__" in vars(kind) and vars(kind)["__dataclass_params__"].frozen
     if not frozen:
         raise InputError(source, name, kind.__name__, "a frozen dataclass, @dataclass(frozen=True)")
-    for field in kind.undeclared():
-        raise InputError(source, f"{name}.{field}", "undeclared", "place(), form() or parameter()")
-    for field in (f.name for f in dataclasses.fields(kind) if hasattr(Effect, f.name)):
-        raise InputError(source, f"{name}.{field}", "taken", "a name that no effect has otherwise")
+    for missing in kind.undeclared():
+        raise InputError(
+            source, f"{name}.{missing}", "undeclared", "place(), form() or parameter()"
+        )
+    for field in dataclasses.fields(kind):
+        where = f"{name}.{field.name}"
+        if hasattr(Effect, field.name) or hasattr(Bias, field.name):
+            raise InputError(source, where, "taken", "a name that no effect has otherwise")
+        if field.type not in _STORED:
+            raise InputError(source, where, field.type, "int, float or str: what model.yaml holds")

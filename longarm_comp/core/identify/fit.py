@@ -7,6 +7,7 @@ that no model of this kind explains get weight 0, anew at every step.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -197,7 +198,7 @@ class _SessionProblem:
         noise = np.full(3, np.nan) if sigma is None else np.asarray(sigma, float)
         empty = np.empty(0)
         return cls(
-            model,
+            dataclasses.replace(model, arrivals=seen.arrivals),
             seen,
             context,
             unstack(seen.q),

@@ -31,7 +31,6 @@ class SearchResult:
 
     Attributes:
         fit: the final model, fitted.
-        base: the model without any found effect.
         chosen: the terms found, by place.
         noise: as judged last.
         first: every candidate's score before anything was added.
@@ -41,7 +40,6 @@ class SearchResult:
     """
 
     fit: ModelFit
-    base: Model
     chosen: tuple[Term, ...]
     noise: NoiseEstimate
     first: tuple[Score, ...]
@@ -98,7 +96,6 @@ def search(
     state.settle()
     return SearchResult(
         state.fit,
-        base,
         tuple(state.chosen.values()),
         state.noise,
         first,

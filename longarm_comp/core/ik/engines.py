@@ -94,6 +94,11 @@ def warm_up(model: Model | None = None, context: Context | None = None) -> bool:
     return compiler_at_hand()
 
 
+def worth_compiling(asked: float) -> bool:
+    """Whether to compile what did so many single targets' worth of work without."""
+    return compiler_at_hand() and (_LongLived.now or asked > _COMPILE_AFTER)
+
+
 def is_compiled(kernel: Kernel, engine: Engine) -> bool:
     """Whether one target would be solved by machine code."""
     if engine is Engine.AUTO:
@@ -139,8 +144,7 @@ def _chosen(model: Model, layout: Layout, count: int) -> Engine:
         return Engine.MODEL
     kernel = kernel_of(model, layout)
     kernel.asked += count if count <= _FEW else _WORTH * count
-    pays = _LongLived.now or kernel.asked > _COMPILE_AFTER
-    if compiler_at_hand() and (pays or is_compiled(kernel, Engine.AUTO)):
+    if is_compiled(kernel, Engine.AUTO) or worth_compiling(kernel.asked):
         return Engine.COMPILED
     return Engine.PYTHON if count <= _FEW else Engine.ARRAYS
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.ik.engines import Engine, is_compiled
-from longarm_comp.core.ik.kernel import Kernel, Layout, kernel_of
+from longarm_comp.core.ik.kernel import Kernel, kernel_of
 from longarm_comp.core.ik.newton import LEVELS, evaluation
 from longarm_comp.core.model.model import Model
 
@@ -24,7 +24,7 @@ def tip_poses(model: Model, q: np.ndarray, context: Context | None = None) -> np
         (M, 4, 4), base frame.
     """
     context = context or Context.empty()
-    layout = Layout.of(context)
+    layout = context.layout
     if not layout.traceable or not len(q):
         return model.pose(q, context)
     kernel = kernel_of(model, layout)

@@ -25,7 +25,8 @@ from longarm_comp.core.ik.traced import Traced
 
 LOVASZ = 0.99
 MAX_SWEEPS = 200.0
-MAX_WIDER = 4.0
+MAX_WIDER = 8.0
+_SLACK = 1e-9  # of a step
 NOTHING = 1e300
 """Squared distance of a place in the list where no point was found."""
 
@@ -64,7 +65,7 @@ def nearest(
         low, high: (N, n), whole numbers, the box of k.
         kept: points wanted.
         max_nodes: nodes after which a search ends with what it has.
-        compiled: machine code or plain Python; by default machine code where llvmlite is.
+        compiled: machine code or plain Python; by default as in `Traced.run`.
     """
     count, n = low.shape
     traced = _search(n, kept)
@@ -97,7 +98,8 @@ def rows(n: int, kept: int) -> dict[str, range]:
     sizes = {
         "R": n * (n + 1), "low": n, "high": n, "radius2": 1, "live": 1, "cap": 1,
         "k": kept * n, "distance2": kept, "nodes": 1,
-        "U": n * n, "more": 1, "wider": 1, "sweeps": 1,
+        "U": n * n, "more": 1, "sweeps": 1, "wider": 1, "inner2": 1,
+        "W": n * n, "spread2": n * n, "expected": n * (n + 1),
         "z": n, "centre": n, "side": n, "sum": n + 1,
         **{f"open{level}": 1 for level in range(n + 1)},
     }  # fmt: skip
@@ -112,8 +114,9 @@ def begin(s: State, n: int, kept: int) -> Outcome:
     """Nothing reduced, nothing found."""
     return {
         "U": [float(i == j) for i in range(n) for j in range(n)], "sweeps": [0.0],
-        "more": s["live"], "wider": [0.0], "k": [0.0] * (kept * n), "distance2": [NOTHING] * kept,
-        "nodes": [0.0], "sum": [0.0] * (n + 1), f"open{n}": s["live"],
+        "more": s["live"], "wider": [0.0], "inner2": [0.0],
+        "k": [0.0] * (kept * n), "distance2": [NOTHING] * kept, "nodes": [0.0],
+        "sum": [0.0] * (n + 1), f"open{n}": s["live"],
     }  # fmt: skip
 
 
@@ -158,6 +161,30 @@ def reduce(s: State, n: int) -> Outcome:
     return {"R": R, "U": U}
 
 
+def inverse(s: State, n: int) -> Outcome:
+    """k as a function of what is left: ``k = expected + W (R z + y)``, so that the box prunes.
+
+    `spread2` sums squares of W up to a level; `expected` is kept level by level.
+    """
+    wide, R = n + 1, s["R"]
+    W: list[Any] = list(s["U"])
+    for j in range(n):
+        for i in range(n):
+            for a in range(j):
+                W[i * n + j] = W[i * n + j] - W[i * n + a] * R[a * wide + j]
+            W[i * n + j] = W[i * n + j] / R[j * wide + j]
+    expected, spread2 = list(s["expected"]), list(s["spread2"])
+    for i in range(n):
+        middle: Any = 0.0
+        square: Any = 0.0
+        for j in range(n):
+            middle = middle - W[i * n + j] * R[j * wide + n]
+            square = square + W[i * n + j] * W[i * n + j]
+            spread2[i * n + j] = square
+        expected[n * n + i] = middle
+    return {"W": W, "spread2": spread2, "expected": expected}
+
+
 def _subtract(R: list[Any], U: list[Any], n: int, b: int, a: int) -> None:
     """Take column a off column b as often as makes it shortest."""
     wide = n + 1
@@ -169,16 +196,30 @@ def _subtract(R: list[Any], U: list[Any], n: int, b: int, a: int) -> None:
 
 
 def enter(s: State, n: int, level: int) -> Outcome:
-    """The first number to try at a level: the one nearest to what the levels above ask for."""
-    wide, R = n + 1, s["R"]
+    """The first number to try at a level: the one nearest to what the levels above ask for.
+
+    Unless the box cannot be reached any more, however the rest is chosen within the radius.
+    """
+    wide, R, above = n + 1, s["R"], level + 1
+    may: Any = s[f"open{above}"][0]
+    expected = list(s["expected"])
+    room2 = s["radius2"][0] - s["sum"][above]
+    for i in range(n):
+        k = expected[(above + (above < n)) * n + i]
+        if above < n:
+            left = R[above * wide + above] * (s["z"][above] - s["centre"][above])
+            k = expected[above * n + i] = k + s["W"][i * n + above] * left
+        reach2 = _SLACK + (1.0 + _SLACK) * room2 * s["spread2"][i * n + level]
+        for gap in (s["low"][i] - k, k - s["high"][i]):
+            may = where(gap > 0.0, where(gap * gap > reach2, 0.0, may), may)
     rest: Any = -R[level * wide + n]
-    for j in range(level + 1, n):
+    for j in range(above, n):
         rest = rest - R[level * wide + j] * s["z"][j]
     centre = rest / R[level * wide + level]
     z = floor(centre + 0.5)
     side = where(centre < z, -1.0, 1.0)
-    held = _with(s["centre"], level, centre)
-    return _tried(s, n, level, z, side, centre, s[f"open{level + 1}"][0]) | {"centre": held}
+    made = _tried(s, n, level, z, side, centre, may)
+    return made | {"centre": _with(s["centre"], level, centre), "expected": expected}
 
 
 def advance(s: State, n: int, level: int) -> Outcome:
@@ -205,6 +246,7 @@ def _tried(
 def leaf(s: State, n: int, kept: int) -> Outcome:
     """Put a point into the list of the best, if it lies in the box; the worst is the radius."""
     found: Any = where(s["open0"][0] > 0.0, s["sum"][0], NOTHING)
+    found = where(found < s["inner2"][0], NOTHING, found)
     point = []
     for i in range(n):
         k: Any = 0.0
@@ -224,13 +266,17 @@ def leaf(s: State, n: int, kept: int) -> Outcome:
 
 
 def widen(s: State, n: int) -> Outcome:
-    """Walk again with twice the squared radius where the list is not full; `open<n>`: do."""
+    """Walk again, twice the squared radius, for a list that is not full; `open<n>`: do.
+
+    What lies inside the radius before is in the list already.
+    """
     lacking = where(s["distance2"][-1] < NOTHING, 0.0, s[f"open{n}"][0])
     wider = s["wider"][0] + lacking
-    again = where(wider < MAX_WIDER, lacking, 0.0)
+    again = where(wider < MAX_WIDER, where(s["nodes"][0] < s["cap"][0], lacking, 0.0), 0.0)
+    inner2 = s["radius2"][0]
     return {
-        f"open{n}": [again], "wider": [wider], "radius2": [(1.0 + again) * s["radius2"][0]],
-        "distance2": [where(again > 0.0, NOTHING, d) for d in s["distance2"]],
+        f"open{n}": [again], "wider": [wider], "inner2": [inner2],
+        "radius2": [(1.0 + again) * inner2],
     }  # fmt: skip
 
 
@@ -247,7 +293,7 @@ def flow(n: int) -> Flow:
     for level in range(n):
         walk = (f"enter{level}", Repeat(f"open{level}", (*walk, f"advance{level}")))
     again = Repeat(f"open{n}", (*walk, "widen"))
-    return ("begin", Repeat("more", ("sweep",)), "reduce", again)
+    return ("begin", Repeat("more", ("sweep",)), "reduce", "inverse", again)
 
 
 @cache
@@ -256,7 +302,7 @@ def _search(n: int, kept: int) -> Traced:
     work: dict[str, Callable[[State], Outcome]] = {
         "begin": partial(begin, n=n, kept=kept), "sweep": partial(sweep, n=n),
         "reduce": partial(reduce, n=n), "leaf": partial(leaf, n=n, kept=kept),
-        "widen": partial(widen, n=n),
+        "inverse": partial(inverse, n=n), "widen": partial(widen, n=n),
         **{f"enter{i}": partial(enter, n=n, level=i) for i in range(n)},
         **{f"advance{i}": partial(advance, n=n, level=i) for i in range(n)},
     }  # fmt: skip

@@ -14,7 +14,7 @@ import numpy as np
 
 from longarm_comp.core.ik.codegen import python as emit
 from longarm_comp.core.ik.codegen.symbolic import Graph
-from longarm_comp.core.ik.engines import Column, compiler_at_hand
+from longarm_comp.core.ik.engines import Column, worth_compiling
 from longarm_comp.core.ik.newton import Flow, Outcome, State, run
 
 
@@ -30,7 +30,7 @@ class Traced:
     def __init__(
         self, place: dict[str, range], work: Mapping[str, Callable[[State], Outcome]], flow: Flow
     ) -> None:
-        self.place, self.flow = place, flow
+        self.place, self.flow, self.asked = place, flow, 0
         self.size = 1 + max(r[-1] for r in place.values())
         self.programs = {name: self._traced(do) for name, do in work.items()}
 
@@ -55,10 +55,12 @@ class Traced:
         """The columns of N runs, (N, size), each started from zeros and what is given, (N, k).
 
         Args:
-            compiled: machine code or plain Python; by default machine code where llvmlite is.
+            compiled: machine code or plain Python; by default machine code once it pays
+                (`engines.warm_up`, or after some hundred runs) where llvmlite is at hand.
         """
+        self.asked += count
         if compiled is None:
-            compiled = compiler_at_hand()
+            compiled = "_code" in self.__dict__ or worth_compiling(self.asked)
         return self._compiled(given, count) if compiled else self._interpreted(given, count)
 
     @cached_property
@@ -92,6 +94,7 @@ class Traced:
         for name, values in given.items():
             lanes = np.zeros((len(blocks) * width, values.shape[1]))
             lanes[:count] = values
-            blocks[:, self.slice(name)] = lanes.reshape(len(blocks), width, -1).swapaxes(1, 2)
+            lanes = lanes.reshape(len(blocks), width, values.shape[1])
+            blocks[:, self.slice(name)] = lanes.swapaxes(1, 2)
         self._code.function("many_flow")(blocks.ctypes.data, len(blocks))
         return blocks.swapaxes(1, 2).reshape(-1, self.size)[:count]

@@ -102,7 +102,10 @@ class Nearby:
         self._held: tuple[np.ndarray, Context, Expansion] | None = None
 
     def predict(self, q: np.ndarray, context: Context | None = None) -> Prediction:
-        """Expected residual at joints (1, n); as `Predictor.predict`."""
+        """Expected residual at joints (N, n); as `Predictor.predict`.
+
+        Asked near the first of them; the others are extrapolated from there, whatever the reach.
+        """
         joints, given = q[0], context or Context.empty()
         held = self._held
         if held is None or not (
@@ -110,10 +113,11 @@ class Nearby:
         ):
             held = self._held = joints.copy(), given, self._ask(joints, given)
         at, _, found = held
+        count = len(q)
         return Prediction(
-            (found.error + found.jacobian @ (joints - at))[None],
-            found.sigma[None],
-            np.array([found.in_domain]),
-            [found.reason],
-            np.array([found.doubt]),
+            found.error + (q - at) @ found.jacobian.T,
+            np.repeat(found.sigma[None], count, axis=0),
+            np.full(count, found.in_domain),
+            [found.reason] * count,
+            np.full(count, found.doubt),
         )

@@ -9,6 +9,7 @@ knows no effect.
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -62,6 +63,11 @@ class Model:
     passes: int = 3
     elements_per_beam: int = 2
     arrivals: tuple[tuple[int, int], ...] = ()
+
+    def __repr__(self) -> str:
+        counts = Counter(term.name for term in self.terms)
+        held = (f"{count} {name}" if count > 1 else name for name, count in counts.items())
+        return f"Model({self.arm.name}: {', '.join(held) or 'rigid'})"
 
     def __getstate__(self) -> dict[str, object]:
         """Copies and other processes get what was declared, not what was compiled for it."""

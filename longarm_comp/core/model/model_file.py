@@ -62,6 +62,7 @@ class StoredModel(Declared):
     effects: list[StoredTerm]
     camera: list[StoredTerm]
     provenance: dict[str, str | int | float]
+    arrivals: tuple[tuple[int, int], ...] = ()
 
 
 def store(
@@ -114,6 +115,7 @@ def store(
         passes=model.passes,
         elements_per_beam=model.elements_per_beam,
         provenance={**(provenance or {}), **_sources(model)},
+        arrivals=model.arrivals,
         **sides,
     )
 
@@ -221,7 +223,15 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
         tuple(t for t in terms if isinstance(t, Bias)),
         stored.passes,
         stored.elements_per_beam,
+        _arrivals(stored, arm, where),
     )
+
+
+def _arrivals(stored: StoredModel, arm: Arm, where: str) -> tuple[tuple[int, int], ...]:
+    if stored.arrivals and len(stored.arrivals) != arm.n:
+        allowed = f"two numbers for each of {arm.n} joints, or none"
+        raise InputError(where, "arrivals", f"of {len(stored.arrivals)} joints", allowed)
+    return stored.arrivals
 
 
 def _check_place(term: Effect | Bias, arm: Arm, where: str) -> None:

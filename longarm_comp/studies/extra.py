@@ -1,0 +1,23 @@
+"""What the studies need and the package does not: the extra ``studies``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from longarm_comp.core.errors import JobError
+
+
+@contextmanager
+def extra() -> Iterator[None]:
+    """Around imports of libraries that only the studies need.
+
+    Raises:
+        JobError: one of them is not installed.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        wanted = "pip install 'longarm_comp[studies]'"
+        library = str(error.name).partition(".")[0]
+        raise JobError(f"this study needs {library}: {wanted}") from error

@@ -1,0 +1,254 @@
+"""What choosing realisable joints together brings, and what it needs to know.
+
+The truth is the model itself, on servos of so many steps a turn and slides of a tenth of a
+millimetre; only the sensitivity rows have servos, or an arm, that differ from what is declared.
+"""
+
+from __future__ import annotations
+
+import copy
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.compensation.realisable import KNOWN_TO, Lattice, Realisables, Search, choose
+from longarm_comp.core.effects.tip_offset import TipOffset
+from longarm_comp.core.ik import solver as ik
+from longarm_comp.core.ik.forward import tip_poses
+from longarm_comp.core.ik.kernel import characteristic_length
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
+
+SLIDE_STEP_M = 1e-4
+POSE_LENGTH_M = 0.3
+PRICES_MM_PER_DEG = (1.0, 0.3, 0.1, 0.03)
+WRONG_STEPS = (996, 1010, 500)
+WRONG_OFFSETS = (0.1, 0.25, 0.5)
+MODEL_ERROR_M = 2e-4
+PATH_STEP_M = 5e-3
+PATH_POINTS = 60
+TIMINGS = 5
+
+_WRIST: list[dict[str, Any]] = [
+    {"type": "revolute", "a_m": 0.04, "alpha_deg": -90, "d_m": 0, "limits_deg": [-40, 40]},
+    {"type": "revolute", "a_m": 0.05, "alpha_deg": 90, "d_m": 0, "limits_deg": [-40, 40]},
+]
+
+
+@dataclass(frozen=True)
+class ArmCase:
+    """An arm with stepped servos, some of its joints locked."""
+
+    name: str
+    model: Model
+    locked: tuple[int, ...] = ()
+
+    @property
+    def turning(self) -> np.ndarray:
+        """Numbers of the revolute joints."""
+        arm = self.model.arm
+        kinds = [arm.joints[row - 1].type for row in arm.commanded]
+        return np.flatnonzero(np.array(kinds) == "revolute")
+
+    def targets(self, count: int, rng: np.random.Generator, pose: bool) -> StudyTargets:
+        """Tips at random joints; the ideal joints for them are found from mid-range."""
+        arm, locked = self.model.arm, list(self.locked)
+        q = rng.uniform(arm.lower, arm.upper, (4 * count, arm.n))
+        q[:, locked] = arm.mid[locked]
+        poses = tip_poses(self.model, q)
+        asked = poses if pose else poses[:, :3, 3]
+        found = ik.solve_many(self.model, asked, locked=locked)
+        kept = np.flatnonzero(found.ok)[:count]
+        return StudyTargets(self, asked[kept], found.q[kept])
+
+
+@dataclass(frozen=True)
+class StudyTargets:
+    """Targets of a case, positions (N, 3) or poses (N, 4, 4), and their ideal joints."""
+
+    case: ArmCase
+    asked: np.ndarray
+    ideal: np.ndarray
+
+    def search(self, **options: Any) -> Search:
+        """The options as shipped, but for some."""
+        pose = self.asked.ndim == 3
+        length = POSE_LENGTH_M if pose else characteristic_length(self.case.model)
+        return Search(length, **options)
+
+    def choose(self, rows: slice = slice(None), **options: Any) -> Realisables:
+        """The joints chosen for some of the targets."""
+        case = self.case
+        return choose(
+            case.model.arm,
+            Lattice.of(case.model.arm),
+            lambda q, _: tip_poses(case.model, q),
+            self.asked[rows],
+            self.ideal[rows],
+            self.search(**options),
+            locked=case.locked,
+        )
+
+    def seconds(self) -> float:
+        """Processor time of a target on its own: best of several runs, median over targets."""
+        spent = np.empty((len(self.ideal), TIMINGS))
+        for i, run in np.ndindex(*spent.shape):
+            began = time.process_time()
+            self.choose(slice(i, i + 1))
+            spent[i, run] = time.process_time() - began
+        return float(np.median(spent.min(axis=1)))
+
+
+def cases(base: Arm, steps: int) -> list[ArmCase]:
+    """Variants of an arm with servos of so many steps a turn: slides locked, a wrist added."""
+    whole = _stepped(base, steps)
+    slides = [
+        k for k, row in enumerate(whole.commanded) if whole.joints[row - 1].type == "prismatic"
+    ]
+    model = declared_model(whole)
+    made = [
+        ArmCase(f"{whole.n - len(locked)} joints", model, tuple(locked))
+        for locked in (slides, slides[-1:], [])
+    ]
+    wrist = declared_model(_stepped(base, steps, wrist=True))
+    return [*made, ArmCase(f"{wrist.arm.n} joints", wrist)]
+
+
+def _stepped(base: Arm, steps: int, *, wrist: bool = False) -> Arm:
+    data = base.model_dump(mode="json", exclude_defaults=True)
+    if wrist:
+        rows = len(data["joints"])
+        for k, joint in enumerate(copy.deepcopy(_WRIST), 1):
+            data["joints"].append(joint | {"id": rows + k})
+        data["tip"]["frame"] = rows + len(_WRIST)
+    for joint in data["joints"]:
+        if joint["type"] == "revolute" and "mimic" not in joint:
+            joint["step_deg"] = 360 / steps
+        elif joint["type"] == "prismatic" and "mimic" not in joint:
+            joint["step_m"] = SLIDE_STEP_M
+    return Arm.parse(data, "study")
+
+
+def arms_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, object]]:
+    """Arms with few and many joints, positions and poses."""
+    made: list[dict[str, object]] = []
+    for case in cases(base, steps):
+        ik.warm_up(case.model)
+        for pose in (False, True):
+            freedom = case.model.arm.n - len(case.locked)
+            if pose and freedom < 6:
+                continue  # no two sets of joints for a pose
+            t = case.targets(count, np.random.default_rng(seed), pose)
+            t.choose(slice(0, 1))  # compiled, if it is
+            got = t.choose()
+            error, rounded = got.error, got.rounded_error
+            made.append(
+                {
+                    "arm": case.name,
+                    "target": "pose" if pose else "position",
+                    "targets": len(t.ideal),
+                    "rounded_mm": 1e3 * rounded[:, 0].mean(),
+                    "mean_mm": 1e3 * error[:, 0].mean(),
+                    "p95_mm": 1e3 * np.percentile(error[:, 0], 95),
+                    "rounded_mrad": 1e3 * rounded[:, 1].mean() if pose else None,
+                    "mean_mrad": 1e3 * error[:, 1].mean() if pose else None,
+                    "moved_deg": _moved(case, got, got.joints),
+                    "nodes": float(got.nodes.mean()),
+                    "cpu_us": 1e6 * t.seconds(),
+                }
+            )
+    return made
+
+
+def price_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, object]]:
+    """The price of movement: the error of single targets against moves along a line."""
+    case = _whole(base, steps)
+    t = case.targets(count, np.random.default_rng(seed), False)
+    line = _line(case, seed)
+    made: list[dict[str, object]] = []
+
+    def add(name: object, error: np.ndarray, at: np.ndarray, path: np.ndarray) -> None:
+        made.append(
+            {
+                "price_mm_per_deg": name,
+                "mean_mm": 1e3 * error[:, 0].mean(),
+                "moved_deg": _moved(case, single, at),
+                "path_move_deg": _path_move(case, path),
+            }
+        )
+
+    for price in PRICES_MM_PER_DEG:
+        price_m = float(np.degrees(1e-3 * price))
+        single, along = t.choose(price_m=price_m), line.choose(price_m=price_m)
+        if not made:
+            add("ideal joints", single.ideal_error, single.ideal, along.ideal)
+            add("rounding", single.rounded_error, single.rounded, along.rounded)
+        add(price, single.error, single.joints, along.joints)
+    return made
+
+
+def sensitivity_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, object]]:
+    """Where servos or arm are not as declared: true error of rounding and of the choice."""
+    case = _whole(base, steps)
+    t = case.targets(count, np.random.default_rng(seed), False)
+    got = t.choose()
+    arm, rng = case.model.arm, np.random.default_rng(seed)
+    right, some = np.zeros(arm.n), (len(t.ideal), arm.n)
+    truth = [("as declared", arm.steps, right, case.model)]
+    for true in WRONG_STEPS:
+        wrong = arm.steps.copy()
+        wrong[case.turning] *= steps / true
+        truth.append((f"{true} steps a turn", wrong, right, case.model))
+    for share in WRONG_OFFSETS:
+        offset = rng.uniform(-share, share, some) * arm.steps
+        truth.append((f"offset of up to {share:g} of a step", arm.steps, offset, case.model))
+    offset = rng.normal(0.0, KNOWN_TO, some) * arm.steps
+    truth.append((f"offset of sd {KNOWN_TO:g} of a step", arm.steps, offset, case.model))
+    aside = case.model.plus(TipOffset(x=MODEL_ERROR_M))
+    truth.append((f"tip {1e3 * MODEL_ERROR_M:g} mm aside", arm.steps, right, aside))
+    made: list[dict[str, object]] = []
+    for name, step, offset, model in truth:
+        low = np.ceil((arm.lower - offset) / step - 1e-9)
+        high = np.floor((arm.upper - offset) / step + 1e-9)
+        errors = []
+        for sent in (got.ideal, got.joints):  # a servo stands at the nearest of its own steps
+            stood = offset + step * np.clip(np.rint((sent - offset) / step), low, high)
+            errors.append(1e3 * np.linalg.norm(model.tip(stood) - t.asked, axis=1).mean())
+        made.append({"truth": name, "rounded_mm": errors[0], "mean_mm": errors[1]})
+    return made
+
+
+def _whole(base: Arm, steps: int) -> ArmCase:
+    case = cases(base, steps)[2]
+    ik.warm_up(case.model)
+    return case
+
+
+def _line(case: ArmCase, seed: int) -> StudyTargets:
+    """A straight line between two tips, a target every `PATH_STEP_M`, each from the one before."""
+    arm, rng = case.model.arm, np.random.default_rng(seed)
+    while True:
+        q = rng.uniform(arm.lower, arm.upper, (2, arm.n))
+        ends = case.model.tip(q)
+        number = int(np.linalg.norm(ends[1] - ends[0]) / PATH_STEP_M)
+        points = ends[0] + np.linspace(0, 1, number + 1)[:, None] * (ends[1] - ends[0])
+        joints, found = [q[0]], True
+        for point in points:
+            solved = ik.solve(case.model, point, seed=joints[-1], max_starts=1)
+            joints.append(solved.q)
+            found = found and solved.ok
+        if found and number >= PATH_POINTS:
+            return StudyTargets(case, points, np.array(joints[1:]))
+
+
+def _path_move(case: ArmCase, q: np.ndarray) -> float:
+    """Largest move (deg) of a revolute joint between neighbours of a path."""
+    return float(np.degrees(np.abs(np.diff(q[:, case.turning], axis=0)).max()))
+
+
+def _moved(case: ArmCase, got: Realisables, q: np.ndarray) -> float:
+    """How far (deg) the revolute joint that moves most is from its ideal, mean over targets."""
+    return float(np.degrees(np.abs(q - got.ideal)[:, case.turning].max(axis=1).mean()))

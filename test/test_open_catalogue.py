@@ -1,0 +1,501 @@
+"""Effects of others: a file, a package, a program; searched, saved, loaded and used like ours."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+import yaml
+from hidden_arm import at, session
+from small_arm import ARM
+
+import longarm_comp
+from longarm_comp.cli.run import run
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.compensation.compensate import compensate_many
+from longarm_comp.core.effects import catalogue
+from longarm_comp.core.effects.catalogue import BUILT_IN, LIBRARY, load_file, register, searched
+from longarm_comp.core.effects.effect import Effect, form, moving_joints, parameter, place
+from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
+from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.candidates import library
+from longarm_comp.core.identify.diagnosis import diagnose
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model_file import load_model, save_model, store
+from longarm_comp.sessions.csv import read_csv
+from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.hidden import drives
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLE = ROOT / "examples" / "custom_effect.py"
+GAIN = (drives.JointGain(at(2, 0.02)),)
+
+
+@pytest.fixture(autouse=True)
+def catalogue_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a test registers is gone after it."""
+    monkeypatch.setattr(catalogue, "_others", {})
+    monkeypatch.setattr(catalogue, "_origins", {})
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that the page docs/add_an_effect.md works in, its diagnosis included."""
+    folder = tmp_path_factory.mktemp("cable")
+    made = subprocess.run(
+        [sys.executable, str(ROOT / "examples" / "custom_effect_session.py"), str(folder)],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert made.returncode == 0, made.stderr
+    words = ("diagnose", folder / "arm.yaml", folder / "samples.csv", "--test", folder / "test.csv")
+    options = ("--no-network", "--effects", EXAMPLE, "-o", folder / "diagnosis")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(catalogue, "_others", {})
+        patch.setattr(catalogue, "_origins", {})
+        assert run([str(word) for word in (*words, *options)]) == 0
+    return folder
+
+
+# ------------------------------------------------------------------ the example, from end to end
+
+
+def test_an_effect_of_a_file_is_named_at_its_own_place(example: Path) -> None:
+    report = json.loads((example / "diagnosis" / "report.json").read_text())
+    assert report["verdict"] == "named"
+    (finding,) = report["findings"]
+    assert (finding["effect"], finding["where"]) == ("cable_coupling", ["joint 5, driver 2"])
+    (gain,) = finding["parameters"]
+    assert gain["ci95"][0] < 0.03 < gain["ci95"][1]
+    rows = {row["model"]: row["mean_mm"] for row in report["held_out"]["rows"]}
+    assert rows["with_effects"] < 0.5 * rows["calibrated"]
+    page = (example / "diagnosis" / "report.html").read_text()
+    assert "cable_coupling" in page
+    assert "q2" in page
+    assert "file custom_effect.py" in page
+
+
+def test_without_it_the_structure_says_what_to_write(example: Path) -> None:
+    arm = Arm.load(example / "arm.yaml")
+    seen, test = (read_csv(example / f"{name}.csv", arm) for name in ("samples", "test"))
+    structure = diagnose(arm, seen, test=test).structure
+    assert structure.flag
+    assert (structure.inputs[0], structure.at) == ("q2", "joint 5")
+
+
+def test_its_places_are_one_family(demo_arm_path: Path) -> None:
+    arm = Arm.load(demo_arm_path)
+    (kind,) = load_file(EXAMPLE)
+    known = library(arm, session().context(), (kind,))
+    sizes = [len(c.terms) for c in known.testable]
+    assert sizes == [1] * 10 + [10]
+    assert all(c.form == () for c in known.testable)
+    assert known.testable[0].label == "cable_coupling (joint 2, driver 1)"
+
+
+def test_without_its_file_a_model_is_refused_and_says_which(example: Path) -> None:
+    with pytest.raises(InputError, match=r"'cable_coupling'.*file custom_effect\.py.*--effects"):
+        load_model(example / "diagnosis" / "model.yaml", Arm.load(example / "arm.yaml"))
+
+
+def test_a_model_file_never_runs_code(example: Path, tmp_path: Path) -> None:
+    trap = tmp_path / "trap.py"
+    trap.write_text(f"open({str(tmp_path / 'ran')!r}, 'w')")
+    data = yaml.safe_load((example / "diagnosis" / "model.yaml").read_text())
+    data["provenance"]["cable_coupling_from"] = f"file {trap}"
+    (tmp_path / "model.yaml").write_text(yaml.safe_dump(data))
+    with pytest.raises(InputError, match=r"trap\.py"):
+        load_model(tmp_path / "model.yaml", Arm.load(example / "arm.yaml"))
+    assert not (tmp_path / "ran").exists()
+
+
+def test_with_its_file_the_real_tip_lands_on_targets(example: Path) -> None:
+    sys.path.insert(0, str(ROOT / "examples"))
+    try:
+        from custom_effect_session import CablePull
+    finally:
+        sys.path.pop(0)
+    load_file(EXAMPLE)
+    arm = Arm.load(example / "arm.yaml")
+    model = load_model(example / "diagnosis" / "model.yaml", arm)
+    q = np.random.default_rng(5).uniform(arm.lower, arm.upper, (30, arm.n))
+    targets = TrueArm(arm).tip(q)
+    missed = {}
+    without = Model(arm, tuple(e for e in model.effects if e.name != "cable_coupling"))
+    for name, used in (("with", model), ("without", without)):
+        command = compensate_many(used, None, targets, seed=q, position_only=True).command
+        tip = TrueArm(arm, [CablePull()]).tip(command)
+        missed[name] = float(np.linalg.norm(tip - targets, axis=1).mean())
+    assert missed["with"] < 3e-4
+    assert missed["with"] < 0.2 * missed["without"]
+
+
+@pytest.mark.parametrize("command", ["calibrate", "evaluate", "compensate", "train", "effects"])
+def test_commands_take_the_file(example: Path, tmp_path: Path, command: str) -> None:
+    arm, model = example / "arm.yaml", example / "diagnosis" / "model.yaml"
+    words: dict[str, tuple[object, ...]] = {
+        "calibrate": (arm, example / "samples.csv", "--effect", "cable_coupling"),
+        "evaluate": (arm, "--test", example / "test.csv", "--model", model),
+        "compensate": (arm, 1.0, 0.0, 0.2, "--position-only", "--model", model),
+        "train": (arm, example / "samples.csv", "--model", model, "--ensemble", 1, "--hidden", 4),
+        "effects": (),
+    }
+    output = () if command in ("evaluate", "effects") else ("-o", tmp_path / "made")
+    call = [command, *map(str, (*words[command], *output))]
+    assert run(call) == (0 if command == "effects" else 2)
+    assert run([*call, "--effects", str(EXAMPLE)]) == 0
+
+
+def test_the_table_says_where_an_effect_is_from(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["effects", "--json", "--effects", str(EXAMPLE)]) == 0
+    rows = {row["effect"]: row for row in json.loads(capsys.readouterr().out)}
+    assert rows["cable_coupling"]["from"] == "file custom_effect.py"
+    assert {row["from"] for name, row in rows.items() if name in BUILT_IN} == {"longarm_comp"}
+
+
+def test_an_unknown_place_of_its_own_is_refused(example: Path, tmp_path: Path) -> None:
+    load_file(EXAMPLE)
+    data = yaml.safe_load((example / "diagnosis" / "model.yaml").read_text())
+    entry = next(e for e in data["effects"] if e["effect"] == "cable_coupling")
+    entry["form"]["driver"] = 99
+    (tmp_path / "model.yaml").write_text(yaml.safe_dump(data))
+    with pytest.raises(InputError, match=r"cable_coupling\.driver: 99; allowed: \[1, 2, 3"):
+        load_model(tmp_path / "model.yaml", Arm.load(example / "arm.yaml"))
+
+
+# ------------------------------------------------------------------ a package
+
+
+PROJECT = """
+[build-system]
+requires = ["setuptools"]
+build-backend = "setuptools.build_meta"
+[project]
+name = "cable-effects"
+version = "1.2"
+[project.entry-points."longarm_comp.effects"]
+{entry} = "{target}"
+[tool.setuptools]
+py-modules = ["cable_effects"]
+"""
+
+
+def installed(folder: Path, entry: str, target: str = "cable_effects:CableCoupling") -> Path:
+    """A package with the example's effect, built and installed into a folder."""
+    source = folder / "source"
+    source.mkdir()
+    (source / "pyproject.toml").write_text(PROJECT.format(entry=entry, target=target))
+    (source / "cable_effects.py").write_text(EXAMPLE.read_text())
+    site = folder / "site"
+    quiet = ("--quiet", "--disable-pip-version-check", "--no-index", "--no-deps")
+    words = ("-m", "pip", "install", *quiet, "--no-build-isolation", "--target", site, source)
+    done = subprocess.run([sys.executable, *map(str, words)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return site
+
+
+def longarm(site: Path | None, *words: object) -> subprocess.CompletedProcess[str]:
+    path = os.pathsep.join(str(p) for p in (ROOT, site) if p is not None)
+    return subprocess.run(
+        [sys.executable, "-m", "longarm_comp", *map(str, words)],
+        env={**os.environ, "PYTHONPATH": path},
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
+
+
+def test_an_installed_package_brings_its_effect(example: Path, tmp_path: Path) -> None:
+    site = installed(tmp_path, "cable_coupling")
+    listed = json.loads(longarm(site, "effects", "--json").stdout)
+    assert listed[-1]["effect"] == "cable_coupling"
+    assert listed[-1]["from"] == "package cable-effects 1.2, entry point cable_coupling"
+    words = ("calibrate", example / "arm.yaml", example / "samples.csv")
+    made = longarm(site, *words, "--effect", "cable_coupling", "-o", tmp_path / "model.yaml")
+    assert made.returncode == 0, made.stderr
+    judged = ("evaluate", example / "arm.yaml", "--test", example / "test.csv")
+    assert longarm(site, *judged, "--model", tmp_path / "model.yaml").returncode == 0
+    alone = longarm(None, *judged, "--model", tmp_path / "model.yaml")
+    assert alone.returncode == 2
+    assert "package cable-effects 1.2, entry point cable_coupling" in alone.stderr
+
+
+@pytest.mark.parametrize(
+    ("entry", "target", "said"),
+    [
+        ("cable_coupling", "cable_effects:Nothing", "cable_effects:Nothing that can be loaded"),
+        ("cable_coupling", "no_such_module:Cable", "no_such_module"),
+        ("other_name", "cable_effects:CableCoupling", "the effect's own, cable_coupling"),
+        ("cable_coupling", "cable_effects:JointTerm", "nothing abstract"),
+    ],
+)
+def test_a_broken_entry_point_is_one_line_and_hurts_no_other_model(
+    example: Path, tmp_path: Path, entry: str, target: str, said: str
+) -> None:
+    site = installed(tmp_path, entry, target)
+    failed = longarm(site, "effects")
+    assert failed.returncode == 2
+    assert failed.stderr.startswith(f"longarm: package cable-effects 1.2, entry point {entry}: ")
+    assert said in failed.stderr
+    assert len(failed.stderr.splitlines()) == 1
+    arm = Arm.load(example / "arm.yaml")
+    save_model(tmp_path / "model.yaml", store(Model(arm, (JointGain(2, gain=0.01),))))
+    words = ("evaluate", example / "arm.yaml", "--test", example / "test.csv")
+    assert longarm(site, *words, "--model", tmp_path / "model.yaml").returncode == 0
+
+
+# ------------------------------------------------------------------ a file
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("1 / 0", "ZeroDivisionError: division by zero"),
+        ("def", "SyntaxError"),
+        ("x = 1", "a class with a name, of Effect or Bias"),
+        (EXAMPLE.read_text().replace('"cable_coupling"', '"joint_gain"'), "longarm_comp does not"),
+    ],
+)
+def test_a_file_that_is_none_is_one_line(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "mine.py"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"mine\.py") as caught:
+        load_file(path)
+    assert said in str(caught.value)
+    assert set(catalogue.registered()) == set(BUILT_IN)
+
+
+def test_a_missing_file_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["effects", "--effects", str(tmp_path / "none.py")]) == 2
+    assert "none.py: effects: 'missing'" in capsys.readouterr().err
+
+
+def test_a_file_is_executed_once_and_anew_when_it_changed(tmp_path: Path) -> None:
+    path, log = tmp_path / "mine.py", tmp_path / "log"
+    path.write_text(EXAMPLE.read_text() + f"\nopen({str(log)!r}, 'a').write('x')\n")
+    (first,), (again,) = load_file(path), load_file(path)
+    assert first is again
+    assert log.read_text() == "x"
+    path.write_text(path.read_text().replace("prior=0.02", "prior=0.5"))
+    (changed,) = load_file(path)
+    assert changed.declared()[0].prior == 0.5
+    assert catalogue.registered()["cable_coupling"] is changed
+
+
+def test_two_files_may_not_share_a_name(tmp_path: Path) -> None:
+    (tmp_path / "custom_effect.py").write_text(EXAMPLE.read_text())
+    load_file(EXAMPLE)
+    with pytest.raises(InputError, match=r"a name that file custom_effect\.py does not have"):
+        load_file(tmp_path / "custom_effect.py")
+
+
+# ------------------------------------------------------------------ what a class must say
+
+
+@dataclasses.dataclass(frozen=True)
+class Sound(JointGain):
+    name: ClassVar[str] = "sound"
+
+
+@dataclasses.dataclass(frozen=True)
+class Undeclared(JointGain):
+    name: ClassVar[str] = "undeclared"
+    gate: float = 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Shadowing(JointGain):
+    name: ClassVar[str] = "shadowing"
+    inputs: float = form(0.0)  # type: ignore[assignment]
+
+
+@dataclasses.dataclass(frozen=True)
+class Unstorable(JointGain):
+    name: ClassVar[str] = "unstorable"
+    sizes: tuple[int, ...] = form(0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Unnamed(JointGain):
+    name: ClassVar[str] = "Two Words"
+
+
+class Plain(JointGain):
+    name: ClassVar[str] = "plain"
+
+
+def test_a_class_may_be_registered_by_a_program() -> None:
+    assert register(Sound) is Sound
+    assert searched() == (*LIBRARY, Sound)
+    assert catalogue.origin(Sound) == f"module {__name__}"
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        (Undeclared, r"undeclared\.gate.*place\(\), form\(\) or parameter\(\)"),
+        (Shadowing, r"shadowing\.inputs: 'taken'"),
+        (Unstorable, r"unstorable\.sizes.*int, float or str"),
+        (Unnamed, "Two Words"),
+        (Plain, "frozen dataclass"),
+        (Effect, "nothing abstract"),
+        (int, "a class of Effect or Bias"),
+    ],
+)
+def test_a_class_that_cannot_be_one_is_refused(kind: Any, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        register(kind)
+    assert set(catalogue.registered()) == set(BUILT_IN)
+
+
+def test_a_scale_has_two_ends() -> None:
+    with pytest.raises(TypeError, match="two ends"):
+        form(0.0, lower=1.0)
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_our_own_effects_say_all_that_others_must(name: str) -> None:
+    kind = BUILT_IN[name]
+    catalogue._check(kind, name)
+    assert {*kind.aliases, *kind.limit_aliases} <= set(BUILT_IN)
+    for term in kind.for_arm(ARM):
+        for field, allowed in kind.allowed_places().items():
+            assert term.places[field] in allowed(ARM)
+
+
+def test_the_library_is_what_its_classes_say() -> None:
+    assert {"joint_zero", "dh_error", "link_deflection"} <= set(BUILT_IN)
+    assert not any(k.geometry or k.name == "link_deflection" for k in LIBRARY)
+    assert {n: dict(k.scales()) for n, k in BUILT_IN.items() if k.scales()} == {
+        "backlash": {"gate": (0.0, 1.0), "blend": (0.01, 0.5)},
+        "servo_droop": {"gate": (0.0, 1.0), "blend": (0.01, 0.5)},
+        "creep": {"time": (100.0, 1e5)},
+    }
+    assert [n for n, k in BUILT_IN.items() if k.displaces_joint] == ["joint_zero"]
+    assert GearEccentricity(2, order=2).forms == {"order": 2}
+
+
+# ------------------------------------------------------------------ what the diagnosis asks a class
+
+
+@dataclasses.dataclass(frozen=True)
+class Twin(GearEccentricity):
+    """Says that it cannot be told from the gain; the evidence alone would tell."""
+
+    name: ClassVar[str] = "twin"
+    aliases: ClassVar[tuple[str, ...]] = ("joint_gain",)
+    free_levels: ClassVar[int] = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Stranger(Twin):
+    name: ClassVar[str] = "stranger"
+    aliases: ClassVar[tuple[str, ...]] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class GainOfTwin(JointGain):
+    name: ClassVar[str] = "gain_of_twin"
+    aliases: ClassVar[tuple[str, ...]] = ("stranger",)
+
+
+@pytest.mark.parametrize(
+    ("kinds", "names"),
+    [
+        ((JointGain, Stranger), {"joint_gain"}),
+        ((JointGain, Twin), {"joint_gain", "twin"}),
+        ((GainOfTwin, Stranger), {"gain_of_twin", "stranger"}),
+    ],
+)
+def test_an_alias_is_what_one_of_two_classes_says(
+    kinds: tuple[type[Effect], ...], names: set[str]
+) -> None:
+    found = diagnose(ARM, session([drives.JointGain(at(1, 0.1))], n=150), kinds=kinds)
+    assert [set(f.names) for f in found.findings] == [names]
+
+
+@pytest.mark.parametrize(("levels", "alike"), [(3, True), (0, False)])
+def test_what_is_flexible_on_a_coarse_grid_is_what_its_class_says(levels: int, alike: bool) -> None:
+    found = diagnose(ARM, session(GAIN, levels=levels), kinds=(JointGain, Flexible))
+    assert [f.name for f in found.findings] == ["joint_gain"]
+    assert ("flexible" in found.findings[0].names) == alike
+    stiff = diagnose(ARM, session(GAIN, levels=levels), kinds=(JointGain, Stiff))
+    assert [f.names for f in stiff.findings] == [("joint_gain",)]
+
+
+@dataclasses.dataclass(frozen=True)
+class Flexible(JointCompliance):
+    """By evidence it is nothing: the small arm has no weight."""
+
+    name: ClassVar[str] = "flexible"
+    free_levels: ClassVar[int] = 3
+
+
+@dataclasses.dataclass(frozen=True)
+class Stiff(Flexible):
+    name: ClassVar[str] = "stiff"
+    free_levels: ClassVar[int] = 2
+
+
+def test_an_effect_sits_at_all_of_its_joints(example: Path) -> None:
+    load_file(EXAMPLE)
+    arm = Arm.load(example / "arm.yaml")
+    model = load_model(example / "diagnosis" / "model.yaml", arm)
+    (term,) = (e for e in model.effects if e.name == "cable_coupling")
+    assert term.joints == (5, 2)
+    assert term.placement == {"joint": 5, "driver": 2}
+
+
+def test_a_place_may_be_anything_that_the_arm_has() -> None:
+    def feet(arm: Arm) -> list[int]:
+        return [1, 2, 3]
+
+    @dataclasses.dataclass(frozen=True)
+    class Foot(Effect):
+        name: ClassVar[str] = "soft_foot"
+        foot: int = place(feet)
+        size: float = parameter("rad", "tilt", prior=1e-3)
+
+        @classmethod
+        def candidates(cls, arm: Arm) -> list[tuple[Foot, ...]]:
+            return [(cls(foot=k),) for k in feet(arm)]
+
+        def twists(self, posture: Any) -> dict[int, Any]:
+            return {0: (0.0, 0.0, 0.0, self.size, 0.0, 0.0)}
+
+    register(Foot)
+    assert Foot.allowed_places() == {"foot": feet}
+    assert moving_joints not in Foot.allowed_places().values()
+    (first, *_, family) = library(ARM, session().context(), (Foot,)).testable
+    assert (first.where, len(family.terms)) == (("foot 1",), 3)
+
+
+# ------------------------------------------------------------------ no list of names elsewhere
+
+
+ROOMS = ("identify", "model", "ik", "data", "compensation", "learn", "arm")
+
+
+@pytest.mark.parametrize(
+    "folder", [*(f"core/{room}" for room in ROOMS), "report", "nodes", "workflows", "cli"]
+)
+def test_no_effect_is_named_outside_its_own_file(folder: str) -> None:
+    package = Path(longarm_comp.__file__).parent
+    files = sorted((package / folder).rglob("*.py"))
+    assert files
+    for path in files:
+        tree = ast.parse(path.read_text("utf-8"))
+        named = {n.value for n in ast.walk(tree) if isinstance(n, ast.Constant)} & set(BUILT_IN)
+        assert not named, f"{path.name} names {named}"

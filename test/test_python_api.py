@@ -1,0 +1,343 @@
+"""``import longarm_comp as la``: what a user of Python gets, and that the commands do the same."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import logging
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_shell import Shell, real
+from hidden_arm import at, session, tip
+from small_arm import ARM, measured
+
+import longarm_comp as la
+from longarm_comp.core.effects.catalogue import BUILT_IN
+from longarm_comp.core.model.model_file import read_stored
+from longarm_comp.sessions.csv import write_csv
+from longarm_comp.sim.hidden import drives
+from longarm_comp.workflows.compensate import Commands
+from longarm_comp.workflows.train import TrainedPredictor
+
+QUICK = {"ensemble": 1, "hidden": 4}
+
+
+@pytest.fixture(scope="module")
+def arm(work: Path) -> la.Arm:
+    return la.Arm.load(work / "arm.yaml")
+
+
+@pytest.fixture(scope="module")
+def samples(work: Path, arm: la.Arm) -> la.Session:
+    return la.read_session(work / "samples.csv", arm)
+
+
+@pytest.fixture(scope="module")
+def model(work: Path, arm: la.Arm) -> la.Model:
+    return la.load_model(work / "model.yaml", arm)
+
+
+# ------------------------------------------------------------------ the names
+
+
+def test_what_mypy_reads_is_what_is_imported() -> None:
+    """The imports for type checkers, the table of lazy imports and `__all__` agree."""
+    tree = ast.parse(Path(la.__file__).read_text("utf-8"))
+    (block,) = [node for node in tree.body if isinstance(node, ast.If)]
+    typed = {
+        alias.asname or alias.name: (entry.module, alias.name)
+        for entry in block.body
+        if isinstance(entry, ast.ImportFrom)
+        for alias in entry.names
+    }
+    assert sorted(typed) == la.__all__ == sorted(la._MODULE_OF)
+    for name, (module, original) in typed.items():
+        found = getattr(la, name)
+        if inspect.ismodule(found):
+            assert found.__name__ == f"{module}.{original}"
+        else:
+            assert found.__module__ == module
+            assert found.__name__ == name
+
+
+def test_an_unknown_name_is_no_attribute() -> None:
+    with pytest.raises(AttributeError, match="nonsense"):
+        la.nonsense  # noqa: B018
+    assert set(la.__all__) <= set(dir(la))
+
+
+def test_every_effect_of_the_catalogue_is_in_the_namespace() -> None:
+    for kind in BUILT_IN.values():
+        assert getattr(la.effects, kind.__name__) is kind
+
+
+# ------------------------------------------------------------------ ten lines
+
+
+def test_ten_lines_diagnose_train_compensate_and_reach(tmp_path: Path) -> None:
+    """A wrong joint gain, lost markers, plain lists: the real tip comes to the targets."""
+    gain = (drives.JointGain(at(2, 0.02)),)
+    whole = session(gain, n=160)
+    xyz = whole.xyz.copy()
+    xyz[::20] = np.nan
+    rows = la.Session.record(whole.q, xyz, approach=whole.approach)
+
+    calibrated = la.calibrate(ARM, rows)
+    found = la.diagnose(ARM, rows, test=session(gain, n=40, seed=2), network=False)
+    predictor = la.train(ARM, rows, model=found.model, **QUICK)
+    targets = la.Model(ARM).tip(ARM.mid + 0.3 * (whole.q[:12] - ARM.mid)).tolist()
+    out = la.compensate(found.model, targets, predictor)
+
+    assert [finding.name for finding in found.findings] == ["joint_gain"]
+    assert found.verdict in ("named", "set")
+    assert found.summary in repr(found)
+    assert found.held_out["with_effects"].mean < found.held_out["calibrated"].mean
+    assert predictor.samples == 152
+    assert out.success.all()
+    assert [len(out), out[0].command.tolist()] == [12, out.command[0].tolist()]
+
+    def missed(commands: np.ndarray) -> float:
+        return 1e3 * np.linalg.norm(tip(gain, commands, np.ones(12)) - targets, axis=1).mean()
+
+    assert missed(la.compensate(la.Model(ARM), targets).command) > 3.0
+    assert missed(out.command) < 0.3
+    calibrated.save(tmp_path / "model.yaml")
+    assert la.load_model(tmp_path / "model.yaml", ARM) == calibrated.model
+
+
+def test_the_page_says_what_runs(
+    work: Path, shell: Shell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The program of docs/python.md, beside the files that it names; every name has its row."""
+    page = (Path(__file__).parents[1] / "docs" / "python.md").read_text("utf-8")
+    program = re.search(r"```python\n(.*?)```", page, re.DOTALL)
+    assert program is not None
+    monkeypatch.chdir(work)
+    names: dict[str, object] = {}
+    exec(program[1], names)
+    said = capsys.readouterr().out
+    assert "network" in said
+    commands = names["commands"]
+    assert isinstance(commands, Commands)
+    assert commands.success.all()
+    for name in set(la.__all__) - {"Context", "LongarmError", "Model", "Session", "write_poses"}:
+        assert re.search(rf"^(\| `{name}\b|.*`{name}`)", page, re.MULTILINE), name
+
+
+# ------------------------------------------------------------------ the same as the commands
+
+
+def test_calibrate_is_the_command(work: Path, shell: Shell, arm: la.Arm) -> None:
+    words = ("--effect", "joint_gain", "--seed", 3, "--fraction", 0.3)
+    told = shell.json("calibrate", work / "arm.yaml", work / "samples.csv", *words)
+    kinds = la.effects.JointGain.for_arm(arm)
+    for effects in (["joint_gain"], [kinds]):
+        made = la.calibrate(arm, work / "samples.csv", effects=effects, seed=3, fraction=0.3)
+        made.save("again.yaml")
+        assert Path("again.yaml").read_bytes() == Path("model.yaml").read_bytes()
+        assert made.held_out.rows == told["held_out"]
+        assert [p.value for p in made.parameters] == [p["value"] for p in told["parameters"]]
+        helped = made.held_out["joint_gain"].rms < made.held_out["geometry"].rms
+        assert made.not_helping == (() if helped else ("joint_gain",))
+    one = la.calibrate(arm, work / "samples.csv", effects=[la.effects.JointGain(joint=2)])
+    assert [p.where for p in one.parameters if p.effect == "joint_gain"] == ["joint 2"]
+
+
+def test_train_is_the_command(work: Path, arm: la.Arm, samples: la.Session, tmp_path: Path) -> None:
+    """The predictor of the fixture was trained by the command."""
+    made = la.train(arm, samples, model=work / "model.yaml", ensemble=2, hidden=10)
+    made.save(tmp_path / "p.npz")
+    assert (tmp_path / "p.npz").read_bytes() == (work / "predictor.npz").read_bytes()
+    assert f"{made.samples} samples" in repr(made)
+    assert made.after.mean < made.before.mean
+
+
+def test_evaluate_is_the_command(work: Path, shell: Shell, arm: la.Arm) -> None:
+    files = {"model": work / "model.yaml", "predictor": work / "predictor.npz"}
+    words = [word for name, path in files.items() for word in (f"--{name}", path)]
+    told = shell.json("evaluate", work / "arm.yaml", "--test", work / "test.csv", *words)
+    model = la.load_model(files["model"], arm)
+    predictor = la.load_predictor(files["predictor"], arm, files["model"])
+    for made in (
+        la.evaluate(arm, work / "test.csv", **files),
+        la.evaluate(arm, la.read_session(work / "test.csv", arm), model=model, predictor=predictor),
+    ):
+        assert made.rows == told["rows"]
+        assert made.outside == told["outside_training_data"]
+        assert list(made) == ["rigid", "calibrated", "network"]
+        assert made["network"].n == 30
+        assert f"{told['rows'][1]['mean_mm']:.3f}" in repr(made)
+
+
+def test_diagnose_is_the_command(tmp_path: Path) -> None:
+    gain = (drives.JointGain(at(2, 0.02)),)
+    arm, samples, test = (tmp_path / name for name in ("arm.yaml", "samples.csv", "test.csv"))
+    arm.write_text(ARM.model_dump_json(exclude_defaults=True))
+    write_csv(session(gain), samples)
+    write_csv(session(gain, n=40, seed=2), test)
+    words = ("--test", test, "--no-network", "-o", tmp_path / "command")
+    assert Shell(tmp_path)("diagnose", arm, samples, *words) == 0
+    declared = la.Arm.load(arm)
+    found = la.diagnose(
+        declared,
+        la.read_session(samples, declared),
+        test=la.read_session(test, declared),
+        network=False,
+    )
+    found.save(tmp_path / "python")
+    files = sorted(p.relative_to(tmp_path / "python") for p in (tmp_path / "python").rglob("*.*"))
+    assert {"model.yaml", "report.html", "report.json"} <= set(map(str, files))
+    for file in files:
+        assert (tmp_path / "python" / file).read_bytes() == (
+            tmp_path / "command" / file
+        ).read_bytes(), file
+    again = la.diagnose(declared, samples, model=tmp_path / "python" / "model.yaml", network=False)
+    again.save(tmp_path / "again")
+    assert read_stored(tmp_path / "again" / "model.yaml").version == 2
+
+
+def test_compensate_is_the_command(work: Path, shell: Shell, arm: la.Arm, model: la.Model) -> None:
+    """Poses and positions in one file, each where it stood."""
+    inside = ARM.mid + np.array([[0.1, 0.1, 0, 0], [0, 0.2, 0.01, 0], [0.2, 0, 0, 0.1]])
+    xyz = la.Model(arm).tip(inside)
+    Path("t.csv").write_text(
+        "index,x,y,z,qx,qy,qz,qw\n"
+        + "".join(
+            f"{7 + k},{x},{y},{z},{'0,0,0,1' if k == 1 else ',,,'}\n"
+            for k, (x, y, z) in enumerate(xyz)
+        )
+    )
+    words = ("--model", work / "model.yaml", "--predictor", work / "predictor.npz")
+    assert shell("compensate", work / "arm.yaml", "--targets", "t.csv", *words) == 3
+    predictor = la.load_predictor(work / "predictor.npz", arm, work / "model.yaml")
+    made = la.compensate(model, la.read_targets("t.csv"), predictor)
+    made.save("again.csv")
+    assert Path("again.csv").read_bytes() == Path("commands.csv").read_bytes()
+    assert [status.name for status in made.status] == ["SUCCESS", "UNREACHABLE", "SUCCESS"]
+    assert made.success.tolist() == [True, False, True]
+    assert made.summary == "3 targets: 2 success, 1 unreachable"
+    alone = la.compensate(model, xyz[2].tolist(), predictor)[0]
+    assert alone.command.tolist() == made[2].command.tolist()
+    assert [each.status for each in made[1:]] == list(made.status[1:])
+
+
+def test_plan_is_the_command(work: Path, shell: Shell, arm: la.Arm) -> None:
+    for kind in ("grid", "sobol"):
+        words = ("--kind", kind, "-n", 9, "--seed", 4)
+        told = shell.json("plan", work / "arm.yaml", *words)
+        made = la.plan(arm, 9, kind=kind, seed=4)
+        assert made.q.tolist() == told["poses"]
+        assert made.approach.tolist() == told["approach"]
+    la.write_poses(made, "next_poses.csv")
+    assert np.allclose(la.plan(arm, 3, report=".").q, made.q[:3])
+    with pytest.raises(la.InputError, match="kind"):
+        la.plan(arm, 3, kind="spiral")
+
+
+# ------------------------------------------------------------------ what is handled inside
+
+
+def test_weights_are_of_all_rows_and_the_lost_ones_do_not_count() -> None:
+    rows = measured(60, np.random.default_rng(4))
+    xyz = real(rows.q)
+    xyz[:7] = np.nan
+    rows = la.Session.record(rows.q, xyz)
+    plain = la.train(ARM, rows, **QUICK)
+    weighted = la.train(ARM, rows, weights=[9.0] * 7 + [1.0] * 53, **QUICK)
+    half = la.train(ARM, rows, weights=[1.0] * 33 + [0.0] * 27, **QUICK)
+    assert np.array_equal(plain.weights, weighted.weights)
+    assert not np.array_equal(plain.weights, half.weights)
+    with pytest.raises(la.InputError, match="weights"):
+        la.train(ARM, rows, weights=[1.0] * 53, **QUICK)
+
+
+def test_admission_speaks_where_it_is_listened_to(
+    work: Path, arm: la.Arm, caplog: pytest.LogCaptureFixture
+) -> None:
+    few = la.read_session(work / "test.csv", arm)
+    xyz = few.xyz.copy()
+    xyz[3] = np.nan
+    few = la.Session.record(few.q, xyz, source="bench 3")
+    heard: list[str] = []
+    la.evaluate(arm, few, note=heard.append)
+    assert any(line.startswith("bench 3: ") and "lost in 1 rows" in line for line in heard)
+    assert not caplog.records
+    with caplog.at_level(logging.INFO, "longarm_comp"):
+        la.evaluate(arm, few)
+    assert [record.message for record in caplog.records] == heard
+    with pytest.raises(la.InputError, match="millimetres"):
+        la.calibrate(arm, la.Session.record(few.q, 1e3 * few.xyz))
+
+
+def test_a_predictor_is_used_with_its_own_model_only(
+    work: Path, arm: la.Arm, model: la.Model, samples: la.Session, tmp_path: Path
+) -> None:
+    made = la.train(arm, samples, model=model, **QUICK)
+    other = model.with_values(model.values * 1.01)
+    target = la.Model(arm).tip(ARM.mid)
+    assert la.compensate(model, target, made).success.all()
+    with pytest.raises(la.InputError, match="the model that it was trained with"):
+        la.compensate(other, target, made)
+    with pytest.raises(la.InputError, match="the model that it was trained with"):
+        la.evaluate(arm, samples, model=other, predictor=made)
+    made.save(tmp_path / "p.npz")
+    for right in (model, work / "model.yaml"):
+        assert not isinstance(la.load_predictor(tmp_path / "p.npz", arm, right), TrainedPredictor)
+    for wrong in (other, None):
+        with pytest.raises(la.InputError, match="the model that it was trained with"):
+            la.load_predictor(tmp_path / "p.npz", arm, wrong)
+    with pytest.raises(la.InputError, match="the model that it was trained with"):
+        la.load_predictor(work / "predictor.npz", arm)
+    longer = la.Arm.parse({**arm.model_dump(exclude_none=True), "name": "another"}, "test")
+    for use in (
+        lambda: la.compensate(la.Model(longer), target, made),
+        lambda: la.evaluate(longer, samples, predictor=made),
+        lambda: la.train(longer, samples, model=model),
+        lambda: la.load_predictor(tmp_path / "p.npz", longer, model),
+    ):
+        with pytest.raises(la.InputError, match="arm"):
+            use()
+
+
+def test_the_method_is_the_one_that_the_predictor_was_trained_for(
+    arm: la.Arm, model: la.Model, samples: la.Session
+) -> None:
+    rigid = la.train(arm, samples, model=model, deflection=False, **QUICK)
+    target = la.Model(arm).tip(ARM.mid)
+    assert la.compensate(model, target, rigid)[0].passes > 0
+    assert la.compensate(model, target, rigid, method="none")[0].passes == 0
+    with pytest.raises(la.InputError, match="network: as the predictor was trained"):
+        la.compensate(model, target, rigid, method="both")
+    with pytest.raises(la.InputError, match="none, deflection, network, both"):
+        la.compensate(model, target, method="magic")
+
+
+def test_compensate_takes_one_target_or_many(arm: la.Arm, model: la.Model) -> None:
+    q = ARM.mid + np.array([[0.1, 0.1, 0, 0], [0, 0.2, 0.01, 0]])
+    poses = np.array(model.pose(q))
+    many = la.compensate(model, poses, seed=q, position_only=True)
+    assert np.allclose(many.command, q, atol=1e-6)  # each started at its own joints
+    assert la.compensate(model, poses[1], seed=q[1]).command.shape == (1, ARM.n)
+    for wrong in ([], [1.0, 2.0], np.zeros((2, 4)), np.zeros((2, 3, 4))):
+        with pytest.raises(la.InputError, match="targets"):
+            la.compensate(model, wrong)
+    with pytest.raises(la.InputError, match="seed"):
+        la.compensate(model, poses, seed=np.tile(q, (2, 1)))
+    lost = la.compensate(model, [[np.nan, 0.0, 0.0]])
+    assert [status.name for status in lost.status] == ["BAD_TARGET"]
+
+
+def test_what_is_shown_is_short(
+    arm: la.Arm, model: la.Model, samples: la.Session, work: Path
+) -> None:
+    assert "120 rows of 4 joints, marker seen in 120" in repr(samples)
+    assert repr(la.Model(arm)) == "Model(small: rigid)"
+    assert "4 joint_zero" in repr(model)
+    made = la.calibrate(arm, samples)
+    assert "held-out mean error" in repr(made)
+    for shown in (samples, model, made, la.compensate(model, la.Model(arm).tip(ARM.mid))):
+        assert len(repr(shown)) < 200
+    assert len(repr(made.held_out).splitlines()) == 5

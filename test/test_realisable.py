@@ -1,0 +1,561 @@
+"""Realisable joints: against every combination of steps, by linear models and by the arm's own."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from scipy.optimize import lsq_linear
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.realisable import Lattice, Realisables, Search, choose
+from longarm_comp.core.effects.tip_payload import TipPayload
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.ik import solver as ik
+from longarm_comp.core.ik.forward import tip_poses
+from longarm_comp.core.ik.kernel import characteristic_length
+from longarm_comp.core.ik.lattice import NOTHING, nearest
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
+
+STEP = 2 * math.pi / 1000
+SLIDE = 1e-4
+LENGTH = 0.3
+PRICE = math.degrees(1e-4)
+
+
+# ------------------------------------------------------------------ lattices
+
+
+def lattices(rng: np.random.Generator, n: int, count: int = 40, price: float = 0.05) -> np.ndarray:
+    """(count, n, n + 1): factors of three equations and a price, and what is to be made zero."""
+    A = np.concatenate(
+        [rng.normal(size=(count, 3, n)), np.broadcast_to(price * np.eye(n), (count, n, n))], 1
+    )
+    b = np.concatenate([rng.normal(size=(count, 3, 1)), rng.normal(size=(count, n, 1)) * price], 1)
+    made: np.ndarray = np.linalg.qr(np.concatenate([A, b], 2), mode="r")[:, :n]  # type: ignore[call-overload]
+    return made
+
+
+def every(ranges: list[np.ndarray]) -> np.ndarray:
+    """All combinations, (K, n)."""
+    return np.array(list(itertools.product(*ranges)), float)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("n", [1, 2, 3, 5])
+def test_the_nearest_points_are_those_of_brute_force(
+    n: int, compiled: bool, rng: np.random.Generator
+) -> None:
+    R = lattices(rng, n, price=0.3)
+    low, high = rng.integers(-3, 0, (40, n)), rng.integers(1, 4, (40, n))
+    full = 0
+    found = nearest(
+        R, low.astype(float), high.astype(float), kept=4, max_nodes=100_000, compiled=compiled
+    )
+    for i in range(len(R)):
+        k = every([np.arange(a, b + 1) for a, b in zip(low[i], high[i], strict=True)])
+        distance2 = ((k @ R[i, :, :n].T + R[i, :, n]) ** 2).sum(axis=1)
+        order = np.argsort(distance2)[:4]
+        have = int((found.distance2[i] < NOTHING).sum())
+        full += have == min(4, len(k))
+        np.testing.assert_array_equal(found.k[i, :have], k[order[:have]])
+        np.testing.assert_allclose(found.distance2[i, :have], distance2[order[:have]], rtol=1e-9)
+    assert full >= 36  # where the box lies far off, its points are not worth the search
+
+
+def test_machine_code_and_plain_python_find_the_same(rng: np.random.Generator) -> None:
+    R = lattices(rng, 7, 37, price=0.01)
+    box = np.full((37, 7), 40.0)
+    machine, python = (nearest(R, -box, box, compiled=c) for c in (True, False))
+    np.testing.assert_array_equal(machine.k, python.k)
+    np.testing.assert_allclose(machine.distance2, python.distance2, rtol=1e-9)
+    np.testing.assert_array_equal(machine.nodes, python.nodes)
+    assert (np.diff(machine.distance2, axis=1) >= 0).all()
+
+
+def test_a_search_ends_at_its_nodes(rng: np.random.Generator) -> None:
+    R = lattices(rng, 6, 9)
+    box = np.full((9, 6), 40.0)
+    short, whole = (nearest(R, -box, box, max_nodes=m) for m in (20, 10_000))
+    assert (short.nodes <= 20).all() and (whole.nodes > 20).all()
+    assert (short.distance2[:, 0] >= whole.distance2[:, 0]).all()
+    assert (whole.distance2 < NOTHING).all()
+
+
+# ------------------------------------------------------------------ linear models
+
+
+def arm_of(limits: list[tuple[float, float]], slides: list[int] | None = None) -> Arm:
+    """An arm of which only the limits (rad, m) and kinds of joint matter: the tip is given."""
+    joints = []
+    for i, (low, high) in enumerate(limits):
+        slide = i in (slides or [])
+        between = [low, high] if slide else [math.degrees(low), math.degrees(high)]
+        joints.append(
+            {
+                "id": i + 1,
+                "type": "prismatic" if slide else "revolute",
+                "limits_m" if slide else "limits_deg": between,
+            }
+        )
+    data = {"name": "any", "convention": "mdh_craig", "tip": {"frame": 1}, "joints": joints}
+    return Arm.parse(data, "test")
+
+
+@dataclasses.dataclass
+class Linear:
+    """A tip that is linear in the joints, with targets for it and the truth by brute force."""
+
+    arm: Arm
+    lattice: Lattice
+    J: np.ndarray
+    tip0: np.ndarray
+    ideal: np.ndarray
+    targets: np.ndarray
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, *, count: int = 12, slide: bool = True) -> Linear:
+        """Four joints, of which the last may slide; ranges below, above and across zero."""
+        step = np.array([STEP, 1.3 * STEP, STEP, SLIDE if slide else 0.8 * STEP])
+        offset = np.array([0.31, -0.44, 0.07, 0.23]) * step
+        middle = np.array([-0.4, 0.3, 0.0, -0.02 if slide else 0.1])
+        # seven steps a joint: k within +-3 of the one nearest to the middle
+        whole = np.rint((middle - offset) / step)
+        low, high = (offset + step * (whole + by) for by in (-3.4, 3.4))
+        arm = arm_of(list(zip(low, high, strict=True)), [3] if slide else [])
+        J = rng.normal(size=(3, 4)) * [0.5, 0.5, 0.5, 1.0 if slide else 0.5]
+        ideal = rng.uniform(arm.lower, arm.upper, (count, 4))
+        tip0 = rng.normal(size=3)
+        # the ideal joints miss too, as they do where a pseudo-target has not settled
+        targets = tip0 + ideal @ J.T + rng.normal(size=(count, 3)) * 2e-3
+        return cls(arm, Lattice(step, offset, np.zeros(4)), J, tip0, ideal, targets)
+
+    def predict(self, q: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        assert (q >= self.arm.lower).all() and (q <= self.arm.upper).all()
+        return self.at(q)
+
+    def at(self, q: np.ndarray) -> np.ndarray:
+        """The tip at joints."""
+        return self.tip0 + q @ self.J.T
+
+    def choose(
+        self, price: float = PRICE, kept: int = 16, rounds: int = 2, **more: Any
+    ) -> Realisables:
+        search = Search(LENGTH, price_m=price, kept=kept, rounds=rounds, max_nodes=200_000)
+        return choose(
+            self.arm, self.lattice, self.predict, self.targets, self.ideal, search, **more
+        )
+
+    def cost(self, q: np.ndarray, i: int, price: float = PRICE) -> np.ndarray:
+        slides = np.array([j.type == "prismatic" for j in self.arm.joints])
+        moved = (q - self.ideal[i]) * np.where(slides, price / LENGTH, price)
+        miss = self.at(q) - self.targets[i]
+        made: np.ndarray = (miss**2).sum(axis=-1) + (moved**2).sum(axis=-1)
+        return made
+
+    def brute(self) -> np.ndarray:
+        """All realisable joints."""
+        step, offset = self.lattice.step, self.lattice.offset
+        ranges = [
+            offset[j]
+            + step[j]
+            * np.arange(
+                math.ceil((self.arm.lower[j] - offset[j]) / step[j]),
+                math.floor((self.arm.upper[j] - offset[j]) / step[j]) + 1,
+            )
+            for j in range(4)
+        ]
+        return every(ranges)
+
+
+@pytest.mark.parametrize("price", [0.1 * PRICE, PRICE, 20 * PRICE])
+def test_the_choice_is_the_best_of_all_combinations(price: float, rng: np.random.Generator) -> None:
+    for _ in range(5):
+        case = Linear.draw(rng)
+        grid = case.brute()
+        assert len(grid) == 7**4
+        got = case.choose(price)
+        # the first of the list is it already (or too far off in a corner of the limits)
+        one = case.choose(price, kept=1, rounds=1)
+        listed = np.array([not reason for reason in one.reason])
+        assert listed.sum() >= 6 or price > PRICE
+        np.testing.assert_array_equal(one.joints[listed], got.joints[listed])
+        for i in range(len(case.ideal)):
+            best = grid[np.argmin(case.cost(grid, i, price))]
+            np.testing.assert_allclose(got.joints[i], best, atol=1e-12)
+            miss = np.linalg.norm(case.at(best) - case.targets[i])
+            assert got.error[i] == pytest.approx([miss, 0.0], abs=1e-12)
+
+
+def test_a_second_look_mends_what_the_first_took_for_linear(rng: np.random.Generator) -> None:
+    case = Linear.draw(rng, count=40)
+
+    def bent(q: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        off = q - case.arm.mid
+        return case.predict(q, rows) + 8.0 * off[:, :1] * off[:, 1:2] * [1.0, -1.0, 0.5]
+
+    targets = bent(case.ideal, np.zeros(0))
+    left = [
+        choose(
+            case.arm, case.lattice, bent, targets, case.ideal, Search(LENGTH, kept=1, rounds=r)
+        ).error[:, 0]
+        for r in (1, 2)
+    ]
+    grid = case.brute()
+    best = [np.linalg.norm(bent(grid, np.zeros(0)) - target, axis=1).min() for target in targets]
+    excess = [np.mean(e - best) for e in left]
+    assert excess[1] < 0.6 * excess[0]
+
+
+def test_a_dear_move_is_rounding_and_a_cheap_one_goes_further(rng: np.random.Generator) -> None:
+    case = Linear.draw(rng)
+    dear, plain, cheap = (case.choose(p) for p in (1e3, PRICE, 0.3 * PRICE))
+    np.testing.assert_array_equal(dear.joints, dear.rounded)
+    assert set(dear.reason) == {"rounding is the best that was found"}
+    assert cheap.error[:, 0].mean() <= plain.error[:, 0].mean() < 0.7 * dear.error[:, 0].mean()
+    grid = case.brute()
+    for i, rounded in enumerate(dear.rounded):  # each joint by itself, inside the limits
+        apart = np.abs(grid - case.ideal[i]) / case.lattice.step
+        np.testing.assert_array_equal(rounded, grid[np.argmin(apart.sum(axis=1))])
+
+
+def test_continuous_joints_are_solved_for_inside_their_limits(rng: np.random.Generator) -> None:
+    """Every combination of steps with the other joints by SciPy's bounded least squares."""
+    at_limit = 0
+    for one_more in (0, 1):
+        case = Linear.draw(rng, count=3)
+        step = np.where([0, 0, one_more, 1], 0.0, case.lattice.step)  # slide, or slide and joint
+        low, high = case.arm.lower.copy(), case.arm.upper.copy()
+        middle = case.ideal[:, 3].mean()
+        low[3], high[3] = middle - 0.6 * SLIDE, middle + 0.6 * SLIDE
+        case.arm = arm_of(list(zip(low, high, strict=True)), [3])
+        case.ideal = np.clip(case.ideal, low, high)
+        case.lattice = Lattice(step, case.lattice.offset, np.zeros(4))
+        got = case.choose(kept=64)
+        stepped = np.flatnonzero(step > 0)
+        free = np.flatnonzero(step == 0)
+        price = np.array([PRICE, PRICE, PRICE, PRICE / LENGTH])
+        ranges = [
+            case.lattice.offset[j]
+            + step[j]
+            * np.arange(
+                math.ceil((low[j] - case.lattice.offset[j]) / step[j]),
+                math.floor((high[j] - case.lattice.offset[j]) / step[j]) + 1,
+            )
+            for j in stepped
+        ]
+        for i, ideal in enumerate(case.ideal):
+            best, cost = ideal, math.inf
+            for point in every(ranges):
+                q = ideal.copy()
+                q[stepped] = point
+                A = np.concatenate([case.J[:, free], np.diag(price[free])])
+                b = np.r_[case.targets[i] - case.at(q), np.zeros(free.size)]
+                x = lsq_linear(A, b, (low[free] - ideal[free], high[free] - ideal[free])).x
+                q[free] += x
+                if case.cost(q, i) < cost:
+                    best, cost = q, case.cost(q, i)
+            assert case.cost(got.joints[i], i) <= cost * (1 + 1e-6)
+            np.testing.assert_allclose(got.joints[i], best, atol=1e-5)
+            at_limit += best[3] in (low[3], high[3]) or abs(best[3] - middle) > 0.59 * SLIDE
+        assert list(got.on_lattice) == list(step > 0)
+    assert at_limit > 0
+
+
+def test_what_is_not_known_to_a_share_of_the_step_stays(rng: np.random.Generator) -> None:
+    case = Linear.draw(rng)
+    case.lattice = dataclasses.replace(
+        case.lattice, offset_sd=case.lattice.step * [0.149, 0.151, 0.0, 0.149]
+    )
+    got = case.choose()
+    assert list(got.on_lattice) == [True, False, True, True]
+    np.testing.assert_array_equal(got.joints[:, 1], case.ideal[:, 1])
+    np.testing.assert_array_equal(got.rounded[:, 1], case.ideal[:, 1])
+    assert (got.joints[:, 0] != case.ideal[:, 0]).all()
+    assert got.note == (
+        "joint2 stays at its ideal value: the offset of its steps is not known to 0.15 of a step"
+    )
+    nothing = dataclasses.replace(case.lattice, offset_sd=case.lattice.step)
+    held = choose(case.arm, nothing, case.predict, case.targets, case.ideal, Search(LENGTH))
+    np.testing.assert_array_equal(held.joints, case.ideal)
+    assert set(held.reason) == {"no joint's steps are known"}
+    assert held.note.count("stays at its ideal value") == 4
+
+
+def test_a_joint_whose_limits_hold_no_step_stays(rng: np.random.Generator) -> None:
+    case = Linear.draw(rng)
+    low, high = case.arm.lower.copy(), case.arm.upper.copy()
+    at = case.lattice.offset[2] + STEP * 0.5
+    low[2], high[2] = at - 0.3 * STEP, at + 0.3 * STEP
+    case.arm = arm_of(list(zip(low, high, strict=True)), [3])
+    case.ideal[:, 2] = at
+    got = case.choose()
+    np.testing.assert_allclose(got.joints[:, 2], at, atol=1e-15)
+    assert got.note == "joint3 stays at its ideal value: none of its steps lies inside its limits"
+    assert (got.error[:, 0] <= got.rounded_error[:, 0]).all()
+
+
+def test_locked_joints_stay_and_the_others_make_up_for_them(rng: np.random.Generator) -> None:
+    case = Linear.draw(rng)
+    got = case.choose(locked=[1, 3])
+    np.testing.assert_array_equal(got.joints[:, [1, 3]], case.ideal[:, [1, 3]])
+    assert list(got.on_lattice) == [True, False, True, False]
+    continuous = dataclasses.replace(case.lattice, step=case.lattice.step * [1, 1, 1, 0])
+    search = Search(LENGTH)
+    args = (case.arm, continuous, case.predict, case.targets, case.ideal, search)
+    assert (choose(*args, locked=[3]).joints[:, 3] == case.ideal[:, 3]).all()
+    assert (choose(*args).joints[:, 3] != case.ideal[:, 3]).all()
+    grid = case.brute()
+    for i, ideal in enumerate(case.ideal):
+        some = grid.copy()
+        some[:, [1, 3]] = ideal[[1, 3]]
+        np.testing.assert_allclose(got.joints[i], some[np.argmin(case.cost(some, i))], atol=1e-12)
+
+
+def test_each_target_has_its_own_circumstances(rng: np.random.Generator) -> None:
+    """The prediction is told whose joints it is given, for one target as for many."""
+    case = Linear.draw(rng)
+    push = rng.normal(size=(len(case.ideal), 3)) * 1e-3
+
+    def predict(q: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        return case.predict(q, rows) + push[rows]
+
+    search = Search(LENGTH)
+    many = choose(case.arm, case.lattice, predict, case.targets, case.ideal, search)
+    for i in range(len(case.ideal)):
+        one = choose(
+            case.arm,
+            case.lattice,
+            lambda q, rows, i=i: case.predict(q, rows) + push[i],
+            case.targets[i : i + 1],
+            case.ideal[i : i + 1],
+            search,
+        )[0]
+        np.testing.assert_array_equal(one.joints, many[i].joints)
+        np.testing.assert_allclose(one.error, many[i].error, atol=1e-15)
+        assert one.nodes == many[i].nodes > 0
+    assert not np.array_equal(many.joints, case.choose().joints)
+
+
+def test_a_step_where_the_model_says_nothing_is_never_taken(rng: np.random.Generator) -> None:
+    case = Linear.draw(rng)
+    best = case.choose()
+    other = (best.joints != best.rounded).any(axis=1)
+
+    def predict(q: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        tip = case.predict(q, rows)
+        tip[(np.abs(q - best.joints[rows]) < 1e-9).all(axis=1) & other[rows]] = math.nan
+        return tip
+
+    got = choose(case.arm, case.lattice, predict, case.targets, case.ideal, Search(LENGTH))
+    assert np.isfinite(got.error).all()
+    assert other.sum() > 6
+    assert (got.joints != best.joints).any(axis=1)[other].all()
+    assert (got.error[:, 0] <= got.rounded_error[:, 0]).all()
+
+
+def test_no_targets_are_no_commands(rng: np.random.Generator) -> None:
+    case = Linear.draw(rng, count=0)
+    got = case.choose()
+    assert len(got) == 0
+    assert got.joints.shape == (0, 4)
+
+
+BAD: list[tuple[Callable[[Linear], None], str, str]] = [
+    (lambda c: c.targets.__setitem__((3, 1), math.nan), "target 3", "finite"),
+    (lambda c: c.ideal.__setitem__((2, 0), math.inf), "ideal joints 2", "finite"),
+    (lambda c: c.ideal.__setitem__((5, 3), 1.0), "ideal joints 5", "to"),
+    (lambda c: setattr(c, "ideal", c.ideal[:, :3]), "ideal", "shape (12, 4)"),
+    (lambda c: setattr(c, "targets", c.targets[:, :2]), "targets", "(N, 3) or (N, 4, 4)"),
+    (lambda c: setattr(c, "predict", lambda q, rows: q), "predict", "3)"),
+    (lambda c: setattr(c, "predict", lambda q, rows: q[:, :3] * math.nan), "predict", "finite"),
+]
+
+
+@pytest.mark.parametrize(("spoil", "field", "allowed"), BAD)
+def test_bad_input_is_one_clear_error(
+    spoil: Callable[[Linear], None], field: str, allowed: str, rng: np.random.Generator
+) -> None:
+    case = Linear.draw(rng)
+    spoil(case)
+    with pytest.raises(InputError) as caught:
+        case.choose()
+    assert caught.value.field == field
+    assert allowed in caught.value.allowed
+
+
+def test_bad_options_are_one_clear_error(rng: np.random.Generator) -> None:
+    case = Linear.draw(rng)
+    with pytest.raises(InputError, match=r"locked: 4; allowed: 0\.\.3"):
+        case.choose(locked=[4])
+    for field, value in (("price_m", 0.0), ("price_m", math.nan), ("kept", 0), ("rounds", 0)):
+        with pytest.raises(InputError, match=field):
+            Search(LENGTH, **{field: value})
+    with pytest.raises(InputError, match="length_m"):
+        Search(-1.0)
+    for field, value in (("offset", math.nan), ("offset_sd", -1e-3), ("offset", [0.0, 0.0])):
+        with pytest.raises(InputError, match=field):
+            Lattice.of(case.arm, **{field: value})
+
+
+# ------------------------------------------------------------------ the arm's own model
+
+
+@pytest.fixture(scope="module")
+def model(demo_arm_path: Path) -> Model:
+    """The demonstration's deflected arm, its servos with 1000 steps a turn and 0.1 mm."""
+    data = yaml.safe_load(demo_arm_path.read_text())
+    for joint in data["joints"]:
+        joint |= {"step_deg": 0.36} if joint["type"] == "revolute" else {"step_m": 1e-4}
+    return declared_model(Arm.parse(data, "stepped demo"))
+
+
+def commanded(
+    model: Model,
+    q: np.ndarray,
+    *,
+    pose: bool = False,
+    offset: Any = 0.0,
+    locked: tuple[int, ...] = (),
+    price: float = PRICE,
+) -> tuple[Realisables, np.ndarray]:
+    """Choices for the tips at joints (N, n), found from elsewhere; and the targets."""
+    targets = model.pose(q) if pose else model.tip(q)
+    seed = np.tile(model.arm.mid, (len(q), 1))
+    seed[:, list(locked)] = q[:, list(locked)]
+    found = ik.solve_many(model, targets, seed=seed, locked=locked)
+    targets, ideal = targets[found.ok], found.q[found.ok]
+    assert len(ideal) > 0.9 * len(q)
+    length = LENGTH if pose else characteristic_length(model)
+    search = Search(length, price_m=price)
+    lattice = Lattice.of(model.arm, offset)
+    predict = lambda q, rows: tip_poses(model, q)  # noqa: E731
+    return choose(model.arm, lattice, predict, targets, ideal, search, locked=locked), targets
+
+
+def on_steps(model: Model, q: np.ndarray, offset: Any = 0.0) -> np.ndarray:
+    """How far joints are from a step, in steps."""
+    k = (q - offset) / model.arm.steps
+    made: np.ndarray = np.abs(k - np.rint(k))
+    return made
+
+
+def test_positions_of_the_demonstration_arm(model: Model, rng: np.random.Generator) -> None:
+    arm = model.arm
+    offset = rng.uniform(-0.5, 0.5, arm.n) * arm.steps
+    got, targets = commanded(model, rng.uniform(arm.lower, arm.upper, (40, arm.n)), offset=offset)
+    assert on_steps(model, got.joints, offset).max() < 1e-6
+    assert (got.joints >= arm.lower).all() and (got.joints <= arm.upper).all()
+    # by the model's own code
+    errors = [np.linalg.norm(model.tip(q) - targets, axis=1) for q in (got.rounded, got.joints)]
+    np.testing.assert_allclose(got.rounded_error[:, 0], errors[0], atol=1e-9)
+    np.testing.assert_allclose(got.error[:, 0], errors[1], atol=1e-9)
+    assert (errors[1] <= errors[0]).all()
+    assert errors[0].mean() > 2e-3
+    assert errors[1].mean() < 0.12e-3
+    assert (np.abs(got.ideal_error) < 1e-8).all()
+    turned = np.degrees(np.abs(got.joints - got.ideal)[:, [0, 1, 3, 4, 5]]).max(axis=1)
+    assert 0.3 < turned.mean() < 1.2
+
+
+def test_poses_weigh_angle_against_position(model: Model, rng: np.random.Generator) -> None:
+    arm = model.arm
+    q = rng.uniform(arm.lower, arm.upper, (40, arm.n))
+    got, targets = commanded(model, q, pose=True)
+    made = model.pose(got.joints)
+    turn = made[:, :3, :3] @ targets[:, :3, :3].swapaxes(1, 2)
+    angle = np.arccos(np.clip((np.trace(turn, axis1=1, axis2=2) - 1) / 2, -1, 1))
+    np.testing.assert_allclose(got.error[:, 1], angle, atol=1e-7)
+    distance = np.linalg.norm(made[:, :3, 3] - targets[:, :3, 3], axis=1)
+    np.testing.assert_allclose(got.error[:, 0], distance, atol=1e-9)
+    weighted = [np.hypot(e[:, 0], LENGTH * e[:, 1]) for e in (got.rounded_error, got.error)]
+    assert (weighted[1] <= weighted[0] + 1e-12).all()
+    assert got.error[:, 0].mean() < 1e-3 < 2e-3 < got.rounded_error[:, 0].mean()
+    assert got.error[:, 1].mean() < got.rounded_error[:, 1].mean()
+
+
+def test_few_steps_by_the_arms_own_model(model: Model, rng: np.random.Generator) -> None:
+    """Limits two steps around a pose, so that every combination can be tried on the model."""
+    arm = model.arm
+    for pose in (False, True):
+        middle = rng.uniform(arm.lower + 0.02, arm.upper - 0.02)
+        low, high = middle - 1.6 * arm.steps, middle + 1.6 * arm.steps
+        data = arm.model_dump(mode="json", exclude_defaults=True)
+        for joint, ends in zip(data["joints"], np.stack([low, high], 1).tolist(), strict=True):
+            slide = joint["type"] == "prismatic"
+            joint["limits_m" if slide else "limits_deg"] = ends if slide else np.degrees(ends)
+        small = Arm.parse(data, "small")
+        q = rng.uniform(low, high, (5, arm.n))
+        targets = model.pose(q) if pose else model.tip(q)
+        search = Search(LENGTH, max_nodes=100_000)
+        got = choose(
+            small, Lattice.of(arm), lambda q, _: model.pose(q), targets, q, search
+        )  # fmt: skip
+        steps = [
+            np.arange(math.ceil(a / s), math.floor(b / s) + 1) * s
+            for a, b, s in zip(low, high, arm.steps, strict=True)
+        ]
+        grid = every(steps)
+        assert len(grid) >= 3**7
+        at = model.pose(grid)
+        price = PRICE / np.where(arm.steps == SLIDE, LENGTH, 1.0)
+        for i, target in enumerate(targets):
+            place = target[:3, 3] if pose else target
+            cost = ((at[:, :3, 3] - place) ** 2).sum(axis=1)
+            cost += ((price * (grid - q[i])) ** 2).sum(axis=1)
+            if pose:
+                turn = at[:, :3, :3] @ target[:3, :3].T
+                angle = np.arccos(np.clip((np.trace(turn, axis1=1, axis2=2) - 1) / 2, -1, 1))
+                cost += (LENGTH * angle) ** 2
+            np.testing.assert_allclose(got.joints[i], grid[np.argmin(cost)], atol=1e-9)
+
+
+def test_a_model_is_asked_inside_the_limits_only(rng: np.random.Generator) -> None:
+    case = Linear.draw(rng)
+    case.ideal[:4] = case.arm.lower
+    case.ideal[4:8] = case.arm.upper
+    got = case.choose()  # `predict` looks
+    assert (got.error[:, 0] <= got.rounded_error[:, 0]).all()
+
+
+def test_locked_joints_and_limits_of_the_demonstration_arm(
+    model: Model, rng: np.random.Generator
+) -> None:
+    arm = model.arm
+    q = rng.uniform(arm.lower, arm.upper, (30, arm.n))
+    got, _ = commanded(model, q, locked=(2, 6))
+    np.testing.assert_array_equal(got.joints[:, [2, 6]], got.ideal[:, [2, 6]])
+    assert (got.error[:, 0] <= got.rounded_error[:, 0]).all()
+    assert got.error[:, 0].mean() < 0.25 * got.rounded_error[:, 0].mean()
+    for joint in range(arm.n):  # two joints on their limits
+        q[:, joint] = np.where(rng.random(30) < 0.5, arm.lower[joint], arm.upper[joint])
+        q[:, (joint + 1) % arm.n] = arm.lower[(joint + 1) % arm.n]
+        lattice = Lattice.of(arm, 0.4 * arm.steps)
+        edge = choose(arm, lattice, lambda q, _: model.tip(q), model.tip(q), q, Search(LENGTH))
+        assert (edge.joints >= arm.lower).all() and (edge.joints <= arm.upper).all()
+        assert on_steps(model, edge.joints, 0.4 * arm.steps).max() < 1e-6
+        assert (edge.error[:, 0] <= edge.rounded_error[:, 0]).all()
+        assert np.median(edge.error[:, 0]) < 0.1 * np.median(edge.rounded_error[:, 0])
+        q = rng.uniform(arm.lower, arm.upper, (30, arm.n))
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_tip_poses_are_the_models(compiled: bool, model: Model, rng: np.random.Generator) -> None:
+    fresh = dataclasses.replace(model, effects=(*model.effects, TipPayload(mass=0.05 + compiled)))
+    q = rng.uniform(fresh.arm.lower, fresh.arm.upper, (21, fresh.arm.n))
+    context = Context(columns={"payload_kg": rng.uniform(0, 1, 21)})
+    if compiled:
+        assert ik.solve_many(fresh, fresh.tip(q, context), context=context,
+                             engine=ik.Engine.COMPILED).ok.any()  # fmt: skip
+    np.testing.assert_allclose(tip_poses(fresh, q, context), fresh.pose(q, context), atol=1e-12)
+    labelled = Context(labels={"group": np.array(["a", "b"] * 10 + ["a"])})
+    np.testing.assert_array_equal(tip_poses(model, q, labelled), model.pose(q, labelled))

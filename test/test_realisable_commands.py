@@ -1,0 +1,278 @@
+"""Compensation on servos with steps: commands that they can stand at, and the tip on its target."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from cli_shell import Shell
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.history import History
+from longarm_comp.core.compensation.arrive import CompensationOptions, compensate_move
+from longarm_comp.core.compensation.compensate import compensate, compensate_many
+from longarm_comp.core.compensation.realisable import Lattice
+from longarm_comp.core.compensation.result import Method, Status
+from longarm_comp.core.effects.backlash import Backlash
+from longarm_comp.core.learn.expansion import Expansion, Nearby
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
+
+
+@pytest.fixture(scope="module")
+def stepped(demo_arm_path: Path) -> dict[str, Any]:
+    """arm.yaml of the demonstration, with 1000 steps a turn and slides of 0.1 mm."""
+    data: dict[str, Any] = yaml.safe_load(demo_arm_path.read_text())
+    for joint in data["joints"]:
+        joint |= {"step_deg": 0.36} if joint["type"] == "revolute" else {"step_m": 1e-4}
+    return data
+
+
+@pytest.fixture(scope="module")
+def model(stepped: dict[str, Any]) -> Model:
+    return declared_model(Arm.parse(stepped, "stepped demo"))
+
+
+@pytest.fixture
+def joints(model: Model, rng: np.random.Generator) -> np.ndarray:
+    arm = model.arm
+    share = rng.uniform(0.1, 0.9, (12, arm.n))
+    return np.array(arm.lower + share * (arm.upper - arm.lower))
+
+
+def off_steps(model: Model, q: np.ndarray) -> float:
+    """Largest distance from a step, in steps."""
+    k = q / model.arm.steps
+    return float(np.abs(k - np.rint(k)).max())
+
+
+def residual(q: np.ndarray) -> np.ndarray:
+    """A learned error of some millimetres that bends within a few degrees, (N, 3) m."""
+    turn = np.sin(8 * q[:, 1] + 5 * q[:, 3])
+    return 1e-3 * np.stack([2 + turn, 2 * np.cos(6 * q[:, 0]), -3 + turn], axis=1)
+
+
+@dataclasses.dataclass
+class Answer:
+    error: np.ndarray
+    sigma: np.ndarray
+    in_domain: np.ndarray
+
+
+class Known:
+    """A predictor that knows the residual; its sigma tells where it was asked."""
+
+    def __init__(self, inside: bool = True) -> None:
+        self.inside = inside
+
+    def predict(self, q: np.ndarray, context: Context | None = None) -> Answer:
+        sigma = np.repeat(np.abs(q[:, :1]), 3, axis=1)
+        return Answer(residual(q), sigma, np.full(len(q), self.inside))
+
+
+def test_commands_stand_on_steps_and_the_tip_on_its_target(
+    model: Model, joints: np.ndarray
+) -> None:
+    targets = model.tip(joints)
+    plain = compensate_many(model, None, targets, realisable=False, method=Method.DEFLECTION)
+    made = compensate_many(model, None, targets, method=Method.DEFLECTION)
+    assert made.success.all()
+    assert off_steps(model, made.command) < 1e-6 < off_steps(model, plain.command)
+    np.testing.assert_array_equal(made.ideal, plain.ideal)
+    rounded = model.arm.steps * np.rint(plain.command / model.arm.steps)
+    left, was = (np.linalg.norm(model.tip(q) - targets, axis=1) for q in (made.command, rounded))
+    assert left.mean() < 0.12e-3 < 1.5e-3 < was.mean()
+
+
+def test_the_learned_error_is_that_of_the_chosen_joints(model: Model, joints: np.ndarray) -> None:
+    for target in model.tip(joints):
+        made = compensate(model, Known(), target)
+        assert made.status is Status.SUCCESS
+        assert made.reason == ""
+        assert off_steps(model, made.command) < 1e-6
+        np.testing.assert_allclose(made.predicted_error, residual(made.command[None])[0])
+        np.testing.assert_allclose(made.pseudo_target, target - made.predicted_error)
+        assert made.sigma[0] == abs(made.command[0])
+        chosen = made.realisable
+        assert chosen is not None
+        np.testing.assert_array_equal(chosen.joints, made.command)
+        plain = compensate(model, Known(), target, realisable=False)
+        np.testing.assert_array_equal(chosen.ideal, plain.command)
+        assert plain.realisable is None
+        real = model.tip(made.command) + residual(made.command[None])[0]
+        assert np.linalg.norm(real - target) == pytest.approx(chosen.error[0], abs=1e-9)
+        assert chosen.error[0] < 0.4e-3
+
+
+def test_outside_its_domain_the_learned_error_takes_no_part(
+    model: Model, joints: np.ndarray
+) -> None:
+    target = model.tip(joints[0])
+    made = compensate(model, Known(inside=False), target)
+    assert made.status is Status.OUT_OF_DOMAIN
+    np.testing.assert_array_equal(made.predicted_error, 0)
+    assert off_steps(model, made.command) < 1e-6
+    assert np.linalg.norm(model.tip(made.command) - target) < 0.3e-3
+
+
+def test_poses_and_free_orientations(model: Model, joints: np.ndarray) -> None:
+    pose = model.pose(joints[1])
+    held = compensate(model, None, pose, method=Method.DEFLECTION)
+    free = compensate(model, None, pose, method=Method.DEFLECTION, position_only=True)
+    errors = []
+    for made in (held, free):
+        assert off_steps(model, made.command) < 1e-6
+        errors.append(np.linalg.norm(model.tip(made.command) - pose[:3, 3]))
+    assert held.realisable is not None and free.realisable is not None
+    assert held.realisable.error[1] > 0 == free.realisable.error[1]
+    assert errors[1] < 0.2e-3 < 3e-3 > errors[0]
+
+
+def test_locked_joints_keep_their_seed(model: Model, joints: np.ndarray) -> None:
+    seed = joints[2] + 1e-3
+    made = compensate(
+        model, None, model.tip(seed), seed=seed, locked=("joint7", 2), method=Method.DEFLECTION
+    )
+    np.testing.assert_array_equal(made.command[[2, 6]], seed[[2, 6]])
+    others = [0, 1, 3, 4, 5]
+    k = made.command[others] / model.arm.steps[others]
+    assert np.abs(k - np.rint(k)).max() < 1e-6
+
+
+@pytest.mark.parametrize("single_pass", [False, True])
+def test_off_and_single_passes_are_as_before(
+    single_pass: bool, model: Model, joints: np.ndarray, demo_arm_path: Path
+) -> None:
+    bare = declared_model(Arm.load(demo_arm_path))
+    for target in model.tip(joints[:4]):
+        want = compensate(bare, Known(), target, single_pass=single_pass)
+        got = compensate(model, Known(), target, single_pass=single_pass, realisable=single_pass)
+        for field in dataclasses.fields(want):
+            np.testing.assert_array_equal(
+                getattr(got, field.name), getattr(want, field.name), field.name
+            )
+
+
+def test_a_lattice_may_be_given_and_what_is_not_known_is_said(
+    model: Model, joints: np.ndarray
+) -> None:
+    offset = 0.3 * model.arm.steps
+    unsure = model.arm.steps * [0.2, 0, 0, 0, 0, 0, 0]
+    lattice = Lattice.of(model.arm, offset, unsure)
+    target = model.tip(joints[3])
+    made = compensate(model, None, target, method=Method.DEFLECTION, realisable=lattice)
+    k = (made.command - offset) / model.arm.steps
+    assert np.abs(k - np.rint(k))[1:].max() < 1e-6 < np.abs(k - np.rint(k))[0]
+    assert made.reason.startswith("joint1 stays at its ideal value: the offset")
+    assert np.linalg.norm(model.tip(made.command) - target) < 0.5e-3
+
+
+def loose(model: Model) -> Model:
+    """Play in every turning joint, on whatever load."""
+    rows = [row for row in model.arm.commanded if model.arm.joints[row - 1].type == "revolute"]
+    return model.plus(*(Backlash(row, gate=0.0, width=6e-3) for row in rows))
+
+
+def context_of(history: History) -> Context:
+    return Context(**history.fields())
+
+
+def test_a_chosen_command_arrives_as_it_assumes(model: Model, joints: np.ndarray) -> None:
+    played = loose(model)
+    start = played.arm.mid
+    chosen = 0
+    for q in joints:
+        target = model.tip(q)
+        arrival = compensate_move(
+            played, None, target, start=start, history=History.unknown(played.arm.n),
+            context_after=context_of, options=CompensationOptions(Method.DEFLECTION),
+        )  # fmt: skip
+        assert arrival.outcome.success
+        command = arrival.outcome.command
+        np.testing.assert_array_equal(arrival.move.q, command)
+        # by a history of its own, from the way-points that are sent
+        after = History.unknown(played.arm.n).after(arrival.move.points, start)
+        np.testing.assert_array_equal(after.approach, arrival.history.approach)
+        real = played.tip(command, context_of(after))
+        if arrival.outcome.realisable is not None:
+            chosen += 1
+            assert off_steps(model, command) < 1e-6
+            assert np.linalg.norm(real - target) < 0.4e-3
+        else:
+            assert "other side" in arrival.outcome.reason
+    assert chosen >= 10
+
+
+def test_near_its_start_a_joint_keeps_its_side_or_nothing_is_chosen(model: Model) -> None:
+    """Without run-ups a choice may turn a joint round that was to move by less than a step."""
+    played, refused = loose(model), 0
+    options = CompensationOptions(Method.DEFLECTION, run_up=False)
+    for k in range(8):
+        start = played.arm.mid + 1e-3 * np.cos(np.arange(played.arm.n) + k)
+        near = start + 8e-4 * np.sin(3 * np.arange(played.arm.n) + k)
+        history = History(np.ones(played.arm.n), np.zeros(played.arm.n))
+        target = played.tip(near, context_of(history))
+        arrival = compensate_move(
+            played, None, target, start=start, history=history,
+            context_after=context_of, options=options,
+        )  # fmt: skip
+        after = history.after(arrival.move.points, start)
+        if arrival.outcome.realisable is None:
+            refused += "other side" in arrival.outcome.reason
+            continue
+        real = played.tip(arrival.outcome.command, context_of(after))
+        assert np.linalg.norm(real - target) < 1e-3
+    assert refused > 0
+
+
+def test_a_predictor_of_another_process_answers_for_all_candidates(
+    model: Model, joints: np.ndarray
+) -> None:
+    asked = []
+
+    def ask(q: np.ndarray, context: Context) -> Expansion:
+        asked.append(q)
+        steps = np.diag(np.full(len(q), 1e-6))
+        slope = (residual(q + steps) - residual(q - steps)).T / 2e-6
+        return Expansion(
+            residual(q[None])[0], np.full(3, 1e-4), True, "", slope, np.full(len(q), 1e-4)
+        )
+
+    for target in model.tip(joints[:6]):
+        made = compensate(model, Nearby(ask), target)
+        assert off_steps(model, made.command) < 1e-6
+        real = model.tip(made.command) + residual(made.command[None])[0]
+        assert np.linalg.norm(real - target) < 0.6e-3
+    assert len(asked) < 6 * 16
+
+
+def test_commands_csv_holds_the_joints_before_the_choice(
+    stepped: dict[str, Any], model: Model, joints: np.ndarray, tmp_path: Path, shell: Shell
+) -> None:
+    arm = tmp_path / "arm.yaml"
+    arm.write_text(yaml.safe_dump(stepped))
+    targets = tmp_path / "targets.csv"
+    lines = [",".join(f"{v:.9f}" for v in p) for p in model.tip(joints[:5])]
+    targets.write_text("x,y,z\n" + "\n".join(lines) + "\n")
+
+    def columns(kind: str, *more: str) -> tuple[np.ndarray, np.ndarray]:
+        out = tmp_path / f"{kind}.csv"
+        shell("compensate", str(arm), "--targets", str(targets), "-o", str(out), *more)
+        with out.open() as file:
+            rows = list(csv.DictReader(file))
+        return tuple(  # type: ignore[return-value]
+            np.array([[float(r[f"{name}q{j}"]) for j in range(1, 8)] for r in rows])
+            for name in ("", "ideal_")
+        )
+
+    q, ideal = columns("chosen")
+    plain, _ = columns("plain", "--no-realisable")
+    assert off_steps(model, q) < 1e-6
+    np.testing.assert_allclose(ideal, plain, atol=1e-9)
+    assert np.abs(q - ideal).max() > 1e-4
