@@ -16,10 +16,10 @@ from pydantic import BaseModel, Field, ValidationError, field_validator, model_v
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.devices.servo_bus import MODELS, PROTOCOLS, SerialServoBus, ServoModel, open_bus
-from longarm_comp.devices.servo_joint import Declared, JointConfig, Positive
+from longarm_comp.devices.servo_joint import JointConfig, Positive, ServoSettings
 
 
-class BusConfig(Declared):
+class BusConfig(ServoSettings):
     """The serial line."""
 
     protocol: str
@@ -36,7 +36,7 @@ class BusConfig(Declared):
         return value
 
 
-class FollowerConfig(Declared):
+class FollowerConfig(ServoSettings):
     """Limits that hold for every joint; ticks are the servo's own.
 
     Attributes:
@@ -57,7 +57,7 @@ class FollowerConfig(Declared):
     jump_ticks: Positive = 200.0
 
 
-class ServoConfig(Declared):
+class ServoConfig(ServoSettings):
     """The whole servo side of an arm; ``joints`` keeps the order of the file."""
 
     bus: BusConfig

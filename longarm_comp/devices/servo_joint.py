@@ -19,13 +19,13 @@ STEP_KNOWN_TO = 0.15
 """Share of a step to which it must be known where it is."""
 
 
-class Declared(BaseModel):
+class ServoSettings(BaseModel):
     """A part of the configuration: unknown keys are errors, nothing changes afterwards."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class JointConfig(Declared):
+class JointConfig(ServoSettings):
     """One joint and its servo; ``lower``, ``upper``, ``max_velocity`` in rad or m.
 
     Attributes:
