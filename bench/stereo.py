@@ -23,7 +23,7 @@ from rich.table import Table
 
 from longarm_comp.devices.stereo import (
     CharucoTarget,
-    Reason,
+    RefusalReason,
     StereoEye,
     StereoRefusal,
     StereoRig,
@@ -105,7 +105,7 @@ def _row(
     name: str,
     depth: float,
     pairs: int,
-    refusals: Counter[Reason],
+    refusals: Counter[RefusalReason],
     errors: list[np.ndarray],
     sigmas: list[np.ndarray],
     normalised: list[float],

@@ -14,7 +14,7 @@ import numpy as np
 
 import longarm_comp as la
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.measure import Camera, measure_session, write_session
+from longarm_comp.sim.measure import TrueCamera, measure_session, write_session
 from longarm_comp.sim.plant import hidden_effects
 
 ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
@@ -28,7 +28,7 @@ def main() -> None:
     poses = la.plan(arm, 200).q
     with tempfile.TemporaryDirectory() as folder:
         samples = Path(folder) / "samples.csv"
-        write_session(samples, measure_session(real, Camera.of(arm), poses, rng=rng).columns)
+        write_session(samples, measure_session(real, TrueCamera.of(arm), poses, rng=rng).columns)
         session = la.read_session(samples, arm)
 
     calibrated = la.calibrate(arm, session)

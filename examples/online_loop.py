@@ -12,7 +12,7 @@ import numpy as np
 
 import longarm_comp as la
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.measure import Camera, Noise
+from longarm_comp.sim.measure import Noise, TrueCamera
 from longarm_comp.sim.plant import hidden_effects
 
 ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
@@ -23,7 +23,7 @@ def main() -> None:
     """Run the loop and show the errors of its three phases."""
     arm = la.Arm.load(ARM)
     rng = np.random.default_rng(3)
-    camera, noise = Camera.of(arm), Noise()
+    camera, noise = TrueCamera.of(arm), Noise()
     hidden = hidden_effects(arm, {"joint_zero": 5.0}, rng)
     real = TrueArm(arm, hidden)
 

@@ -9,7 +9,7 @@ from small_arm import ARM
 
 from longarm_comp.core.data.session import Session
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.context import Context
+from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
 
 Draw = Callable[[np.random.Generator, int], np.ndarray]
@@ -41,7 +41,7 @@ def session(
 def tip(hidden: Sequence[HiddenEffect], q: np.ndarray, side: np.ndarray) -> np.ndarray:
     """Where the tip really is, (n, 3) m."""
     sides = np.repeat(side[:, None], ARM.n, axis=1)
-    return TrueArm(ARM, hidden).tip(q, Context(approach=sides))
+    return TrueArm(ARM, hidden).tip(q, TrueContext(approach=sides))
 
 
 def at(joint: int, value: float) -> np.ndarray:

@@ -14,7 +14,7 @@ from scipy.integrate import solve_bvp
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.context import Context
+from longarm_comp.sim.context import TrueContext
 
 G = 9.81
 EI, GJ = 2.0, 1.5
@@ -177,7 +177,7 @@ def test_torques_are_the_slope_of_potential_energy(twin: Arm, rng: np.random.Gen
     """Virtual work: at rest, with joints held, torque = dE/dq' by the payload's share."""
     stiff = stiffened(twin, 1e7)
     q = rng.uniform(twin.lower, twin.upper, (1, twin.n))[0]
-    heavy, light = (TrueArm(stiff).torques(q, Context(payload_kg=m))[0] for m in (0.35, 0.25))
+    heavy, light = (TrueArm(stiff).torques(q, TrueContext(payload_kg=m))[0] for m in (0.35, 0.25))
     step = 1e-5
     for k in range(twin.n):
         dq = step * np.eye(twin.n)[k]

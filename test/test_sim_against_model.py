@@ -43,7 +43,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State
 from longarm_comp.sim.hidden.catalogue import draw, typical_context
-from longarm_comp.sim.measure import Camera
+from longarm_comp.sim.measure import TrueCamera
 from longarm_comp.sim.random_arms import Mix
 
 SIZE_MM = 3.0
@@ -136,7 +136,7 @@ def test_truth_and_model_agree_on(arm: Arm, name: str) -> None:
     effect = draw(name, arm, rng, SIZE_MM, q)
     mix, state = Mix.of(effect), State.of(arm, q, context)
     truth = TrueArm(arm, mix.arm_side).tip(q, context)
-    seen = Camera.of(arm, mix.camera_side).seen(truth, state.t_s)
+    seen = TrueCamera.of(arm, mix.camera_side).seen(truth, state.t_s)
 
     terms, allowed = SAME[name]
     columns = {"temperature_c": state.temperature_c, "t_s": state.t_s}

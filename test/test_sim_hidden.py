@@ -11,7 +11,7 @@ import pytest
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.context import Context, State
+from longarm_comp.sim.context import State, TrueContext
 from longarm_comp.sim.hidden import camera, drives, geometry, loads
 from longarm_comp.sim.hidden.camera import CameraEffect
 from longarm_comp.sim.hidden.catalogue import (
@@ -69,7 +69,7 @@ def twin(data_dir: Path) -> Arm:
 
 def angle(arm: Arm, effect: Any, q: float = 0.0, **context: Any) -> float:
     """Angle at which the lever comes to rest."""
-    tip = TrueArm(arm, [effect]).tip(np.array([q]), Context(**context))
+    tip = TrueArm(arm, [effect]).tip(np.array([q]), TrueContext(**context))
     return float(np.arctan2(tip[2], tip[0]))
 
 
@@ -180,7 +180,7 @@ def test_a_servo_rounds_what_it_is_told_wherever_it_stands_in_the_list() -> None
         geometry.JointZero(np.array([0.04])),
         drives.FrictionHysteresis(np.array([0.02])),
     )
-    up = Context(np.array([[1.0]]))
+    up = TrueContext(np.array([[1.0]]))
     for chain in ((told, *after), (*after, told)):
         tip = TrueArm(lever(), chain).tip(np.array([0.27]), up)
         assert np.arctan2(tip[2], tip[0]) == pytest.approx(0.3 * 1.1 + 0.04 - 0.02)
@@ -190,8 +190,8 @@ def test_lengths_grow_with_temperature(twin: Arm) -> None:
     effect = geometry.ThermalGrowth(1e-4)
     weightless = twin.model_copy(update={"gravity_mps2": (0.0, 0.0, 0.0)})
     q = np.zeros((1, twin.n))
-    cold = TrueArm(weightless, [effect]).tip(q, Context(temperature_c=22.0))
-    warm = TrueArm(weightless, [effect]).tip(q, Context(temperature_c=32.0))
+    cold = TrueArm(weightless, [effect]).tip(q, TrueContext(temperature_c=22.0))
+    warm = TrueArm(weightless, [effect]).tip(q, TrueContext(temperature_c=32.0))
     assert np.allclose(cold, TrueArm(weightless).tip(q), atol=1e-12)
     assert np.allclose(warm, cold * (1 + 1e-3), rtol=0, atol=1e-12)
 
@@ -202,14 +202,14 @@ def test_creep_and_softness_act_on_the_sag(twin: Arm) -> None:
     soft = TrueArm(twin, [loads.LinkStiffness({b.name: 0.1 for b in twin.links})]).tip(q)
     assert (soft - _rigid(twin, q))[0, 2] == pytest.approx(1.1 * sag[0, 2], rel=2e-3)
     creep = TrueArm(twin, [loads.Creep(0.1, 100.0)])
-    assert creep.tip(q, Context(t_s=0.0))[0, 2] == pytest.approx(TrueArm(twin).tip(q)[0, 2])
-    assert np.allclose(creep.tip(q, Context(t_s=1e5)), soft, atol=1e-9)
+    assert creep.tip(q, TrueContext(t_s=0.0))[0, 2] == pytest.approx(TrueArm(twin).tip(q)[0, 2])
+    assert np.allclose(creep.tip(q, TrueContext(t_s=1e5)), soft, atol=1e-9)
 
 
 def test_undeclared_payload_is_payload(twin: Arm) -> None:
     q = twin.mid[None]
     more = TrueArm(twin, [loads.TipPayload(0.1)]).tip(q)
-    assert np.allclose(more, TrueArm(twin).tip(q, Context(payload_kg=0.35)), atol=1e-12)
+    assert np.allclose(more, TrueArm(twin).tip(q, TrueContext(payload_kg=0.35)), atol=1e-12)
 
 
 def test_telescope_droops_less_with_more_overlap(twin: Arm) -> None:
@@ -235,9 +235,9 @@ def test_inclinometer_reads_the_tilt_that_acts(twin: Arm, rng: np.random.Generat
     assert isinstance(effect, loads.MeasuredTilt)
     q = rng.uniform(twin.lower, twin.upper, (1, twin.n))
     true = TrueArm(_weightless(twin), [effect])
-    read = effect.readings(State.of(twin, q, Context(t_s=500.0)))
+    read = effect.readings(State.of(twin, q, TrueContext(t_s=500.0)))
     w = np.array([read["incl_0_x"][0], read["incl_0_y"][0], 0.0])
-    tip, moved = _rigid(twin, q)[0], true.tip(q, Context(t_s=500.0))[0]
+    tip, moved = _rigid(twin, q)[0], true.tip(q, TrueContext(t_s=500.0))[0]
     assert np.allclose(moved - tip, np.cross(w, tip + np.cross(w, tip) / 2), atol=1e-7)
 
 

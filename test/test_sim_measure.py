@@ -12,13 +12,13 @@ import pytest
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.context import Context
+from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden import drives, loads
 from longarm_comp.sim.hidden.camera import CameraScale
 from longarm_comp.sim.measure import (
-    Camera,
     Noise,
-    Session,
+    SimulatedSession,
+    TrueCamera,
     arrival,
     measure_session,
     write_session,
@@ -31,15 +31,15 @@ def twin(data_dir: Path) -> Arm:
     return Arm.load(data_dir / "twin" / "arm.yaml")
 
 
-def measured(arm: Arm, rows: int = 60, hidden: Any = (), **options: Any) -> Session:
+def measured(arm: Arm, rows: int = 60, hidden: Any = (), **options: Any) -> SimulatedSession:
     """A session of random poses."""
     rng = np.random.default_rng(8)
     poses = rng.uniform(arm.lower, arm.upper, (rows, arm.n))
     options = {"approach": "random", **options}
-    return measure_session(TrueArm(arm, hidden), Camera.of(arm), poses, rng=rng, **options)
+    return measure_session(TrueArm(arm, hidden), TrueCamera.of(arm), poses, rng=rng, **options)
 
 
-def xyz(session: Session) -> np.ndarray:
+def xyz(session: SimulatedSession) -> np.ndarray:
     return np.stack([session.columns[a] for a in "xyz"], axis=1)
 
 
@@ -69,7 +69,7 @@ def test_same_seed_same_session(twin: Arm) -> None:
 
 def test_noise_has_its_size_and_points_along_the_sight(twin: Arm) -> None:
     noise = Noise(sigma_m=1e-4, depth_m=1e-3)
-    camera = Camera.of(twin)
+    camera = TrueCamera.of(twin)
     rng = np.random.default_rng(0)
     sight = camera.sight(np.tile([0.9, 0.1, 0.2], (20000, 1)))
     error = noise.draw(sight, rng)
@@ -134,7 +134,7 @@ def test_history_reaches_the_arm(twin: Arm) -> None:
     assert np.all(np.isnan(session.columns["approach"]))
     q = np.stack([session.columns[f"q{k + 1}"] for k in range(twin.n)], axis=1)
     c = session.columns
-    context = Context(session.truth["side"], c["temperature_c"], 0.1, c["t_s"])
+    context = TrueContext(session.truth["side"], c["temperature_c"], 0.1, c["t_s"])
     assert np.allclose(TrueArm(twin, hidden).tip(q, context), session.truth["tip"], atol=1e-12)
     assert not np.allclose(TrueArm(twin).tip(q, context), session.truth["tip"], atol=1e-4)
 
@@ -148,12 +148,12 @@ def test_inclinometer_columns_come_with_the_tilt(twin: Arm) -> None:
 
 def test_camera_sees_truth_without_effects_and_scales_about_itself(twin: Arm) -> None:
     points = np.array([[0.9, 0.1, 0.2], [0.7, -0.3, 0.4]])
-    assert np.allclose(Camera.of(twin).seen(points), points, atol=1e-15)
-    head = Camera.of(twin, [CameraScale(0.01)])
+    assert np.allclose(TrueCamera.of(twin).seen(points), points, atol=1e-15)
+    head = TrueCamera.of(twin, [CameraScale(0.01)])
     assert np.allclose(head.seen(points) - points, 0.01 * (points - head.position_m))
     blind = twin.model_copy(update={"camera": None})
     with pytest.raises(InputError, match="camera"):
-        Camera.of(blind)
+        TrueCamera.of(blind)
 
 
 def test_columns_of_different_length_are_refused(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from longarm_comp.core.errors import InputError
 from longarm_comp.jobs.soak.leaks import LeakWatch
 from longarm_comp.jobs.soak.ledger import Books
-from longarm_comp.jobs.soak.setting import Setting
+from longarm_comp.jobs.soak.setting import SoakSettings
 
 Q = (0.1, 0.2)
 
@@ -96,7 +96,7 @@ def test_a_process_that_grows_is_a_leak() -> None:
 
 def test_settings_are_checked(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="rate_hz"):
-        Setting(tmp_path, rate_hz=0.0)
+        SoakSettings(tmp_path, rate_hz=0.0)
 
 
 def test_half_a_minute_of_faults(ros_domain: int, tmp_path: Path) -> None:

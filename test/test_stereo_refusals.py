@@ -17,7 +17,7 @@ from longarm_comp.devices.stereo import (
     Chessboard,
     Limits,
     PixelNoise,
-    Reason,
+    RefusalReason,
     StereoEye,
     StereoPairer,
     StereoRefusal,
@@ -30,16 +30,16 @@ from longarm_comp.sim.marker_images import tag_plate
 # ---- refusals -----------------------------------------------------------------------------------
 
 FAULTS = {
-    Reason.TOO_DARK: Conditions(exposure=0.02),
-    Reason.TOO_BRIGHT: Conditions(exposure=40.0),
-    Reason.BLURRED: Conditions(blur_px=7.0),
-    Reason.NOT_FOUND_LEFT: Conditions(covered=(0.5, 0.0)),
-    Reason.NOT_FOUND_RIGHT: Conditions(covered=(0.0, 0.5)),
+    RefusalReason.TOO_DARK: Conditions(exposure=0.02),
+    RefusalReason.TOO_BRIGHT: Conditions(exposure=40.0),
+    RefusalReason.BLURRED: Conditions(blur_px=7.0),
+    RefusalReason.NOT_FOUND_LEFT: Conditions(covered=(0.5, 0.0)),
+    RefusalReason.NOT_FOUND_RIGHT: Conditions(covered=(0.0, 0.5)),
 }
 
 
 @pytest.mark.parametrize("reason", FAULTS, ids=lambda reason: reason.name)
-def test_bad_pictures_are_refused_with_the_right_reason(reason: Reason) -> None:
+def test_bad_pictures_are_refused_with_the_right_reason(reason: RefusalReason) -> None:
     eye = eye_for()
     with pytest.raises(StereoRefusal) as refusal:
         eye.measure(*pair(FAULTS[reason]), 0)
@@ -52,7 +52,7 @@ def test_bad_pictures_are_refused_with_the_right_reason(reason: Reason) -> None:
 def test_a_blur_that_still_lets_the_tag_be_read_is_refused_too() -> None:
     with pytest.raises(StereoRefusal) as refusal:
         eye_for(limits=Limits(edge_px=1.2)).measure(*pair(Conditions(blur_px=2.0)), 0)
-    assert refusal.value.reason is Reason.BLURRED
+    assert refusal.value.reason is RefusalReason.BLURRED
     assert refusal.value.facts["edge_px"] == pytest.approx(2.0, abs=0.4)
 
 
@@ -64,7 +64,7 @@ def test_half_a_board_each_is_occluded() -> None:
     eye = eye_for(target=target, limits=Limits(seen_share=0.75))
     with pytest.raises(StereoRefusal) as refusal:
         eye.measure(*half, 0)
-    assert refusal.value.reason is Reason.OCCLUDED
+    assert refusal.value.reason is RefusalReason.OCCLUDED
     assert refusal.value.facts == {"corners": 8, "of": 16}
 
 
@@ -101,9 +101,9 @@ def test_whatever_the_picture_the_answer_is_right_or_a_refusal() -> None:
 def test_wrong_size_and_wrong_kind_of_image() -> None:
     left, right = pair()
     for bad, reason in [
-        (left[:240], Reason.WRONG_SIZE),
-        (left.astype(float), Reason.BAD_IMAGE),
-        (left[None], Reason.BAD_IMAGE),
+        (left[:240], RefusalReason.WRONG_SIZE),
+        (left.astype(float), RefusalReason.BAD_IMAGE),
+        (left[None], RefusalReason.BAD_IMAGE),
     ]:
         with pytest.raises(StereoRefusal) as refusal:
             eye_for().measure(bad, right, 0)
@@ -121,9 +121,9 @@ def test_shifted_swapped_and_repeated_markers() -> None:
     x = round(HEAD.k[0, 2] + HEAD.focal_px * 0.15 / 1.2)
     doubled[:200, :200] = left[140:340, x - 100 : x + 100]
     for images, reason in [
-        ((left, lowered), Reason.EPIPOLAR),
-        ((right, left), Reason.BEHIND_CAMERA),
-        ((doubled, right), Reason.AMBIGUOUS),
+        ((left, lowered), RefusalReason.EPIPOLAR),
+        ((right, left), RefusalReason.BEHIND_CAMERA),
+        ((doubled, right), RefusalReason.AMBIGUOUS),
     ]:
         with pytest.raises(StereoRefusal) as refusal:
             eye_for().measure(*images, 0)
@@ -133,7 +133,7 @@ def test_shifted_swapped_and_repeated_markers() -> None:
 def test_a_marker_of_another_size_than_declared() -> None:
     with pytest.raises(StereoRefusal) as refusal:
         eye_for(target=TagBoard(0.05)).measure(*pair(), 0)
-    assert refusal.value.reason is Reason.MARKER_SIZE
+    assert refusal.value.reason is RefusalReason.MARKER_SIZE
     assert refusal.value.facts["seen_over_declared"] == pytest.approx(1.2, abs=0.01)
 
 
@@ -143,7 +143,7 @@ def test_a_board_that_is_not_what_is_declared_does_not_fit() -> None:
     eye = eye_for(target=TagBoard(0.04, 0.005, 2, 2), limits=Limits(size=0.2))
     with pytest.raises(StereoRefusal) as refusal:
         eye.measure(*images, 0)
-    assert refusal.value.reason is Reason.REPROJECTION
+    assert refusal.value.reason is RefusalReason.REPROJECTION
     assert refusal.value.facts["rms_px"] > 0.8
 
 
@@ -161,12 +161,12 @@ def test_an_uncalibrated_camera_is_refused(change: dict[str, Any]) -> None:
     left, right = HEAD.camera_infos()
     with pytest.raises(StereoRefusal) as refusal:
         StereoRig.from_camera_info(left, dataclasses.replace(right, **change), rectified=False)
-    assert refusal.value.reason is Reason.UNCALIBRATED
+    assert refusal.value.reason is RefusalReason.UNCALIBRATED
 
 
 def test_refusals_survive_a_process_boundary() -> None:
-    back = pickle.loads(pickle.dumps(StereoRefusal(Reason.BLURRED, edge_px=3.2)))  # noqa: S301
-    assert back.reason is Reason.BLURRED and back.facts == {"edge_px": 3.2}
+    back = pickle.loads(pickle.dumps(StereoRefusal(RefusalReason.BLURRED, edge_px=3.2)))  # noqa: S301
+    assert back.reason is RefusalReason.BLURRED and back.facts == {"edge_px": 3.2}
     assert str(back) == "image is blurred (edge_px=3.2)"
 
 

@@ -81,11 +81,11 @@ def test_visible_means_left_after_a_geometry_refit(arm, name):
 def test_geometry_errors_are_not_visible_effects(arm):
     """A joint zero is taken up by the refit whole."""
     from longarm_comp.core.data.plan import grid
-    from longarm_comp.sim.measure import Camera
+    from longarm_comp.sim.measure import TrueCamera
     from longarm_comp.studies.loop_setting import _Gauge
 
     rng = np.random.default_rng(5)
-    gauge = _Gauge(arm, Camera.of(arm), grid(arm, 60, rng).q, np.full(3, 3e-4), rng)
+    gauge = _Gauge(arm, TrueCamera.of(arm), grid(arm, 60, rng).q, np.full(3, 3e-4), rng)
     assert gauge.visibility(hidden("joint_zero", arm, 1.0, rng)) < 0.3
     assert gauge.visibility(hidden("backlash", arm, 1.0, rng)) > 1.0
 

@@ -37,14 +37,14 @@ def command(
     from longarm_comp.cli.signals import stop_on_signals
     from longarm_comp.core.errors import JobError
     from longarm_comp.jobs.soak.run import soak
-    from longarm_comp.jobs.soak.setting import Setting
+    from longarm_comp.jobs.soak.setting import SoakSettings
 
     with (
         tempfile.TemporaryDirectory(prefix="longarm_soak_") as scratch,
         stop_on_signals() as stop,
         progress("soak") as show,
     ):
-        setting = Setting(out or Path(scratch), hours, rate, fault_every, seed=seed)
+        setting = SoakSettings(out or Path(scratch), hours, rate, fault_every, seed=seed)
         report = soak(setting, stop, show)
     if as_json:
         print_json(report)

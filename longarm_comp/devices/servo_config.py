@@ -16,10 +16,10 @@ from pydantic import BaseModel, Field, ValidationError, field_validator, model_v
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.devices.servo_bus import MODELS, PROTOCOLS, SerialServoBus, ServoModel, open_bus
-from longarm_comp.devices.servo_joint import Declared, JointConfig, Positive
+from longarm_comp.devices.servo_joint import JointConfig, Positive, ServoSettings
 
 
-class BusConfig(Declared):
+class BusConfig(ServoSettings):
     """The serial line."""
 
     protocol: str
@@ -36,7 +36,7 @@ class BusConfig(Declared):
         return value
 
 
-class FollowerConfig(Declared):
+class FollowerConfig(ServoSettings):
     """Limits that hold for every joint; ticks are the servo's own.
 
     Attributes:
@@ -57,7 +57,7 @@ class FollowerConfig(Declared):
     jump_ticks: Positive = 200.0
 
 
-class ServoConfig(Declared):
+class ServoConfig(ServoSettings):
     """The whole servo side of an arm; ``joints`` keeps the order of the file."""
 
     bus: BusConfig
@@ -86,6 +86,25 @@ class ServoConfig(Declared):
             if joint.tick_limits[0] > joint.tick_limits[1]:
                 _refuse(f"{where}.upper", joint.upper, "at least one encoder tick above lower")
         return self
+
+    def check_steps(self, steps: Mapping[str, float], where: str) -> None:
+        """Refuse steps of joints (rad, m; 0: continuous) that their servos cannot stand at.
+
+        Args:
+            where: who declares the steps, for the message.
+
+        Raises:
+            InputError: a step is no whole number of encoder ticks over the joint's range, or
+                `zero_ticks` lies between two ticks.
+        """
+        for name, step in steps.items():
+            joint = self.joints.get(name)
+            if joint is not None and step > 0 and not joint.stands_at(step):
+                tick = joint.si_per_tick
+                allowed = f"whole multiples of the servo's tick, {tick:.9g} {joint.unit}"
+                if joint.zero_ticks != round(joint.zero_ticks):
+                    allowed += f", and a whole number of zero_ticks, not {joint.zero_ticks:g}"
+                raise InputError(where, f"step of {name}", step, allowed)
 
     @property
     def models(self) -> dict[int, ServoModel]:

@@ -10,7 +10,7 @@ from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image
 
-from longarm_comp.devices.stereo import CameraInfoLike, Reason, StereoRefusal
+from longarm_comp.devices.stereo import CameraInfoLike, RefusalReason, StereoRefusal
 
 Grey = NDArray[np.uint8]
 _CHANNELS = {"mono8": 1, "8UC1": 1, "bgr8": 3, "8UC3": 3, "rgb8": 3, "bgra8": 4, "rgba8": 4}
@@ -40,11 +40,11 @@ def pixels_of(message: Image) -> Grey:
     channels = _CHANNELS.get(message.encoding)
     if channels is None:
         allowed = " ".join(_CHANNELS)
-        raise StereoRefusal(Reason.BAD_IMAGE, encoding=message.encoding, allowed=allowed)
+        raise StereoRefusal(RefusalReason.BAD_IMAGE, encoding=message.encoding, allowed=allowed)
     width = message.width * channels
     if len(message.data) != message.height * message.step or message.step < width or not width:
         size = f"{message.width}x{message.height}, step {message.step}, {len(message.data)} bytes"
-        raise StereoRefusal(Reason.BAD_IMAGE, size=size)
+        raise StereoRefusal(RefusalReason.BAD_IMAGE, size=size)
     rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)
     pixels = rows[:, :width].reshape(message.height, message.width, channels)
     if message.encoding in _TO_BGR:

@@ -32,7 +32,7 @@ from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
 from longarm_comp.nodes.markers import Markers
 from longarm_comp.nodes.messages import (
-    Provenance,
+    FileHashes,
     Refusal,
     Told,
     compensation_message,
@@ -237,7 +237,7 @@ class Kinematics(Node):
             outcome.status,
             outcome.reason + (why if outcome.status is Status.NO_PREDICTOR else ""),
             options.method.value,
-            Provenance(
+            FileHashes(
                 self._arm.hash, loaded.file_hash, "" if client is None else client.file_hash
             ),
             arrival,
@@ -270,7 +270,7 @@ class Kinematics(Node):
             status,
             reason,
             str(self.get_parameter("method").value),
-            Provenance(self._arm.hash, self._files.loaded.file_hash),
+            FileHashes(self._arm.hash, self._files.loaded.file_hash),
         )
 
     def _tell_story(self, work: _Work) -> None:

@@ -42,7 +42,7 @@ class Refusal(LongarmError):  # noqa: N818
 
 
 @dataclass(frozen=True)
-class Provenance:
+class FileHashes:
     """What computed an answer: SHA-256 of each file, empty without one."""
 
     arm: str
@@ -217,7 +217,7 @@ class Told:
     status: Status
     message: str
     method: str
-    provenance: Provenance
+    provenance: FileHashes
     arrival: Arrival | None = None
 
     @property

@@ -20,11 +20,11 @@ from longarm_comp.devices.stereo import (
     Limits,
     Pair,
     Side,
-    Sighting,
     StereoEye,
     StereoPairer,
     StereoRefusal,
     StereoRig,
+    StereoSighting,
     TagBoard,
     Target,
 )
@@ -160,7 +160,7 @@ class StereoBridge(Node):
         self._last = f"{seen.corners} corners, rms {seen.rms_px:.3f} px"
         self._tips.publish(self._message(seen))
 
-    def _message(self, seen: Sighting) -> PoseWithCovarianceStamped:
+    def _message(self, seen: StereoSighting) -> PoseWithCovarianceStamped:
         made = PoseWithCovarianceStamped()
         made.header.stamp, made.header.frame_id = stamp_of(seen.stamp_ns), self._base_frame
         made.pose.pose = pose_message(seen.pose)

@@ -38,7 +38,7 @@ CLOCKS_APART = 60.0
 """Seconds between stamp and recording above which the stamp is another clock's."""
 
 
-class Row(BaseModel):
+class SessionRow(BaseModel):
     """What a `session_row` message tells about a row, as JSON."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -98,7 +98,7 @@ class MessageBuffer:
     every_command: bool
     commands: deque[tuple[float, np.ndarray]] = field(default_factory=deque)
     sightings: list[Sighting] = field(default_factory=list)
-    rows: list[tuple[float, Row]] = field(default_factory=list)
+    rows: list[tuple[float, SessionRow]] = field(default_factory=list)
     columns: dict[str, Held] = field(default_factory=dict)
     frames: set[str] = field(default_factory=set)
     commanded: bool = False
@@ -118,7 +118,7 @@ class MessageBuffer:
         """Taken after `begin` and before `end`."""
         return self.sightings[_within(self.sightings, begin, end)]
 
-    def rows_between(self, begin: float, end: float) -> list[tuple[float, Row]]:
+    def rows_between(self, begin: float, end: float) -> list[tuple[float, SessionRow]]:
         """Told after `begin` and before `end`."""
         return self.rows[_within(self.rows, begin, end)]
 
@@ -195,7 +195,7 @@ class MessageBuffer:
 
     def _session_row(self, t: float, message: Any) -> None:
         try:
-            insort(self.rows, (t, Row.model_validate_json(message.data)), key=_time)
+            insort(self.rows, (t, SessionRow.model_validate_json(message.data)), key=_time)
         except ValidationError as error:
             fault = error.errors(include_url=False)[0]
             allowed = f"{' '.join(map(str, fault['loc']))}: {fault['msg']}"

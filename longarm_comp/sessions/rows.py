@@ -11,7 +11,7 @@ import numpy as np
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
-from longarm_comp.sessions.message_buffer import CLOCKS_APART, MessageBuffer, Row
+from longarm_comp.sessions.message_buffer import CLOCKS_APART, MessageBuffer, SessionRow
 from longarm_comp.sessions.settled import Sighting, settled
 
 
@@ -26,7 +26,7 @@ class Rows:
         self._came: list[History] = []
         self._sides: list[np.ndarray] = []
         self._made: list[Sighting] = []
-        self._told: list[Row] = []
+        self._told: list[SessionRow] = []
         self._index: list[int] = []
         self._held: list[dict[str, float]] = []
         self._passed = False
@@ -50,7 +50,7 @@ class Rows:
         begin, points = buffer.commands.popleft()
         sightings, rows = buffer.sightings_between(begin, end), buffer.rows_between(begin, end)
         seen = settled(sightings, *buffer.states_between(begin, end), begin)
-        row = rows[0][1] if rows else Row()
+        row = rows[0][1] if rows else SessionRow()
         last = self._index[-1] if self._index else -1
         number = row.index if row.index is not None else last + 1
         gap = seen and self._index and not self._passed and not 0 <= number - last <= 1

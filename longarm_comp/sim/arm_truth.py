@@ -8,7 +8,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
-from longarm_comp.sim.context import Context, State
+from longarm_comp.sim.context import State, TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.rod_chain import Settled, Walk
 from longarm_comp.sim.rods import STEPS
@@ -50,24 +50,26 @@ class TrueArm:
         self.hidden = tuple(sorted(hidden, key=lambda effect: not effect.of_command))
         self._steps, self._shear = steps, shear
 
-    def tip(self, q: Array, context: Context | None = None) -> Array:
+    def tip(self, q: Array, context: TrueContext | None = None) -> Array:
         """True tip in the base frame, (N, 3) m, for commanded joints (N, n) or (n,)."""
         return self.pose(q, context)[..., :3, 3]
 
-    def pose(self, q: Array, context: Context | None = None) -> Array:
+    def pose(self, q: Array, context: TrueContext | None = None) -> Array:
         """True tip frame in the base frame, (N, 4, 4), or (4, 4) for one posture."""
         pose = self.settled(q, context).pose
         return pose if np.ndim(q) == 2 else pose[0]
 
-    def points(self, q: Array, context: Context | None = None) -> Array:
+    def points(self, q: Array, context: TrueContext | None = None) -> Array:
         """Centre line from the foot to the last frame, (N, P, 3) m."""
         return self.settled(q, context, trace=True).points
 
-    def torques(self, q: Array, context: Context | None = None) -> Array:
+    def torques(self, q: Array, context: TrueContext | None = None) -> Array:
         """True joint loads, (N, n): N m about a turning axis, N along a sliding one."""
         return self.settled(q, context).torques
 
-    def settled(self, q: Array, context: Context | None = None, *, trace: bool = False) -> Settled:
+    def settled(
+        self, q: Array, context: TrueContext | None = None, *, trace: bool = False
+    ) -> Settled:
         """Everything about the arm at rest.
 
         Raises:

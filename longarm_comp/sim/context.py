@@ -13,7 +13,7 @@ Array = np.ndarray
 
 
 @dataclass(frozen=True)
-class Context:
+class TrueContext:
     """Circumstances of N postures; what is None is as declared, or not known.
 
     Attributes:
@@ -60,7 +60,7 @@ class State:
     wound: Array
 
     @classmethod
-    def of(cls, arm: Arm, q: Array, context: Context | None) -> State:
+    def of(cls, arm: Arm, q: Array, context: TrueContext | None) -> State:
         """Fill in what the context leaves open.
 
         Args:
@@ -71,7 +71,7 @@ class State:
         Raises:
             InputError: a value has the wrong shape or is not finite.
         """
-        given = context or Context()
+        given = context or TrueContext()
         q = _array("q", q, (len(np.atleast_2d(q)), arm.n))
         declared = arm.payload.mass_kg if arm.payload else 0.0
 

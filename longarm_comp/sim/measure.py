@@ -15,7 +15,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_text
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.context import Context, State
+from longarm_comp.sim.context import State, TrueContext
 from longarm_comp.sim.hidden.camera import CameraEffect
 
 Array = np.ndarray
@@ -53,7 +53,7 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class Camera:
+class TrueCamera:
     """A stereo head that reports points in the base frame.
 
     Attributes:
@@ -67,7 +67,7 @@ class Camera:
     effects: tuple[CameraEffect, ...] = ()
 
     @classmethod
-    def of(cls, arm: Arm, effects: Sequence[CameraEffect] = ()) -> Camera:
+    def of(cls, arm: Arm, effects: Sequence[CameraEffect] = ()) -> TrueCamera:
         """The declared head of an arm, upright.
 
         Raises:
@@ -99,7 +99,7 @@ class Camera:
 
 
 @dataclass(frozen=True)
-class Session:
+class SimulatedSession:
     """A measured session and what really was.
 
     Attributes:
@@ -114,7 +114,7 @@ class Session:
 
 def measure_session(
     true_arm: TrueArm,
-    camera: Camera,
+    camera: TrueCamera,
     poses: Array,
     *,
     rng: np.random.Generator,
@@ -126,7 +126,7 @@ def measure_session(
     start_s: float = 0.0,
     warming_k: float = 10.0,
     payload_kg: float | Array | None = None,
-) -> Session:
+) -> SimulatedSession:
     """Drive the true arm through poses and measure its tip.
 
     Args:
@@ -156,7 +156,7 @@ def measure_session(
     temperature = np.round(_warming(t, arm.reference_temperature_c, warming_k, rng), 2)
     declared = arm.payload.mass_kg if arm.payload else 0.0
     mass = np.broadcast_to(declared if payload_kg is None else payload_kg, len(poses))[order]
-    context = Context(side, temperature, mass, t)
+    context = TrueContext(side, temperature, mass, t)
     tip = true_arm.tip(q, context)
     seen = camera.seen(tip, t)
     sight = camera.sight(seen)
@@ -179,7 +179,7 @@ def measure_session(
     for effect in true_arm.hidden:
         for name, clean in effect.readings(State.of(arm, q, context)).items():
             columns[name] = clean + 5e-5 * rng.standard_normal(rows)
-    return Session(columns, {"tip": tip, "seen": seen, "side": side, "outlier": gross})
+    return SimulatedSession(columns, {"tip": tip, "seen": seen, "side": side, "outlier": gross})
 
 
 def arrival(q: Array, written: Array) -> Array:

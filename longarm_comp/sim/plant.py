@@ -17,7 +17,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.cameras import CameraPair, Conditions, Plate, render
-from longarm_comp.sim.context import Context
+from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.catalogue import draw
 from longarm_comp.sim.servo_emulator import EmulatedArm, MotorSpec, ServoEmulator
@@ -122,7 +122,7 @@ class Workshop:
         q, side, wound = self.joints(), self.side(), self.wound()
         known = np.concatenate([q, side, wound, [self.temperature_c(t_s)]])
         if self._last is None or np.abs(known - self._last[0]).max() > _SAME:
-            context = Context(side, self.temperature_c(t_s), self.room.payload_kg, t_s, wound)
+            context = TrueContext(side, self.temperature_c(t_s), self.room.payload_kg, t_s, wound)
             self._last = known, self._true.pose(q, context)
         return self._last[1]
 

@@ -12,7 +12,7 @@ from longarm_comp.sim.hidden import camera, drives, geometry, loads
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.camera import CameraEffect
 from longarm_comp.sim.hidden.catalogue import typical_context
-from longarm_comp.sim.measure import Camera
+from longarm_comp.sim.measure import TrueCamera
 
 Array = np.ndarray
 _STEPS = 2  # sizes need no nanometres
@@ -99,7 +99,7 @@ def paper_mix(
         loads.TelescopeClearance(3.5e-4),
     )
     lens = (camera.CameraRadial(rng.uniform(0.03, 0.06)),)
-    head = Camera.of(arm, lens)
+    head = TrueCamera.of(arm, lens)
     declared = TrueArm(arm, steps=_STEPS).tip(poses, context)
     highest = int(np.argmax(turning * np.abs(moves[..., 2].mean(axis=1))))
     lifter, rise = np.eye(arm.n)[highest], moves[highest, :, 2].mean()

@@ -19,7 +19,7 @@ from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.evidence import Score
 from longarm_comp.core.identify.fit import ModelFit, fit
 from longarm_comp.core.model.model import Model
-from longarm_comp.studies.loop_setting import Setting
+from longarm_comp.studies.loop_setting import LoopSetting
 from longarm_comp.studies.loop_truth import places, values
 
 ALIKE = 10.0
@@ -37,7 +37,7 @@ TWINS = tuple(
 SHOWN = 4
 
 
-def score(setting: Setting, found: Diagnosis) -> dict[str, Any]:
+def score(setting: LoopSetting, found: Diagnosis) -> dict[str, Any]:
     """Everything that the tables count, as plain JSON; lengths in mm."""
     true = set(setting.case.effects)
     names = [set(f.names) for f in found.findings]
@@ -87,7 +87,7 @@ def score(setting: Setting, found: Diagnosis) -> dict[str, Any]:
     return made
 
 
-def true_fit(setting: Setting, session: Session | None = None) -> ModelFit:
+def true_fit(setting: LoopSetting, session: Session | None = None) -> ModelFit:
     """The model that holds exactly the hidden effects, in their best form, fitted.
 
     Args:
@@ -101,7 +101,7 @@ def true_fit(setting: Setting, session: Session | None = None) -> ModelFit:
 
 
 def _best(
-    setting: Setting, menus: Sequence[list[tuple[Term, ...]]], session: Session | None = None
+    setting: LoopSetting, menus: Sequence[list[tuple[Term, ...]]], session: Session | None = None
 ) -> ModelFit:
     """The likeliest of the combinations of one form per effect."""
     rows = setting.train if session is None else session
@@ -119,7 +119,7 @@ def _misfit(fitted: ModelFit) -> float:
     return float((white**2).sum() / 2) + 0.5 * 4.2**2 * float((fitted.weights == 0).sum())
 
 
-def _forms(setting: Setting, name: str) -> list[tuple[Term, ...]]:
+def _forms(setting: LoopSetting, name: str) -> list[tuple[Term, ...]]:
     """Each form of an effect, at all of its places; and all forms, where they go together."""
     known = library(setting.arm, setting.train.context(), (BUILT_IN[name],))
     most = max(len(c.terms) for c in known.testable)
@@ -129,12 +129,12 @@ def _forms(setting: Setting, name: str) -> list[tuple[Term, ...]]:
     return [*forms, every] if together else forms
 
 
-def _knowable(setting: Setting) -> bool:
+def _knowable(setting: LoopSetting) -> bool:
     kinds = {kind.name for kind in LIBRARY}
     return all(name in kinds for name in setting.case.effects)
 
 
-def _errors(setting: Setting, found: Diagnosis, best: ModelFit | None) -> dict[str, float]:
+def _errors(setting: LoopSetting, found: Diagnosis, best: ModelFit | None) -> dict[str, float]:
     """RMS 3-D errors against the noise-free truth on fresh poses off the grid, and the noise."""
     models: dict[str, Model] = dict(found.models)
     if best is not None:
@@ -155,7 +155,7 @@ def _rms(clean: np.ndarray, model: Model, session: Session) -> float:
     return 1e3 * float(np.sqrt((error**2).sum(axis=1).mean()))
 
 
-def _minimal(setting: Setting, sets: Sequence[EffectFinding], best: ModelFit | None) -> bool:
+def _minimal(setting: LoopSetting, sets: Sequence[EffectFinding], best: ModelFit | None) -> bool:
     """Whether no member of any set could be told from the truth with these rows, or with any."""
     if not sets or best is None:
         return best is not None
@@ -175,12 +175,12 @@ def _minimal(setting: Setting, sets: Sequence[EffectFinding], best: ModelFit | N
     return True
 
 
-def _clean(setting: Setting) -> Session:
+def _clean(setting: LoopSetting) -> Session:
     """The training rows as they would be without noise and outliers."""
     return dataclasses.replace(setting.train, xyz=setting.clean_train, sigma=None)
 
 
-def _located(setting: Setting, found: Diagnosis) -> bool | None:
+def _located(setting: LoopSetting, found: Diagnosis) -> bool | None:
     """Whether the strongest place of what covers an effect at one place is the true one."""
     if not setting.case.one_place:
         return None
@@ -215,7 +215,7 @@ def _strongest(found: Diagnosis, terms: tuple[Effect | Bias, ...]) -> str:
     return max(sizes, key=lambda w: sizes[w]) if sizes else terms[0].where
 
 
-def _intervals(setting: Setting, found: Diagnosis) -> list[dict[str, Any]]:
+def _intervals(setting: LoopSetting, found: Diagnosis) -> list[dict[str, Any]]:
     """True value and 95 % interval of every found parameter that the simulator has too."""
     made = []
     for effect in setting.effects:

@@ -15,12 +15,11 @@ from longarm_comp.core.identify.calibrate import declared_model, geometry
 from longarm_comp.core.identify.fit import ModelFit, fit
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.context import Context
+from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.camera import CameraEffect
 from longarm_comp.sim.hidden.catalogue import Hidden, hidden
-from longarm_comp.sim.measure import Camera, Noise, arrival, measure_session
-from longarm_comp.sim.measure import Session as Measured
+from longarm_comp.sim.measure import Noise, SimulatedSession, TrueCamera, arrival, measure_session
 from longarm_comp.sim.random_arms import random_arm
 from longarm_comp.studies.loop_cases import SPOILED, Case
 from longarm_comp.studies.loop_truth import at_one_place, size
@@ -35,7 +34,7 @@ _MOST = 6.0  # times the typical size
 
 
 @dataclass(frozen=True)
-class Setting:
+class LoopSetting:
     """What a case is measured on.
 
     Attributes:
@@ -60,7 +59,7 @@ class Setting:
     sigma: np.ndarray
 
 
-def set_up(case: Case, declared: Arm) -> Setting:
+def set_up(case: Case, declared: Arm) -> LoopSetting:
     """Draw arm, effects and noise, and measure.
 
     Raises:
@@ -74,7 +73,7 @@ def set_up(case: Case, declared: Arm) -> Setting:
     fresh = sobol(arm, HELD_OUT, rng).q
     noise = Noise(0.22e-3 * case.noise, 0.28e-3 * case.noise, spoiled.rho, spoiled.tail_dof)
     off = [hidden(n, arm, spoiled.geometry, rng) for n in ("joint_zero", "dh_error", "base_pose")]
-    head = Camera.of(arm)
+    head = TrueCamera.of(arm)
     sight = np.asarray(head.axes[2])
     sigma = np.sqrt(noise.sigma_m**2 + (noise.depth_m * sight) ** 2)
     gauge = _Gauge(arm, head, plan, sigma, rng)
@@ -90,7 +89,7 @@ def set_up(case: Case, declared: Arm) -> Setting:
     )
     end = float(train.columns["t_s"][-1]) + 60.0
     held = measure_session(true, eye, fresh, rng=rng, noise=noise, start_s=end)
-    return Setting(
+    return LoopSetting(
         case,
         arm,
         tuple(effects),
@@ -103,7 +102,7 @@ def set_up(case: Case, declared: Arm) -> Setting:
     )
 
 
-def session_of(measured: Measured, n: int) -> Session:
+def session_of(measured: SimulatedSession, n: int) -> Session:
     """A simulated session as the diagnosis reads it."""
     columns = dict(measured.columns)
     q = np.column_stack([columns.pop(f"q{k + 1}") for k in range(n)])
@@ -125,13 +124,18 @@ class _Gauge:
     """What a geometry refit leaves of an effect, on the poses of a plan."""
 
     def __init__(
-        self, arm: Arm, head: Camera, plan: np.ndarray, sigma: np.ndarray, rng: np.random.Generator
+        self,
+        arm: Arm,
+        head: TrueCamera,
+        plan: np.ndarray,
+        sigma: np.ndarray,
+        rng: np.random.Generator,
     ) -> None:
         side = arrival(plan, rng.choice([-1.0, 1.0], len(plan)))
         t = np.linspace(0.0, 16.0 * len(plan), len(plan))
         warm = arm.reference_temperature_c - 10.0 * np.expm1(-t / 5000.0)
         self.q, self.t_s = plan, t
-        self.context = Context(side, warm, None, t)
+        self.context = TrueContext(side, warm, None, t)
         self.arm, self.head = arm, head
         self.sound = self._seen(None)
         session = Session.record(plan, self.sound)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,7 +40,7 @@ _WRIST: list[dict[str, Any]] = [
 
 
 @dataclass(frozen=True)
-class Case:
+class ArmCase:
     """An arm with stepped servos, some of its joints locked."""
 
     name: str
@@ -53,7 +54,7 @@ class Case:
         kinds = [arm.joints[row - 1].type for row in arm.commanded]
         return np.flatnonzero(np.array(kinds) == "revolute")
 
-    def targets(self, count: int, rng: np.random.Generator, pose: bool) -> Targets:
+    def targets(self, count: int, rng: np.random.Generator, pose: bool) -> StudyTargets:
         """Tips at random joints; the ideal joints for them are found from mid-range."""
         arm, locked = self.model.arm, list(self.locked)
         q = rng.uniform(arm.lower, arm.upper, (4 * count, arm.n))
@@ -62,14 +63,14 @@ class Case:
         asked = poses if pose else poses[:, :3, 3]
         found = ik.solve_many(self.model, asked, locked=locked)
         kept = np.flatnonzero(found.ok)[:count]
-        return Targets(self, asked[kept], found.q[kept])
+        return StudyTargets(self, asked[kept], found.q[kept])
 
 
 @dataclass(frozen=True)
-class Targets:
+class StudyTargets:
     """Targets of a case, positions (N, 3) or poses (N, 4, 4), and their ideal joints."""
 
-    case: Case
+    case: ArmCase
     asked: np.ndarray
     ideal: np.ndarray
 
@@ -92,17 +93,25 @@ class Targets:
             locked=case.locked,
         )
 
-    def seconds(self) -> float:
-        """Processor time of a target on its own: best of several runs, median over targets."""
-        spent = np.empty((len(self.ideal), TIMINGS))
-        for i, run in np.ndindex(*spent.shape):
-            began = time.process_time()
-            self.choose(slice(i, i + 1))
-            spent[i, run] = time.process_time() - began
-        return float(np.median(spent.min(axis=1)))
+    def seconds(self) -> tuple[float, float]:
+        """Processor time of a target: on its own (median over targets), and as one of all.
+
+        Each is the best of several runs.
+        """
+        single = np.empty((len(self.ideal), TIMINGS))
+        for i, run in np.ndindex(*single.shape):
+            single[i, run] = _spent(lambda i=i: self.choose(slice(i, i + 1)))  # type: ignore[misc]
+        together = min(_spent(self.choose) for _ in range(TIMINGS)) / len(self.ideal)
+        return float(np.median(single.min(axis=1))), together
 
 
-def cases(base: Arm, steps: int) -> list[Case]:
+def _spent(work: Callable[[], object]) -> float:
+    began = time.process_time()
+    work()
+    return time.process_time() - began
+
+
+def cases(base: Arm, steps: int) -> list[ArmCase]:
     """Variants of an arm with servos of so many steps a turn: slides locked, a wrist added."""
     whole = _stepped(base, steps)
     slides = [
@@ -110,11 +119,11 @@ def cases(base: Arm, steps: int) -> list[Case]:
     ]
     model = declared_model(whole)
     made = [
-        Case(f"{whole.n - len(locked)} joints", model, tuple(locked))
+        ArmCase(f"{whole.n - len(locked)} joints", model, tuple(locked))
         for locked in (slides, slides[-1:], [])
     ]
     wrist = declared_model(_stepped(base, steps, wrist=True))
-    return [*made, Case(f"{wrist.arm.n} joints", wrist)]
+    return [*made, ArmCase(f"{wrist.arm.n} joints", wrist)]
 
 
 def _stepped(base: Arm, steps: int, *, wrist: bool = False) -> Arm:
@@ -142,8 +151,8 @@ def arms_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, o
             if pose and freedom < 6:
                 continue  # no two sets of joints for a pose
             t = case.targets(count, np.random.default_rng(seed), pose)
-            t.choose(slice(0, 1))  # compiled, if it is
             got = t.choose()
+            alone, together = t.seconds()
             error, rounded = got.error, got.rounded_error
             made.append(
                 {
@@ -157,7 +166,8 @@ def arms_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, o
                     "mean_mrad": 1e3 * error[:, 1].mean() if pose else None,
                     "moved_deg": _moved(case, got, got.joints),
                     "nodes": float(got.nodes.mean()),
-                    "cpu_us": 1e6 * t.seconds(),
+                    "cpu_us": 1e6 * alone,
+                    "batch_cpu_us": 1e6 * together,
                 }
             )
     return made
@@ -221,13 +231,13 @@ def sensitivity_table(base: Arm, count: int, steps: int, seed: int) -> list[dict
     return made
 
 
-def _whole(base: Arm, steps: int) -> Case:
+def _whole(base: Arm, steps: int) -> ArmCase:
     case = cases(base, steps)[2]
     ik.warm_up(case.model)
     return case
 
 
-def _line(case: Case, seed: int) -> Targets:
+def _line(case: ArmCase, seed: int) -> StudyTargets:
     """A straight line between two tips, a target every `PATH_STEP_M`, each from the one before."""
     arm, rng = case.model.arm, np.random.default_rng(seed)
     while True:
@@ -241,14 +251,14 @@ def _line(case: Case, seed: int) -> Targets:
             joints.append(solved.q)
             found = found and solved.ok
         if found and number >= PATH_POINTS:
-            return Targets(case, points, np.array(joints[1:]))
+            return StudyTargets(case, points, np.array(joints[1:]))
 
 
-def _path_move(case: Case, q: np.ndarray) -> float:
+def _path_move(case: ArmCase, q: np.ndarray) -> float:
     """Largest move (deg) of a revolute joint between neighbours of a path."""
     return float(np.degrees(np.abs(np.diff(q[:, case.turning], axis=0)).max()))
 
 
-def _moved(case: Case, got: Realisables, q: np.ndarray) -> float:
+def _moved(case: ArmCase, got: Realisables, q: np.ndarray) -> float:
     """How far (deg) the revolute joint that moves most is from its ideal, mean over targets."""
     return float(np.degrees(np.abs(q - got.ideal)[:, case.turning].max(axis=1).mean()))

@@ -32,7 +32,7 @@ from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim import context as sim_context
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.measure import Camera, measure_session
+from longarm_comp.sim.measure import TrueCamera, measure_session
 from longarm_comp.sim.random_arms import paper_mix, random_arm
 from longarm_comp.studies.extra import extra
 from longarm_comp.studies.peers import train_gaussian_process
@@ -45,7 +45,7 @@ _JOINTS_ONLY = "joints"
 
 
 @dataclass(frozen=True)
-class Setting:
+class RowSetting:
     """One row of the table.
 
     Attributes:
@@ -106,25 +106,27 @@ def with_effects(declared: Model, session: Session) -> Model:
 
 
 SETTINGS = (
-    Setting("Original error", Method.NONE, paper=(17.7, 223.94)),
-    Setting("Deflection only", Method.DEFLECTION, paper=(15.39, 215.97)),
-    Setting("SSA-BP only, 900", Method.NETWORK, 900, ssa_bp, single_pass=True, paper=(5.32, 52.83)),
-    Setting(
+    RowSetting("Original error", Method.NONE, paper=(17.7, 223.94)),
+    RowSetting("Deflection only", Method.DEFLECTION, paper=(15.39, 215.97)),
+    RowSetting(
+        "SSA-BP only, 900", Method.NETWORK, 900, ssa_bp, single_pass=True, paper=(5.32, 52.83)
+    ),
+    RowSetting(
         "SSA-BP only, 300", Method.NETWORK, 300, ssa_bp, single_pass=True, paper=(12.66, 214.37)
     ),
-    Setting(
+    RowSetting(
         "Deflection + SSA-BP, 900", Method.BOTH, 900, ssa_bp, single_pass=True, paper=(5.79, 57.15)
     ),
-    Setting(
+    RowSetting(
         "Deflection + SSA-BP, 300", Method.BOTH, 300, ssa_bp, single_pass=True, paper=(9.98, 180.81)
     ),
-    Setting("Deflection + GP with approach, 300", Method.BOTH, 300, gaussian_process),
-    Setting("Deflection + SSA-BP with approach, 900", Method.BOTH, 900, ssa_bp_best),
-    Setting("Deflection + SSA-BP with approach, 300", Method.BOTH, 300, ssa_bp_best),
-    Setting("Calibrated + effects, 900", Method.DEFLECTION, 900, physics=with_effects),
-    Setting("Calibrated + effects, 300", Method.DEFLECTION, 300, physics=with_effects),
-    Setting("Best: effects + SSA-BP, 900", Method.BOTH, 900, ssa_bp_best, with_effects),
-    Setting("Best: effects + SSA-BP, 300", Method.BOTH, 300, ssa_bp_best, with_effects),
+    RowSetting("Deflection + GP with approach, 300", Method.BOTH, 300, gaussian_process),
+    RowSetting("Deflection + SSA-BP with approach, 900", Method.BOTH, 900, ssa_bp_best),
+    RowSetting("Deflection + SSA-BP with approach, 300", Method.BOTH, 300, ssa_bp_best),
+    RowSetting("Calibrated + effects, 900", Method.DEFLECTION, 900, physics=with_effects),
+    RowSetting("Calibrated + effects, 300", Method.DEFLECTION, 300, physics=with_effects),
+    RowSetting("Best: effects + SSA-BP, 900", Method.BOTH, 900, ssa_bp_best, with_effects),
+    RowSetting("Best: effects + SSA-BP, 300", Method.BOTH, 300, ssa_bp_best, with_effects),
 )
 
 COMPARISONS = (
@@ -147,7 +149,7 @@ class Bench:
 
     declared: Model
     true: TrueArm
-    camera: Camera
+    camera: TrueCamera
     session: Session
     targets: np.ndarray  # (M, 3) m
     seed_q: np.ndarray  # (M, n) where the arm stands before
@@ -160,7 +162,7 @@ class Bench:
         rng = np.random.default_rng([seed, number])
         arm = random_arm(rng, base)
         mix = paper_mix(rng, arm)
-        true, camera = TrueArm(arm, mix.arm_side), Camera.of(arm, mix.camera_side)
+        true, camera = TrueArm(arm, mix.arm_side), TrueCamera.of(arm, mix.camera_side)
         measured = measure_session(true, camera, grid(arm, poses, rng).q, rng=rng).columns
         session = Session.record(
             np.stack([measured[f"q{j + 1}"] for j in range(arm.n)], axis=1),
@@ -182,7 +184,7 @@ class Bench:
             float(measured["temperature_c"][-1]),
         )
 
-    def run(self, setting: Setting, seed: int) -> Outcome:
+    def run(self, setting: RowSetting, seed: int) -> Outcome:
         """Train a row, command the targets, look where the tip goes."""
         rows = self.session.take(slice(0, setting.samples))
         model = setting.physics(self.declared, rows)
@@ -206,7 +208,7 @@ class Bench:
             position_only=True,
             single_pass=setting.single_pass,
         )
-        circumstances = sim_context.Context(
+        circumstances = sim_context.TrueContext(
             np.repeat(self.side[:, None], arm.n, axis=1), self.temperature_c, payload
         )
         tip = self.true.tip(sent.command, circumstances)
@@ -219,7 +221,7 @@ class Bench:
 
 
 def one_arm(
-    base: Arm, seed: int, number: int, settings: tuple[Setting, ...] = SETTINGS
+    base: Arm, seed: int, number: int, settings: tuple[RowSetting, ...] = SETTINGS
 ) -> list[Outcome]:
     """Every row on one arm; a model that two rows share is fitted once."""
     bench = Bench.draw(base, seed, number, max(s.samples for s in settings) or 1)
@@ -237,7 +239,12 @@ def one_arm(
 
 
 def study(
-    base: Arm, arms: int, seed: int = 0, *, jobs: int = -1, settings: tuple[Setting, ...] = SETTINGS
+    base: Arm,
+    arms: int,
+    seed: int = 0,
+    *,
+    jobs: int = -1,
+    settings: tuple[RowSetting, ...] = SETTINGS,
 ) -> Iterator[list[Outcome]]:
     """The outcomes of every arm, as they are done.
 

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from longarm_comp.studies.table1 import COMPARISONS, SETTINGS, TARGETS, Outcome, Setting
+from longarm_comp.studies.table1 import COMPARISONS, SETTINGS, TARGETS, Outcome, RowSetting
 
 __all__ = ["TARGETS", "contradictions", "differences", "rows"]
 
 
 def rows(
-    arms: Sequence[Sequence[Outcome]], settings: Sequence[Setting] = SETTINGS
+    arms: Sequence[Sequence[Outcome]], settings: Sequence[RowSetting] = SETTINGS
 ) -> list[dict[str, Any]]:
     """One dictionary per row of the table, in mm and mm^2, over the arms.
 

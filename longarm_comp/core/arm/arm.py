@@ -269,14 +269,14 @@ class Payload(Declared):
     position_m: Vec3 = (0.0, 0.0, 0.0)
 
 
-class Camera(Declared):
+class CameraPlacement(Declared):
     """The stereo head, in the base frame."""
 
     position_m: Vec3
     optical_axis: Vec3 = (0.0, 1.0, 0.0)
 
     @model_validator(mode="after")
-    def _looks(self) -> Camera:
+    def _looks(self) -> CameraPlacement:
         if not any(self.optical_axis):
             raise Misdeclared("optical_axis", list(self.optical_axis), "a direction, not zero")
         return self
@@ -302,7 +302,7 @@ class Arm(Declared):
     joints: tuple[Joint, ...] = Field(min_length=1)
     links: tuple[Beam, ...] = ()
     point_masses: tuple[PointMass, ...] = ()
-    camera: Camera | None = None
+    camera: CameraPlacement | None = None
     markers: dict[str, Marker] = Field(default_factory=dict)
 
     @model_validator(mode="after")

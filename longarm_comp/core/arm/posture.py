@@ -39,7 +39,7 @@ class Element:
 
 
 @dataclass(frozen=True)
-class Row:
+class ChainRow:
     """Stations of one row: its bearing (after Rz, before Tz) and its frame."""
 
     bearing: int
@@ -68,7 +68,7 @@ class Chain:
 
     def __init__(self, arm: Arm, elements_per_beam: int = 2) -> None:
         self.arm = arm
-        self.rows: list[Row] = []
+        self.rows: list[ChainRow] = []
         count = 1
         for joint in arm.joints:
             made: dict[str, tuple[Element, ...]] = {}
@@ -86,7 +86,7 @@ class Chain:
                         elements.append(Element(beam, count, axis, 1 / elements_per_beam, later))
                         count += 1
                 made[role] = tuple(elements)
-            self.rows.append(Row(bearing, count, made["a"], made["d"]))
+            self.rows.append(ChainRow(bearing, count, made["a"], made["d"]))
             count += 1
         self.stations = count
         self.mixing, self.offset = arm.mixing

@@ -18,8 +18,8 @@ from longarm_comp.core.compensation.compensate import compensate, lattice_of, ph
 from longarm_comp.core.compensation.realisable import Lattice
 from longarm_comp.core.compensation.result import (
     Compensation,
-    ErrorPredictor,
     Method,
+    ResidualPredictor,
     Settling,
 )
 from longarm_comp.core.compensation.unknown import history_joints
@@ -58,7 +58,7 @@ class Arrival:
 
 def compensate_move(
     model: Model,
-    predictor: ErrorPredictor | None,
+    predictor: ResidualPredictor | None,
     target: np.ndarray,
     *,
     start: np.ndarray | None,

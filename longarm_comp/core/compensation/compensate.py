@@ -24,9 +24,9 @@ from longarm_comp.core.compensation.result import (
     NO_PREDICTOR,
     Compensation,
     Compensations,
-    ErrorPredictor,
     ExpectedError,
     Method,
+    ResidualPredictor,
     Settling,
     Status,
     missed,
@@ -73,7 +73,7 @@ def _part(model: Model, name: str, wanted: Callable[[Effect], bool]) -> Model:
 
 def compensate(
     model: Model,
-    predictor: ErrorPredictor | None,
+    predictor: ResidualPredictor | None,
     target: np.ndarray | Frame,
     *,
     context: Context | None = None,
@@ -123,7 +123,7 @@ def compensate(
 
 def compensate_many(
     model: Model,
-    predictor: ErrorPredictor | None,
+    predictor: ResidualPredictor | None,
     targets: np.ndarray,
     *,
     context: Context | None = None,
@@ -172,7 +172,7 @@ class _Task:
     """Targets that differ in place, circumstances and seed alone."""
 
     model: Model
-    predictor: ErrorPredictor | None
+    predictor: ResidualPredictor | None
     method: Method
     position_only: bool
     locked: tuple[int | str, ...]
@@ -214,7 +214,7 @@ class _Target:
             return self._ended(Status.NO_PREDICTOR, NO_PREDICTOR)
         return self._correct(task.predictor)
 
-    def _correct(self, predictor: ErrorPredictor) -> Compensation:
+    def _correct(self, predictor: ResidualPredictor) -> Compensation:
         settling = self.task.settling
         while True:
             expected = predictor.predict(self.q[None], self.context)

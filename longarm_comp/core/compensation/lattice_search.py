@@ -69,7 +69,7 @@ class Found(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Problem:
+class LatticeProblem:
     """What N targets share: where the joints may stand, and what it costs.
 
     Attributes:
@@ -96,7 +96,7 @@ class Problem:
         """Joints for N targets; the arguments are those of `realisable.choose`."""
         ideal = np.clip(ideal, self.lower, self.upper)
         parts = [
-            _Work(self, search, predict, targets[ids], ideal[ids], ids).found()
+            _Search(self, search, predict, targets[ids], ideal[ids], ids).found()
             for ids in np.array_split(np.arange(len(ideal)), -(-len(ideal) // _CHUNK) or 1)
         ]
         return Found(*map(np.concatenate, zip(*parts, strict=True)))
@@ -117,12 +117,12 @@ class Problem:
         return np.clip(q, self.lower, self.upper)
 
 
-class _Work:
+class _Search:
     """Some targets at a time.  Shapes: N targets, M candidates of each, m equations."""
 
     def __init__(
         self,
-        problem: Problem,
+        problem: LatticeProblem,
         search: Search,
         predict: Predict,
         targets: np.ndarray,

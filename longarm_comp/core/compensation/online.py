@@ -14,7 +14,7 @@ from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.arrive import Arrival, CompensationOptions, compensate_move
 from longarm_comp.core.compensation.compensate import physics_of
-from longarm_comp.core.compensation.result import ErrorPredictor
+from longarm_comp.core.compensation.result import ResidualPredictor
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.model import Model
 
@@ -81,7 +81,7 @@ def _stale(column: str, old: Mapping[str, float]) -> StaleContext:
 
 def compensate_now(
     model: Model,
-    predictor: ErrorPredictor | None,
+    predictor: ResidualPredictor | None,
     target: np.ndarray,
     *,
     start: np.ndarray,

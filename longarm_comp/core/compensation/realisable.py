@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.compensation.lattice_search import EDGE, Predict, Problem, Search
+from longarm_comp.core.compensation.lattice_search import EDGE, LatticeProblem, Predict, Search
 from longarm_comp.core.errors import InputError
 
 __all__ = ["KNOWN_TO", "Lattice", "Predict", "Realisable", "Realisables", "Search", "choose"]
@@ -165,7 +165,7 @@ def choose(
     declared = (lattice.step > 0) & ~held
     stepped = declared & lattice.known & (low <= high)
     slides = np.array([arm.joints[i - 1].type == "prismatic" for i in arm.commanded])
-    problem = Problem(
+    problem = LatticeProblem(
         arm.lower,
         arm.upper,
         np.flatnonzero(stepped),

@@ -126,7 +126,7 @@ class ExpectedError(Protocol):
         """(N,) bool."""
 
 
-class ErrorPredictor(Protocol):
+class ResidualPredictor(Protocol):
     """The learned residual, as far as compensation knows it."""
 
     def predict(self, q: np.ndarray, context: Context | None = None) -> ExpectedError:

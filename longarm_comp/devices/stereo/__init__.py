@@ -2,11 +2,11 @@
 
 from longarm_comp.devices.stereo.calibrate import StereoCalibration, calibrate_stereo
 from longarm_comp.devices.stereo.camera import Camera, CameraInfoLike, StereoRig
-from longarm_comp.devices.stereo.eye import Sighting, StereoEye
+from longarm_comp.devices.stereo.eye import StereoEye, StereoSighting
 from longarm_comp.devices.stereo.hand_eye import HandEye, hand_eye
 from longarm_comp.devices.stereo.limits import Limits
 from longarm_comp.devices.stereo.pairing import Drop, Pair, Side, StereoPairer
-from longarm_comp.devices.stereo.refusal import Reason, StereoRefusal
+from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.devices.stereo.rigid import RigidFit, fit_rigid
 from longarm_comp.devices.stereo.target import (
     CharucoTarget,
@@ -33,15 +33,15 @@ __all__ = [
     "Limits",
     "Pair",
     "PixelNoise",
-    "Reason",
+    "RefusalReason",
     "RigidFit",
     "Side",
-    "Sighting",
     "StereoCalibration",
     "StereoEye",
     "StereoPairer",
     "StereoRefusal",
     "StereoRig",
+    "StereoSighting",
     "TagBoard",
     "Target",
     "Triangulation",

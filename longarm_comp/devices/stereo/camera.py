@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.devices.stereo.refusal import Reason, StereoRefusal
+from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 
 Array = NDArray[np.float64]
 _MODELS = {"": 8, "plumb_bob": 5, "rational_polynomial": 8}  # distortion model -> coefficients
@@ -81,13 +81,15 @@ class Camera:
         }
         for name, value in values.items():
             if not np.all(np.isfinite(value)):
-                raise StereoRefusal(Reason.UNCALIBRATED, not_finite=name)
+                raise StereoRefusal(RefusalReason.UNCALIBRATED, not_finite=name)
             value.setflags(write=False)
             object.__setattr__(self, name, value)
         if min(self.k[0, 0], self.k[1, 1]) <= 0.0:
-            raise StereoRefusal(Reason.UNCALIBRATED, fx=self.k[0, 0], fy=self.k[1, 1])
+            raise StereoRefusal(RefusalReason.UNCALIBRATED, fx=self.k[0, 0], fy=self.k[1, 1])
         if abs(np.linalg.det(self.rotation) - 1.0) > 1e-3:
-            raise StereoRefusal(Reason.UNCALIBRATED, det_rotation=np.linalg.det(self.rotation))
+            raise StereoRefusal(
+                RefusalReason.UNCALIBRATED, det_rotation=np.linalg.det(self.rotation)
+            )
         object.__setattr__(self, "size", (int(size[0]), int(size[1])))
 
     def project(self, points: Array) -> tuple[Array, Array]:
@@ -154,7 +156,7 @@ class StereoRig:
 
     def __post_init__(self) -> None:
         if not self.baseline_m > 1e-6:
-            raise StereoRefusal(Reason.UNCALIBRATED, baseline_m=self.baseline_m)
+            raise StereoRefusal(RefusalReason.UNCALIBRATED, baseline_m=self.baseline_m)
 
     @property
     def baseline_m(self) -> float:
@@ -197,7 +199,7 @@ def _from_info(info: CameraInfoLike, rectified: bool) -> Camera:
     size = (int(info.width), int(info.height))
     p = np.asarray(info.p, dtype=float).reshape(3, 4)
     if not (np.all(np.isfinite(p)) and p[0, 0] > 0.0 and p[1, 1] > 0.0):
-        raise StereoRefusal(Reason.UNCALIBRATED, p=p.ravel().tolist())
+        raise StereoRefusal(RefusalReason.UNCALIBRATED, p=p.ravel().tolist())
     shift = np.array([p[0, 3] / p[0, 0], p[1, 3] / p[1, 1], 0.0])
     if rectified:
         return Camera(p[:, :3], np.eye(3), shift, size)

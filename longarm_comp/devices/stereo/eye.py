@@ -14,7 +14,7 @@ from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
 from longarm_comp.devices.stereo.limits import Limits
 from longarm_comp.devices.stereo.marker_pose import MarkerPose, marker_pose
 from longarm_comp.devices.stereo.quality import edge_sigma_px, image_quality
-from longarm_comp.devices.stereo.refusal import Reason, StereoRefusal
+from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.devices.stereo.target import Corners, Target
 from longarm_comp.devices.stereo.triangulate import (
     PixelNoise,
@@ -26,7 +26,7 @@ _KEPT = 1.0 - 1.0 / 200.0  # of the residuals, from one sighting to the next
 
 
 @dataclass(frozen=True)
-class Sighting:
+class StereoSighting:
     """The tip as one stereo pair saw it.
 
     Args:
@@ -77,7 +77,7 @@ class StereoEye:
     limits: Limits = field(default_factory=Limits)
     noise: PixelNoise = field(default_factory=PixelNoise)
     sightings: int = 0
-    refusals: Counter[Reason] = field(default_factory=Counter)
+    refusals: Counter[RefusalReason] = field(default_factory=Counter)
     _square_px2: float = field(default=0.0, repr=False)
     _freedom: float = field(default=0.0, repr=False)
 
@@ -87,7 +87,9 @@ class StereoEye:
         if self._tip.shape != (3,) or not np.all(np.isfinite(self._tip)):
             raise InputError("stereo", "tip_in_marker", self.tip_in_marker, "three finite metres")
 
-    def measure(self, left: NDArray[np.uint8], right: NDArray[np.uint8], stamp_ns: int) -> Sighting:
+    def measure(
+        self, left: NDArray[np.uint8], right: NDArray[np.uint8], stamp_ns: int
+    ) -> StereoSighting:
         """The sighting of one pair, images (H, W) grey or (H, W, 3) BGR, uint8.
 
         Raises:
@@ -96,8 +98,8 @@ class StereoEye:
         try:
             sighting = self._measure(left, right, stamp_ns)
         except np.linalg.LinAlgError as error:  # rays so nearly parallel that nothing can be solved
-            self.refusals[Reason.REPROJECTION] += 1
-            raise StereoRefusal(Reason.REPROJECTION, cause=str(error)) from error
+            self.refusals[RefusalReason.REPROJECTION] += 1
+            raise StereoRefusal(RefusalReason.REPROJECTION, cause=str(error)) from error
         except StereoRefusal as refusal:
             self.refusals[refusal.reason] += 1
             raise
@@ -127,25 +129,27 @@ class StereoEye:
 
     def _measure(
         self, left: NDArray[np.uint8], right: NDArray[np.uint8], stamp_ns: int
-    ) -> Sighting:
+    ) -> StereoSighting:
         greys = as_grey(left, self.rig.left, "left"), as_grey(right, self.rig.right, "right")
         seen = (
-            self._corners(greys[0], Reason.NOT_FOUND_LEFT, "left"),
-            self._corners(greys[1], Reason.NOT_FOUND_RIGHT, "right"),
+            self._corners(greys[0], RefusalReason.NOT_FOUND_LEFT, "left"),
+            self._corners(greys[1], RefusalReason.NOT_FOUND_RIGHT, "right"),
         )
         ids, in_left, in_right = np.intersect1d(seen[0].ids, seen[1].ids, return_indices=True)
         corners = self.target.points(ids)
         fewest = max(4, int(np.ceil(self.limits.seen_share * self.target.n_corners)))
         enough = len(ids) >= fewest and _span_m(corners) > 0.0
-        self._require(Reason.OCCLUDED, enough, corners=len(ids), of=self.target.n_corners)
+        self._require(RefusalReason.OCCLUDED, enough, corners=len(ids), of=self.target.n_corners)
         left_px, right_px = seen[0].pixels[in_left], seen[1].pixels[in_right]
         off = float(np.median(epipolar_px(self.rig, left_px, right_px)))
-        self._require(Reason.EPIPOLAR, off <= self.limits.epipolar_px, epipolar_px=round(off, 3))
+        self._require(
+            RefusalReason.EPIPOLAR, off <= self.limits.epipolar_px, epipolar_px=round(off, 3)
+        )
         noise = self.expected_noise
         points = triangulate(self.rig, left_px, right_px, noise)
         size = _size_seen(points.points, corners)
         wrong = abs(size - 1.0) > self.limits.size
-        self._require(Reason.MARKER_SIZE, not wrong, seen_over_declared=round(size, 4))
+        self._require(RefusalReason.MARKER_SIZE, not wrong, seen_over_declared=round(size, 4))
         pose = marker_pose(
             self.rig,
             corners,
@@ -156,42 +160,42 @@ class StereoEye:
             noise,
         )
         rms = pose.rms_px
-        self._require(Reason.REPROJECTION, rms <= self.limits.rms_px, rms_px=round(rms, 3))
+        self._require(RefusalReason.REPROJECTION, rms <= self.limits.rms_px, rms_px=round(rms, 3))
         self._square_px2 = _KEPT * self._square_px2 + float(np.sum(np.square(pose.residuals)))
         self._freedom = _KEPT * self._freedom + pose.residuals.size - 6
         return self._sighting(pose, len(ids), stamp_ns)
 
-    def _corners(self, grey: NDArray[np.uint8], missing: Reason, side: str) -> Corners:
+    def _corners(self, grey: NDArray[np.uint8], missing: RefusalReason, side: str) -> Corners:
         seen = self.target.detect(grey)
         if seen.repeated:
-            raise StereoRefusal(Reason.AMBIGUOUS, image=side, ids=seen.repeated)
+            raise StereoRefusal(RefusalReason.AMBIGUOUS, image=side, ids=seen.repeated)
         if not len(seen):
             self._explain(grey, missing, side)
         blur = edge_sigma_px(grey, seen.pixels)
         sharp = blur <= self.limits.edge_px
-        self._require(Reason.BLURRED, sharp, image=side, edge_px=round(blur, 2))
+        self._require(RefusalReason.BLURRED, sharp, image=side, edge_px=round(blur, 2))
         return seen
 
-    def _explain(self, grey: NDArray[np.uint8], missing: Reason, side: str) -> None:
+    def _explain(self, grey: NDArray[np.uint8], missing: RefusalReason, side: str) -> None:
         look = image_quality(grey)
         facts = {"image": side, "bright": round(look.bright), "dark": round(look.dark)}
-        self._require(Reason.TOO_DARK, look.bright >= self.limits.bright, **facts)
-        self._require(Reason.TOO_BRIGHT, look.dark <= self.limits.dark, **facts)
+        self._require(RefusalReason.TOO_DARK, look.bright >= self.limits.bright, **facts)
+        self._require(RefusalReason.TOO_BRIGHT, look.dark <= self.limits.dark, **facts)
         facts["edge_px"] = round(look.edge_px, 2)
-        self._require(Reason.BLURRED, look.edge_px <= self.limits.edge_px, **facts)
+        self._require(RefusalReason.BLURRED, look.edge_px <= self.limits.edge_px, **facts)
         raise StereoRefusal(missing, **facts)
 
     @staticmethod
-    def _require(reason: Reason, met: bool, **facts: object) -> None:
+    def _require(reason: RefusalReason, met: bool, **facts: object) -> None:
         if not met:
             raise StereoRefusal(reason, **facts)
 
-    def _sighting(self, pose: MarkerPose, corners: int, stamp_ns: int) -> Sighting:
+    def _sighting(self, pose: MarkerPose, corners: int, stamp_ns: int) -> StereoSighting:
         point, covariance = pose.at(self._tip)
         turn = self._hand_eye[:3, :3]
         turns = np.kron(np.eye(2), turn)
         in_base = turns @ covariance @ turns.T
-        return Sighting(
+        return StereoSighting(
             stamp_ns=stamp_ns,
             point_camera=point,
             covariance_camera=covariance[:3, :3],
@@ -214,11 +218,11 @@ def as_grey(image: NDArray[np.uint8], camera: Camera, side: str) -> NDArray[np.u
     """
     shape, kind = np.shape(image), getattr(image, "dtype", None)
     if kind != np.uint8 or not (len(shape) == 2 or (len(shape) == 3 and shape[2] == 3)):
-        raise StereoRefusal(Reason.BAD_IMAGE, image=side, shape=shape, type=kind)
+        raise StereoRefusal(RefusalReason.BAD_IMAGE, image=side, shape=shape, type=kind)
     if (shape[1], shape[0]) != camera.size:
         size = f"{shape[1]}x{shape[0]}"
         allowed = f"{camera.size[0]}x{camera.size[1]}"
-        raise StereoRefusal(Reason.WRONG_SIZE, image=side, size=size, calibrated=allowed)
+        raise StereoRefusal(RefusalReason.WRONG_SIZE, image=side, size=size, calibrated=allowed)
     grey = image if len(shape) == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     return np.ascontiguousarray(grey)
 

@@ -7,7 +7,7 @@ import enum
 from longarm_comp.core.errors import JobError
 
 
-class Reason(str, enum.Enum):
+class RefusalReason(str, enum.Enum):
     """Everything that can be wrong with a pair of images, worst first."""
 
     UNCALIBRATED = "camera is not calibrated"
@@ -38,9 +38,9 @@ class StereoRefusal(JobError):  # noqa: N818 - a refusal is an answer, not a fau
         facts: numbers to act on, with their unit in the name (``rms_px=3.1``).
     """
 
-    reason: Reason
+    reason: RefusalReason
 
-    def __init__(self, reason: Reason | str, **facts: object) -> None:
-        reason = Reason(reason)
+    def __init__(self, reason: RefusalReason | str, **facts: object) -> None:
+        reason = RefusalReason(reason)
         super().__init__(reason.value, **facts)
         self.reason = reason

@@ -13,7 +13,7 @@ import numpy as np
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
-from longarm_comp.devices.stereo.refusal import Reason, StereoRefusal
+from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 
 _PASSES = 2  # Gauss-Newton from the linear start settles in two, to parts in 1e9 of the depth
 
@@ -135,7 +135,7 @@ def _linear(rig: StereoRig, left_px: Array, right_px: Array) -> Array:
     null = np.linalg.svd(np.stack(rows, axis=1))[2][:, -1]
     weight = null[:, 3]
     if np.any(np.abs(weight) < 1e-9 * np.linalg.norm(null[:, :3], axis=1)):
-        raise StereoRefusal(Reason.BEHIND_CAMERA, depth_m="infinite")
+        raise StereoRefusal(RefusalReason.BEHIND_CAMERA, depth_m="infinite")
     return null[:, :3] / weight[:, None]
 
 
@@ -143,4 +143,4 @@ def in_front(rig: StereoRig, points: Array) -> None:
     """Refuse points (N, 3) that do not lie in front of both cameras."""
     depth = float(min(rig.left.depth(points).min(), rig.right.depth(points).min()))
     if not depth > 1e-9:
-        raise StereoRefusal(Reason.BEHIND_CAMERA, depth_m=round(depth, 6))
+        raise StereoRefusal(RefusalReason.BEHIND_CAMERA, depth_m=round(depth, 6))

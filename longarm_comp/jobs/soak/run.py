@@ -18,13 +18,13 @@ from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.dummy_predictor import train_stand_in
 from longarm_comp.jobs.soak.faults import BreakFile, EmergencyStop, Fault, Kill
 from longarm_comp.jobs.soak.scene import Scene
-from longarm_comp.jobs.soak.setting import NAMESPACE, Setting
+from longarm_comp.jobs.soak.setting import NAMESPACE, SoakSettings
 from longarm_comp.nodes.bringup import running
 
 Say = Callable[[str, float], None]
 
 
-def faults(setting: Setting) -> list[Fault]:
+def faults(setting: SoakSettings) -> list[Fault]:
     """Everything that may break, equally often."""
     return [
         Kill("error_predictor"),
@@ -38,7 +38,7 @@ def faults(setting: Setting) -> list[Fault]:
 
 
 def soak(
-    setting: Setting, stop: threading.Event, say: Say = lambda text, share: None
+    setting: SoakSettings, stop: threading.Event, say: Say = lambda text, share: None
 ) -> dict[str, Any]:
     """Run it; the report as plain data, with ``passed``.
 
@@ -75,7 +75,7 @@ def soak(
 
 @contextmanager
 def _scene(
-    setting: Setting, arm: Arm, stop: threading.Event, rng: np.random.Generator
+    setting: SoakSettings, arm: Arm, stop: threading.Event, rng: np.random.Generator
 ) -> Iterator[Scene]:
     os.environ.setdefault("ROS_LOG_DIR", str(setting.out.absolute() / "log"))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

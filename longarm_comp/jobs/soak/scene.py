@@ -17,7 +17,7 @@ from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.path import slow_path
 from longarm_comp.jobs.soak.leaks import LeakWatch
 from longarm_comp.jobs.soak.ledger import Books
-from longarm_comp.jobs.soak.setting import NAMESPACE, Setting
+from longarm_comp.jobs.soak.setting import NAMESPACE, SoakSettings
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.images import stamp_ns, stamp_of
 from longarm_comp.nodes.messages import pose_message
@@ -35,7 +35,7 @@ _MOST_WAITING = 50
 class Scene:
     """The running graph, the stream of targets into it, and what is known of both."""
 
-    setting: Setting
+    setting: SoakSettings
     arm: Arm
     supervisor: Supervisor
     client: ArmClient

@@ -13,7 +13,7 @@ NAMESPACE = "longarm_soak"
 
 
 @dataclass(frozen=True)
-class Setting:
+class SoakSettings:
     """One soak.
 
     Attributes:

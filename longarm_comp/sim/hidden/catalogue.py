@@ -9,11 +9,11 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.context import Context, State
+from longarm_comp.sim.context import State, TrueContext
 from longarm_comp.sim.hidden import camera, drives, geometry, loads
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.camera import CameraEffect
-from longarm_comp.sim.measure import Camera
+from longarm_comp.sim.measure import TrueCamera
 
 Array = np.ndarray
 Hidden = HiddenEffect | CameraEffect
@@ -195,22 +195,22 @@ def draw(
     return effect.scaled(dose)
 
 
-def shift(effect: Hidden, arm: Arm, poses: Array, context: Context) -> Array:
+def shift(effect: Hidden, arm: Arm, poses: Array, context: TrueContext) -> Array:
     """By how much one effect moves the seen tip, (N, 3) m in the base frame."""
     sound = TrueArm(arm, steps=_STEPS).tip(poses, context)
     return _tip(effect, arm, poses, context, sound) - sound
 
 
-def _tip(effect: Hidden, arm: Arm, poses: Array, context: Context, sound: Array) -> Array:
+def _tip(effect: Hidden, arm: Arm, poses: Array, context: TrueContext, sound: Array) -> Array:
     """Seen tip (N, 3) with one effect; `sound` is where the sound arm's is."""
     if isinstance(effect, CameraEffect):
-        return Camera.of(arm, [effect]).seen(sound, State.of(arm, poses, context).t_s)
+        return TrueCamera.of(arm, [effect]).seen(sound, State.of(arm, poses, context).t_s)
     return TrueArm(arm, [effect], steps=_STEPS).tip(poses, context)
 
 
-def typical_context(postures: int, arm: Arm, rng: np.random.Generator) -> Context:
+def typical_context(postures: int, arm: Arm, rng: np.random.Generator) -> TrueContext:
     """Random approach and winding, two hours, some warming."""
-    return Context(
+    return TrueContext(
         approach=np.repeat(_signs(rng, postures)[:, None], arm.n, axis=1),
         temperature_c=arm.reference_temperature_c + rng.uniform(0, 12, postures),
         t_s=rng.uniform(0, 7200, postures),
