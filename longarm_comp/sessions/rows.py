@@ -99,7 +99,7 @@ class Rows:
         )
 
 
-def _sides(row: Row, buffer: MessageBuffer) -> np.ndarray:
+def _sides(row: SessionRow, buffer: MessageBuffer) -> np.ndarray:
     """(n,) sides of arrival that were recorded without the length of the run-up, else 0."""
     n = buffer.arm.n
     if len(row.approach) not in (0, n):
