@@ -19,7 +19,7 @@ from longarm_comp.core.identify.diagnosis import diagnose
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.sim.context import Context as TrueContext
+from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden.wind_up import Sliders, WindUp
 
 SPAN = ARM.upper - ARM.lower
