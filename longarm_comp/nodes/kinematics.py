@@ -131,6 +131,7 @@ class Kinematics(Node):
             "targets": self._targets_report,
             "model": self._files.report,
             "monitor": self._monitor.report,
+            "at the target": self._monitor.target_report,
         }
         self._health = Health(self, parts, p[PERIOD.name])
         if p["compiled"]:  # beside the targets, which are solved more slowly until it is done
@@ -189,6 +190,8 @@ class Kinematics(Node):
         if work.request.execute and told.status.success and told.arrival is not None:
             points = told.arrival.move.points
             self._trajectory.publish(trajectory_message(self._arm, points, self._move_time_s))
+            outcome = told.arrival.outcome
+            self._monitor.aimed(outcome.command, outcome.position)
             work.sent = True
         return told
 
