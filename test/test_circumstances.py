@@ -10,13 +10,15 @@ import pytest
 from small_arm import ARM, measured
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import EXTREME, PER_JOINT, Context
+from longarm_comp.core.arm.context import LEGS, PER_JOINT, WIDTH, Context
 from longarm_comp.core.arm.history import History
+from longarm_comp.core.arm.moves import sweep
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Scalar, Twist
 from longarm_comp.core.compensation.arrive import CompensationOptions
 from longarm_comp.core.compensation.compensate import Method, Status, compensate
 from longarm_comp.core.compensation.online import Readings, compensate_now
+from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.effects.effect import Effect
@@ -29,6 +31,7 @@ from longarm_comp.core.ik.solver import Engine, solve_many
 from longarm_comp.core.learn.inputs import INPUT_KINDS
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.targets import Targets
+from longarm_comp.sim.hidden.wind_up import Sliders
 
 N = 6
 ENGINES = [e for e in Engine if e is not Engine.COMPILED or compiler_at_hand()]
@@ -48,7 +51,7 @@ def circumstances(arm: Arm, seed: int = 4) -> tuple[np.ndarray, Context]:
     for frame in range(len(arm.joints) + 1):
         columns |= {f"incl_{frame}_{axis}": rng.normal(0, 0.01, N) for axis in "xy"}
     history = {
-        name: tuple(rng.choice([-1.0, 1.0], N) * min(EXTREME[name], 0.3) for _ in range(arm.n))
+        name: tuple(0.3 * rng.choice([-1.0, 1.0], N) for _ in range(arm.n * WIDTH[name]))
         for name in PER_JOINT
     }
     return q, Context(**history, columns=columns, labels={"group": "a", "marker": "m"})
@@ -116,7 +119,7 @@ class Probe(Effect):
 
     def read(self, context: Context) -> Scalar:
         if self.field in PER_JOINT:
-            return context.of_joint(self.field, context_joint(self.field))
+            return sum(context.of_joint(self.field, context_joint(self.field)))
         if self.field == "columns":
             return context.column("probe")
         assert self.field == "labels", f"no probe for a new kind of field: {self.field}"
@@ -158,19 +161,20 @@ def test_history_is_the_same_list_of_fields_everywhere(rng: np.random.Generator)
     session = measured(12, rng, approach=rng.choice([-1.0, 1.0], (12, ARM.n)))
     context = session.context()
     for name in PER_JOINT:
-        np.testing.assert_array_equal(np.stack(getattr(context, name), -1), getattr(session, name))
+        rows = getattr(session, name).reshape(12, -1)
+        np.testing.assert_array_equal(np.stack(getattr(context, name), -1), rows)
         taken = session.take(slice(3, 7)).context()
-        np.testing.assert_array_equal(
-            np.stack(getattr(taken, name), -1), getattr(session, name)[3:7]
-        )
-    moved = History.unknown(ARM.n).after(ARM.upper[None], ARM.lower)
-    assert all(all(values) for values in moved.fields().values())
+        np.testing.assert_array_equal(np.stack(getattr(taken, name), -1), rows[3:7])
+    moved = Context(**History.unknown(ARM.n).after(ARM.upper[None], ARM.lower).fields())
+    for name in PER_JOINT:
+        for joint in range(ARM.n):
+            assert moved.of_joint(name, joint)[0] > 0
 
 
 class Watched(Context):
     """Notes what is read."""
 
-    def of_joint(self, name: str, joint: int) -> Scalar:
+    def of_joint(self, name: str, joint: int) -> tuple[Scalar, ...]:
         self.__dict__.setdefault("seen", set()).add(name)
         return super().of_joint(name, joint)
 
@@ -222,37 +226,44 @@ def play(arm: Arm) -> Model:
         (
             Backlash(joint=first, gate=0.3, width=0.01),
             ServoDroop(joint=second, gate=0.3, sag=0.0, deadband=0.006),
-            FrictionHysteresis(joint=second, reach=0.1, width=0.004, memory=0.008),
+            FrictionHysteresis(second, near=0.02, far=0.1, width=0.012, inner=0.003, outer=0.006),
         ),
     )
 
 
-def test_commands_one_after_another_land_where_the_model_says(rng: np.random.Generator) -> None:
-    """The history is followed here by hand: sign of the move, and way since the joint turned."""
+def test_commands_one_after_another_land_where_the_sliders_are(rng: np.random.Generator) -> None:
+    """The history is followed here by the simulator's sliders, dragged along the whole way."""
     model = play(ARM)
+    friction = model.effects[-1]
+    assert isinstance(friction, FrictionHysteresis)
+    still = Model(ARM, model.effects[:-1])
+    parts = friction.width - friction.inner - friction.outer, friction.inner, friction.outer
+    half = np.zeros((3, ARM.n))
+    half[:, 1] = 0.5 * np.array(parts)
+    at = ARM.mid
+    sliders = Sliders(np.array([1e-9, friction.near, friction.far]), half, at)
+    history = History.unknown(ARM.n)
+    commands = [*sweep(ARM, at)]
+    for point in commands:
+        sliders.drive(point)
+        history, at = history.after(point[None], at), point
     span = ARM.upper - ARM.lower
-    goals = ARM.mid + 0.6 * span * (rng.random((25, ARM.n)) - 0.5)
-    at, side, way = ARM.mid, np.zeros(ARM.n), np.zeros(ARM.n)
-    history, landed = History.unknown(ARM.n), []
-    for goal in goals:
+    misses = []
+    for goal in ARM.mid + 0.6 * span * (rng.random((25, ARM.n)) - 0.5):
         target = Model(ARM).tip(goal)
         arrival = compensate_now(
             model, None, target, start=at, history=history, readings=Readings(),
-            now_s=1.0, max_age_s=1.0, options=CompensationOptions(run_up=False),
+            now_s=1.0, max_age_s=1.0,
         )  # fmt: skip
-        found, context = arrival.outcome, arrival.context
-        step = found.command - at
-        way = np.where(way * step >= 0, way + step, step)
-        side = np.sign(step)
-        history = history.after(found.command[None], at)
-        truly = model.tip(found.command, Context(tuple(side), travel=tuple(way)))
-        at = found.command
-        landed.append((np.linalg.norm(truly - target), found.reason, context))
-    good = [miss for miss, reason, _ in landed if "depends on what is not known" not in reason]
-    assert len(good) >= 20
-    assert max(good) < 2e-6
-    for miss, reason, _ in landed:
-        assert miss < 2e-6 or "depends on what is not known" in reason
+        points = arrival.move.points
+        sliders.drive(points)
+        history = history.after(points, at)
+        at = arrival.outcome.command
+        truly = still.tip(at - sliders.behind, Context(tuple(history.approach)))
+        if "not known" not in arrival.outcome.reason:
+            misses.append(np.linalg.norm(truly - target))
+    assert len(misses) >= 20
+    assert max(misses) < 5e-6
 
 
 def test_what_a_command_cannot_know_is_said_in_millimetres() -> None:
@@ -261,12 +272,12 @@ def test_what_a_command_cannot_know_is_said_in_millimetres() -> None:
     blind = compensate(model, None, target, method=Method.DEFLECTION)
     assert blind.status is Status.SUCCESS
     first, second = (ARM.joint_names[k] for k in (0, 1))
-    for part in (f"approach of {first}", f"approach of {second}", f"travel of {second}"):
+    for part in (f"approach of {first}", f"approach of {second}", f"earlier moves of {second}"):
         assert part in blind.reason
-    assert f"travel of {first}" not in blind.reason
+    assert f"earlier moves of {first}" not in blind.reason
     spread = np.linalg.norm(blind.sigma)
     sides = [
-        Context((a, b, 1.0, 1.0), travel=(0.3, w, 0.0, 0.0))
+        Context((a, b, 1.0, 1.0), legs=one_leg(w))
         for a in (-1.0, 1.0) for b in (-1.0, 1.0) for w in (-0.5, 0.5)
     ]  # fmt: skip
     misses = [np.linalg.norm(model.tip(blind.command, s) - target) for s in sides]
@@ -274,6 +285,30 @@ def test_what_a_command_cannot_know_is_said_in_millimetres() -> None:
     told = compensate(model, None, target, context=sides[0], method=Method.DEFLECTION)
     assert told.reason == ""
     assert np.isnan(told.sigma).all()
+
+
+def one_leg(way: float) -> tuple[float, ...]:
+    """Legs of the small arm's joints: the second made one, the others none."""
+    legs = np.zeros((ARM.n, LEGS))
+    legs[1, 0] = way
+    return tuple(legs.ravel().tolist())
+
+
+def test_what_is_not_known_shrinks_with_the_leg_that_is() -> None:
+    """A play of radius R is open by 2 R less the known leg, and closed from there on."""
+    radius, width = 0.1, 0.008
+    model = Model(ARM, (FrictionHysteresis(2, far=radius, width=width, outer=width),))
+
+    def sigma(leg: float) -> float:
+        found, reason = unknown_history(model, ARM.mid, Context((1.0,) * 4, legs=one_leg(leg)))
+        assert ("earlier moves" in reason) == (leg < 2 * radius)
+        return float(np.linalg.norm(found))
+
+    whole = sigma(1e-5)
+    assert whole > 1e-4
+    assert sigma(0.08) == pytest.approx(0.6 * whole, rel=1e-3)
+    assert sigma(0.16) == pytest.approx(0.2 * whole, rel=1e-3)
+    assert sigma(0.2) == sigma(0.3) == 0.0
 
 
 def test_history_that_does_not_matter_raises_no_doubt() -> None:

@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipeinc, ellipkinc
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.context import LEGS, Context
 from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.link_deflection import LinkDeflection
@@ -252,7 +252,7 @@ def test_batched_and_single_give_the_same_numbers(arm: Arm) -> None:
     for frame in range(len(arm.joints) + 1):
         columns |= {f"incl_{frame}_{axis}": rng.normal(0, 0.01, n) for axis in "xy"}
     approach = tuple(rng.choice([-1.0, 0.0, 1.0], n) for _ in range(arm.n))
-    context = Context(approach, columns, travel=tuple(0.1 * rng.normal(size=(arm.n, n))))
+    context = Context(approach, columns, legs=tuple(0.1 * rng.normal(size=(arm.n * LEGS, n))))
     model = everything(arm)
     poses = model.pose(q, context)
     points, design = model.columns(model.posture(unstack(q), context))
@@ -260,7 +260,7 @@ def test_batched_and_single_give_the_same_numbers(arm: Arm) -> None:
         alone = Context(
             tuple(float(a[k]) for a in approach),
             {name: float(v[k]) for name, v in columns.items()},
-            travel=tuple(float(a[k]) for a in context.travel),
+            legs=tuple(float(a[k]) for a in context.legs),
         )
         np.testing.assert_allclose(model.pose(q[k], alone), poses[k], rtol=0, atol=1e-12)
         point, column = model.columns(model.posture(unstack(q[k]), alone))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from small_arm import ARM
@@ -53,7 +55,7 @@ def test_an_inclinometer_belongs_to_its_frame() -> None:
 def test_joints_arrive_from_where_they_last_moved() -> None:
     path = np.array([[0, 0, 0, 0], [1, 1, 1, 0], [2, 0.5, 1, 0]], float)
     before = np.array([-1, -1, -1, -1])
-    history = History(before, np.zeros(4))
+    history = dataclasses.replace(History.unknown(4), approach=before)
     assert history.after(path[1:], path[0]).approach.tolist() == [1, -1, 1, -1]
     assert history.after(path[:1], path[0]).approach.tolist() == before.tolist()
 
@@ -80,7 +82,7 @@ def test_backlash_is_compensated_for_the_side_of_this_move() -> None:
 
 def test_a_rest_pose_is_handed_out_once_and_only_at_rest() -> None:
     watch = RestWatch(settle_s=0.5, sightings=2)
-    goal, side = np.full(4, 0.3), History(np.ones(4), np.zeros(4))
+    goal, side = np.full(4, 0.3), History.unknown(4)
     variance = np.full(3, 4e-8)
     assert watch.sighted(np.zeros(3), variance, 0.0) is None  # never commanded
     watch.commanded(goal, side)

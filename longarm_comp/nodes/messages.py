@@ -22,7 +22,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.context import LEGS, Context
 from longarm_comp.core.compensation.arrive import Arrival
 from longarm_comp.core.compensation.compensate import Compensation as Outcome
 from longarm_comp.core.compensation.compensate import Status
@@ -241,7 +241,7 @@ def compensation_message(told: Told, arm: Arm, base_frame: str, *, executed: boo
         payload_kg=float(context.payload_kg(arm.payload.mass_kg if arm.payload else 0.0)),
         approach=int(sides.pop()) if len(sides) == 1 else 0,
         approach_joints=[int(side) for side in context.approach],
-        travel=[float(way) for way in context.travel],
+        travel=[float(leg) for leg in context.legs[::LEGS]],
         arm_hash=told.provenance.arm,
         model_hash=told.provenance.model,
         predictor_hash=told.provenance.predictor,

@@ -2,9 +2,8 @@
 
 Per row: a `joint_trajectory` command, the circumstances (`temperature`, `payload`), one
 `tip_measured` sighting, and a `session_row` with what no topic of the robot says (index,
-repeat, labels, further columns).  A joint's direction is told by the motion: where it does not
-follow from the command before, the trajectory passes a via point first.  A lost marker is a
-sighting at NaN.
+repeat, labels, further columns, sides of arrival that were recorded without a length).  A run-up
+is a via point that the trajectory passes first.  A lost marker is a sighting at NaN.
 """
 
 from __future__ import annotations
@@ -21,7 +20,6 @@ import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.history import SAME_POSE, recorded
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.message_types import message_types
@@ -30,7 +28,6 @@ STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 PERIOD_S = 10.0  # between rows of a session that has no times
 _DWELL_S = 2.0  # from a command to its sighting
 _START_NS = 1_000_000_000_000  # a clock of 0 would read as "no stamp"
-_VIA = 0.02  # rad or m, from a via point to the pose
 
 
 def write_bag(
@@ -94,9 +91,8 @@ class _Recorder:
         times = session.t_s if session.t_s is not None else np.arange(len(session)) * PERIOD_S
         stamps = _START_NS + np.round((times - times[0]) * 1e9).astype(np.int64)
         dwell = int(1e9 * min(_DWELL_S, _shortest(times) / 4))
-        vias = _vias(session)
         for i, stamp in enumerate(stamps):
-            self._command(int(stamp) - dwell, vias[i], session.q[i])
+            self._command(int(stamp) - dwell, _path(session, i))
             self._circumstances(int(stamp) - dwell // 2, session, i)
             self._sighting(int(stamp), session, i)
             self._row(int(stamp) + dwell // 2, session, i)
@@ -117,10 +113,10 @@ class _Recorder:
         time = self._make("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
         return self._make("std_msgs/msg/Header", stamp=time, frame_id=frame)
 
-    def _command(self, stamp: int, via: np.ndarray | None, q: np.ndarray) -> None:
+    def _command(self, stamp: int, path: list[np.ndarray]) -> None:
         empty = np.array([])
         points = []
-        for k, positions in enumerate([q] if via is None else [via, q]):
+        for k, positions in enumerate(path):
             after = self._make("builtin_interfaces/msg/Duration", sec=k, nanosec=0)
             points.append(
                 self._make(
@@ -177,6 +173,8 @@ class _Recorder:
             "columns": {name: float(values[i]) for name, values in session.columns.items()},
             "labels": {name: str(values[i]) for name, values in session.labels.items()},
         }
+        if session.told[i].any():
+            row["approach"] = session.told[i].tolist()
         kind = "std_msgs/msg/String"
         self._put("session_row", kind, stamp, self._make(kind, data=json.dumps(row)))
 
@@ -186,15 +184,7 @@ def _shortest(times: np.ndarray) -> float:
     return float(steps[steps > 0].min()) if (steps > 0).any() else PERIOD_S
 
 
-def _vias(session: Session) -> list[np.ndarray | None]:
-    """Per row the via point that tells its directions, or None where the motion tells them."""
-    plain = recorded(session.q, session.index).approach
-    vias: list[np.ndarray | None] = []
-    for i, (q, want) in enumerate(zip(session.q, session.approach, strict=True)):
-        if i and 0 <= session.index[i] - session.index[i - 1] <= 1:
-            step = q - session.q[i - 1]
-            moved = np.where(np.abs(step) < SAME_POSE, session.approach[i - 1], np.sign(step))
-        else:
-            moved = plain[i]
-        vias.append(None if (moved == want).all() else q - _VIA * want)
-    return vias
+def _path(session: Session, i: int) -> list[np.ndarray]:
+    """The way-points of a row: by the run-ups, where there are any."""
+    q, begun = session.q[i], session.run_up[i]
+    return [q] if np.isnan(begun).all() else [np.where(np.isnan(begun), q, begun), q]

@@ -3,7 +3,8 @@
 Required: ``q1..qn`` (rad, m, the commanded joints in the order of the arm) and ``x,y,z`` (m; all
 three blank: the marker was lost).  Known besides: ``index, t_s, temperature_c, payload_kg,
 approach, repeat_id, sigma_x..z, cov_xx..zz, role, group, marker, incl_<frame>_x/_y`` and
-``approach_q1..qn`` (the direction per joint, where one for all joints does not do).
+``approach_q1..qn`` (the direction per joint, where one for all joints does not do),
+``run_up_q1..qn`` (where each joint came from last).
 
 A further column is kept as context, numbers as numbers and text as labels, unless its name
 comes close to a known one: then it is an error that says which.
@@ -18,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.history import recorded
+from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.names import check_header, check_unknown
@@ -59,6 +60,7 @@ def read_csv(path: str | Path, arm: Arm, joint_columns: Sequence[str] | None = N
         xyz=_measured(table),
         index=table.integers("index") if "index" in table.cells else None,
         approach=read_approach(table, arm.n),
+        run_up=_run_up(table, arm.n),
         repeat_id=table.integers("repeat_id", -1) if "repeat_id" in table.cells else None,
         sigma=_sigma(table),
         columns=columns,
@@ -116,7 +118,8 @@ def approach_names(n: int) -> tuple[str, ...]:
 
 
 def _known(n: int) -> tuple[str, ...]:
-    return (*XYZ, *_INDEX, *UNITS, *SIGMA, *_COVARIANCE, *LABELS, *approach_names(n))
+    per_joint = [f"{what}_{name}" for what in ("approach", "run_up") for name in joint_names(n)]
+    return (*XYZ, *_INDEX, *UNITS, *SIGMA, *_COVARIANCE, *LABELS, *per_joint)
 
 
 def _free(header: Sequence[str], joint_columns: Sequence[str] | None) -> set[str]:
@@ -177,10 +180,42 @@ def _sigma(table: Table) -> np.ndarray | None:
     return None
 
 
+def _run_up(table: Table, n: int) -> np.ndarray | None:
+    names = [f"run_up_{name}" for name in joint_names(n)]
+    if not any(name in table.cells for name in names):
+        return None
+    check_header(table.where, table.header, names)
+    made = np.stack([table.numbers(name, "rad or m", True) for name in names], axis=-1)
+    _check_sides(table, made)
+    return made
+
+
+def _check_sides(table: Table, run_up: np.ndarray) -> None:
+    """Refuse a side of arrival that the run-up beside it contradicts."""
+    n = run_up.shape[1]
+    sides = read_approach(table, n)
+    if sides is None:
+        return
+    told = np.nan_to_num(sides if sides.ndim == 2 else np.repeat(sides[:, None], n, axis=1))
+    q = np.stack([table.numbers(name, "rad or m") for name in joint_names(n)], axis=-1)
+    wrong = (q - run_up) * told < SAME_POSE
+    wrong &= (told != 0) & ~np.isnan(run_up)
+    for row, joint in np.argwhere(wrong):
+        side = "below" if told[row, joint] > 0 else "above"
+        raise table.error(
+            row, f"run_up_q{joint + 1}", f"a place {side} q{joint + 1}, as approach says"
+        )
+
+
 def _written_approach(session: Session) -> dict[str, Sequence[object] | np.ndarray]:
-    """One column where reading it back derives the same directions, else one per joint."""
-    alike = (session.approach == session.approach[:, :1]).all(axis=1)
-    common = np.where(alike, session.approach[:, 0], 0)
-    if (recorded(session.q, session.index, common).approach == session.approach).all():
-        return {"approach": [None if side == 0 else side for side in common]}
-    return dict(zip(approach_names(session.n), session.approach.T, strict=True))
+    """The sides that were told, in one column where they are alike, and the run-ups."""
+    made: dict[str, Sequence[object] | np.ndarray] = {}
+    names = joint_names(session.n)
+    if (session.told == session.told[:, :1]).all():
+        made["approach"] = [None if side == 0 else side for side in session.told[:, 0]]
+    else:
+        made |= dict(zip(approach_names(session.n), session.told.T, strict=True))
+    if not np.isnan(session.run_up).all():
+        begun = [[None if np.isnan(v) else v for v in row] for row in session.run_up.T]
+        made |= {f"run_up_{name}": begun[j] for j, name in enumerate(names)}
+    return made

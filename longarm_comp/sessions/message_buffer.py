@@ -12,7 +12,7 @@ from array import array
 from bisect import bisect_left, bisect_right, insort
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -45,6 +45,7 @@ class SessionRow(BaseModel):
 
     index: int | None = None
     repeat_id: int = -1
+    approach: list[Literal[-1, 0, 1]] = []
     columns: dict[str, float] = {}
     labels: dict[str, str] = {}
 

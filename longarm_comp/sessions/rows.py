@@ -24,6 +24,7 @@ class Rows:
         self._history = History.unknown(buffer.arm.n)
         self._q: list[np.ndarray] = []
         self._came: list[History] = []
+        self._sides: list[np.ndarray] = []
         self._made: list[Sighting] = []
         self._told: list[SessionRow] = []
         self._index: list[int] = []
@@ -55,12 +56,13 @@ class Rows:
         gap = seen and self._index and not self._passed and not 0 <= number - last <= 1
         if gap:
             self._at, self._history = None, History.unknown(buffer.arm.n)
-        self._history = self._history.after(points, self._at)
+        self._history = self._history.after(points, self._at).told(_sides(row, buffer))
         self._at = points[-1]
         self._passed = seen is None
         if seen is not None:
             self._q.append(self._at)
             self._came.append(self._history)
+            self._sides.append(_sides(row, buffer))
             self._made.append(seen)
             self._told.append(row)
             self._index.append(number)
@@ -87,13 +89,22 @@ class Rows:
             q=np.array(self._q),
             xyz=np.array([seen.xyz for seen in self._made]),
             approach=np.array([came.approach for came in self._came]),
-            travel=np.array([came.travel for came in self._came]),
+            legs=np.array([came.legs for came in self._came]),
+            told=np.array(self._sides),
             repeat_id=np.array([row.repeat_id for row in self._told]),
             sigma=np.sqrt(variance) if (variance > 0).all() else None,
             columns=columns,
             labels=_told([row.labels for row in self._told]),
             source=buffer.where,
         )
+
+
+def _sides(row: SessionRow, buffer: MessageBuffer) -> np.ndarray:
+    """(n,) sides of arrival that were recorded without the length of the run-up, else 0."""
+    n = buffer.arm.n
+    if len(row.approach) not in (0, n):
+        raise InputError(buffer.where, "session_row approach", row.approach, f"{n} sides")
+    return np.array(row.approach or [0] * n, float)
 
 
 def _told(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:

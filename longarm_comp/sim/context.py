@@ -21,6 +21,8 @@ class TrueContext:
         temperature_c: (N,) or one number, degrees Celsius.
         payload_kg: carried mass, (N,) or one number.
         t_s: time since the session began, (N,) or one number.
+        behind: how far each joint stands behind its command by its own past, (N, n) or (n,), rad
+            or m (`hidden.wind_up.Sliders`).
         wound: how far each joint's gear train is wound up, (N, n) or (n,), -1 to +1: fully by
             motion downwards or upwards.
     """
@@ -29,6 +31,7 @@ class TrueContext:
     temperature_c: Array | float | None = None
     payload_kg: Array | float | None = None
     t_s: Array | float | None = None
+    behind: Array | None = None
     wound: Array | None = None
 
 
@@ -43,6 +46,7 @@ class State:
         temperature_c: (N,).
         payload_kg: (N,).
         t_s: (N,).
+        behind: (N, n).
         wound: (N, n).
     """
 
@@ -52,6 +56,7 @@ class State:
     temperature_c: Array
     payload_kg: Array
     t_s: Array
+    behind: Array
     wound: Array
 
     @classmethod
@@ -80,6 +85,7 @@ class State:
             column("temperature_c", given.temperature_c, arm.reference_temperature_c),
             column("payload_kg", given.payload_kg, declared),
             column("t_s", given.t_s, 0.0),
+            _array("behind", 0.0 if given.behind is None else given.behind, q.shape),
             _array("wound", 0.0 if given.wound is None else given.wound, q.shape),
         )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Sequence
 from typing import Any
@@ -176,11 +177,7 @@ def _minimal(setting: LoopSetting, sets: Sequence[EffectFinding], best: ModelFit
 
 def _clean(setting: LoopSetting) -> Session:
     """The training rows as they would be without noise and outliers."""
-    t = setting.train
-    return Session(
-        t.index, t.q, setting.clean_train, t.approach, t.repeat_id, None, t.columns, t.labels,
-        t.source, t.travel,
-    )  # fmt: skip
+    return dataclasses.replace(setting.train, xyz=setting.clean_train, sigma=None)
 
 
 def _located(setting: LoopSetting, found: Diagnosis) -> bool | None:

@@ -20,6 +20,7 @@ from longarm_comp.core.compensation.realisable import Lattice
 from longarm_comp.core.compensation.result import Compensation, Method, Settling, Status
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.wind_up import as_fitted
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.read import read_session
@@ -186,6 +187,7 @@ def _sides(told: Context, n: int) -> np.ndarray | None:
 def _last(history: SessionLike, model: Model) -> tuple[np.ndarray, History]:
     """Where the joints stood at the end of a session, and how they came there."""
     session = history if isinstance(history, Session) else read_session(history, model.arm)
+    session = as_fitted(session, model)
     return session.q[-1], History(**{name: getattr(session, name)[-1] for name in PER_JOINT})
 
 

@@ -13,6 +13,7 @@ from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.data.admission import FEW_POSES, admit
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.wind_up import as_fitted
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, store
@@ -50,10 +51,14 @@ def admitted(
 ) -> Session:
     """A session that passed admission; what admission finds is noted.
 
+    Run-ups of unknown length are taken to be as long as the model was fitted with.
+
     Raises:
         InputError: it cannot be read, or cannot be what it claims to be.
     """
     session = given if isinstance(given, Session) else read_session(given, arm)
+    if model is not None:
+        session = as_fitted(session, model)
     admission = admit(session, arm, model, min_poses)
     where = session.source if isinstance(given, Session) else given
     for finding in admission.findings:

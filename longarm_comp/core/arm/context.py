@@ -1,7 +1,7 @@
 """The record of circumstances: all that an effect may need besides the joints.
 
-Side of arrival, way travelled, time, temperature, payload, inclination, marker: each is declared
-here once, with its kind.  Sessions, targets, the running arm, every engine of the inverse
+Side of arrival, legs of the way there, time, temperature, payload, inclination, marker: each is
+declared here once, with its kind.  Sessions, targets, the running arm, every engine of the inverse
 kinematics and the learned inputs go over the declared fields (`PER_JOINT`, `Layout`), so a field
 that is added here is carried everywhere.  History is part of the record (`core/arm/history.py`);
 an effect stays a pure function of a posture.
@@ -23,9 +23,13 @@ from longarm_comp.core.errors import InputError
 _KIND = "kind"
 
 
-def _per_joint(extreme: float) -> Any:
-    """A field of n scalars, one a commanded joint, within +-extreme; 0 or empty when unknown."""
-    return field(default=(), metadata={_KIND: "joint", "extreme": extreme})
+LEGS = 7
+"""Places for the legs of a joint's way; the last stays free for what may have been before."""
+
+
+def _per_joint(width: int = 1) -> Any:
+    """A field of `width` scalars a commanded joint, joint by joint; 0 or empty when unknown."""
+    return field(default=(), metadata={_KIND: "joint", "width": width})
 
 
 def _by_name(kind: str) -> Any:
@@ -42,14 +46,14 @@ class Context:
         columns: any further quantity by name: `temperature_c`, `payload_kg`, `t_s`,
             `incl_<frame>_x`, ... (SI but for the degrees Celsius).
         labels: text columns such as `group` and `marker`, one string or (N,) array of them.
-        travel: per joint the signed way since it last turned round (rad, m), n scalars;
-            0 or empty when unknown.
+        legs: per joint its last signed ways from turn to turn (rad, m), the latest first, as
+            `history.onward` keeps them, n times `LEGS` scalars; 0 or empty where unknown.
     """
 
-    approach: tuple[Scalar, ...] = _per_joint(extreme=1.0)
+    approach: tuple[Scalar, ...] = _per_joint()
     columns: Mapping[str, Scalar] = _by_name("number")
     labels: Mapping[str, object] = _by_name("text")
-    travel: tuple[Scalar, ...] = _per_joint(extreme=1e3)
+    legs: tuple[Scalar, ...] = _per_joint(width=LEGS)
 
     def has(self, name: str) -> bool:
         """Whether an input was recorded: a per-joint field or a column."""
@@ -76,10 +80,15 @@ class Context:
         """Carried mass: recorded, else as declared."""
         return self.column("payload_kg", declared)
 
-    def of_joint(self, name: str, joint: int) -> Scalar:
-        """A per-joint field at commanded joint number `joint` (0-based); 0 when unknown."""
+    def of_joint(self, name: str, joint: int) -> tuple[Scalar, ...]:
+        """Scalars of a per-joint field at commanded joint number `joint` (0-based); 0: unknown."""
+        width = WIDTH[name]
         values: tuple[Scalar, ...] = getattr(self, name)
-        return values[joint] if values else 0.0
+        return values[width * joint : width * (joint + 1)] if values else (0.0,) * width
+
+    def of_all(self, name: str, n: int) -> tuple[Scalar, ...]:
+        """All scalars of a per-joint field of an arm of n joints; 0: unknown."""
+        return getattr(self, name) or (0.0,) * (n * WIDTH[name])
 
     def is_label(self, name: str, value: str) -> Scalar:
         """1.0 where a text column holds `value`, else 0.0; 1.0 when there is no such column."""
@@ -122,12 +131,12 @@ def _of_kind(kind: str) -> tuple[str, ...]:
 
 
 PER_JOINT = _of_kind("joint")
-"""Fields of `Context` with a scalar a commanded joint: the history of the joints."""
+"""Fields of `Context` with scalars a commanded joint: the history of the joints."""
 
-EXTREME: Mapping[str, float] = {
-    f.name: f.metadata["extreme"] for f in dataclasses.fields(Context) if f.name in PER_JOINT
+WIDTH: Mapping[str, int] = {
+    f.name: f.metadata["width"] for f in dataclasses.fields(Context) if f.name in PER_JOINT
 }
-"""Largest size of each of them that makes a difference."""
+"""How many scalars a joint each of them holds."""
 
 
 @dataclass(frozen=True)

@@ -1,21 +1,59 @@
 """How the joints came to where they stand: the per-joint fields of the record of circumstances.
 
-One step, from rest to rest, serves recorded sessions and the running arm alike.
+A joint's way is kept as its *legs*, from turn to turn, as far as friction and play of any size can
+remember them: a leg as long as the one before swallows the loop that it closes (the wiping-out
+rule of the Preisach model), so what is left alternates in sign and grows towards the past.
+One step serves recorded sessions and the running arm alike.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from longarm_comp.core.arm.context import PER_JOINT
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.context import LEGS, PER_JOINT
+from longarm_comp.core.arm.spatial import Scalar
 
 SAME_POSE = 1e-6
 """Commanded joints that differ by less are the same pose (rad, m)."""
 
 _AGREED = 1e-5
+
+
+def onward(legs: Sequence[float], way: float) -> list[float]:
+    """Legs of a joint after a further signed way (rad, m); the latest first, without zeros.
+
+    With more of them nested than there are places, the oldest are forgotten.
+    """
+    if abs(way) < SAME_POSE:
+        return list(legs)
+    if legs and legs[0] * way > 0:
+        made = [legs[0] + way, *legs[1:]]
+    else:
+        made = [way, *legs]
+    while len(made) > 1 and abs(made[0]) >= abs(made[1]) - SAME_POSE:
+        made = [sum(made[:3]), *made[3:]] if len(made) > 2 else made[:1]
+    return made[: LEGS - 1]
+
+
+def play(legs: Sequence[Scalar], radius: Scalar) -> tuple[Scalar, Scalar]:
+    """Least and largest state that a play operator can have after some legs; equal where known.
+
+    The state follows the joint within +-radius.  Before the first leg it is anything in between.
+
+    Args:
+        legs: signed ways, the latest first (rad, m); 0 counts for nothing.
+        radius: of the operator, in the same unit.
+    """
+    low, high = -radius, radius
+    for leg in reversed(legs):
+        low = spatial.minimum(spatial.maximum(low + leg, -radius), radius)
+        high = spatial.minimum(spatial.maximum(high + leg, -radius), radius)
+    return low, high
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,35 +62,43 @@ class History:
 
     Attributes:
         approach: (n,) or (N, n) of -1, 0 (unknown), +1: the side each joint arrived from.
-        travel: (n,) or (N, n) signed way since it last turned round, from rest to rest (rad, m);
-            a run-up before the arrival is not counted; 0 unknown.
+        legs: (n, LEGS) or (N, n, LEGS) signed ways from turn to turn (rad, m), the latest first,
+            as `onward` keeps them; 0 where there is none or nobody knows.
     """
 
     approach: np.ndarray
-    travel: np.ndarray
+    legs: np.ndarray
 
     @classmethod
     def unknown(cls, n: int) -> History:
         """Of an arm of n joints that nobody has watched."""
-        return cls(np.zeros(n), np.zeros(n))
+        return cls(np.zeros(n), np.zeros((n, LEGS)))
 
     def after(self, points: np.ndarray, start: np.ndarray | None) -> History:
         """After a move from rest to rest.
 
         Args:
             points: (k, n) way-points; the joints come to rest at the last.
-            start: (n,) where the joints stood; None: nobody knows.
+            start: (n,) where the joints stood; None: nobody knows, nor how they came there.
         """
         path = points if start is None else np.vstack([start, points])
         side = self.approach
+        legs = np.zeros_like(self.legs) if start is None else self.legs.copy()
         for step in np.diff(path, axis=0):
             side = np.where(np.abs(step) < SAME_POSE, side, np.sign(step))
-        return History(side, self.travel if start is None else self._onward(path[-1] - path[0]))
+        for joint, ways in enumerate(np.diff(path, axis=0).T.tolist()):
+            made = [leg for leg in legs[joint].tolist() if leg]
+            for way in ways:
+                made = onward(made, way)
+            legs[joint] = made + [0.0] * (LEGS - len(made))
+        return History(side, legs)
 
-    def _onward(self, step: np.ndarray) -> np.ndarray:
-        """Way after a further step: a joint that goes on adds up, one that turns begins anew."""
-        step = np.where(np.abs(step) < SAME_POSE, 0.0, step)
-        return np.where(self.travel * step >= 0, self.travel + step, step)
+    def told(self, sides: np.ndarray) -> History:
+        """Where a side (n,) of +-1 is told but not from how far: the legs are not known."""
+        mine = sides != 0
+        return History(
+            np.where(mine, sides, self.approach), np.where(mine[:, None], 0.0, self.legs)
+        )
 
     def agrees(self, other: History) -> bool:
         """Whether every joint came the same way, to 10 microradians or micrometres."""
@@ -62,44 +108,55 @@ class History:
         )
 
     def agreed(self, other: History) -> History:
-        """What both say; 0, unknown, where they point to opposite sides."""
-        return History(
-            **{
-                name: np.where(
-                    np.sign(getattr(self, name)) == np.sign(getattr(other, name)),
-                    getattr(self, name),
-                    0.0,
-                )
-                for name in PER_JOINT
-            }
-        )
+        """What both say; unknown, 0, for a joint that turned to opposite sides."""
+        same = np.sign(self.approach) == np.sign(other.approach)
+        return History(np.where(same, self.approach, 0), np.where(same[:, None], self.legs, 0.0))
 
     def fields(self) -> dict[str, Any]:
         """The per-joint fields of a `Context` at one posture, 0 where they are unknown."""
-        return {name: tuple(getattr(self, name).tolist()) for name in PER_JOINT}
+        return {name: tuple(getattr(self, name).ravel().tolist()) for name in PER_JOINT}
 
 
-def recorded(q: np.ndarray, index: np.ndarray, approach: np.ndarray | None = None) -> History:
+def recorded(
+    q: np.ndarray,
+    index: np.ndarray,
+    approach: np.ndarray | None = None,
+    run_up: np.ndarray | None = None,
+    length: np.ndarray | None = None,
+) -> History:
     """History of every row of a recording, (N, n).
 
-    A recorded side of +1 or -1 stands. Else it is the direction of motion from the row before; a
-    joint that did not move keeps its side. After a gap of the index, and in the first row,
-    nothing is known.
+    A joint came by its run-up, else from the side that was told, else straight from the row
+    before.  After a gap of the index, and in the first row, nothing is known of before; a joint
+    that did not move keeps its side.
 
     Args:
         q: (N, n) commanded joints in the order of recording.
         index: (N,) counter of the recording.
-        approach: (N,) or (N, n) with 0 or NaN where no side was recorded.
+        approach: (N,) or (N, n) sides of arrival, with 0 or NaN where none was recorded.
+        run_up: (N, n) where the run-up began; NaN where there was none or nobody knows.
+        length: (n,) of run-ups of which only the side was recorded; unknown where not given.
     """
-    given = np.zeros(q.shape)
-    if approach is not None:
-        marks = np.nan_to_num(np.asarray(approach, dtype=float))
-        given[:] = np.sign(marks if marks.ndim == 2 else marks[:, None])
-    sides, ways = np.zeros(q.shape), np.zeros(q.shape)
+    begun = np.full(q.shape, np.nan) if run_up is None else run_up
+    told = sides_told(q, approach, begun)
+    if length is not None:
+        begun = np.where(told != 0, q - told * length, begun)
+        told = np.zeros_like(told)
+    via = np.where(np.isnan(begun), q, begun)
+    sides, legs = np.zeros(q.shape), np.zeros((*q.shape, LEGS))
     now = nothing = History.unknown(q.shape[1])
     for i in range(len(q)):
         gap = i == 0 or not 0 <= index[i] - index[i - 1] <= 1
-        now = nothing if gap else now.after(q[i : i + 1], q[i - 1])
-        now = History(np.where(given[i] != 0, given[i], now.approach), now.travel)
-        sides[i], ways[i] = now.approach, now.travel
-    return History(sides, ways)
+        path = np.stack([via[i], q[i]])
+        now = (nothing if gap else now).after(path, None if gap else q[i - 1]).told(told[i])
+        sides[i], legs[i] = now.approach, now.legs
+    return History(sides, legs)
+
+
+def sides_told(q: np.ndarray, approach: np.ndarray | None, run_up: np.ndarray) -> np.ndarray:
+    """(N, n) of +-1 where a side of arrival was recorded without a run-up, else 0."""
+    if approach is None:
+        return np.zeros(q.shape)
+    marks = np.sign(np.nan_to_num(np.asarray(approach, dtype=float)))
+    each = np.broadcast_to(marks if marks.ndim == 2 else marks[:, None], q.shape)
+    return np.where(np.isnan(run_up), each, 0.0)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 import numpy as np
 
-from longarm_comp.core.arm.context import EXTREME, PER_JOINT, Context
+from longarm_comp.core.arm.context import LEGS, PER_JOINT, Context
 from longarm_comp.core.model.model import Model
 
 LEAST_M = 1e-5
@@ -46,21 +48,20 @@ def unknown_history(
     """
     n = model.arm.n
     unsure = np.zeros(n, bool) if doubtful is None else doubtful
+    known = {name: np.reshape(context.of_all(name, n), (n, -1)) for name in PER_JOINT}
     open_ = [
-        (name, joint)
+        (name, joint, extremes)
         for name, joints in history_joints(model).items()
         for joint in joints
-        if unsure[joint] or context.of_joint(name, joint) == 0.0
+        if (extremes := _EXTREMES[name](known[name][joint], bool(unsure[joint]))) is not None
     ]
     if not open_:
         return np.zeros(3), ""
-    trials = {name: np.empty((2 * len(open_), n)) for name in PER_JOINT}
-    for name, rows in trials.items():
-        rows[:] = [context.of_joint(name, joint) for joint in range(n)]
-    for k, (name, joint) in enumerate(open_):
-        trials[name][2 * k : 2 * k + 2, joint] = EXTREME[name], -EXTREME[name]
+    trials = {name: np.repeat(held[None], 2 * len(open_), axis=0) for name, held in known.items()}
+    for k, (name, joint, extremes) in enumerate(open_):
+        trials[name][2 * k : 2 * k + 2, joint] = extremes
     columns = {name: np.full(2 * len(open_), value) for name, value in context.columns.items()}
-    history = {name: tuple(rows.T) for name, rows in trials.items()}
+    history = {name: tuple(rows.reshape(len(rows), -1).T) for name, rows in trials.items()}
     tip = model.tip(
         np.tile(q, (2 * len(open_), 1)),
         Context(**history, columns=columns, labels=context.labels),
@@ -72,10 +73,36 @@ def unknown_history(
     spread = np.sqrt((half**2).sum(axis=0))
     names = model.arm.joint_names
     parts = [
-        f"{name} of {names[joint]}"
-        for (name, joint), moved in zip(open_, size, strict=True)
+        f"{_WORDS[name]} of {names[joint]}"
+        for (name, joint, _), moved in zip(open_, size, strict=True)
         if moved > LEAST_M
     ]
     sigma_mm = 1e3 * float(np.linalg.norm(spread))
     why = f"the tip depends on what is not known: {', '.join(parts)} (sigma {sigma_mm:.2f} mm)"
     return spread, why
+
+
+def _either_side(side: np.ndarray, unsure: bool) -> np.ndarray | None:
+    """Both sides (2, 1), where the side is not known."""
+    return np.array([[1.0], [-1.0]]) if unsure or side[0] == 0.0 else None
+
+
+def _any_way_before(legs: np.ndarray, unsure: bool) -> np.ndarray:
+    """The known legs (LEGS,) after a long way up and after one down, (2, LEGS).
+
+    Between the two lies every state that play of any radius can have.
+    """
+    after = np.zeros(0) if unsure else legs[legs != 0.0]
+    made = np.zeros((2, LEGS))
+    made[:, : len(after)] = after
+    made[:, len(after)] = _FAR, -_FAR
+    return made
+
+
+_WORDS = {"approach": "approach", "legs": "earlier moves"}
+_FAR = 1e3  # rad, m: farther than any play
+_EXTREMES: Mapping[str, Callable[[np.ndarray, bool], np.ndarray | None]] = {
+    "approach": _either_side,
+    "legs": _any_way_before,
+}
+"""By field of the history, the two extremes of what it may be at a joint; None: it is known."""

@@ -15,8 +15,8 @@ from functools import cached_property
 
 import numpy as np
 
-from longarm_comp.core.arm.context import PER_JOINT, Context
-from longarm_comp.core.arm.history import SAME_POSE, recorded
+from longarm_comp.core.arm.context import LEGS, PER_JOINT, Context
+from longarm_comp.core.arm.history import SAME_POSE, History, recorded, sides_told
 from longarm_comp.core.errors import InputError
 
 Rows = np.ndarray | Sequence[int] | slice
@@ -37,8 +37,10 @@ class Session:
             `payload_kg`, `incl_<frame>_x`, any other quantity that was recorded.
         labels: text by name, (N,) each: `group`, `marker`, `role`, any other.
         source: file or bag that it came from, for messages.
-        travel: (N, n) signed way of each joint since it last turned round, rad and m, over the
-            rows before (the approach's own last bit not counted); 0 unknown.
+        legs: (N, n, LEGS) signed ways of each joint from turn to turn, rad and m, the latest
+            first (`core/arm/history.py`); 0 where unknown.
+        told: (N, n) of +-1 where only the side of arrival was recorded, by a run-up of unknown
+            length, else 0.
     """
 
     index: np.ndarray
@@ -50,7 +52,8 @@ class Session:
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)
     labels: Mapping[str, np.ndarray] = field(default_factory=dict)
     source: str = "session"
-    travel: np.ndarray | None = None
+    legs: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    told: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         """Check the shapes and freeze the arrays."""
@@ -64,8 +67,10 @@ class Session:
         self._set("q", q, (n_rows, n))
         self._set("xyz", xyz, (n_rows, 3))
         self._set("approach", np.asarray(self.approach, dtype=np.int8), (n_rows, n))
-        travel = np.zeros((n_rows, n)) if self.travel is None else self.travel
-        self._set("travel", np.asarray(travel, dtype=float), (n_rows, n))
+        legs = self.legs if len(self.legs) == n_rows else np.zeros((n_rows, n, LEGS))
+        self._set("legs", np.asarray(legs, dtype=float), (n_rows, n, LEGS))
+        told = self.told if len(self.told) == n_rows else np.zeros((n_rows, n))
+        self._set("told", np.asarray(told, dtype=np.int8), (n_rows, n))
         self._set("repeat_id", np.asarray(self.repeat_id, dtype=np.int64), (n_rows,))
         if self.sigma is not None:
             self._set("sigma", np.asarray(self.sigma, dtype=float), (n_rows, 3))
@@ -94,13 +99,14 @@ class Session:
         *,
         index: np.ndarray | None = None,
         approach: np.ndarray | None = None,
+        run_up: np.ndarray | None = None,
         repeat_id: np.ndarray | None = None,
         sigma: np.ndarray | None = None,
         columns: Mapping[str, np.ndarray] | None = None,
         labels: Mapping[str, np.ndarray] | None = None,
         source: str = "session",
     ) -> Session:
-        """From rows in the order of recording; the approach of each joint is derived.
+        """From rows in the order of recording; how each joint arrived is derived.
 
         Args:
             q: (N, n), rad and m.
@@ -108,6 +114,8 @@ class Session:
             index: (N,); counted from 0 when not given.
             approach: as recorded: (N,) for all joints at once or (N, n), with 0 or NaN for
                 "from the row before". Not given: every row is.
+            run_up: (N, n) where each joint's last approach began, rad and m; NaN where it had
+                none or nobody knows.
             repeat_id: as in `Session`, and so are the rest.
 
         Raises:
@@ -118,7 +126,9 @@ class Session:
         index = np.arange(n_rows) if index is None else np.asarray(index)
         _check_shape(source, "index", index, (n_rows,))
         repeat_id = np.full(n_rows, -1) if repeat_id is None else repeat_id
-        history = recorded(q, index, approach)
+        begun = np.full(q.shape, np.nan) if run_up is None else np.asarray(run_up, dtype=float)
+        _check_shape(source, "run_up", begun, q.shape)
+        history = recorded(q, index, approach, begun)
         return cls(
             index,
             q,
@@ -129,8 +139,20 @@ class Session:
             columns or {},
             labels or {},
             source,
-            history.travel,
+            history.legs,
+            sides_told(q, approach, begun),
         )
+
+    def taken(self, lengths: np.ndarray) -> Session:
+        """The whole session, with run-ups of unknown length taken to be so long.
+
+        Args:
+            lengths: (n,) rad and m.
+        """
+        if not self.told.any():
+            return self
+        history = recorded(self.q, self.index, self.told, self.run_up, lengths)
+        return dataclasses.replace(self, legs=history.legs)
 
     def __len__(self) -> int:
         """Number of rows."""
@@ -166,6 +188,16 @@ class Session:
         return ~np.isnan(self.xyz[:, 0])
 
     @cached_property
+    def run_up(self) -> np.ndarray:
+        """(N, n) where a joint turned last, rad and m; NaN: it came straight, or nobody knows."""
+        begun = np.where(self.told != 0, 0.0, self.legs[..., 0])
+        for i in np.flatnonzero(np.isin(np.diff(self.index), (0, 1))):
+            before = History(self.approach[i], self.legs[i])
+            straight = before.after(self.q[i + 1 : i + 2], self.q[i]).legs
+            begun[i + 1, np.abs(straight - self.legs[i + 1]).max(axis=1) < SAME_POSE] = 0.0
+        return np.where(begun == 0.0, np.nan, self.q - begun)
+
+    @cached_property
     def arrivals(self) -> tuple[tuple[int, int], ...]:
         """By joint, rows that arrived from above (-1) and from below (+1); empty: not recorded."""
         if not self.approach.any():
@@ -193,6 +225,7 @@ class Session:
             ("q", self.q),
             ("xyz", self.xyz),
             ("approach", self.approach),
+            ("run_up", self.run_up if np.isfinite(self.run_up).any() else None),
             ("repeat_id", self.repeat_id),
             ("sigma", self.sigma),
             *((name, self.columns[name]) for name in sorted(self.columns)),
@@ -211,10 +244,9 @@ class Session:
         The history of the joints is absent when no side of arrival is known in the whole session.
         """
         at: Rows = slice(None) if rows is None else rows
-        history = {
-            name: tuple(getattr(self, name)[at, j].astype(float) for j in range(self.n))
-            for name in (PER_JOINT if self.approach.any() else ())
-        }
+        names = PER_JOINT if self.approach.any() else ()
+        held = {name: getattr(self, name)[at].astype(float) for name in names}
+        history = {name: tuple(v.reshape(len(v), -1).T) for name, v in held.items()}
         return Context(
             **history,
             columns={name: values[at] for name, values in self.columns.items()},
@@ -229,7 +261,8 @@ class Session:
             q=self.q[rows],
             xyz=self.xyz[rows],
             approach=self.approach[rows],
-            travel=None if self.travel is None else self.travel[rows],
+            legs=self.legs[rows],
+            told=self.told[rows],
             repeat_id=self.repeat_id[rows],
             sigma=None if self.sigma is None else self.sigma[rows],
             columns={name: values[rows] for name, values in self.columns.items()},

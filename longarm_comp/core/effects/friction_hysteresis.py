@@ -6,35 +6,40 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.effects.effect import Parameter, form, parameter
 from longarm_comp.core.effects.joint_term import JointTerm, with_prior
 
+SLIDE = 0.1
+"""Metres of a slide that count as a radian of a turning joint."""
+
 
 @dataclass(frozen=True)
 class FrictionHysteresis(JointTerm):
-    """Lost motion against the direction of approach and, by memory, of the move before it.
+    """Lost motion against the way that the joint came: a stack of play operators.
 
-    A joint with friction and wind-up is a play operator (Prandtl): it lags by half a width
-    against its motion once it has wound through `reach`.  A short final approach turns only
-    part of it; the rest remembers the move before: ``side = way / reach - 1`` within +-1.
+    A joint with friction and wind-up lags behind its motion (Prandtl-Ishlinskii): in part by its
+    side of arrival at once, in part as it winds through twice a radius, so that a short move turns
+    that part only a little and the rest remembers the moves before.  The data fix the sum, `width`,
+    much better than its parts.
 
     Attributes:
-        reach: way (rad; a tenth as many m for a slide) in which the joint winds from one side
-            to the middle.
+        near, far: radii (rad; a tenth as many m for a slide) of the two operators that remember.
+        run_up: length (as the radii) that run-ups of unrecorded length were taken to have in the
+            session that it was fitted to; 0: there were none.
     """
 
     name: ClassVar[str] = "friction_hysteresis"
     needs: ClassVar[tuple[str, ...]] = ("approach",)
 
-    reach: float = form(0.1)
-    width: float = parameter("rad", "full width that the approach decides", prior=0.01, lower=0.0)
-    memory: float = parameter(
-        "rad", "full width that the move before decides", prior=3e-3, lower=0.0
-    )
+    near: float = form(0.04)
+    far: float = form(0.15)
+    run_up: float = form(0.0)
+    width: float = parameter("rad", "full width, from side to side", prior=0.01, lower=0.0)
+    inner: float = parameter("rad", "part that winds up over `near`", prior=3e-3, lower=0.0)
+    outer: float = parameter("rad", "part that winds up over `far`", prior=3e-3, lower=0.0)
 
     @classmethod
     def fits(cls, arm: Arm, row: int) -> bool:
@@ -42,25 +47,26 @@ class FrictionHysteresis(JointTerm):
         return True
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Priors 10 and 3 mrad, or 0.3 and 0.1 mm for a slide."""
-        width, memory = self.declared()
+        """Priors 10, 3 and 3 mrad, or 0.3, 0.1 and 0.1 mm for a slide."""
+        width, *parts = self.declared()
         if arm.joints[self.joint - 1].type == "prismatic":
             return (
                 *with_prior((width,), unit="m", prior=3e-4),
-                *with_prior((memory,), unit="m", prior=1e-4),
+                *with_prior(tuple(parts), unit="m", prior=1e-4),
             )
-        return width, memory
+        return width, *parts
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Side and way of its joint."""
-        return ("approach", "travel")
+        """Side and legs of its joint."""
+        return ("approach", "legs")
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Half the widths against the directions of motion."""
-        way = self.travel(posture)
         sliding = posture.arm.joints[self.joint - 1].type == "prismatic"
-        reach = 0.1 * self.reach if sliding else self.reach
-        wound = spatial.minimum(abs(way) / reach - 1.0, 1.0) * spatial.sign(way)
-        lag = 0.5 * self.width * self.direction(posture) + 0.5 * self.memory * wound
-        return self.motion(posture, -1.0 * lag)
+        scale = SLIDE if sliding else 1.0
+        side = self.direction(posture)
+        lag = self.width * side
+        for part, radius in ((self.inner, self.near), (self.outer, self.far)):
+            lag = lag + part * (self.wound(posture, scale * radius) - side)
+        return self.motion(posture, -0.5 * lag)

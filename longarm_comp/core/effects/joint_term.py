@@ -13,6 +13,7 @@ from typing_extensions import Self
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import PER_JOINT
+from longarm_comp.core.arm.history import play
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Scalar, Twist
 from longarm_comp.core.effects.effect import Effect, Parameter, moving_joints, place
@@ -111,13 +112,18 @@ class JointTerm(Effect):
 
     def direction(self, posture: Posture) -> Scalar:
         """Side that the joint arrived from, -1, 0 (unknown) or +1."""
-        commanded = posture.arm.commanded
-        return posture.context.of_joint("approach", commanded.index(self.joint))
+        return self._history(posture, "approach")[0]
 
-    def travel(self, posture: Posture) -> Scalar:
-        """Signed way (rad, m) since the joint last turned round, before its final approach."""
-        commanded = posture.arm.commanded
-        return posture.context.of_joint("travel", commanded.index(self.joint))
+    def wound(self, posture: Posture, radius: float) -> Scalar:
+        """State of a play operator of some radius (rad, m), -1 to +1; the middle of what it can be.
+
+        How far a joint is wound up by its own way: +1 against its upper flank, coming from below.
+        """
+        low, high = play(self._history(posture, "legs"), radius)
+        return (low + high) * (0.5 / radius)
+
+    def _history(self, posture: Posture, name: str) -> tuple[Scalar, ...]:
+        return posture.context.of_joint(name, posture.arm.commanded.index(self.joint))
 
 
 def with_prior(parameters: tuple[Parameter, ...], **changes: object) -> tuple[Parameter, ...]:

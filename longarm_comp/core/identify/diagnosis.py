@@ -22,6 +22,7 @@ from longarm_comp.core.identify.noise import from_repeats
 from longarm_comp.core.identify.proof import LearnedCorrection, Proof, prove
 from longarm_comp.core.identify.search import SearchResult, search
 from longarm_comp.core.identify.structure import Structure, examine
+from longarm_comp.core.identify.wind_up import WindUp, as_fitted, refined, wind_up, with_run_ups
 from longarm_comp.core.model.model import Model
 
 POSES_TO_SPLIT = 12
@@ -126,14 +127,27 @@ def diagnose(
     """
     say = progress or (lambda _: None)
     rng = np.random.default_rng(seed)
-    train, rest = _split(session, test, seed)
-    sealed = Sealed(rest)
+
+    def rows(run_up: float) -> tuple[Session, Session]:
+        """To fit and to hold out, with unrecorded run-ups taken to be so long (rad)."""
+        held = None if test is None else with_run_ups(test, arm, run_up)
+        return _split(with_run_ups(session, arm, run_up), held, seed)
+
     nominal = model or declared_model(arm)
+    session = as_fitted(session, nominal)
+    test = None if test is None else as_fitted(test, nominal)
+    train, rest = _split(session, test, seed)
     base = with_geometry(nominal, train)
     candidates = library(arm, train.context(), kinds, base.terms)
     say("frames")
     placed = fit(align(with_frames(nominal, train), train), train)
-    identified = _identify(align(base, train), train, candidates.testable, rng, say)
+    start = align(base, train)
+    identified = _identify(
+        start, train, lambda run_up: rows(run_up)[0], candidates.testable, rng, say
+    )
+    memory = identified.memory
+    train, rest = (train, rest) if memory is None else rows(memory.run_up)
+    sealed = Sealed(rest)
     learn = _Learner(train_network, identified.search.fit, say)
     network = learn.on(identified.search.fit.model, identified.structure)
     sealed.release(f"{len(identified.search.chosen)} terms, seed {seed}")
@@ -149,7 +163,7 @@ def diagnose(
     outcome = _judge(identified, proof, network, learn, held_out, rng)
     looked_at = np.concatenate([train.q, held_out.q])
     found = tuple(
-        on_few_levels(identified.search, candidates.testable, f, looked_at)
+        on_few_levels(identified.search, identified.candidates, f, looked_at)
         for f in outcome.findings
     )
     say("next poses")
@@ -189,6 +203,8 @@ class _Identified:
         findings: the same with their look-alikes.
         structure: what the fit with effects leaves.
         confirmed: intervals and doubts.
+        candidates: the library, with the radii that the joints' memory was found to have.
+        memory: these radii and the length of unrecorded run-ups, where joints remember.
     """
 
     calibrated: ModelFit
@@ -196,17 +212,31 @@ class _Identified:
     findings: tuple[EffectFinding, ...]
     structure: Structure
     confirmed: Confirmed
+    candidates: tuple[Candidate, ...]
+    memory: WindUp | None
 
 
 def _identify(
     start: Model,
     train: Session,
-    candidates: Sequence[Candidate],
+    rows: Callable[[float], Session],
+    candidates: tuple[Candidate, ...],
     rng: np.random.Generator,
     say: Progress,
 ) -> _Identified:
-    """Search, look-alikes, structure left, confirmation."""
+    """Memory of the joints, search, look-alikes, structure left, confirmation.
+
+    Args:
+        rows: the training rows with unrecorded run-ups taken to be so long (rad).
+    """
+    say("memory of the joints")
+    memory = wind_up(start, rows, candidates)
+    if memory is not None:
+        candidates, train = memory.candidates(candidates), rows(memory.run_up)
     searched = search(start, train, candidates, known_noise=from_repeats(train), progress=say)
+    if memory is not None:
+        searched, memory = refined(searched, memory, rows)
+        candidates, train = memory.candidates(candidates), rows(memory.run_up)
     say("look-alikes")
     result, found = findings(searched, candidates)
     say("structure")
@@ -215,7 +245,7 @@ def _identify(
     calibrated = fit(start, train, sigma=noise.sigma, rho=noise.rho, weights=weights)
     structure = examine(result.fit, calibrated, rng)
     confirmed = confirm(result, list(found), candidates, rng)
-    return _Identified(calibrated, result, found, structure, confirmed)
+    return _Identified(calibrated, result, found, structure, confirmed, candidates, memory)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
+from longarm_comp.core.arm.history import play
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.fit import ModelFit
 from longarm_comp.core.identify.linear import Marginal, whiten
@@ -163,6 +164,9 @@ def groups(fit: ModelFit) -> list[Group]:
     return made
 
 
+_MEMORY = 0.15
+"""Radius of the play that stands for what a joint remembers, as a share of its way."""
+
 Features = Iterator[tuple[tuple[str, ...], np.ndarray]]
 
 
@@ -175,9 +179,9 @@ def _of_the_tip(session: Session, curves: list[np.ndarray]) -> Features:
         side = session.approach[:, j].astype(float)[:, None]
         bent = np.concatenate([side, side * curve[:, :2]], axis=1)
         yield ("approach", f"q{j + 1}"), _standard(bent)
-        if session.travel is not None:
-            way = np.sign(session.travel[:, j])[:, None]
-            yield ("order", f"q{j + 1}"), _standard(way)
+        radius = _MEMORY * max(float(np.ptp(session.q[:, j])), 1e-9)
+        low, high = play(tuple(session.legs[:, j].T), radius)
+        yield ("order", f"q{j + 1}"), _standard((low + high)[:, None] / radius)
     for name, values in session.columns.items():
         yield (name,), _curve(values)[:, :3]
 
