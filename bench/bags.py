@@ -43,13 +43,13 @@ def _rates(
     sides: tuple[Callable[[int], int], Callable[[int], int]], repeats: int
 ) -> list[np.ndarray]:
     """Messages per second of processor time of both sides, which take turns."""
-    made: tuple[list[float], list[float]] = ([], [])
+    per_second: tuple[list[float], list[float]] = ([], [])
     for turn in range(repeats):
-        for rates, work in zip(made, sides, strict=True):
+        for rates, work in zip(per_second, sides, strict=True):
             begin = time.process_time()
             done = work(turn)
             rates.append(done / (time.process_time() - begin))
-    return [np.array(rates) for rates in made]
+    return [np.array(rates) for rates in per_second]
 
 
 # ------------------------------------------------------------------ reading

@@ -87,16 +87,16 @@ def against_samples(sizes: tuple[int, ...] = SIZES) -> list[Result]:
     rows: list[Result] = []
     for samples in sizes:
         cost = cost_of(__name__, "fit_once", samples)
-        made = cost.result
-        steps = int(made["iterations"])
+        fitted = cost.result
+        steps = int(fitted["iterations"])
         rows.append(
             alone(
                 f"calibrate_{samples}",
                 "s CPU",
-                [made["cpu_s"]],
-                f"{int(made['parameters'])} parameters, {steps} steps",
+                [fitted["cpu_s"]],
+                f"{int(fitted['parameters'])} parameters, {steps} steps",
                 grown_mb=cost.grown_mb,
-                us_per_sample_and_step=1e6 * made["cpu_s"] / samples / (steps + 1),
+                us_per_sample_and_step=1e6 * fitted["cpu_s"] / samples / (steps + 1),
             )
         )
     return rows
@@ -132,8 +132,8 @@ def calibrate_joints() -> Result:
         name: cost_of(__name__, "fit_once", 3000, name, True).result for name in ("demo", *ARMS)
     }
     each = {
-        name: 1e6 * made["cpu_s"] / 3000 / (made["iterations"] + 1) / made["parameters"]
-        for name, made in costs.items()
+        name: 1e6 * fit["cpu_s"] / 3000 / (fit["iterations"] + 1) / fit["parameters"]
+        for name, fit in costs.items()
     }
     told = {f"{name}_us_per_sample_step_parameter": value for name, value in each.items()}
     last = ARMS[-1]

@@ -126,13 +126,13 @@ def chosen(names: Sequence[str]) -> tuple[str, ...]:
     Raises:
         InputError: no such name or kind.
     """
-    made: list[str] = []
+    selected: list[str] = []
     for name in names:
         alike = [known for known, kind in KIND_OF.items() if name in (known, kind)]
         if not alike:
             raise InputError("bench", "name", name, ", ".join((*MODULE_OF, *BENCHMARKS)))
-        made += [known for known in alike if known not in made]
-    return tuple(made) or tuple(MODULE_OF)
+        selected += [known for known in alike if known not in selected]
+    return tuple(selected) or tuple(MODULE_OF)
 
 
 def run(name: str) -> Mapping[str, object]:

@@ -58,12 +58,12 @@ def _in_turns(
     ours: Callable[[int], Any], theirs: Callable[[int], Any], per_block: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Seconds of single calls, (BLOCKS, per_block) each."""
-    made: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
+    times: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
     for block in range(BLOCKS):
         rows = range(block * per_block, (block + 1) * per_block)
-        for side, solve in zip(made, (ours, theirs), strict=True):
+        for side, solve in zip(times, (ours, theirs), strict=True):
             side.append(timed(solve, rows))
-    return np.array(made[0]), np.array(made[1])
+    return np.array(times[0]), np.array(times[1])
 
 
 def _engine(fallback: Engine) -> Engine:

@@ -68,7 +68,7 @@ def ready_times(repeats: int = REPEATS, *, warm: bool = True) -> dict[str, list[
     """
     from longarm_comp.nodes.bringup import SIMULATED
 
-    made: dict[str, list[float]] = {name: [] for name in ("bare", *SIMULATED)}
+    times: dict[str, list[float]] = {name: [] for name in ("bare", *SIMULATED)}
     with tempfile.TemporaryDirectory(prefix="longarm_bench_") as scratch:
         commands = _commands(Path(scratch), SIMULATED)
         if warm:  # read from disk once
@@ -76,24 +76,24 @@ def ready_times(repeats: int = REPEATS, *, warm: bool = True) -> dict[str, list[
                 _ready(command, scratch)
         for _ in range(repeats):
             for name, command in commands.items():
-                made[name].append(1e3 * _ready(command, scratch))
-    return made
+                times[name].append(1e3 * _ready(command, scratch))
+    return times
 
 
 def _commands(folder: Path, nodes: Sequence[str]) -> dict[str, list[str]]:
     """What starts the floor and each node, which ends by itself once it serves."""
-    from longarm_comp.jobs.dummy_predictor import train_stand_in
+    from longarm_comp.jobs.dummy_predictor import train_dummy
     from longarm_comp.nodes.bringup import BringUp
 
     predictor = folder / "predictor.npz"
-    train_stand_in(demo_arm(), predictor)
+    train_dummy(demo_arm(), predictor)
     space = f"longarm_bench_{os.getpid()}"
     graph = BringUp(demo_arm_file(), predictor=predictor, sim=True, namespace=space)
-    made = {"bare": [sys.executable, "-m", "bench.bare_node"]}
+    commands = {"bare": [sys.executable, "-m", "bench.bare_node"]}
     for node in nodes:
         python, flag, module, *rest = graph.command(node, str(folder / "bus"))
-        made[node] = [python, flag, "bench.ready_node", module, *rest]
-    return made
+        commands[node] = [python, flag, "bench.ready_node", module, *rest]
+    return commands
 
 
 def _ready(command: Sequence[str], folder: str) -> float:

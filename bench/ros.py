@@ -24,7 +24,7 @@ import numpy as np
 from bench.arms import demo_arm, demo_arm_file
 from bench.comparison import Result, alone, beside
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.jobs.dummy_predictor import train_stand_in
+from longarm_comp.jobs.dummy_predictor import train_dummy
 
 PEER = "bare rclpy echo of the same messages"
 BLOCKS, PER_BLOCK = 8, 50
@@ -109,8 +109,8 @@ def ros_sustained_rate_vs_echo_hz() -> Result:
 
 def _p(values: np.ndarray, share: float) -> np.ndarray:
     """Percentile of each block."""
-    made: np.ndarray = np.percentile(values, share, axis=1)
-    return made
+    percentiles: np.ndarray = np.percentile(values, share, axis=1)
+    return percentiles
 
 
 def _beside(name: str, ours: np.ndarray, echo: np.ndarray, percent: float) -> Result:
@@ -140,15 +140,15 @@ def figures(blocks: int = BLOCKS, per_block: int = PER_BLOCK) -> Figures:
             calls.topic, calls.topic_echo, calls.service, calls.service_echo, calls.predict,
             calls.compute,
         )  # fmt: skip
-        made: list[list[list[float]]] = [[] for _ in sides]
+        rounds: list[list[list[float]]] = [[] for _ in sides]
         for block in range(blocks):
             rows = range(block * per_block, (block + 1) * per_block)
-            for side, call in zip(made, sides, strict=True):
+            for side, call in zip(rounds, sides, strict=True):
                 side.append([1e3 * call(i) for i in rows])
         per_target = calls.predictions_per_target(per_block)
         rates = [(calls.rate(BURST), calls.echo_rate(BURST)) for _ in range(BURSTS)]
     rate, echo_rate = np.array(rates).T
-    topic, topic_echo, service, service_echo, predictor, compute = (np.array(m) for m in made)
+    topic, topic_echo, service, service_echo, predictor, compute = (np.array(m) for m in rounds)
     return Figures(
         topic, topic_echo, service, service_echo, predictor, compute, per_target, rate, echo_rate
     )
@@ -164,7 +164,7 @@ def _graph(arm: Arm) -> Iterator[Callable[[Any], Any]]:
     with tempfile.TemporaryDirectory(prefix="longarm_bench_") as scratch:
         os.environ.setdefault("ROS_LOG_DIR", scratch)
         predictor = Path(scratch) / "predictor.npz"
-        train_stand_in(arm, predictor)
+        train_dummy(arm, predictor)
         module, ros = [sys.executable, "-m"], ["--ros-args", "-r", f"__ns:=/{space}"]
         file = ["-p", f"arm:='{demo_arm_file()}'"]
         commands = {
@@ -176,14 +176,14 @@ def _graph(arm: Arm) -> Iterator[Callable[[Any], Any]]:
             ],
         }
         with Supervisor(commands, respawn=False):
-            made: list[Any] = []
+            nodes: list[Any] = []
 
             def calls_on(kind: Any) -> Any:
-                made.append(kind(arm, space))
-                return made[-1]
+                nodes.append(kind(arm, space))
+                return nodes[-1]
 
             try:
                 yield calls_on
             finally:
-                for calls in made:
+                for calls in nodes:
                     calls.close()

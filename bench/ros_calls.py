@@ -41,7 +41,7 @@ class Calls:
         self._poses = [_stamped(matrix) for matrix in self._targets]
         self._model, self._known = declared_model(arm), _Known(arm.n)
         ik.warm_up(self._model)
-        self._got = self._echoed = self._predicted = self._stories = 0
+        self._got = self._echoed = self._predicted = self._compensations = 0
         self._joints = graph.JOINT_STATES.publisher(node)
         self._target = graph.TARGET_POSE.publisher(node)
         self._echo_target = node.create_publisher(PoseStamped, "echo_target", _DEPTH)
@@ -49,7 +49,9 @@ class Calls:
             JointTrajectory, graph.JOINT_TRAJECTORY.name, self._on_trajectory, _DEPTH
         )
         node.create_subscription(JointTrajectory, "echo_trajectory", self._on_echo, _DEPTH)
-        node.create_subscription(Compensation, graph.COMPENSATION.name, self._on_story, _DEPTH)
+        node.create_subscription(
+            Compensation, graph.COMPENSATION.name, self._on_compensation, _DEPTH
+        )
         self._compensate = graph.COMPENSATE.client(node)
         self._echo_compensate = node.create_client(Compensate, "echo_compensate")
         self._predict = graph.PREDICT_ERROR.client(node)
@@ -70,8 +72,8 @@ class Calls:
     def _on_echo(self, message: JointTrajectory) -> None:
         self._echoed += 1
 
-    def _on_story(self, message: Compensation) -> None:
-        self._stories += 1
+    def _on_compensation(self, message: Compensation) -> None:
+        self._compensations += 1
 
     def _on_prediction(self, message: Any) -> None:
         self._predicted += 1
@@ -99,12 +101,12 @@ class Calls:
 
     def topic(self, i: int) -> float:
         """`target_pose` to `joint_trajectory`."""
-        want, told = self._got + 1, self._stories + 1
+        want, published = self._got + 1, self._compensations + 1
         begin = time.perf_counter()
         self._target.publish(self._poses[i % _POSES])
         self._until(lambda: self._got >= want)
         seconds = time.perf_counter() - begin
-        self._until(lambda: self._stories >= told)
+        self._until(lambda: self._compensations >= published)
         return seconds
 
     def topic_echo(self, i: int) -> float:
@@ -117,9 +119,12 @@ class Calls:
 
     def service(self, i: int) -> float:
         """`compensate`, from the last joint states."""
-        request, told = Compensate.Request(target=self._poses[i % _POSES]), self._stories + 1
+        request, published = (
+            Compensate.Request(target=self._poses[i % _POSES]),
+            self._compensations + 1,
+        )
         seconds, answer = self._call(self._compensate, request)
-        self._until(lambda: self._stories >= told)
+        self._until(lambda: self._compensations >= published)
         if answer.status != Compensate.Response.SUCCESS:
             raise JobError(f"a target of the benchmark was refused: {answer.message}")
         return seconds
@@ -139,9 +144,9 @@ class Calls:
         """What `kinematics` computes for a target, the learned error known at once."""
         begin = time.perf_counter()
         target = self._targets[i % _POSES]
-        made = compensate(self._model, Nearby(self._known), target, seed=self._stand)
-        if not made.success:
-            raise JobError(f"a target of the benchmark was refused: {made.reason}")
+        answer = compensate(self._model, Nearby(self._known), target, seed=self._stand)
+        if not answer.success:
+            raise JobError(f"a target of the benchmark was refused: {answer.reason}")
         return time.perf_counter() - begin
 
     def _call(self, service: Any, request: Any) -> tuple[float, Any]:
@@ -189,6 +194,6 @@ class _Known:
 
 
 def _stamped(matrix: np.ndarray) -> PoseStamped:
-    made = PoseStamped(pose=pose_message(matrix))
-    made.header.frame_id = "base"
-    return made
+    message = PoseStamped(pose=pose_message(matrix))
+    message.header.frame_id = "base"
+    return message

@@ -160,12 +160,12 @@ def origin_bias(runs: int = 9, dims: int = 20, iterations: int = 200) -> str:
 
     def evolution(centre: Array, seed: int) -> float:
         budget = 50 + iterations * 55
-        made = differential_evolution(
+        found = differential_evolution(
             lambda x: np.sum((x - centre[:, None]) ** 2, axis=0), Bounds(lower, upper),
             popsize=50 // dims + 1, maxiter=budget // (dims * (50 // dims + 1)) - 1, tol=0.0,
             polish=False, rng=seed, vectorized=True, updating="deferred",
         )  # fmt: skip
-        return float(made.fun)
+        return float(found.fun)
 
     solvers = {
         "SSA canonical": sparrow("canonical"),

@@ -26,8 +26,8 @@ def _ends_beside(
     name: str, ours: Sequence[str], peer: str, theirs: Sequence[str], repeats: int
 ) -> Result:
     _ended(ours), _ended(theirs)  # both read from disk once
-    made = [(1e3 * _ended(ours), 1e3 * _ended(theirs)) for _ in range(repeats)]
-    mine, other = zip(*made, strict=True)
+    pairs = [(1e3 * _ended(ours), 1e3 * _ended(theirs)) for _ in range(repeats)]
+    mine, other = zip(*pairs, strict=True)
     return beside(name, "ms", mine, peer, other)
 
 

@@ -57,7 +57,7 @@ def _boxes(axes: Axes, rows: SeenRows) -> None:
     for k, stage in enumerate(stages):
         look = LOOKS[stage]
         at = np.arange(3) + (k - (len(stages) - 1) / 2) * width
-        made = axes.boxplot(
+        boxes = axes.boxplot(
             list((rows.errors_m[stage] * _MM).T),
             positions=at,
             widths=width * 0.8,
@@ -66,7 +66,7 @@ def _boxes(axes: Axes, rows: SeenRows) -> None:
             showfliers=False,
             medianprops={"color": INK, "linewidth": 1.5},
         )
-        for box in made["boxes"]:
+        for box in boxes["boxes"]:
             box.set(facecolor="white", edgecolor=look.color, hatch=look.hatch)
         axes.plot([], [], color=look.color, marker=look.marker, linestyle="", label=look.label)
     axes.axhline(0, color=INK, linewidth=0.8)

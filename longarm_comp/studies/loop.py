@@ -30,17 +30,17 @@ ANSWER_S = 20.0
 def run_case(case: Case, arm: Arm) -> dict[str, Any]:
     """Measure, diagnose and judge one case; an error of the package is a result too."""
     started = time.process_time()
-    made: dict[str, Any] = {"case": case.as_dict()}
+    record: dict[str, Any] = {"case": case.as_dict()}
     try:
         setting = set_up(case, arm)
         gone = set(case.effects) if case.group == "removed" else set()
         kinds = [kind for kind in LIBRARY if kind.name not in gone]
         found = diagnose(setting.arm, setting.train, test=setting.held_out, kinds=kinds, seed=1)
-        made["cpu_s"] = round(time.process_time() - started, 2)
-        made["result"] = score(setting, found)
+        record["cpu_s"] = round(time.process_time() - started, 2)
+        record["result"] = score(setting, found)
     except LongarmError as error:
-        made["error"] = str(error)
-    return made
+        record["error"] = str(error)
+    return record
 
 
 def run(
@@ -98,14 +98,14 @@ def read(path: Path) -> dict[str, dict[str, Any]]:
     whole, _, torn = text.rpartition("\n")
     if torn:
         os.truncate(path, len(whole.encode()) + 1 if whole else 0)
-    made = {}
+    records = {}
     for number, line in enumerate(whole.splitlines(), 1):
         try:
             parsed = json.loads(line)
-            made[str(parsed["case"]["id"])] = parsed
+            records[str(parsed["case"]["id"])] = parsed
         except (ValueError, TypeError, KeyError):
             raise InputError(path, f"line {number}", line, "a line of this study") from None
-    return made
+    return records
 
 
 @contextlib.contextmanager

@@ -134,16 +134,16 @@ class Design:
 
     def cases(self) -> list[Case]:
         """All of them, the repetitions outermost, so that a part of them is a fair sample."""
-        made = []
+        drawn = []
         for number, arm in itertools.product(range(self.repeats), range(self.arms)):
             for plan, rows, noise in itertools.product(self.plans, self.rows, self.noises):
                 for group in self.groups:
                     for effects, spoiled in _MENUS[group](self, number * self.arms + arm):
                         odd = (number + arm) % 2 == 1
-                        made.append(
+                        drawn.append(
                             Case(group, effects, odd, spoiled, plan, rows, noise, arm, number)
                         )
-        return made
+        return drawn
 
 
 Menu = Iterator[tuple[tuple[str, ...], str]]

@@ -49,7 +49,7 @@ def score(setting: LoopSetting, found: Diagnosis) -> dict[str, Any]:
     sets = [f for f in found.findings if f.alternatives]
     meant = true.union(*(family for family in TWINS if family & true))
     named_wrong = [f.name for f in found.findings if not f.alternatives and f.name not in meant]
-    made: dict[str, Any] = {
+    scores: dict[str, Any] = {
         "verdict": found.verdict,
         "visible": [round(v, 3) for v in setting.visible],
         "found": [list(f.names) for f in found.findings],
@@ -78,12 +78,12 @@ def score(setting: LoopSetting, found: Diagnosis) -> dict[str, Any]:
         "last": _table(found.search.last),
         "threshold": found.search.threshold,
     }
-    made["dangerous"] = bool(
+    scores["dangerous"] = bool(
         found.verdict == "named"
         and named_wrong
         and np.hypot(errors["with_effects"], errors["floor"]) > 2 * errors["floor"]
     )
-    return made
+    return scores
 
 
 def true_fit(setting: LoopSetting, session: Session | None = None) -> ModelFit:
@@ -138,15 +138,15 @@ def _errors(setting: LoopSetting, found: Diagnosis, best: ModelFit | None) -> di
     models: dict[str, Model] = dict(found.models)
     if best is not None:
         models["true_effects"] = best.model
-    made = {
+    errors = {
         name: _rms(setting.clean_held_out, model, setting.held_out)
         for name, model in models.items()
     }
     for name in ("with_effects", "true_effects"):
         if name in models:
-            made[f"{name}_train"] = _rms(setting.clean_train, models[name], setting.train)
-    made["floor"] = 1e3 * float(np.sqrt((setting.sigma**2).sum()))
-    return made
+            errors[f"{name}_train"] = _rms(setting.clean_train, models[name], setting.train)
+    errors["floor"] = 1e3 * float(np.sqrt((setting.sigma**2).sum()))
+    return errors
 
 
 def _rms(clean: np.ndarray, model: Model, session: Session) -> float:
@@ -220,7 +220,7 @@ def _strongest(found: Diagnosis, terms: tuple[Effect | Bias, ...]) -> str:
 
 def _intervals(setting: LoopSetting, found: Diagnosis) -> list[dict[str, Any]]:
     """True value and 95 % interval of every found parameter that the simulator has too."""
-    made = []
+    rows = []
     for effect in setting.effects:
         true = values(effect, setting.arm)
         if not any(f.name == effect.name for f in found.findings):
@@ -229,7 +229,7 @@ def _intervals(setting: LoopSetting, found: Diagnosis) -> list[dict[str, Any]]:
             key = slot.owner.where, slot.parameter.name
             if slot.owner.name == effect.name and key in true:
                 i = found.confirmed.intervals[k]
-                made.append(
+                rows.append(
                     {
                         "of": f"{effect.name} {key[0]} {key[1]}",
                         "true": true[key],
@@ -238,7 +238,7 @@ def _intervals(setting: LoopSetting, found: Diagnosis) -> list[dict[str, Any]]:
                         "high": i.high,
                     }
                 )
-    return made
+    return rows
 
 
 def _table(scores: Sequence[Score]) -> list[list[Any]]:

@@ -119,11 +119,11 @@ def by_effect(lines: Sequence[Line]) -> list[Row]:
         case = line["case"]
         if case["group"] == "single" and _visible(line):
             kinds.setdefault((case["effects"][0], case["plan"], case["rows"]), []).append(line)
-    made = []
+    rows = []
     for (name, plan, count), mine in sorted(kinds.items(), key=lambda k: (k[0][1:], k[0][0])):
         results = [x["result"] for x in mine]
         ratios = [r for r in map(_ratio, mine) if r is not None]
-        made.append(
+        rows.append(
             {
                 "effect": name,
                 "data": f"{plan} {count}",
@@ -137,7 +137,7 @@ def by_effect(lines: Sequence[Line]) -> list[Row]:
                 "off-grid ratio": float(np.median(ratios)),
             }
         )
-    return made
+    return rows
 
 
 def failures(lines: Sequence[Line]) -> list[str]:

@@ -109,12 +109,12 @@ def cases(base: Arm, steps: int) -> list[ArmCase]:
         k for k, row in enumerate(whole.commanded) if whole.joints[row - 1].type == "prismatic"
     ]
     model = declared_model(whole)
-    made = [
+    drawn = [
         ArmCase(f"{whole.n - len(locked)} joints", model, tuple(locked))
         for locked in (slides, slides[-1:], [])
     ]
     wrist = declared_model(_stepped(base, steps, wrist=True))
-    return [*made, ArmCase(f"{wrist.arm.n} joints", wrist)]
+    return [*drawn, ArmCase(f"{wrist.arm.n} joints", wrist)]
 
 
 def _stepped(base: Arm, steps: int, *, wrist: bool = False) -> Arm:
@@ -134,7 +134,7 @@ def _stepped(base: Arm, steps: int, *, wrist: bool = False) -> Arm:
 
 def arms_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, object]]:
     """Arms with few and many joints, positions and poses."""
-    made: list[dict[str, object]] = []
+    rows: list[dict[str, object]] = []
     for case in cases(base, steps):
         ik.warm_up(case.model)
         for pose in (False, True):
@@ -145,7 +145,7 @@ def arms_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, o
             t.choose(slice(0, 1))  # compiled, if it is
             got = t.choose()
             error, rounded = got.error, got.rounded_error
-            made.append(
+            rows.append(
                 {
                     "arm": case.name,
                     "target": "pose" if pose else "position",
@@ -160,7 +160,7 @@ def arms_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, o
                     "cpu_us": 1e6 * t.seconds(),
                 }
             )
-    return made
+    return rows
 
 
 def price_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, object]]:
@@ -168,10 +168,10 @@ def price_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, 
     case = _whole(base, steps)
     t = case.targets(count, np.random.default_rng(seed), False)
     line = _line(case, seed)
-    made: list[dict[str, object]] = []
+    rows: list[dict[str, object]] = []
 
     def add(name: object, error: np.ndarray, at: np.ndarray, path: np.ndarray) -> None:
-        made.append(
+        rows.append(
             {
                 "price_mm_per_deg": name,
                 "mean_mm": 1e3 * error[:, 0].mean(),
@@ -183,11 +183,11 @@ def price_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, 
     for price in PRICES_MM_PER_DEG:
         price_m = float(np.degrees(1e-3 * price))
         single, along = t.choose(price_m=price_m), line.choose(price_m=price_m)
-        if not made:
+        if not rows:
             add("ideal joints", single.ideal_error, single.ideal, along.ideal)
             add("rounding", single.rounded_error, single.rounded, along.rounded)
         add(price, single.error, single.joints, along.joints)
-    return made
+    return rows
 
 
 def sensitivity_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, object]]:
@@ -209,7 +209,7 @@ def sensitivity_table(base: Arm, count: int, steps: int, seed: int) -> list[dict
     truth.append((f"offset of sd {KNOWN_TO:g} of a step", arm.steps, offset, case.model))
     aside = case.model.plus(TipOffset(x=MODEL_ERROR_M))
     truth.append((f"tip {1e3 * MODEL_ERROR_M:g} mm aside", arm.steps, right, aside))
-    made: list[dict[str, object]] = []
+    rows: list[dict[str, object]] = []
     for name, step, offset, model in truth:
         low = np.ceil((arm.lower - offset) / step - 1e-9)
         high = np.floor((arm.upper - offset) / step + 1e-9)
@@ -217,8 +217,8 @@ def sensitivity_table(base: Arm, count: int, steps: int, seed: int) -> list[dict
         for sent in (got.ideal, got.joints):  # a servo stands at the nearest of its own steps
             stood = offset + step * np.clip(np.rint((sent - offset) / step), low, high)
             errors.append(1e3 * np.linalg.norm(model.tip(stood) - t.asked, axis=1).mean())
-        made.append({"truth": name, "rounded_mm": errors[0], "mean_mm": errors[1]})
-    return made
+        rows.append({"truth": name, "rounded_mm": errors[0], "mean_mm": errors[1]})
+    return rows
 
 
 def _whole(base: Arm, steps: int) -> ArmCase:

@@ -60,7 +60,7 @@ def best_rotation(predicted: np.ndarray, measured: np.ndarray) -> Alignment:
 
 def best_axes(predicted: np.ndarray, measured: np.ndarray) -> tuple[Alignment, str]:
     """Best of the 48 ways to swap and flip axes, and its name like ``x,-z,y``."""
-    made = []
+    fits = []
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
             rotation = np.zeros((3, 3))
@@ -68,8 +68,8 @@ def best_axes(predicted: np.ndarray, measured: np.ndarray) -> tuple[Alignment, s
             name = ",".join(
                 ("-" if s < 0 else "") + "xyz"[k] for k, s in zip(order, signs, strict=True)
             )
-            made.append((align(predicted, measured, rotation), name))
-    return min(made, key=lambda pair: pair[0].misfit)
+            fits.append((align(predicted, measured, rotation), name))
+    return min(fits, key=lambda pair: pair[0].misfit)
 
 
 def roll_pitch_yaw(rotation: np.ndarray) -> tuple[float, float, float]:

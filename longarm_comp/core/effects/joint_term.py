@@ -59,14 +59,14 @@ class JointTerm(Effect):
 
         Passive joints coupled to it (mimic) follow, as their linkage makes them.
         """
-        made: dict[int, Twist] = {}
+        twists: dict[int, Twist] = {}
         for row, weight in self._coupled(posture.arm):
             moved = amount if weight == 1.0 else weight * amount
             if posture.arm.joints[row - 1].type == "prismatic":
-                made[posture.bearing(row)] = (0.0, 0.0, moved, 0.0, 0.0, 0.0)
+                twists[posture.bearing(row)] = (0.0, 0.0, moved, 0.0, 0.0, 0.0)
             else:
-                made[posture.bearing(row)] = (0.0, 0.0, 0.0, 0.0, 0.0, moved)
-        return made
+                twists[posture.bearing(row)] = (0.0, 0.0, 0.0, 0.0, 0.0, moved)
+        return twists
 
     def load(self, posture: Posture) -> Scalar:
         """Gravity torque (N m) about, or force (N) along, the joint's z axis.

@@ -233,12 +233,12 @@ def _arrays(model: Model, context: Context, p: Problem, given: Given, count: int
 
 def _python(model: Model, context: Context, p: Problem, given: Given, count: int) -> Found:
     kernel = kernel_of(model, context.layout)
-    made = []
+    results = []
     for s in _filled(given, kernel, count).T.tolist():
         column = Column(kernel.floats, kernel.place, s)
         newton.run(kernel.flows[f"search{p.m}"], column.call, column.repeat)
-        made.append(s)
-    return _read(np.array(made).T, kernel)
+        results.append(s)
+    return _read(np.array(results).T, kernel)
 
 
 def _compiled(model: Model, context: Context, p: Problem, given: Given, count: int) -> Found:
@@ -318,8 +318,8 @@ def restart_points(n: int, count: int) -> np.ndarray:
 
 def with_radii(points: np.ndarray) -> np.ndarray:
     """Points (S, n) stretched and with their radii, (S, n + 1)."""
-    made = np.ones((len(points), points.shape[1] + 1))
-    made[:, :-1] = points
-    made[1::2, :-1] = np.clip(0.5 + 1.6 * (points[1::2] - 0.5), 0.0, 1.0)
-    made[:2, -1] = (0.25, 0.5)[: len(points)]
-    return made
+    radii = np.ones((len(points), points.shape[1] + 1))
+    radii[:, :-1] = points
+    radii[1::2, :-1] = np.clip(0.5 + 1.6 * (points[1::2] - 0.5), 0.0, 1.0)
+    radii[:2, -1] = (0.25, 0.5)[: len(points)]
+    return radii

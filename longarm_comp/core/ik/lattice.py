@@ -83,8 +83,8 @@ def _radius2(R: np.ndarray, points: float) -> np.ndarray:
     n = R.shape[1]
     ball = math.pi ** (n / 2) / math.gamma(n / 2 + 1)
     log_cell = np.log(np.abs(np.diagonal(R, axis1=1, axis2=2))).sum(axis=1)
-    made: np.ndarray = np.exp((math.log(points / ball) + log_cell) * (2.0 / n))[:, None]
-    return made
+    radius2: np.ndarray = np.exp((math.log(points / ball) + log_cell) * (2.0 / n))[:, None]
+    return radius2
 
 
 # ------------------------------------------------------------------ what is traced
@@ -103,11 +103,11 @@ def rows(n: int, kept: int) -> dict[str, range]:
         "z": n, "centre": n, "side": n, "sum": n + 1,
         **{f"open{level}": 1 for level in range(n + 1)},
     }  # fmt: skip
-    made, at = {}, 0
+    layout, at = {}, 0
     for name, size in sizes.items():
-        made[name] = range(at, at + size)
+        layout[name] = range(at, at + size)
         at += size
-    return made
+    return layout
 
 
 def begin(s: State, n: int, kept: int) -> Outcome:
@@ -218,8 +218,8 @@ def enter(s: State, n: int, level: int) -> Outcome:
     centre = rest / R[level * wide + level]
     z = floor(centre + 0.5)
     side = where(centre < z, -1.0, 1.0)
-    made = _tried(s, n, level, z, side, centre, may)
-    return made | {"centre": _with(s["centre"], level, centre), "expected": expected}
+    tried = _tried(s, n, level, z, side, centre, may)
+    return tried | {"centre": _with(s["centre"], level, centre), "expected": expected}
 
 
 def advance(s: State, n: int, level: int) -> Outcome:
@@ -256,11 +256,11 @@ def leaf(s: State, n: int, kept: int) -> Outcome:
         point.append(k)
     entry = [found, *point]
     held = [[s["distance2"][i], *s["k"][i * n : (i + 1) * n]] for i in range(kept)]
-    made, above = [], entry
+    entries, above = [], entry
     for own in held:  # what is further than the new one moves down by a place
-        made.append([where(found < own[0], a, b) for a, b in zip(above, own, strict=True)])
+        entries.append([where(found < own[0], a, b) for a, b in zip(above, own, strict=True)])
         above = [where(found < own[0], a, b) for a, b in zip(own, entry, strict=True)]
-    distance2, points = [e[0] for e in made], [k for e in made for k in e[1:]]
+    distance2, points = [e[0] for e in entries], [k for e in entries for k in e[1:]]
     radius2 = where(distance2[-1] < s["radius2"][0], distance2[-1], s["radius2"][0])
     return {"distance2": distance2, "k": points, "radius2": [radius2]}
 
@@ -282,9 +282,9 @@ def widen(s: State, n: int) -> Outcome:
 
 def _with(values: Any, place: int, value: Any) -> list[Any]:
     """The same with one of them changed."""
-    made = list(values)
-    made[place] = value
-    return made
+    replaced = list(values)
+    replaced[place] = value
+    return replaced
 
 
 def flow(n: int) -> Flow:

@@ -69,11 +69,11 @@ def rows(n: int, context: int, twists: int) -> dict[str, range]:
         "trial": n, "x": twists, "out": 12 + 6 * n, "e": 6, "J": 6 * n, "sag": 6 * n, "left": 6,
         "free": n, "energy": 1, "mu": 1, "marked": 1, "since": 1, "open": 1, "more": 1,
     }  # fmt: skip
-    made, at = {}, 0
+    layout, at = {}, 0
     for name, size in sizes.items():
-        made[name] = range(at, at + size)
+        layout[name] = range(at, at + size)
         at += size
-    return made
+    return layout
 
 
 # ------------------------------------------------------------------ what is traced

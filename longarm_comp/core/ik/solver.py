@@ -288,16 +288,16 @@ def checked_seed(
 def locked_joints(model: Model, locked: Sequence[int | str]) -> list[int]:
     """0-based numbers in q of joints given by number or name."""
     names = model.arm.joint_names
-    made = []
+    indices = []
     for joint in locked:
         if isinstance(joint, str) and joint in names:
-            made.append(names.index(joint))
+            indices.append(names.index(joint))
         elif isinstance(joint, int) and 0 <= joint < model.arm.n:
-            made.append(joint)
+            indices.append(joint)
         else:
             allowed = f"0..{model.arm.n - 1} or one of {', '.join(names)}"
             raise InputError("ik.solve_many", "locked", joint, allowed)
-    return made
+    return indices
 
 
 def _active(model: Model, q: np.ndarray) -> tuple[str, ...]:

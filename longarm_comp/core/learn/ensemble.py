@@ -107,13 +107,16 @@ def train(
     for turn, units in enumerate(sizes):
         if turn and Shape(x.shape[1], units, 3).size > 1.5 * (weights > 0).sum():
             break
-        made = []
+        networks = []
         for start in range(starts):
             if progress is not None:
                 progress(turn * starts + start, len(sizes) * starts)
-            made.append(fit(units, np.random.default_rng([seed, units, start])))
-        fits += made
-        if max(each.evidence for each in made) < max(each.evidence for each in fits) - _UNLIKELY:
+            networks.append(fit(units, np.random.default_rng([seed, units, start])))
+        fits += networks
+        if (
+            max(each.evidence for each in networks)
+            < max(each.evidence for each in fits) - _UNLIKELY
+        ):
             break
     if progress is not None:
         progress(len(sizes) * starts, len(sizes) * starts)

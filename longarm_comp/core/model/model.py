@@ -217,22 +217,22 @@ class Model:
         slots = self.slots if slots is None else slots
         tip = self.tip_frame(posture).p
         point = self.seen(tip, posture.context)
-        made = []
+        blocks = []
         total = self.twists(posture)
         for slot in slots:
             term, step = slot.owner, 0.01 * slot.parameter.prior
             if isinstance(term, Bias):
-                made.append(self._bias_column(slot, tip, posture.context, step))
+                blocks.append(self._bias_column(slot, tip, posture.context, step))
                 continue
             raised, lowered = (
                 self._twists_at(slot, value, posture, total) for value in (step, -step)
             )
             shift = self._tip_shift(posture, tip, total, raised, lowered, 0.5 / step)
-            made.append(self._seen_shift(tip, shift, posture.context))
-        if not made:
+            blocks.append(self._seen_shift(tip, shift, posture.context))
+        if not blocks:
             return stack(point), np.zeros((*np.shape(stack(point)), 0))
         shape = np.broadcast_shapes(*(np.shape(c) for c in point))
-        columns = [np.stack([np.broadcast_to(c, shape) for c in v], -1) for v in made]
+        columns = [np.stack([np.broadcast_to(c, shape) for c in v], -1) for v in blocks]
         return stack(point), np.stack(columns, axis=-1)
 
     def shifts(self, posture: Posture, terms: Sequence[Effect | Bias]) -> list[np.ndarray]:
@@ -243,15 +243,15 @@ class Model:
         tip = self.tip_frame(posture).p
         point = self.seen(tip, posture.context)
         total = self.twists(posture)
-        made = []
+        rows = []
         for term in terms:
             if isinstance(term, Bias):
                 seen = spatial.sub(term.seen(point, posture.context, self.arm), point)
             else:
                 moved = self._tip_shift(posture, tip, total, term.twists(posture), {}, 1.0)
                 seen = self._seen_shift(tip, moved, posture.context)
-            made.append(np.broadcast_to(stack(seen), np.shape(stack(point))))
-        return made
+            rows.append(np.broadcast_to(stack(seen), np.shape(stack(point))))
+        return rows
 
     def _moved(self, slot: Slot, by: float) -> Effect | Bias:
         name = slot.parameter.name

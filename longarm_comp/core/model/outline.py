@@ -17,5 +17,5 @@ def outline(model: Model, q: np.ndarray, context: Context | None = None) -> np.n
 
 def exaggerated(hanging: np.ndarray, declared: np.ndarray, factor: float) -> np.ndarray:
     """Points (k, 3) of an arm whose sag is shown so many times larger."""
-    made: np.ndarray = declared + factor * (hanging - declared)
-    return made
+    drawn: np.ndarray = declared + factor * (hanging - declared)
+    return drawn

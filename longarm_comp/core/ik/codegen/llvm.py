@@ -52,17 +52,17 @@ def module(
 def lowered(graph: Graph, outputs: Outputs) -> tuple[Graph, Outputs]:
     """The same with angles' functions as arithmetic, which lanes can do side by side."""
     low = Graph()
-    made: dict[int, Any] = {}
+    nodes: dict[int, Any] = {}
     for node in graph.needed(list(outputs.values())):
         op, operands = graph.nodes[node]
-        args = [made[o] if type(o) is int else o for o in operands]
+        args = [nodes[o] if type(o) is int else o for o in operands]
         if op == "input":
-            made[node] = low.input(operands[0])
+            nodes[node] = low.input(operands[0])
         elif op in _IN_ARITHMETIC:
-            made[node] = _IN_ARITHMETIC[op](*args)
+            nodes[node] = _IN_ARITHMETIC[op](*args)
         else:
-            made[node] = low.apply(op, *args)
-    return low, {k: made[o.node] if isinstance(o, Symbol) else o for k, o in outputs.items()}
+            nodes[node] = low.apply(op, *args)
+    return low, {k: nodes[o.node] if isinstance(o, Symbol) else o for k, o in outputs.items()}
 
 
 class _Writer:

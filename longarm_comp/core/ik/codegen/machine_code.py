@@ -25,9 +25,9 @@ class Code:
         if name not in self._functions:
             arguments = [ctypes.c_void_p, ctypes.c_ssize_t][: 2 if name.startswith("many_") else 1]
             kind = ctypes.CFUNCTYPE(None, *arguments)
-            made: Any = kind(self._engine.get_function_address(name))
-            made.engine = self._engine  # the machine code lives as long as anything calls it
-            self._functions[name] = made
+            compiled: Any = kind(self._engine.get_function_address(name))
+            compiled.engine = self._engine  # the machine code lives as long as anything calls it
+            self._functions[name] = compiled
         return self._functions[name]
 
 

@@ -77,7 +77,7 @@ def _renamed(lines: Sequence[tuple[str, str]]) -> list[str]:
     last = {int(v): k for k, (_, shown) in enumerate(lines) for v in _NAME.findall(shown)}
     held: dict[int, str] = {}
     spare: list[str] = []
-    made = []
+    names = []
     for k, (target, shown) in enumerate(lines):
         used = {int(v) for v in _NAME.findall(shown)}
         shown = _NAME.sub(lambda match: held[int(match[1])], shown)
@@ -85,8 +85,8 @@ def _renamed(lines: Sequence[tuple[str, str]]) -> list[str]:
         if target[0] == "v":
             held[int(target[1:])] = spare.pop() if spare else f"w{len(held)}"
             target = held[int(target[1:])]
-        made.append(f"    {target} = {shown}")
-    return made
+        names.append(f"    {target} = {shown}")
+    return names
 
 
 def _expression(op: str, operands: tuple[Operand, ...], text: dict[int, str], arrays: bool) -> str:

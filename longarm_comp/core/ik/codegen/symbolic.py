@@ -132,10 +132,10 @@ class Symbol:
 
     def __pow__(self, other: Any) -> Any:
         if isinstance(other, int) and 1 <= other <= 8:
-            made: Any = self
+            product: Any = self
             for _ in range(other - 1):
-                made = made * self
-            return made
+                product = product * self
+            return product
         return self.graph.apply("pow", self, other)
 
     def __neg__(self) -> Any:
