@@ -1,4 +1,4 @@
-"""From target to command in one process, with a predictor that costs nothing."""
+"""Benchmarks of compensation in one process, with a predictor of negligible cost."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from longarm_comp.core.ik import solver as ik
 
 
 class _Smooth:
-    """A predictor whose time is next to none: what is timed is the compensation."""
+    """A predictor of negligible cost, so that only the compensation is timed."""
 
     def predict(self, q: np.ndarray, context: Any = None) -> Any:
         """Some 2 mm down, growing with the first joint."""

@@ -1,10 +1,10 @@
-"""Latency of the graph beside a bare rclpy echo of the same messages, in the same run.
+"""Benchmarks of the graph's latency against a bare rclpy echo of the same messages.
 
 Processes: `kinematics`, `error_predictor` with a trained predictor, the echo, and this one.
-Blocks of calls take turns, so that every side meets the machine in the same mood.  Shares of a
-target, all p50: DDS is the echo; the predictor is its service's round trip times the questions
-that a target takes; the inverse kinematics is the whole compensation, done here with an error
-that is known at once; the node is what is left (threads, executors, messages).
+Blocks of calls alternate, so that all sides are measured under the same load.  The p50 of a target
+is divided into shares.  DDS is the echo.  The predictor is the round trip of its service times the
+requests of a target.  The inverse kinematics is the whole compensation, computed here with a known
+error.  The node is the remainder (threads, executors, messages).
 """
 
 from __future__ import annotations
@@ -80,27 +80,27 @@ def ros_compensate_vs_echo_p99_ms() -> Result:
 
 
 def ros_share_dds_ms() -> Result:
-    """Of a target: what the echo takes."""
+    """Share of a target: the echo."""
     return _share("dds")
 
 
 def ros_share_predictor_ms() -> Result:
-    """Of a target: asking the predictor."""
+    """Share of a target: requests to the predictor."""
     return _share("predictor", questions_per_target=figures().questions)
 
 
 def ros_share_ik_ms() -> Result:
-    """Of a target: compensation with the error known."""
+    """Share of a target: compensation with a known error."""
     return _share("ik")
 
 
 def ros_share_node_ms() -> Result:
-    """Of a target: the rest."""
+    """Share of a target: the remainder."""
     return _share("node")
 
 
 def ros_sustained_rate_vs_echo_hz() -> Result:
-    """Targets a second that are worked off while some wait: above it queues grow."""
+    """Targets per second that are processed while others wait; above it queues grow."""
     f = figures()
     return beside(
         "ros_sustained_rate_vs_echo_hz", "1/s", f.rate, PEER, f.echo_rate, more_is_better=True
@@ -129,7 +129,7 @@ def _share(of: str, **further: object) -> Result:
 
 @lru_cache(maxsize=1)
 def figures(blocks: int = BLOCKS, per_block: int = PER_BLOCK) -> Figures:
-    """Everything, measured once a process."""
+    """All measurements, taken once per process."""
     from bench.ros_calls import Calls
 
     arm = demo_arm()
@@ -156,7 +156,7 @@ def figures(blocks: int = BLOCKS, per_block: int = PER_BLOCK) -> Figures:
 
 @contextmanager
 def _graph(arm: Arm) -> Iterator[Callable[[Any], Any]]:
-    """The processes; gives what makes the caller's side."""
+    """Run the processes; yields a function that creates the caller's side."""
     from longarm_comp.nodes.supervisor import Supervisor
 
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

@@ -31,7 +31,7 @@ _PATIENCE_S = 10.0
 
 
 class Calls:
-    """Every call returns its seconds, and begins once the story of the one before is told."""
+    """Timed calls. Each starts after the answer to the one before has been published."""
 
     def __init__(self, arm: Arm, namespace: str) -> None:
         self._client = ArmClient(arm, namespace, name="caller")
@@ -82,7 +82,7 @@ class Calls:
         self._client.until(condition, within_s, "no answer")
 
     def warm_up(self) -> None:
-        """Everybody is there, and has done everything a few times."""
+        """Wait until all nodes are up, and repeat all calls a few times."""
         for service in (self._compensate, self._echo_compensate, self._predict):
             self._until(service.service_is_ready, 60.0)
         for topic in (self._target, self._echo_target, self._joints):
@@ -141,7 +141,7 @@ class Calls:
         return self._call(self._predict, PredictError.Request(joints=joints))[0]
 
     def compute(self, i: int) -> float:
-        """What `kinematics` computes for a target, the learned error known at once."""
+        """The computation of `kinematics` for a target, with a known learned error."""
         begin = time.perf_counter()
         target = self._targets[i % _POSES]
         answer = compensate(self._model, Nearby(self._known), target, seed=self._stand)
@@ -156,7 +156,7 @@ class Calls:
         return time.perf_counter() - begin, future.result()
 
     def predictions_per_target(self, count: int) -> float:
-        """How often the predictor is asked for one target."""
+        """Number of requests to the predictor per target."""
         graph.PREDICTED_ERROR.subscription(self._client.node, self._on_prediction)
         self._client.spin(1.0)
         before = self._predicted
@@ -166,7 +166,7 @@ class Calls:
         return (self._predicted - before) / count
 
     def rate(self, burst: int) -> float:
-        """Targets a second that the graph works off while a queue waits: above it queues grow."""
+        """Targets per second that the graph processes from a queue; above it queues grow."""
         return self._rate(burst, self._target, lambda: self._got)
 
     def echo_rate(self, burst: int) -> float:
@@ -183,7 +183,7 @@ class Calls:
 
 
 class _Known:
-    """An expected error that costs nothing to ask for: 3 mm, alike everywhere."""
+    """A constant expected error of 3 mm, at negligible cost."""
 
     def __init__(self, n: int) -> None:
         error, sigma = np.full(3, 3e-3 / 3**0.5), np.full(3, 1e-4)

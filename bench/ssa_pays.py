@@ -1,4 +1,4 @@
-"""Does the sparrow pay? Tables of ``docs/ssa_bp.md``: starts, errata, origin bias."""
+"""Benefit of the sparrow search. Tables of ``docs/ssa_bp.md``: starts, errata, origin bias."""
 
 from __future__ import annotations
 
@@ -115,8 +115,8 @@ def _adam(problem: _Problem, start: Array, steps: int, rate: float = 0.01) -> Ar
 
 
 def errata(runs: int = 60, iterations: int = 200) -> str:
-    """Canonical against printed Eq. (6)-(8): what the search finds, collapsed starts, and what one
-    unguarded training makes of them."""
+    """Canonical against printed Eq. (6)-(8): result of the search, collapsed starts, and result of
+    one unguarded training from them."""
     problem = _Problem(300, 0)
     columns = (
         "form",

@@ -6,11 +6,11 @@ import time
 
 import numpy as np
 
-from bench.apart import Cost, cost_of
 from bench.comparison import Result, beside, missing
 from bench.mealpy_peer import MealpyPeer
 from bench.smooth import rms_mm, smooth_set
 from bench.ssa import HIDDEN, POPULATION, standardised
+from bench.subprocess_cost import Cost, cost_of
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.network import Shape, squared_error
@@ -50,7 +50,7 @@ def search_rate(samples: int, population: int, iterations: int) -> float:
 
 
 def train_once(samples: int, networks: int) -> dict[str, float]:
-    """One training of networks of 12 hidden units, and what it reaches on held-out poses."""
+    """One training of networks of 12 hidden units, and its error on held-out poses."""
     data = smooth_set(samples, 0)
     begin = time.process_time()
     predictor = train(data.q, data.residual, hidden=HIDDEN, ensemble=networks)

@@ -1,4 +1,4 @@
-"""A diagnosis as report.json and as what its page draws; the same diagnosis, the same bytes."""
+"""Converts a diagnosis to report.json and to the data of its page, deterministically."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every candidate of a diagnosis with what became of it, and why not, in words."""
+"""State of every candidate of a diagnosis, with the reason in words."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Label = tuple[str, str]
 
 
 def sizes(diagnosis: Diagnosis) -> tuple[Smallest, ...]:
-    """Score and smallest visible size of all that is not in the model, on top of what is."""
+    """Score and smallest visible size of all candidates outside the model, added to the model."""
     found = diagnosis.search
     return detectable(found.fit, [s.candidate for s in found.last], found.threshold)
 
@@ -64,7 +64,7 @@ def _row(at: Label, value: float | None, state: str, why: str) -> dict[str, Any]
 
 
 def _chosen(diagnosis: Diagnosis) -> dict[Label, dict[str, Any]]:
-    """What the search added, each place against the model without it."""
+    """Rows of the effects that the search added, each place against the model without it."""
     result = diagnosis.search
     columns = columns_at(result.fit)
     accepted = {}

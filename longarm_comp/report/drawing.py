@@ -1,4 +1,4 @@
-"""What the page draws of a diagnosis: rows, correlations, smallest sizes, splits, checks."""
+"""Data of the page from a diagnosis: rows, correlations, smallest sizes, splits, checks."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from longarm_comp.report.detail import (
 )
 
 ARMS = 6
-"""Arms drawn in the scene."""
+"""Number of arms drawn in the scene."""
 GUILTY = 4
-"""Inputs plotted against the residual at most."""
+"""Most inputs that the residual is plotted against."""
 SPLITS = 3.0
-"""Expected log odds from which poses are worth measuring."""
+"""Smallest expected log odds for which poses are worth measuring."""
 UNITS = {"temperature_c": "°C", "payload_kg": "kg", "t_s": "s"}
 
 
@@ -118,7 +118,7 @@ def _correlation(diagnosis: Diagnosis) -> Correlation | None:
 
 
 def _detectable(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> tuple[Detectable, ...]:
-    """One line per effect and place; families are left to their places."""
+    """One line per effect and place, without families."""
     smallest = []
     for (name, place), one in sorted(best_forms(tried).items()):
         slots = one.candidate.slots(diagnosis.arm)
@@ -140,7 +140,7 @@ def _detectable(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> tuple[Detect
 
 
 def split(diagnosis: Diagnosis, by: NextPoses) -> SetSplit:
-    """A set with its splitting poses; without any where no pose would tell."""
+    """A set with the poses that split it; no poses if none would."""
     found = next(f for f in diagnosis.findings if f.name == by.between[0])
     pair = f"{by.between[0]} and {by.between[1]}"
     if by.log_bayes_factor < SPLITS:

@@ -1,4 +1,4 @@
-"""The public data sets as sessions: what each file's columns mean, on the stated splits."""
+"""Reads the public data sets as sessions, with their stated splits."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""What choosing realisable joints together brings, and what it needs to know.
+"""Benefit of choosing realisable joints together, and its sensitivity.
 
-The truth is the model itself, on servos of so many steps a turn and slides of a tenth of a
-millimetre; only the sensitivity rows have servos, or an arm, that differ from what is declared.
+The truth is the model itself, with stepped servos and slides with steps of 0.1 mm.  Only in the
+sensitivity rows do the servos or the arm differ from the declaration.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class StudyTargets:
     ideal: np.ndarray
 
     def search(self, **options: Any) -> Search:
-        """The options as shipped, but for some."""
+        """The default options with some replaced."""
         pose = self.asked.ndim == 3
         length = POSE_LENGTH_M if pose else characteristic_length(self.case.model)
         return Search(length, **options)
@@ -93,7 +93,7 @@ class StudyTargets:
         )
 
     def seconds(self) -> float:
-        """Processor time of a target on its own: best of several runs, median over targets."""
+        """Processor time of a single target, s: best of several runs, median over targets."""
         spent = np.empty((len(self.ideal), TIMINGS))
         for i, run in np.ndindex(*spent.shape):
             began = time.process_time()
@@ -103,7 +103,7 @@ class StudyTargets:
 
 
 def cases(base: Arm, steps: int) -> list[ArmCase]:
-    """Variants of an arm with servos of so many steps a turn: slides locked, a wrist added."""
+    """Variants of an arm with servos of ``steps`` per turn: slides locked, a wrist added."""
     whole = _stepped(base, steps)
     slides = [
         k for k, row in enumerate(whole.commanded) if whole.joints[row - 1].type == "prismatic"
@@ -164,7 +164,7 @@ def arms_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, o
 
 
 def price_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, object]]:
-    """The price of movement: the error of single targets against moves along a line."""
+    """Effect of the price of movement: errors of single targets, and moves along a line."""
     case = _whole(base, steps)
     t = case.targets(count, np.random.default_rng(seed), False)
     line = _line(case, seed)
@@ -191,7 +191,7 @@ def price_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, 
 
 
 def sensitivity_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, object]]:
-    """Where servos or arm are not as declared: true error of rounding and of the choice."""
+    """True error of rounding and of the choice if servos or arm differ from the declaration."""
     case = _whole(base, steps)
     t = case.targets(count, np.random.default_rng(seed), False)
     got = t.choose()

@@ -1,4 +1,4 @@
-"""Table I over many arms: means, spread, paired differences, beside the paper's figures."""
+"""Summary of Table I over many arms: means, spread, paired differences, the paper's figures."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def differences(
 
 
 def contradictions(table: Sequence[dict[str, Any]]) -> list[str]:
-    """Pairs of the paper's rows that come out in the other order here, in words."""
+    """Pairs of the paper's rows with the opposite order here, in words."""
     printed = [row for row in table if row["paper_mean_abs_z_mm"] is not None]
     found = []
     for k, one in enumerate(printed):

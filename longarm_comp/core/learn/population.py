@@ -1,7 +1,7 @@
-"""The sparrow's fitness on an accelerator: the whole population as one batched torch product.
+"""The fitness of the sparrow search on an accelerator, as one batched torch product.
 
-On a CPU the numpy form in ``network.squared_error`` is faster; torch is imported only here, when a
-device is asked for.
+On a CPU the numpy form in ``network.squared_error`` is faster.  torch is imported only here, when a
+device is requested.
 """
 
 from __future__ import annotations
