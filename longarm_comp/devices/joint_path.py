@@ -118,16 +118,18 @@ def plan_path(
         max_velocity: (n,).
     """
     away = float(np.max(np.abs(positions[0] - start) / max_velocity))
-    points, asked = positions, np.diff(times)
+    points, requested = positions, np.diff(times)
     if away > 1e-9 or times[0] > 1e-9:
         points = np.concatenate((start[None], positions))
-        asked = np.diff(times, prepend=0.0)
+        requested = np.diff(times, prepend=0.0)
     least = np.max(np.abs(np.diff(points, axis=0)) / max_velocity, axis=1)
-    steps = np.maximum(asked, least)
+    steps = np.maximum(requested, least)
     knots = np.concatenate(([0.0], np.cumsum(steps)))
     slopes = _monotone_slopes(knots, points)
     if velocities is not None:
-        ratio = np.minimum(np.divide(asked, steps, out=np.ones_like(steps), where=steps > 0.0), 1.0)
+        ratio = np.minimum(
+            np.divide(requested, steps, out=np.ones_like(steps), where=steps > 0.0), 1.0
+        )
         inner = np.minimum(ratio[:-1], ratio[1:])[:, None]
         slopes[1:-1] = velocities[-1 - len(inner) : -1] * inner
     path = JointPath(knots, points, slopes)

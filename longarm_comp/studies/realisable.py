@@ -59,10 +59,10 @@ class ArmCase:
         q = rng.uniform(arm.lower, arm.upper, (4 * count, arm.n))
         q[:, locked] = arm.mid[locked]
         poses = tip_poses(self.model, q)
-        asked = poses if pose else poses[:, :3, 3]
-        found = ik.solve_many(self.model, asked, locked=locked)
+        requested = poses if pose else poses[:, :3, 3]
+        found = ik.solve_many(self.model, requested, locked=locked)
         kept = np.flatnonzero(found.ok)[:count]
-        return StudyTargets(self, asked[kept], found.q[kept])
+        return StudyTargets(self, requested[kept], found.q[kept])
 
 
 @dataclass(frozen=True)
@@ -70,12 +70,12 @@ class StudyTargets:
     """Targets of a case, positions (N, 3) or poses (N, 4, 4), and their ideal joints."""
 
     case: ArmCase
-    asked: np.ndarray
+    requested: np.ndarray
     ideal: np.ndarray
 
     def search(self, **options: Any) -> Search:
         """The default options with some replaced."""
-        pose = self.asked.ndim == 3
+        pose = self.requested.ndim == 3
         length = POSE_LENGTH_M if pose else characteristic_length(self.case.model)
         return Search(length, **options)
 
@@ -86,7 +86,7 @@ class StudyTargets:
             case.model.arm,
             Lattice.of(case.model.arm),
             lambda q, _: tip_poses(case.model, q),
-            self.asked[rows],
+            self.requested[rows],
             self.ideal[rows],
             self.search(**options),
             locked=case.locked,
@@ -216,7 +216,7 @@ def sensitivity_table(base: Arm, count: int, steps: int, seed: int) -> list[dict
         errors = []
         for sent in (got.ideal, got.joints):  # a servo stands at the nearest of its own steps
             stood = offset + step * np.clip(np.rint((sent - offset) / step), low, high)
-            errors.append(1e3 * np.linalg.norm(model.tip(stood) - t.asked, axis=1).mean())
+            errors.append(1e3 * np.linalg.norm(model.tip(stood) - t.requested, axis=1).mean())
         rows.append({"truth": name, "rounded_mm": errors[0], "mean_mm": errors[1]})
     return rows
 

@@ -1,4 +1,4 @@
-"""What effects of one joint share: which joint, how it moves, how heavy the arm is."""
+"""Base of the effects of one joint: the joint, its motion, its loads."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ class JointTerm(Effect):
 
     @classmethod
     def fits(cls, arm: Arm, row: int) -> bool:
-        """Whether the effect makes sense at a commanded row; revolute joints by default."""
+        """Whether the effect applies to a commanded row; revolute joints by default."""
         return arm.joints[row - 1].type == "revolute"
 
     @classmethod
     def rows(cls, arm: Arm) -> list[int]:
-        """Rows that the effect may sit at: the commanded ones that it fits."""
+        """Rows that the effect may have: the commanded ones that it fits."""
         return [row for row in arm.commanded if cls.fits(arm, row)]
 
     @classmethod
@@ -50,14 +50,14 @@ class JointTerm(Effect):
         return [(cls(joint=row),) for row in cls.rows(arm)]
 
     def history_joints(self, arm: Arm) -> tuple[int, ...]:
-        """Its own joint, where it reads a history at all."""
+        """Its own joint if it reads a history."""
         reads = any(name in PER_JOINT for name in self.inputs)
         return (arm.commanded.index(self.joint),) if reads else ()
 
     def motion(self, posture: Posture, amount: Scalar) -> Mapping[int, Twist]:
         """The joint moved by `amount` (rad or m) along its own z axis, at its bearing.
 
-        Passive joints coupled to it (mimic) follow, as their linkage makes them.
+        Passive joints coupled to it (mimic) follow.
         """
         twists: dict[int, Twist] = {}
         for row, weight in self._coupled(posture.arm):
@@ -71,7 +71,7 @@ class JointTerm(Effect):
     def load(self, posture: Posture) -> Scalar:
         """Gravity torque (N m) about, or force (N) along, the joint's z axis.
 
-        By virtual work it includes what passive joints coupled to it hand on.
+        By virtual work it includes the loads of passive joints coupled to it.
         """
         total: Scalar = 0.0
         for row, weight in self._coupled(posture.arm):
@@ -82,11 +82,11 @@ class JointTerm(Effect):
         return total
 
     def side(self, posture: Posture, gate: float, blend: float = BLEND) -> Scalar:
-        """Where a joint with play or a deadband rests, -1 to +1.
+        """Resting side of a joint with play or a deadband, -1 to +1.
 
-        On the side that its load pushes it to, where the load exceeds a threshold; below that
-        friction holds it where its motion left it: it lags, on the side it came from.  Between
-        the two the side changes over gradually, as under a nearly balanced load.
+        Above a threshold the load pushes the joint to its side.  Below it, friction holds the
+        joint where its motion left it: it lags, on the side it came from.  The transition is
+        gradual, as under a nearly balanced load.
 
         Args:
             posture: the arm.
@@ -115,13 +115,13 @@ class JointTerm(Effect):
         return posture.context.of_joint("approach", commanded.index(self.joint))
 
     def travel(self, posture: Posture) -> Scalar:
-        """Signed way (rad, m) since the joint last turned round, before its final approach."""
+        """Signed travel (rad, m) since the joint last reversed, before its final approach."""
         commanded = posture.arm.commanded
         return posture.context.of_joint("travel", commanded.index(self.joint))
 
 
 def with_prior(parameters: tuple[Parameter, ...], **changes: object) -> tuple[Parameter, ...]:
-    """The same parameters with other attributes (prior, unit) for an arm."""
+    """Copies of parameters with other attributes (prior, unit) for an arm."""
     return tuple(dataclasses.replace(p, **changes) for p in parameters)  # type: ignore[arg-type]
 
 

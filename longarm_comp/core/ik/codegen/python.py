@@ -42,10 +42,10 @@ ARRAYS: dict[str, Any] = {
 
 
 def python(name: str, graph: Graph, outputs: Outputs, arrays: bool = False) -> str:
-    """A Python function; what is used once is written where it is used.
+    """A Python function. An expression that is used once is inlined.
 
-    Names are used again as soon as what they held is no longer needed: arrays then stay in
-    the processor's cache, which makes the function three times faster.
+    Names are reused as soon as their value is no longer needed.  Arrays then stay in the
+    processor's cache, which makes the function three times faster.
     """
     live = graph.needed(list(outputs.values()))
     uses: Counter[int] = Counter()
@@ -63,7 +63,7 @@ def python(name: str, graph: Graph, outputs: Outputs, arrays: bool = False) -> s
             lines.append((f"v{node}", shown))
             shown, deep = f"v{node}", 0
         text[node], depth[node] = shown, deep
-    ends = []  # all is computed before anything is written
+    ends = []  # outputs are written after all computations
     for k, (place, out) in enumerate(outputs.items()):
         value = text[out.node] if isinstance(out, Symbol) else repr(float(out))
         if not _NAME.fullmatch(value):
