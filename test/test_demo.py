@@ -21,7 +21,7 @@ from longarm_comp.jobs.demo import table
 from longarm_comp.jobs.demo.trial import Trial
 from longarm_comp.sessions.read import read_session
 
-SMALL = ("--poses", "60", "--targets", "6")
+SMALL = ("--poses", "100", "--targets", "6")
 
 
 def demo(*words: str) -> subprocess.Popen[str]:
@@ -52,7 +52,7 @@ def test_the_loop_brings_the_arm_nearer_to_its_targets(
 ) -> None:
     out = tmp_path / "demo"
     process = demo("--out", str(out), *SMALL, "--json")
-    said, noise = process.communicate(timeout=400)
+    said, noise = process.communicate(timeout=1500)  # a busy machine
     assert process.returncode == 0, noise
     report = json.loads(said)
     assert report == json.loads((out / "demo.json").read_text())
@@ -76,7 +76,7 @@ def test_the_loop_brings_the_arm_nearer_to_its_targets(
     arm = Arm.load(demo_arm_path)
     session = read_session(out / "session", arm)
     assert len(session) == report["collected"]
-    assert len(session) >= 60
+    assert len(session) >= 100
     assert (session.approach != session.approach[:, :1]).any()
     load_model(out / "model.yaml", arm)
     assert not nodes_of(process)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,14 @@ from longarm_comp.sim.hidden import drives
 from longarm_comp.studies.real_sessions import justin, laser_tracked
 
 GAIN = (drives.JointGain(at(2, 0.02)),)
+
+
+def test_a_few_precise_rows_are_no_quieter_than_their_sightings_claim() -> None:
+    """The library has more columns than there are rows: it could explain all of the noise."""
+    claimed = np.tile([2e-4, 2e-4, 4e-4], (45, 1))
+    few = dataclasses.replace(session(GAIN, n=45), sigma=claimed)
+    noise = diagnose(ARM, few).search.noise.sigma
+    np.testing.assert_array_less(claimed[0] * (1 - 1e-9), noise)
 
 
 def diagnosed(*words: object) -> int:

@@ -103,7 +103,8 @@ def test_a_whole_number_is_taken_for_a_float() -> None:
 def test_bring_up_scales_the_simulation_and_leaves_hardware_alone(tmp_path: Path) -> None:
     arm = folder("config") / "arm_demo.yaml"
     real = BringUp(arm=arm, port="/dev/ttyACM0")
-    assert real.parameters("servo_driver", "unused") == {"bus.port": "/dev/ttyACM0"}
+    given = {"arm": str(arm), "bus.port": "/dev/ttyACM0"}
+    assert real.parameters("servo_driver", "unused") == given
     assert "simulated_arm" not in real.nodes
     fast = BringUp(arm=arm, sim=True, speed=4.0)
     scaled = fast.parameters("servo_driver", "/tmp/bus")

@@ -24,6 +24,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.predictor import Predictor, Provenance
+from longarm_comp.core.learn.predictor_file import save
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.nodes import interfaces as graph
@@ -67,7 +68,7 @@ def test_the_learned_error_is_predicted_taken_off_and_replaced(
 ) -> None:
     path = tmp_path / "predictor.npz"
     first = trained(arm, BIAS)
-    first.save(path)
+    save(first, path)
     files = {"arm": demo_arm_path, "predictor": path, "watch_period_s": 0.1}
     predictor = stage.start("error_predictor", files)
     stage.start("kinematics", {"arm": demo_arm_path})
@@ -115,7 +116,7 @@ def test_the_learned_error_is_predicted_taken_off_and_replaced(
     np.testing.assert_allclose(answer.command.position, answer.ideal.position)
 
     second = trained(arm, -BIAS)
-    second.save(path)
+    save(second, path)
 
     def taken_up() -> bool:
         error = stage.call(ask, question(arm, arm.mid)).error
@@ -145,7 +146,7 @@ def test_the_learned_error_is_predicted_taken_off_and_replaced(
         return answer.status == Compensate.Response.NO_PREDICTOR
 
     stage.spin(alone)
-    second.save(path)
+    save(second, path)
     stage.start("error_predictor", files)
     stage.spin(lambda: stage.call(compensate, request).status == Compensate.Response.SUCCESS)
     stage.spin(lambda: stories[-1].predictor_hash)
@@ -157,7 +158,7 @@ def test_a_predictor_of_another_model_is_refused(
     """Another physics leaves another error: what was learned on the old one does not hold."""
     model, path = tmp_path / "model.yaml", tmp_path / "predictor.npz"
     save_model(model, store(declared_model(arm)))
-    trained(arm, BIAS, model_hash=file_hash(model)).save(path)
+    save(trained(arm, BIAS, model_hash=file_hash(model)), path)
     files = {"arm": demo_arm_path, "model": model, "predictor": path, "watch_period_s": 0.1}
     stage.start("error_predictor", files, namespace="bound")
     ask = stage.node.create_client(PredictError, "/bound/predict_error")
@@ -171,7 +172,7 @@ def test_a_predictor_of_another_model_is_refused(
     stage.spin(lambda: not good())
     answer = stage.call(ask, question(arm, arm.mid))
     assert math.isnan(answer.sigma) and "model_hash" in answer.message
-    trained(arm, -BIAS, model_hash=file_hash(model)).save(path)
+    save(trained(arm, -BIAS, model_hash=file_hash(model)), path)
     stage.spin(good)
     assert stage.call(ask, question(arm, arm.mid)).error.z < 0
 
@@ -179,7 +180,7 @@ def test_a_predictor_of_another_model_is_refused(
 def test_a_predictor_that_learned_the_sag_too_is_not_added_to_it(
     stage: Bench, arm: Arm, demo_arm_path: Path, tmp_path: Path
 ) -> None:
-    trained(arm, BIAS, deflection=False).save(tmp_path / "network.npz")
+    save(trained(arm, BIAS, deflection=False), tmp_path / "network.npz")
     files = {"arm": demo_arm_path, "predictor": tmp_path / "network.npz"}
     stage.start("error_predictor", files, namespace="rigid")
     stage.start("kinematics", {"arm": demo_arm_path}, namespace="rigid")
@@ -210,7 +211,7 @@ def test_every_joint_has_a_side_of_its_own(
         init="xavier", ensemble=2, hidden=4,
         provenance=Provenance(arm_hash=arm.hash, joint_names=arm.joint_names),
     )  # fmt: skip
-    learned.save(tmp_path / "sided.npz")
+    save(learned, tmp_path / "sided.npz")
     files = {"arm": demo_arm_path, "predictor": tmp_path / "sided.npz"}
     stage.start("error_predictor", files, namespace="sided")
     ask = stage.node.create_client(PredictError, "/sided/predict_error")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
@@ -285,4 +286,24 @@ def test_parameters_are_described_and_wrong_ones_refused(rig: Rig, tmp_path: Pat
     said = rig.stage.output(second)
     assert "gear_ration" in said
     assert "gear_ratio" in said
+    assert "Traceback" not in said
+
+
+def test_steps_that_the_servos_do_not_have_are_refused(rig: Rig, tmp_path: Path) -> None:
+    arm = tmp_path / "arm.yaml"
+    shoulder = {"id": 1, "name": "shoulder", "type": "revolute", "limits_deg": [-28, 57]}
+    shoulder["step_deg"] = 0.36
+    tip = {"frame": 1, "position_m": [1, 0, 0]}
+    text = {"name": "arm", "convention": "mdh_craig", "tip": tip, "joints": [shoulder]}
+    arm.write_text(yaml.safe_dump(text))
+    second = rig.stage.python(
+        [
+            *("-m", "longarm_comp.nodes.servo_driver", "--ros-args"),
+            *("--params-file", str(rig.file), "-p", f"arm:={arm}"),
+        ]
+    )
+    assert second.wait(timeout=60) == 2
+    said = rig.stage.output(second)
+    assert "step of shoulder" in said
+    assert "whole multiples of the servo's tick" in said
     assert "Traceback" not in said

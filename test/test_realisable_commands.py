@@ -23,6 +23,7 @@ from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.learn.expansion import Expansion, Nearby
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
+from longarm_comp.workflows.compensate import Commands
 
 
 @pytest.fixture(scope="module")
@@ -276,3 +277,16 @@ def test_commands_csv_holds_the_joints_before_the_choice(
     assert off_steps(model, q) < 1e-6
     np.testing.assert_allclose(ideal, plain, atol=1e-9)
     assert np.abs(q - ideal).max() > 1e-4
+
+
+def test_a_line_of_commands_csv_has_what_was_settled_on(model: Model, joints: np.ndarray) -> None:
+    arrival = compensate_move(
+        model, Known(), model.tip(joints[0]), start=model.arm.mid,
+        history=History.unknown(model.arm.n), context_after=context_of,
+    )  # fmt: skip
+    chosen = arrival.outcome.realisable
+    assert chosen is not None
+    (line,) = Commands(np.array([4]), (arrival,)).lines()
+    np.testing.assert_array_equal(line.q, arrival.outcome.command)
+    np.testing.assert_array_equal(line.ideal, chosen.ideal)
+    assert np.abs(chosen.ideal - arrival.outcome.ideal).max() > 1e-4  # learned error is in it

@@ -63,7 +63,6 @@ class Import:
 
     line: int
     name: str
-    in_function: bool
 
 
 def below(name: str, parents: tuple[str, ...]) -> bool:
@@ -78,12 +77,6 @@ def imports(source: str, module: str, known: frozenset[str]) -> Iterator[Import]
     ends in ``.__init__`` for a package's own file, so that relative imports come out right.
     """
     tree = ast.parse(source)
-    in_function = {
-        id(inner)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-        for inner in ast.walk(node)
-    }
     for node in ast.walk(tree):
         names: list[str] = []
         if isinstance(node, ast.Import):
@@ -97,7 +90,7 @@ def imports(source: str, module: str, known: frozenset[str]) -> Iterator[Import]
         elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
             names = [a.value for a in node.args if isinstance(a, ast.Constant)]
         for name in names:
-            yield Import(node.lineno, name, id(node) in in_function)
+            yield Import(node.lineno, name)
 
 
 def maths(source: str) -> Iterator[tuple[int, str]]:
@@ -177,23 +170,16 @@ def in_room(room: str) -> list[str]:
 def graph() -> dict[str, set[str]]:
     """The modules of the package and of the benchmarks, and what each needs of them.
 
-    An import within a function, of a neighbour in the same folder, does not count: a record's own
-    ``save`` may hand itself to the file format beside it. Imports for types alone count, except
-    those of the package's own file, which names what it loads when it is asked for.
+    Imports within functions and for types alone count, except those of the package's own file,
+    which names what it loads when it is asked for.
     """
     return {
         module.removesuffix(".__init__"): {
-            entry.name
-            for entry in read(module)
-            if entry.name in known() and not (entry.in_function and neighbours(module, entry.name))
+            entry.name for entry in read(module) if entry.name in known()
         }
         for module in sources()
         if module != f"{PACKAGE}.__init__"
     }
-
-
-def neighbours(one: str, other: str) -> bool:
-    return one.rpartition(".")[0] == other.rpartition(".")[0]
 
 
 @pytest.mark.parametrize("room", ROOMS)

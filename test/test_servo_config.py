@@ -142,3 +142,43 @@ def test_plain_and_ros_parameter_files_are_read(tmp_path: Path) -> None:
     plain.write_text("bus: [")
     with pytest.raises(InputError, match="valid YAML"):
         ServoConfig.load(plain)
+
+
+TICK = 2 * math.pi / 4096
+
+
+@pytest.mark.parametrize(
+    ("fields", "step", "stands"),
+    [
+        (REVOLUTE, TICK, True),
+        (REVOLUTE, 4 * TICK, True),
+        (REVOLUTE, 4 * TICK * (1 + 1e-9), True),
+        (REVOLUTE, 4.1 * TICK, False),
+        (REVOLUTE, 2 * math.pi / 1000, False),  # 4.096 ticks: off by half a step after five
+        (REVOLUTE, 0.4 * TICK, False),
+        (REVOLUTE | {"gear_ratio": 10.0, "multi_turn": True}, 5 * TICK / 10, True),
+        (REVOLUTE | {"gear_ratio": 10.0, "multi_turn": True}, 2 * math.pi / 1000, False),
+        (REVOLUTE | {"zero_ticks": 2048.5}, TICK, False),
+        (REVOLUTE | {"zero_ticks": 2048.5}, 4 * TICK, True),  # known to an eighth
+        (SCREW, 0.008 / 4096, True),
+        (SCREW, 1e-4, False),  # 51.2 ticks
+        (SCREW, 0.008 / 64, True),
+        (RACK, 7 * 2 * math.pi * 0.018 / 4096, True),
+    ],
+)
+def test_a_declared_step_must_be_one_that_the_servo_has(
+    fields: dict[str, Any], step: float, stands: bool
+) -> None:
+    joint = JointConfig(**fields)
+    assert joint.stands_at(step) is stands
+    for k in (-3, 1, 7) if stands else ():  # by the goals that are really sent
+        at = k * step
+        if joint.lower < at < joint.upper:
+            assert abs(joint.to_si(joint.to_ticks(at)) - at) <= 0.15 * step
+    config = ServoConfig.parse(_document(arm=fields), "servo.yaml")
+    config.check_steps({"arm": 0.0, "another": step}, "arm.yaml")
+    if stands:
+        config.check_steps({"arm": step}, "arm.yaml")
+    else:
+        with pytest.raises(InputError, match=r"^arm.yaml: step of arm: .*whole multiples"):
+            config.check_steps({"arm": step}, "arm.yaml")

@@ -88,6 +88,25 @@ class ServoConfig(ServoSettings):
                 _refuse(f"{where}.upper", joint.upper, "at least one encoder tick above lower")
         return self
 
+    def check_steps(self, steps: Mapping[str, float], where: str) -> None:
+        """Refuse steps of joints (rad, m; 0: continuous) that their servos cannot stand at.
+
+        Args:
+            where: who declares the steps, for the message.
+
+        Raises:
+            InputError: a step is no whole number of encoder ticks over the joint's range, or
+                `zero_ticks` lies between two ticks.
+        """
+        for name, step in steps.items():
+            joint = self.joints.get(name)
+            if joint is not None and step > 0 and not joint.stands_at(step):
+                tick = joint.si_per_tick
+                allowed = f"whole multiples of the servo's tick, {tick:.9g} {joint.unit}"
+                if joint.zero_ticks != round(joint.zero_ticks):
+                    allowed += f", and a whole number of zero_ticks, not {joint.zero_ticks:g}"
+                raise InputError(where, f"step of {name}", step, allowed)
+
     @property
     def models(self) -> dict[int, ServoModel]:
         """The model of each servo, by id."""

@@ -15,6 +15,10 @@ Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
+STEP_KNOWN_TO = 0.15
+"""Share of a step to which it must be known where it is."""
+
+
 class ServoSettings(BaseModel):
     """Base of the configuration records. They are frozen; unknown keys are errors."""
 
@@ -95,6 +99,14 @@ class JointConfig(ServoSettings):
         elif self.pinion_radius_m is not None:
             per_turn = 2.0 * math.pi * self.pinion_radius_m
         return per_turn / (self.gear_ratio * self.servo.ticks_per_turn)
+
+    def stands_at(self, step: float) -> bool:
+        """Whether the servo can stand at every ``step k`` (rad or m), to 0.15 of that step."""
+        ticks = step / self.si_per_tick
+        farthest = max(abs(self.lower), abs(self.upper)) / step
+        drift = abs(ticks - round(ticks)) * farthest
+        beside = abs(self.zero_ticks - round(self.zero_ticks))
+        return round(ticks) >= 1 and drift + beside <= STEP_KNOWN_TO * ticks
 
     @property
     def goal_range(self) -> tuple[int, int]:

@@ -9,6 +9,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.predictor import Provenance
+from longarm_comp.core.learn.predictor_file import save
 
 _SAMPLES = 300
 
@@ -21,4 +22,4 @@ def train_dummy(arm: Arm, path: Path) -> None:
     error = 3e-3 * np.stack([np.sin(3 * share[:, k] + share[:, k + 1]) for k in range(3)], -1)
     error += 1e-4 * rng.standard_normal(error.shape)
     origin = Provenance(arm.hash, "", arm.joint_names, {"deflection": True})
-    train(q, error, hidden=12, iterations=10, provenance=origin).save(path)
+    save(train(q, error, hidden=12, iterations=10, provenance=origin), path)

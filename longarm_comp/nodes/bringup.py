@@ -85,7 +85,9 @@ class BringUp:
             "error_predictor": arm
             | _path("model", self.model)
             | _path("predictor", self.predictor),
-            "servo_driver": ({"bus.port": port} if port else {}) | (_PATIENT if self.sim else {}),
+            "servo_driver": arm
+            | ({"bus.port": port} if port else {})
+            | (_PATIENT if self.sim else {}),
             "stereo_bridge": {"reliable_images": True} if self.sim else {},
             "simulated_arm": arm | {"servos": servos, "port": bus},
         }

@@ -131,6 +131,7 @@ class Kinematics(Node):
             "targets": self._targets_report,
             "model": self._files.report,
             "monitor": self._monitor.report,
+            "at the target": self._monitor.target_report,
         }
         self._health = Health(self, parts, p[PERIOD.name])
         if p["compiled"]:  # in the background: targets are solved more slowly until it is done
@@ -192,6 +193,8 @@ class Kinematics(Node):
         if request.message.execute and answer.status.success and answer.arrival is not None:
             points = answer.arrival.move.points
             self._trajectory.publish(trajectory_message(self._arm, points, self._move_time_s))
+            outcome = answer.arrival.outcome
+            self._monitor.aimed(outcome.command, outcome.position)
             request.sent = True
         return answer
 

@@ -1,4 +1,4 @@
-"""Compares the measured tip with the predicted one, pose by pose, and warns of drift."""
+"""Compares the measured tip with its prediction and with its target, pose by pose."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.history import History
+from longarm_comp.core.arm.history import SAME_POSE, History
 from longarm_comp.core.compensation.drift import Monitor
 from longarm_comp.core.data.rest_pose import RestPose, RestWatch
 from longarm_comp.core.model.model import Model
@@ -43,6 +43,10 @@ def advice(arm: str, model: str, namespace: str) -> str:
     )
 
 
+def _mm(vector: np.ndarray) -> str:
+    return " ".join(f"{1e3 * value:+.2f}" for value in vector) + " mm"
+
+
 @dataclass(frozen=True)
 class Promise:
     """Tip expected at a rest pose, and its standard deviation: (3,) m each."""
@@ -70,12 +74,19 @@ class TipMonitor:
         self._feeding = threading.Lock()
         self._sigma_m, self._run_length, self._advice = sigma_m, run_length, advice
         self._monitor = Monitor(run_length)
+        self._at_target = Monitor(run_length)
+        self._aim: tuple[np.ndarray, np.ndarray] | None = None
         self._last = "no rest pose measured yet"
+        self._last_miss = "no target measured yet"
         self._outside = 0
 
     def reset(self) -> None:
-        """Start the test again, because another model predicts other tips."""
-        self._monitor = Monitor(self._run_length)
+        """Start the tests again, because another model predicts other tips."""
+        self._monitor = self._at_target = Monitor(self._run_length)
+
+    def aimed(self, q: np.ndarray, target: np.ndarray) -> None:
+        """Take a command for a target: joints (n,) that bring the tip to it, (3,) m."""
+        self._aim = q, target
 
     def on_command(self, q: np.ndarray, history: History) -> None:
         """Take a command: joints (n,) and their history on arrival."""
@@ -101,7 +112,12 @@ class TipMonitor:
             return
         residual = rest.tip - promise.tip
         self._monitor = self._monitor.seen(residual, promise.sigma)
-        self._last = "residual " + " ".join(f"{1e3 * r:+.2f}" for r in residual) + " mm"
+        self._last = f"residual {_mm(residual)}"
+        if self._aim is not None and np.abs(rest.q - self._aim[0]).max() < SAME_POSE:
+            seen_beside = model.measured(rest.q, context) - model.tip(rest.q, context)
+            missed = rest.tip - seen_beside - self._aim[1]
+            self._at_target = self._at_target.seen(missed, promise.sigma)
+            self._last_miss = f"tip - target {_mm(missed)}"
 
     def _promise(self, rest: RestPose, model: Model, context: Context) -> Promise | None:
         """Expected tip; None where the predictor refuses."""
@@ -117,8 +133,25 @@ class TipMonitor:
             return None
         return Promise(tip + found.error, found.sigma)
 
+    def target_report(self) -> Report:
+        """Whether tips come to rest at their targets, for diagnostics."""
+        verdict = self._at_target.verdict()
+        facts = {
+            "targets": verdict.samples,
+            "evidence (1 warns)": round(verdict.evidence, 3),
+            "last": self._last_miss,
+        }
+        if not verdict.drifted:
+            return Report(OK, "tips come to rest at their targets", facts)
+        if self._monitor.verdict().drifted:
+            return Report(
+                WARN, f"beside the target, as beside the prediction: {verdict.finding}", facts
+            )
+        cause = "the predictions are right, so the commands were for other circumstances"
+        return Report(WARN, f"beside the target: {verdict.finding}; {cause}", facts)
+
     def report(self) -> Report:
-        """State of the monitor, for diagnostics."""
+        """Whether tips are seen where they were predicted, for diagnostics."""
         verdict = self._monitor.verdict()
         facts = {
             "rest poses": verdict.samples,

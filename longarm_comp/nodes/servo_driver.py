@@ -18,6 +18,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import LongarmError
 from longarm_comp.devices.servo_arm import Cycle, ServoArm
 from longarm_comp.devices.servo_bus import BusUnplugged, IncompleteReply
@@ -32,6 +33,7 @@ from longarm_comp.nodes.runner import run
 
 PARAMS = (
     Param("rate_hz", 50.0, "cycles a second: read all servos, command all", 1.0, 500.0),
+    Param("arm", "", "arm.yaml whose steps the servos must stand at; empty: not checked"),
     Param("autostart", True, "configure and activate by itself, and again after a failure"),
     Param("retry_s", 1.0, "pause between two such attempts", 0.1, 60.0),
     Param("patience_s", 5.0, "no servos at the start are an error only after it", 0.0, 600.0),
@@ -50,6 +52,10 @@ class ServoDriver(LifecycleNode):
         super().__init__("servo_driver", automatically_declare_parameters_from_overrides=True)
         p = declare(self, PARAMS, sections=tuple(SECTIONS))
         self._config = self._servo_config()
+        if p["arm"]:
+            arm = Arm.load(p["arm"])
+            steps = dict(zip(arm.joint_names, arm.steps.tolist(), strict=True))
+            self._config.check_steps(steps, p["arm"])
         self._autostart, self._period_s = p["autostart"], 1.0 / p["rate_hz"]
         self._arm: ServoArm | None = None
         self._active = False

@@ -12,6 +12,7 @@ from longarm_comp.core.files import atomic_path
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.evidence import key
 from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model_file import StoredModel, read_stored, save_model, store
 from longarm_comp.report.drawing import SPLITS
@@ -51,7 +52,7 @@ def write_predictor(predictor: Predictor | None, session_hash: str, folder: Path
     bound = dataclasses.replace(
         origin, session_hash=session_hash, settings={**origin.settings, **mark}
     )
-    dataclasses.replace(predictor, provenance=bound).save(path)
+    predictor_file.save(dataclasses.replace(predictor, provenance=bound), path)
 
 
 def write_next(found: Diagnosis, folder: Path) -> None:

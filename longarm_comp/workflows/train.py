@@ -13,8 +13,10 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.learn import ensemble as networks
+from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.learn.predictor import Predictor, Provenance
 from longarm_comp.workflows.inputs import (
+    FilePath,
     ModelLike,
     Note,
     Progress,
@@ -50,6 +52,14 @@ class TrainedPredictor(Predictor):
             f"{self.samples} samples: mean error {1e3 * self.before.mean:.2f} -> "
             f"{1e3 * self.after.mean:.2f} mm on the training rows"
         )
+
+    def save(self, path: FilePath) -> None:
+        """Write it (npz), whole or not at all.
+
+        Raises:
+            InputError: the folder cannot be written.
+        """
+        predictor_file.save(self, path)
 
     def __repr__(self) -> str:
         return f"TrainedPredictor({self.summary})"

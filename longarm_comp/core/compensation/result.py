@@ -170,6 +170,11 @@ class Compensation:
         """Whether the command is fit to be sent."""
         return self.status.success
 
+    @property
+    def position(self) -> np.ndarray:
+        """(3,) m, of the target."""
+        return self.target if self.target.ndim == 1 else self.target[:3, 3]
+
 
 @dataclass(frozen=True)
 class Compensations:

@@ -67,6 +67,9 @@ def from_residual(
 ) -> tuple[NoiseEstimate, np.ndarray]:
     """Noise as what is left when everything in the library is fitted at once.
 
+    With more columns than rows that may be nothing at all; the noise is then no smaller than the
+    sightings' own standard deviation, where the session has one.
+
     Args:
         fit: the model so far.
         extra: (N, 3, k) prior-scaled columns of every candidate.
@@ -95,6 +98,9 @@ def from_residual(
         sigma = np.maximum(new, 1e-7)
         if done:
             break
+    claimed = fit.session.sigma
+    if claimed is not None and columns.shape[-1] > weights.sum():
+        sigma = np.maximum(sigma, np.median(claimed, axis=0))
     rho = lag_correlation(residual / sigma, weights)
     return NoiseEstimate(sigma, "residual", rho, degrees), weights
 

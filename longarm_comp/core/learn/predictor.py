@@ -10,7 +10,6 @@ Outside the training region the predictor refuses: ``in_domain`` is False and ``
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -177,9 +176,3 @@ class Predictor:
                 )
             reason[row] = "; ".join(parts)
         return ~bad, reason
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write to ``path`` (npz), whole or not at all; see ``predictor_file``."""
-        from longarm_comp.core.learn import predictor_file
-
-        predictor_file.save(self, path)

@@ -46,12 +46,14 @@ class DemoResult:
 
     Attributes:
         trials: in the order of `table`.
-        diagnosis: of the session.
+        collected: rows of the session.
+        diagnosis: of it.
         inputs: of the network.
         seconds: how long each step took.
     """
 
     trials: list[Trial]
+    collected: int
     diagnosis: DiagnosisResult
     inputs: tuple[str, ...]
     seconds: dict[str, float]
@@ -102,7 +104,7 @@ def demonstrate(
 
         drive(table.ORIGINAL, Method.NONE)
         drive(table.DECLARED, Method.DEFLECTION)
-        _collect(settings, arm, client, say)
+        collected = _collect(settings, arm, client, say)
         clock.done("collect")
         diagnosis = find_effects(settings, arm, say)
         clock.done("diagnose")
@@ -112,7 +114,7 @@ def demonstrate(
         drive(table.FOUND, Method.DEFLECTION)
         drive(table.LEARNED, Method.BOTH)
     clock.done("clean_up")
-    return DemoResult(trials, diagnosis, tuple(predictor.encoding.names), clock.seconds)
+    return DemoResult(trials, collected, diagnosis, tuple(predictor.encoding.names), clock.seconds)
 
 
 def _prepare(settings: DemoSettings) -> None:
@@ -127,11 +129,11 @@ def _prepare(settings: DemoSettings) -> None:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
-def _collect(settings: DemoSettings, arm: Arm, client: ArmClient, say: Say) -> None:
+def _collect(settings: DemoSettings, arm: Arm, client: ArmClient, say: Say) -> int:
     plan = sobol(arm, settings.poses, settings.seed)
     write_poses(plan, settings.out / "poses.csv")
     todo = visits(plan, arm, repeats=min(5, settings.poses // 10), seed=settings.seed)
-    collect(client, todo, settings.bag, pace=PACE, progress=say)
+    return collect(client, todo, settings.bag, pace=PACE, progress=say).made
 
 
 def _reload(client: ArmClient) -> None:
@@ -171,6 +173,7 @@ def report(settings: DemoSettings, result: DemoResult) -> dict[str, Any]:
     return {
         "rows": table.rows(result.trials),
         "improved": result.improved,
+        "collected": result.collected,
         "outside_training_data": result.outside,
         "verdict": result.diagnosis.verdict,
         "diagnosis": result.diagnosis.summary,

@@ -17,6 +17,9 @@ NAMESPACE = "longarm_demo"
 PACE = Pace(sightings=3, dwell_s=0.06, move_s=0.05, arrive_s=20.0, look_s=3.0, tolerance=5e-4)
 _FRAME_RATE_HZ = 15.0
 
+LEAST_POSES = 60
+"""With fewer poses the diagnosis cannot weigh a library of some 170 parameters."""
+
 
 @dataclass(frozen=True)
 class DemoSettings:
@@ -42,7 +45,7 @@ class DemoSettings:
     parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name, least in (("poses", 30), ("targets", 2)):
+        for name, least in (("poses", LEAST_POSES), ("targets", 2)):
             if getattr(self, name) < least:
                 raise InputError("demo", f"--{name}", getattr(self, name), f"at least {least}")
 

@@ -1,0 +1,75 @@
+"""The monitor of the tip: which one drifts, the prediction or the way to the target."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from small_arm import ARM
+
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.history import History
+from longarm_comp.core.data.rest_pose import RestPose
+from longarm_comp.core.effects.camera_pose import CameraPose
+from longarm_comp.core.model.model import Model
+
+pytest.importorskip("rclpy")
+
+from longarm_comp.nodes.health import OK, WARN
+from longarm_comp.nodes.monitoring import TipMonitor
+
+
+class NoPredictor:
+    """No predictor is on the graph."""
+
+    present = False
+
+
+def watched(model: Model, off_prediction: float, off_target: float) -> TipMonitor:
+    """Forty rest poses: the tip is off its prediction, and its prediction off the target."""
+    monitor = TipMonitor(NoPredictor(), 0.0, 1, 1e-3, 1e4, lambda: "advice")  # type: ignore[arg-type]
+    rng = np.random.default_rng(1)
+    for number in range(40):
+        q = ARM.mid + 0.2 * (ARM.upper - ARM.lower) * (rng.random(ARM.n) - 0.5)
+        noise = 3e-4 * rng.standard_normal(3)
+        seen = model.measured(q) + np.array([0.0, 0.0, off_prediction]) + noise
+        monitor.aimed(q, model.tip(q) - [0.0, 0.0, off_target])
+        rest = RestPose(q, History.unknown(ARM.n), seen, np.full(3, 1e-8), number + 1)
+        monitor.judge(rest, model, Context.empty())
+    return monitor
+
+
+@pytest.fixture
+def model() -> Model:
+    """Whose camera stands 5 mm beside where it is declared: that is no miss."""
+    return Model(ARM, (), (CameraPose(x=5e-3),))
+
+
+def test_a_healthy_arm_raises_no_alarm(model: Model) -> None:
+    monitor = watched(model, 0.0, 0.0)
+    assert monitor.report().level == OK
+    assert monitor.target_report().level == OK
+    assert monitor.target_report().facts["targets"] == 40
+
+
+def test_a_drifted_arm_is_off_both(model: Model) -> None:
+    monitor = watched(model, 4e-3, 0.0)
+    assert monitor.report().level == WARN
+    assert monitor.target_report().level == WARN
+    assert "as beside the prediction" in monitor.target_report().message
+
+
+def test_commands_for_other_circumstances_show_at_the_target_alone(model: Model) -> None:
+    monitor = watched(model, 0.0, 4e-3)
+    assert monitor.report().level == OK
+    assert monitor.target_report().level == WARN
+    assert "other circumstances" in monitor.target_report().message
+    assert "+4.0" in monitor.target_report().message or "+3.9" in monitor.target_report().message
+
+
+def test_a_pose_that_is_no_target_is_not_judged_by_one(model: Model) -> None:
+    monitor = TipMonitor(NoPredictor(), 0.0, 1, 1e-3, 1e4, lambda: "advice")  # type: ignore[arg-type]
+    monitor.aimed(ARM.mid, np.zeros(3))
+    q = ARM.mid + 0.01
+    rest = RestPose(q, History.unknown(ARM.n), model.measured(q), np.full(3, 1e-8), 1)
+    monitor.judge(rest, model, Context.empty())
+    assert monitor.target_report().facts["targets"] == 0
