@@ -1,1 +1,1 @@
-"""Benchmarks: what is fast, what is accurate, each beside what it is compared with."""
+"""Benchmarks of speed and accuracy, each with the peer that it is compared with."""

@@ -1,4 +1,4 @@
-"""The arm that the benchmarks measure on."""
+"""The arm of the benchmarks."""
 
 from __future__ import annotations
 
@@ -18,5 +18,5 @@ def demo_arm_file() -> Path:
 
 
 def demo_arm() -> Arm:
-    """That arm, loaded."""
+    """The arm of the demonstration."""
     return Arm.load(demo_arm_file())

@@ -1,4 +1,4 @@
-"""Bags measured: messages a second, written and read, and the memory for a session of 1 GB.
+"""Benchmarks of bags: messages per second, written and read, and memory for a session of 1 GB.
 
 The peers handle the same messages: `rosbags`, which this package stands on, as bare as it goes, and
 the readers and writers that come with the mcap format for ROS 2.
@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 from rosbags.rosbag2 import Reader
 
-from bench.apart import cost_of
 from bench.arms import demo_arm
-from bench.bag_made import Raw, recording, write_raw
 from bench.comparison import Result, beside, missing
+from bench.subprocess_cost import cost_of
+from bench.synthetic_bag import Raw, recording, write_raw
 from longarm_comp.core.data.session import Session
 from longarm_comp.sessions.bag import read_bag
 from longarm_comp.sessions.bag_segments import SegmentedBag
@@ -42,14 +42,14 @@ def _scratch() -> AbstractContextManager[str]:
 def _rates(
     sides: tuple[Callable[[int], int], Callable[[int], int]], repeats: int
 ) -> list[np.ndarray]:
-    """Messages per second of processor time of both sides, which take turns."""
-    made: tuple[list[float], list[float]] = ([], [])
+    """Messages per second of processor time of both sides, measured alternately."""
+    per_second: tuple[list[float], list[float]] = ([], [])
     for turn in range(repeats):
-        for rates, work in zip(made, sides, strict=True):
+        for rates, work in zip(per_second, sides, strict=True):
             begin = time.process_time()
             done = work(turn)
             rates.append(done / (time.process_time() - begin))
-    return [np.array(rates) for rates in made]
+    return [np.array(rates) for rates in per_second]
 
 
 # ------------------------------------------------------------------ reading
@@ -114,7 +114,7 @@ def _recorded(path: Path, messages: list[Raw]) -> int:
 
 
 def bag_record_vs_rosbags(count: int = MESSAGES, repeats: int = REPEATS) -> Result:
-    """Messages as they come from ROS, into a bag that survives a kill, against the bare writer."""
+    """Recording of ROS messages in a bag that survives a kill, against the bare writer."""
     messages = list(islice(recording(demo_arm()), count))
     with _scratch() as scratch:
         mine, other = _rates(
@@ -167,7 +167,7 @@ def bag_write_vs_mcap_ros2(rows: int = 4_000, repeats: int = REPEATS) -> Result:
 
 
 def _definitions() -> dict[str, str]:
-    """Message definitions as the format wants them."""
+    """Message definitions in the format's form."""
     types = message_types()
     topics = ("joint_trajectory", "tip_measured", "session_row")
     return {TYPES[t]: types.generate_msgdef(TYPES[t], ros_version=2)[0] for t in topics}
@@ -176,7 +176,7 @@ def _definitions() -> dict[str, str]:
 def _messages(
     names: tuple[str, ...], q: np.ndarray, xyz: np.ndarray
 ) -> list[tuple[str, dict[str, object]]]:
-    """What `write_bag` writes of a row, as that library takes it."""
+    """The messages of `write_bag` for a row, in the form of that library."""
     header = {"stamp": {"sec": 1, "nanosec": 0}, "frame_id": "base"}
     after = {"sec": 0, "nanosec": 0}
     point = {"positions": q.tolist(), "velocities": [], "accelerations": [], "effort": [],

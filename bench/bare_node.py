@@ -1,4 +1,4 @@
-"""The floor of a node's start: rclpy, one service, nothing else."""
+"""A minimal rclpy node with one service, as the reference for the start of nodes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from std_srvs.srv import Trigger
 
 
 def main() -> None:
-    """Be ready, say so, and end."""
+    """Start, report readiness and end."""
     rclpy.init()
     node = rclpy.create_node("bare")
     node.create_service(Trigger, "ready", lambda _, response: response)

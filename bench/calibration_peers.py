@@ -1,4 +1,4 @@
-"""Calibration of the same parameters on the same data, by what a user would take otherwise."""
+"""Calibration of the same parameters on the same data with other libraries."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from bench.python_apart import python_of
+from bench.peer_environment import python_of
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import JobError
@@ -23,7 +23,7 @@ PYBOTICS = ("pybotics==3.1.2",)
 
 @dataclass(frozen=True)
 class Calibrated:
-    """What a peer reached."""
+    """Result of a peer."""
 
     seconds: float
     held_out_mm: float
@@ -46,7 +46,7 @@ def pybotics(arm: Arm, session: Session, held_out: Session) -> Calibrated:
     """Rigid calibration as in pybotics's own example: DH rows beyond the first, the world's pose.
 
     Raises:
-        JobError: it cannot be installed, or did not answer.
+        JobError: it cannot be installed, or it failed.
     """
     joints = arm.joints
     rows = [(np.radians(j.alpha_deg), j.a_m, np.radians(j.theta_offset_deg), j.d_m) for j in joints]

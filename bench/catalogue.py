@@ -1,4 +1,4 @@
-"""Every benchmark by name: a function of that name in the module that it stands beside."""
+"""List of the benchmarks by name; each is a function of that name in its module."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ BENCHMARKS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
         ),
     },
 }
-"""By kind and module. Some names are agreed with whoever compares machines; each gives one row."""
+"""Names by kind and module. Some names are fixed by agreement; each gives one row."""
 
 MODULE_OF = {
     name: module
@@ -121,18 +121,18 @@ KIND_OF = {
 
 
 def chosen(names: Sequence[str]) -> tuple[str, ...]:
-    """Benchmarks that some names mean: their own, or all of a kind (`ros`); none: every one.
+    """Benchmarks selected by names or kinds (`ros`); without names all of them.
 
     Raises:
         InputError: no such name or kind.
     """
-    made: list[str] = []
+    selected: list[str] = []
     for name in names:
         alike = [known for known, kind in KIND_OF.items() if name in (known, kind)]
         if not alike:
             raise InputError("bench", "name", name, ", ".join((*MODULE_OF, *BENCHMARKS)))
-        made += [known for known in alike if known not in made]
-    return tuple(made) or tuple(MODULE_OF)
+        selected += [known for known in alike if known not in selected]
+    return tuple(selected) or tuple(MODULE_OF)
 
 
 def run(name: str) -> Mapping[str, object]:

@@ -1,4 +1,4 @@
-"""One row of results: what was measured, beside what, and how far the repeats differ."""
+"""One row of results: value, peer, ratio and spread of the repeats."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def beside(
     more_is_better: bool = False,
     **further: object,
 ) -> Result:
-    """Medians of repeats that took turns; the ratio is above 1 where this package is ahead.
+    """Medians of alternating repeats. The ratio is above 1 if this package is better.
 
     Args:
         name: of the benchmark.
         unit: of both sides.
-        ours, theirs: one figure per repeat; a single one of a side stands for all.
-        peer: what it is compared with.
-        more_is_better: a rate; otherwise a time or a size.
+        ours, theirs: one value per repeat; a single value stands for all repeats.
+        peer: name of the peer.
+        more_is_better: True for a rate, False for a time or a size.
         further: other figures and a note.
     """
     mine, other = np.asarray(ours, float), np.asarray(theirs, float)
@@ -46,7 +46,7 @@ def beside(
 def alone(
     name: str, unit: str, ours: Sequence[float] | np.ndarray, note: str, **further: object
 ) -> Result:
-    """A figure that nothing is compared with; the spread is of the figure itself."""
+    """A value without a peer; the spread is of the value itself."""
     mine = np.asarray(ours, float)
     return {
         "name": name,
@@ -62,6 +62,6 @@ def alone(
 
 
 def missing(name: str, peer: str, why: str) -> Result:
-    """A benchmark whose peer cannot be had here."""
+    """A benchmark whose peer is not available here."""
     empty = dict.fromkeys(("value", "unit", "peer_value", "ratio", "spread"))
     return {"name": name, "peer": peer, "note": why, **empty}

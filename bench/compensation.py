@@ -1,4 +1,4 @@
-"""From target to command in one process, with a predictor that costs nothing."""
+"""Benchmarks of compensation in one process, with a predictor of negligible cost."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from longarm_comp.core.ik import solver as ik
 
 
 class _Smooth:
-    """A predictor whose time is next to none: what is timed is the compensation."""
+    """A predictor of negligible cost, so that only the compensation is timed."""
 
     def predict(self, q: np.ndarray, context: Any = None) -> Any:
         """Some 2 mm down, growing with the first joint."""
@@ -31,13 +31,13 @@ def compensate_batch_10000(count: int = 10_000) -> Result:
     model = soft_model(demo_arm())
     targets = model.tip(random_joints(model.arm, count, 5))
     ik.warm_up()
-    made = compensate_many(model, _Smooth(), targets, method=Method.BOTH)
+    batch = compensate_many(model, _Smooth(), targets, method=Method.BOTH)
     rates = count / timed(
         lambda _: compensate_many(model, _Smooth(), targets, method=Method.BOTH),
         range(5),
         time.process_time,
     )
-    note = f"success {made.success.mean():.4f}, {made.passes.mean():.1f} passes"
+    note = f"success {batch.success.mean():.4f}, {batch.passes.mean():.1f} passes"
     return alone("compensate_batch_10000", "targets/s", rates, note)
 
 

@@ -1,7 +1,7 @@
-"""Diagnosis measured: seconds and memory against samples and against candidates.
+"""Benchmarks of diagnosis: time and memory over samples and over candidates.
 
-The whole of it: geometry, search, structure, look-alikes, bootstrap, proof on a sealed hold-out and
-next poses.  Two effects are hidden in the session, a compliant joint 2 and play in joint 4.
+They cover all steps: geometry, search, structure, aliases, bootstrap, proof on a sealed hold-out
+and next poses.  Two effects are hidden in the session, a compliant joint 2 and play in joint 4.
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ import time
 from functools import lru_cache
 from typing import Any
 
-from bench.apart import Cost, cost_of
 from bench.arms import demo_arm
-from bench.calibration import made_session
+from bench.calibration import synthetic_session
 from bench.comparison import Result, beside
+from bench.subprocess_cost import Cost, cost_of
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.effects.joint_compliance import JointCompliance
@@ -25,8 +25,8 @@ HIDDEN = (JointCompliance(2, 2e-3), Backlash(joint=4, width=6e-3))
 
 
 def diagnose_once(samples: int, kinds: int = len(LIBRARY), seed: int = 0) -> dict[str, object]:
-    """One diagnosis with the first so many kinds of effects; making the data is not timed."""
-    session = made_session(demo_arm(), samples, seed, hidden=HIDDEN)
+    """One diagnosis with the first ``kinds`` effects; generating the data is not timed."""
+    session = synthetic_session(demo_arm(), samples, seed, hidden=HIDDEN)
     begin, used = time.perf_counter(), time.process_time()
     found = diagnose(demo_arm(), session, kinds=LIBRARY[:kinds], seed=seed)
     candidates = library(demo_arm(), session.context(), LIBRARY[:kinds]).testable
@@ -44,7 +44,7 @@ def _cost(samples: int, kinds: int = len(LIBRARY), seed: int = 0) -> Cost:
     return cost_of(__name__, "diagnose_once", samples, kinds, seed)
 
 
-def _told(cost: Cost) -> dict[str, Any]:
+def _facts(cost: Cost) -> dict[str, Any]:
     found = ", ".join(cost.result["found"]) or "nothing"
     return {
         "grown_mb": cost.grown_mb,
@@ -56,7 +56,7 @@ def diagnose_300_vs_goal(repeats: int = 3) -> Result:
     """The whole diagnosis of 300 samples with bootstrap, one core; goal 30 s."""
     costs = [_cost(300, len(LIBRARY), seed) for seed in range(repeats)]
     each = [cost.result["cpu_s"] for cost in costs]
-    return beside("diagnose_300_vs_goal", "s CPU", each, "goal", [GOAL_S], **_told(costs[0]))
+    return beside("diagnose_300_vs_goal", "s CPU", each, "goal", [GOAL_S], **_facts(costs[0]))
 
 
 def diagnose_3000() -> Result:
@@ -77,7 +77,7 @@ def _grown(samples: int) -> Result:
         [many.result["cpu_s"]],
         "linear growth from 300",
         [few.result["cpu_s"] * samples / 300],
-        **_told(many),
+        **_facts(many),
     )
 
 
@@ -91,5 +91,5 @@ def diagnose_candidates(samples: int = 300) -> Result:
         [whole.result["cpu_s"]],
         f"linear growth from {few} candidates",
         [half.result["cpu_s"] * many / few],
-        **_told(whole),
+        **_facts(whole),
     )

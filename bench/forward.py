@@ -1,4 +1,4 @@
-"""Forward kinematics of the deflected arm beside rigid ones, and what its columns cost."""
+"""Benchmarks of forward kinematics: the deflected arm against rigid ones, and its columns."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def _pinocchio(arm: Arm, q: np.ndarray) -> Work:
 
 
 def _beside(name: str, kind: Callable[[Arm, np.ndarray], Work], peer: str) -> Result:
-    """Machine code, or arrays where there is no compiler, beside rigid forward kinematics."""
+    """Machine code, or arrays without a compiler, against rigid forward kinematics."""
     model = soft_model(demo_arm())
     q = random_joints(model.arm, COUNT, 4)
     try:
@@ -183,7 +183,7 @@ def forward_cost() -> Result:
 
 
 def _valued(effect: Effect) -> Effect:
-    """With parameters that are not zero, so that nothing of it folds away."""
+    """The effect with non-zero parameters, so that no term is folded away."""
     return effect.with_values(
         {p.name: max(0.1 * p.prior, p.lower) for p in effect.declared() if p.prior > 0}
     )

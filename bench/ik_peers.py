@@ -1,7 +1,7 @@
-"""Inverse kinematics of other libraries, on the rigid arm: they know no other.
+"""Inverse kinematics of other libraries, which support only the rigid arm.
 
-Each is asked for what it takes to reach 1e-5 m; a library that is not installed raises
-ImportError when its class is made.
+Each is set to the tolerance that it needs to reach 1e-5 m.  The class of a library that is not
+installed raises ImportError.
 """
 
 from __future__ import annotations

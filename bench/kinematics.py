@@ -1,8 +1,8 @@
-"""Inverse kinematics measured beside its peers in one run.
+"""Benchmarks of inverse kinematics against peers in one run.
 
 The peers solve the *rigid* arm, this package the deflected one: targets are each model's own
 poses of the same random joints.  An answer counts where its error is below 1e-5 m and inside
-the limits.  Sides take turns in blocks, so that both meet the machine in the same mood; ratios
+the limits.  The sides alternate in blocks, so that both are measured under the same load.  Ratios
 above 1 mean faster than the peer.
 """
 
@@ -27,14 +27,14 @@ from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.solver import Engine
 from longarm_comp.core.model.model import Model
 
-TOLERANCE = 1e-7  # m and rad, ten times closer than what is asked of the peers
+TOLERANCE = 1e-7  # m and rad, ten times tighter than that of the peers
 BLOCKS = 8
 PER_BLOCK = 50
 BATCH = 4000
 
 
 def soft_model(arm: Arm, elements_per_beam: int = 2) -> Model:
-    """Links that sag and joints that give way."""
+    """A model with link deflection and joint compliance."""
     soft = tuple(JointCompliance(row, 1e-3) for row in arm.commanded if row in (1, 2, 5, 6))
     return Model(arm, (LinkDeflection(), *soft), elements_per_beam=elements_per_beam)
 
@@ -58,12 +58,12 @@ def _in_turns(
     ours: Callable[[int], Any], theirs: Callable[[int], Any], per_block: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Seconds of single calls, (BLOCKS, per_block) each."""
-    made: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
+    times: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
     for block in range(BLOCKS):
         rows = range(block * per_block, (block + 1) * per_block)
-        for side, solve in zip(made, (ours, theirs), strict=True):
+        for side, solve in zip(times, (ours, theirs), strict=True):
             side.append(timed(solve, rows))
-    return np.array(made[0]), np.array(made[1])
+    return np.array(times[0]), np.array(times[1])
 
 
 def _engine(fallback: Engine) -> Engine:
@@ -76,7 +76,7 @@ def _single(
     start: Callable[[Arm, np.ndarray], np.ndarray],
     per_block: int = PER_BLOCK,
 ) -> Result:
-    """Medians of single pose tasks; `start` makes the seeds of given joints."""
+    """Medians of single pose tasks; `start` computes the seeds from the joints."""
     model = soft_model(demo_arm())
     arm, engine = model.arm, _engine(Engine.PYTHON)
     try:
@@ -224,7 +224,7 @@ def ik_batch_without_compiler() -> Result:
 
 
 def ik_compile_seconds() -> Result:
-    """What the first target of a model waits for: tracing and compiling it."""
+    """Time to trace and compile a model, for which its first target waits."""
     arm = demo_arm()
 
     def work(k: int) -> None:

@@ -1,4 +1,4 @@
-"""What the figures were measured on, and how busy it was."""
+"""Description of the machine and its load."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def machine() -> str:
 
 
 def libraries() -> dict[str, str]:
-    """Versions of what the speed depends on."""
+    """Versions of the libraries that the speed depends on."""
     found = {}
     for name in _LIBRARIES:
         try:
@@ -30,7 +30,7 @@ def libraries() -> dict[str, str]:
 
 
 def load() -> float:
-    """Processes that wanted to run, on average over the last minute."""
+    """Load average over the last minute."""
     return os.getloadavg()[0]
 
 

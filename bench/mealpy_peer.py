@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.python_apart import python_of
+from bench.peer_environment import python_of
 from longarm_comp.core.errors import JobError
 
 REQUIREMENTS = ("mealpy==3.0.3", "numpy<=1.26")
 
 
 class MealpyPeer:
-    """A running mealpy process; one request at a time, so that both sides share one machine."""
+    """A running mealpy process. It handles one request at a time."""
 
     def __init__(self, x: NDArray[Any], y: NDArray[Any], hidden: int) -> None:
         self._folder = tempfile.TemporaryDirectory()

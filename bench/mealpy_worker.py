@@ -1,4 +1,4 @@
-"""The peer's side of the sparrow benchmark; runs inside mealpy's own environment, alone.
+"""The peer's process of the sparrow benchmark; it runs in mealpy's own environment.
 
 Reads one JSON object a line (``data``: npz with x, y; ``hidden``, ``population``, ``epochs``,
 ``seed``), answers one JSON object a line. It must not import longarm_comp: that is not installed

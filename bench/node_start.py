@@ -1,8 +1,8 @@
-"""Start of the nodes measured: from the start of the process until it serves its first callback.
+"""Benchmarks of node start: from the start of the process to its first callback.
 
-The floor is a node of rclpy that offers one service and nothing else.  Discovery is left out: it is
-the middleware's, and a client that was there before learns of a new node only with its next
-announcement, up to 3 s later, whatever the node is.
+The reference is an rclpy node that offers only one service.  Discovery is not included: it belongs
+to the middleware, and an existing client learns of any new node only with the next announcement,
+up to 3 s later.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 
-from bench.apart import environment
 from bench.arms import demo_arm, demo_arm_file
 from bench.comparison import Result, beside, missing
+from bench.subprocess_cost import environment
 from longarm_comp.core.errors import JobError
 
 REPEATS = 5
@@ -27,12 +27,12 @@ FLOOR = "bare rclpy node"
 
 
 def start_simulated_arm() -> Result:
-    """The arm that stands in for hardware."""
+    """The simulated arm."""
     return _node("simulated_arm")
 
 
 def start_servo_driver() -> Result:
-    """Unconfigured: the servos are asked when it is configured."""
+    """Unconfigured: the servos are read only when it is configured."""
     return _node("servo_driver")
 
 
@@ -42,7 +42,7 @@ def start_stereo_bridge() -> Result:
 
 
 def start_kinematics() -> Result:
-    """With the arm of the demonstration; the search is compiled afterwards, beside the targets."""
+    """With the arm of the demonstration; the search is compiled later, in the background."""
     return _node("kinematics")
 
 
@@ -61,14 +61,14 @@ def _node(node: str) -> Result:
 
 @lru_cache(maxsize=1)
 def ready_times(repeats: int = REPEATS, *, warm: bool = True) -> dict[str, list[float]]:
-    """Milliseconds of every node and of the floor, in turns; `warm`: one turn before that.
+    """Milliseconds of every node and of the reference, alternating; `warm`: one round first.
 
     Raises:
-        JobError: a node did not come up.
+        JobError: a node did not start.
     """
     from longarm_comp.nodes.bringup import SIMULATED
 
-    made: dict[str, list[float]] = {name: [] for name in ("bare", *SIMULATED)}
+    times: dict[str, list[float]] = {name: [] for name in ("bare", *SIMULATED)}
     with tempfile.TemporaryDirectory(prefix="longarm_bench_") as scratch:
         commands = _commands(Path(scratch), SIMULATED)
         if warm:  # read from disk once
@@ -76,28 +76,28 @@ def ready_times(repeats: int = REPEATS, *, warm: bool = True) -> dict[str, list[
                 _ready(command, scratch)
         for _ in range(repeats):
             for name, command in commands.items():
-                made[name].append(1e3 * _ready(command, scratch))
-    return made
+                times[name].append(1e3 * _ready(command, scratch))
+    return times
 
 
 def _commands(folder: Path, nodes: Sequence[str]) -> dict[str, list[str]]:
-    """What starts the floor and each node, which ends by itself once it serves."""
-    from longarm_comp.jobs.dummy_predictor import train_stand_in
+    """Commands of the reference and of each node, which end when they serve."""
+    from longarm_comp.jobs.dummy_predictor import train_dummy
     from longarm_comp.nodes.bringup import BringUp
 
     predictor = folder / "predictor.npz"
-    train_stand_in(demo_arm(), predictor)
+    train_dummy(demo_arm(), predictor)
     space = f"longarm_bench_{os.getpid()}"
     graph = BringUp(demo_arm_file(), predictor=predictor, sim=True, namespace=space)
-    made = {"bare": [sys.executable, "-m", "bench.bare_node"]}
+    commands = {"bare": [sys.executable, "-m", "bench.bare_node"]}
     for node in nodes:
         python, flag, module, *rest = graph.command(node, str(folder / "bus"))
-        made[node] = [python, flag, "bench.ready_node", module, *rest]
-    return made
+        commands[node] = [python, flag, "bench.ready_node", module, *rest]
+    return commands
 
 
 def _ready(command: Sequence[str], folder: str) -> float:
-    """Seconds until a process says that it is ready."""
+    """Seconds until a process reports that it is ready."""
     variables = {
         **environment(),
         "ROS_LOG_DIR": folder,

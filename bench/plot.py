@@ -1,4 +1,4 @@
-"""The ratios of one run as a picture: one bar a row, above 1 ahead of the peer."""
+"""Bar chart of the ratios of one run; above 1 is better than the peer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The peer's side of the rigid calibration; runs inside pybotics's own environment, alone.
+"""The peer's process of the rigid calibration; it runs in pybotics's own environment.
 
 Reads one JSON object (``data``: npz with rows (n, 4) of alpha, a, theta, d, ``prismatic`` (n,),
 ``q``, ``xyz``, ``tip`` (3,), ``held_q``, ``held_xyz``), answers one. It must not import

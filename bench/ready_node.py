@@ -1,4 +1,4 @@
-"""Run a node until it serves, say so, and end: ``ready_node MODULE --ros-args ...``."""
+"""Starts a node, reports that it serves, and ends: ``ready_node MODULE --ros-args ...``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ WORD = "ready"
 
 
 def main() -> None:
-    """Everything that the node does before its first callback."""
+    """Run the node up to its first callback."""
     module = sys.argv.pop(1)
     runner.spin = lambda executor, node, stop: print(WORD, flush=True)
     importlib.import_module(module).main()

@@ -1,10 +1,10 @@
-"""Latency of the graph beside a bare rclpy echo of the same messages, in the same run.
+"""Benchmarks of the graph's latency against a bare rclpy echo of the same messages.
 
 Processes: `kinematics`, `error_predictor` with a trained predictor, the echo, and this one.
-Blocks of calls take turns, so that every side meets the machine in the same mood.  Shares of a
-target, all p50: DDS is the echo; the predictor is its service's round trip times the questions
-that a target takes; the inverse kinematics is the whole compensation, done here with an error
-that is known at once; the node is what is left (threads, executors, messages).
+Blocks of calls alternate, so that all sides are measured under the same load.  The p50 of a target
+is divided into shares.  DDS is the echo.  The predictor is the round trip of its service times the
+requests of a target.  The inverse kinematics is the whole compensation, computed here with a known
+error.  The node is the remainder (threads, executors, messages).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numpy as np
 from bench.arms import demo_arm, demo_arm_file
 from bench.comparison import Result, alone, beside
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.jobs.dummy_predictor import train_stand_in
+from longarm_comp.jobs.dummy_predictor import train_dummy
 
 PEER = "bare rclpy echo of the same messages"
 BLOCKS, PER_BLOCK = 8, 50
@@ -80,27 +80,27 @@ def ros_compensate_vs_echo_p99_ms() -> Result:
 
 
 def ros_share_dds_ms() -> Result:
-    """Of a target: what the echo takes."""
+    """Share of a target: the echo."""
     return _share("dds")
 
 
 def ros_share_predictor_ms() -> Result:
-    """Of a target: asking the predictor."""
+    """Share of a target: requests to the predictor."""
     return _share("predictor", questions_per_target=figures().questions)
 
 
 def ros_share_ik_ms() -> Result:
-    """Of a target: compensation with the error known."""
+    """Share of a target: compensation with a known error."""
     return _share("ik")
 
 
 def ros_share_node_ms() -> Result:
-    """Of a target: the rest."""
+    """Share of a target: the remainder."""
     return _share("node")
 
 
 def ros_sustained_rate_vs_echo_hz() -> Result:
-    """Targets a second that are worked off while some wait: above it queues grow."""
+    """Targets per second that are processed while others wait; above it queues grow."""
     f = figures()
     return beside(
         "ros_sustained_rate_vs_echo_hz", "1/s", f.rate, PEER, f.echo_rate, more_is_better=True
@@ -109,8 +109,8 @@ def ros_sustained_rate_vs_echo_hz() -> Result:
 
 def _p(values: np.ndarray, share: float) -> np.ndarray:
     """Percentile of each block."""
-    made: np.ndarray = np.percentile(values, share, axis=1)
-    return made
+    percentiles: np.ndarray = np.percentile(values, share, axis=1)
+    return percentiles
 
 
 def _beside(name: str, ours: np.ndarray, echo: np.ndarray, percent: float) -> Result:
@@ -129,7 +129,7 @@ def _share(of: str, **further: object) -> Result:
 
 @lru_cache(maxsize=1)
 def figures(blocks: int = BLOCKS, per_block: int = PER_BLOCK) -> Figures:
-    """Everything, measured once a process."""
+    """All measurements, taken once per process."""
     from bench.ros_calls import Calls
 
     arm = demo_arm()
@@ -140,15 +140,15 @@ def figures(blocks: int = BLOCKS, per_block: int = PER_BLOCK) -> Figures:
             calls.topic, calls.topic_echo, calls.service, calls.service_echo, calls.predict,
             calls.compute,
         )  # fmt: skip
-        made: list[list[list[float]]] = [[] for _ in sides]
+        rounds: list[list[list[float]]] = [[] for _ in sides]
         for block in range(blocks):
             rows = range(block * per_block, (block + 1) * per_block)
-            for side, call in zip(made, sides, strict=True):
+            for side, call in zip(rounds, sides, strict=True):
                 side.append([1e3 * call(i) for i in rows])
         per_target = calls.predictions_per_target(per_block)
         rates = [(calls.rate(BURST), calls.echo_rate(BURST)) for _ in range(BURSTS)]
     rate, echo_rate = np.array(rates).T
-    topic, topic_echo, service, service_echo, predictor, compute = (np.array(m) for m in made)
+    topic, topic_echo, service, service_echo, predictor, compute = (np.array(m) for m in rounds)
     return Figures(
         topic, topic_echo, service, service_echo, predictor, compute, per_target, rate, echo_rate
     )
@@ -156,7 +156,7 @@ def figures(blocks: int = BLOCKS, per_block: int = PER_BLOCK) -> Figures:
 
 @contextmanager
 def _graph(arm: Arm) -> Iterator[Callable[[Any], Any]]:
-    """The processes; gives what makes the caller's side."""
+    """Run the processes; yields a function that creates the caller's side."""
     from longarm_comp.nodes.supervisor import Supervisor
 
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -164,7 +164,7 @@ def _graph(arm: Arm) -> Iterator[Callable[[Any], Any]]:
     with tempfile.TemporaryDirectory(prefix="longarm_bench_") as scratch:
         os.environ.setdefault("ROS_LOG_DIR", scratch)
         predictor = Path(scratch) / "predictor.npz"
-        train_stand_in(arm, predictor)
+        train_dummy(arm, predictor)
         module, ros = [sys.executable, "-m"], ["--ros-args", "-r", f"__ns:=/{space}"]
         file = ["-p", f"arm:='{demo_arm_file()}'"]
         commands = {
@@ -176,14 +176,14 @@ def _graph(arm: Arm) -> Iterator[Callable[[Any], Any]]:
             ],
         }
         with Supervisor(commands, respawn=False):
-            made: list[Any] = []
+            nodes: list[Any] = []
 
             def calls_on(kind: Any) -> Any:
-                made.append(kind(arm, space))
-                return made[-1]
+                nodes.append(kind(arm, space))
+                return nodes[-1]
 
             try:
                 yield calls_on
             finally:
-                for calls in made:
+                for calls in nodes:
                     calls.close()

@@ -31,7 +31,7 @@ _PATIENCE_S = 10.0
 
 
 class Calls:
-    """Every call returns its seconds, and begins once the story of the one before is told."""
+    """Timed calls. Each starts after the answer to the one before has been published."""
 
     def __init__(self, arm: Arm, namespace: str) -> None:
         self._client = ArmClient(arm, namespace, name="caller")
@@ -41,7 +41,7 @@ class Calls:
         self._poses = [_stamped(matrix) for matrix in self._targets]
         self._model, self._known = declared_model(arm), _Known(arm.n)
         ik.warm_up(self._model)
-        self._got = self._echoed = self._predicted = self._stories = 0
+        self._got = self._echoed = self._predicted = self._compensations = 0
         self._joints = graph.JOINT_STATES.publisher(node)
         self._target = graph.TARGET_POSE.publisher(node)
         self._echo_target = node.create_publisher(PoseStamped, "echo_target", _DEPTH)
@@ -49,7 +49,9 @@ class Calls:
             JointTrajectory, graph.JOINT_TRAJECTORY.name, self._on_trajectory, _DEPTH
         )
         node.create_subscription(JointTrajectory, "echo_trajectory", self._on_echo, _DEPTH)
-        node.create_subscription(Compensation, graph.COMPENSATION.name, self._on_story, _DEPTH)
+        node.create_subscription(
+            Compensation, graph.COMPENSATION.name, self._on_compensation, _DEPTH
+        )
         self._compensate = graph.COMPENSATE.client(node)
         self._echo_compensate = node.create_client(Compensate, "echo_compensate")
         self._predict = graph.PREDICT_ERROR.client(node)
@@ -70,8 +72,8 @@ class Calls:
     def _on_echo(self, message: JointTrajectory) -> None:
         self._echoed += 1
 
-    def _on_story(self, message: Compensation) -> None:
-        self._stories += 1
+    def _on_compensation(self, message: Compensation) -> None:
+        self._compensations += 1
 
     def _on_prediction(self, message: Any) -> None:
         self._predicted += 1
@@ -80,7 +82,7 @@ class Calls:
         self._client.until(condition, within_s, "no answer")
 
     def warm_up(self) -> None:
-        """Everybody is there, and has done everything a few times."""
+        """Wait until all nodes are up, and repeat all calls a few times."""
         for service in (self._compensate, self._echo_compensate, self._predict):
             self._until(service.service_is_ready, 60.0)
         for topic in (self._target, self._echo_target, self._joints):
@@ -99,12 +101,12 @@ class Calls:
 
     def topic(self, i: int) -> float:
         """`target_pose` to `joint_trajectory`."""
-        want, told = self._got + 1, self._stories + 1
+        want, published = self._got + 1, self._compensations + 1
         begin = time.perf_counter()
         self._target.publish(self._poses[i % _POSES])
         self._until(lambda: self._got >= want)
         seconds = time.perf_counter() - begin
-        self._until(lambda: self._stories >= told)
+        self._until(lambda: self._compensations >= published)
         return seconds
 
     def topic_echo(self, i: int) -> float:
@@ -117,9 +119,12 @@ class Calls:
 
     def service(self, i: int) -> float:
         """`compensate`, from the last joint states."""
-        request, told = Compensate.Request(target=self._poses[i % _POSES]), self._stories + 1
+        request, published = (
+            Compensate.Request(target=self._poses[i % _POSES]),
+            self._compensations + 1,
+        )
         seconds, answer = self._call(self._compensate, request)
-        self._until(lambda: self._stories >= told)
+        self._until(lambda: self._compensations >= published)
         if answer.status != Compensate.Response.SUCCESS:
             raise JobError(f"a target of the benchmark was refused: {answer.message}")
         return seconds
@@ -136,12 +141,12 @@ class Calls:
         return self._call(self._predict, PredictError.Request(joints=joints))[0]
 
     def compute(self, i: int) -> float:
-        """What `kinematics` computes for a target, the learned error known at once."""
+        """The computation of `kinematics` for a target, with a known learned error."""
         begin = time.perf_counter()
         target = self._targets[i % _POSES]
-        made = compensate(self._model, Nearby(self._known), target, seed=self._stand)
-        if not made.success:
-            raise JobError(f"a target of the benchmark was refused: {made.reason}")
+        answer = compensate(self._model, Nearby(self._known), target, seed=self._stand)
+        if not answer.success:
+            raise JobError(f"a target of the benchmark was refused: {answer.reason}")
         return time.perf_counter() - begin
 
     def _call(self, service: Any, request: Any) -> tuple[float, Any]:
@@ -151,7 +156,7 @@ class Calls:
         return time.perf_counter() - begin, future.result()
 
     def predictions_per_target(self, count: int) -> float:
-        """How often the predictor is asked for one target."""
+        """Number of requests to the predictor per target."""
         graph.PREDICTED_ERROR.subscription(self._client.node, self._on_prediction)
         self._client.spin(1.0)
         before = self._predicted
@@ -161,7 +166,7 @@ class Calls:
         return (self._predicted - before) / count
 
     def rate(self, burst: int) -> float:
-        """Targets a second that the graph works off while a queue waits: above it queues grow."""
+        """Targets per second that the graph processes from a queue; above it queues grow."""
         return self._rate(burst, self._target, lambda: self._got)
 
     def echo_rate(self, burst: int) -> float:
@@ -178,7 +183,7 @@ class Calls:
 
 
 class _Known:
-    """An expected error that costs nothing to ask for: 3 mm, alike everywhere."""
+    """A constant expected error of 3 mm, at negligible cost."""
 
     def __init__(self, n: int) -> None:
         error, sigma = np.full(3, 3e-3 / 3**0.5), np.full(3, 1e-4)
@@ -189,6 +194,6 @@ class _Known:
 
 
 def _stamped(matrix: np.ndarray) -> PoseStamped:
-    made = PoseStamped(pose=pose_message(matrix))
-    made.header.frame_id = "base"
-    return made
+    message = PoseStamped(pose=pose_message(matrix))
+    message.header.frame_id = "base"
+    return message

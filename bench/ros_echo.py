@@ -1,4 +1,4 @@
-"""A bare rclpy node that answers the kinematics node's messages at once: what DDS alone costs.
+"""A bare rclpy node that answers like the kinematics node at once, to measure DDS alone.
 
 ``python bench/ros_echo.py --ros-args -r __ns:=/some_namespace``
 """

@@ -1,4 +1,4 @@
-"""The sparrow search measured against mealpy's in one run: fitness evaluations a second."""
+"""Benchmark of the sparrow search against mealpy's: fitness evaluations per second."""
 
 from __future__ import annotations
 

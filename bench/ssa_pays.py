@@ -1,4 +1,4 @@
-"""Does the sparrow pay? Tables of ``docs/ssa_bp.md``: starts, errata, origin bias."""
+"""Benefit of the sparrow search. Tables of ``docs/ssa_bp.md``: starts, errata, origin bias."""
 
 from __future__ import annotations
 
@@ -115,8 +115,8 @@ def _adam(problem: _Problem, start: Array, steps: int, rate: float = 0.01) -> Ar
 
 
 def errata(runs: int = 60, iterations: int = 200) -> str:
-    """Canonical against printed Eq. (6)-(8): what the search finds, collapsed starts, and what one
-    unguarded training makes of them."""
+    """Canonical against printed Eq. (6)-(8): result of the search, collapsed starts, and result of
+    one unguarded training from them."""
     problem = _Problem(300, 0)
     columns = (
         "form",
@@ -160,12 +160,12 @@ def origin_bias(runs: int = 9, dims: int = 20, iterations: int = 200) -> str:
 
     def evolution(centre: Array, seed: int) -> float:
         budget = 50 + iterations * 55
-        made = differential_evolution(
+        found = differential_evolution(
             lambda x: np.sum((x - centre[:, None]) ** 2, axis=0), Bounds(lower, upper),
             popsize=50 // dims + 1, maxiter=budget // (dims * (50 // dims + 1)) - 1, tol=0.0,
             polish=False, rng=seed, vectorized=True, updating="deferred",
         )  # fmt: skip
-        return float(made.fun)
+        return float(found.fun)
 
     solvers = {
         "SSA canonical": sparrow("canonical"),

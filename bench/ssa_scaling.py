@@ -6,11 +6,11 @@ import time
 
 import numpy as np
 
-from bench.apart import Cost, cost_of
 from bench.comparison import Result, beside, missing
 from bench.mealpy_peer import MealpyPeer
 from bench.smooth import rms_mm, smooth_set
 from bench.ssa import HIDDEN, POPULATION, standardised
+from bench.subprocess_cost import Cost, cost_of
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.network import Shape, squared_error
@@ -29,12 +29,12 @@ def fitness_rates(samples: int, population: int, device: str | None, repeats: in
     flock = np.random.default_rng(0).uniform(-1, 1, (population, SHAPE.size))
     fitness = fitness_on(device, SHAPE, x, y)
     fitness(flock[:50])
-    made = []
+    rates = []
     for _ in range(repeats):
         begin = time.perf_counter()
         fitness(flock)
-        made.append(population / (time.perf_counter() - begin))
-    return made
+        rates.append(population / (time.perf_counter() - begin))
+    return rates
 
 
 def search_rate(samples: int, population: int, iterations: int) -> float:
@@ -50,12 +50,12 @@ def search_rate(samples: int, population: int, iterations: int) -> float:
 
 
 def train_once(samples: int, networks: int) -> dict[str, float]:
-    """One training of networks of 12 hidden units, and what it reaches on held-out poses."""
+    """One training of networks of 12 hidden units, and its error on held-out poses."""
     data = smooth_set(samples, 0)
     begin = time.process_time()
-    made = train(data.q, data.residual, hidden=HIDDEN, ensemble=networks)
+    predictor = train(data.q, data.residual, hidden=HIDDEN, ensemble=networks)
     seconds = time.process_time() - begin
-    error = made.predict(data.test_q).error - data.test_truth
+    error = predictor.predict(data.test_q).error - data.test_truth
     return {"cpu_s": seconds, "rms_mm": rms_mm(error)}
 
 

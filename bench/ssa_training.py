@@ -1,8 +1,8 @@
 """Seconds of training until a held-out error is reached, beside scikit-learn's learners.
 
-Every learner has a ladder of settings from cheap to dear, as a user would try them; what counts is
-the cheapest one that reaches the error, alone.  The error is against the noise-free truth of the
-smooth benchmark, RMS per axis.
+Every learner has settings of growing cost, as a user would try them.  Only the cheapest one that
+reaches the error counts.  The error is against the noise-free truth of the smooth benchmark, RMS
+per axis.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from longarm_comp.studies.peers import train_gaussian_process, train_mlp
 
 Learner = Callable[[SmoothSet, int], Any]
 TARGET_MM = {300: 0.25, 900: 0.17}
-"""About what the slowest learner can reach."""
+"""Error (mm) by sample size, close to the best of the slowest learner."""
 
 
 def _ours(**settings: Any) -> Learner:

@@ -1,4 +1,4 @@
-"""Start-up measured: commands and imports, each beside its floor in the same turns."""
+"""Benchmarks of start-up: commands and imports, each against its reference."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def _ends_beside(
     name: str, ours: Sequence[str], peer: str, theirs: Sequence[str], repeats: int
 ) -> Result:
     _ended(ours), _ended(theirs)  # both read from disk once
-    made = [(1e3 * _ended(ours), 1e3 * _ended(theirs)) for _ in range(repeats)]
-    mine, other = zip(*made, strict=True)
+    pairs = [(1e3 * _ended(ours), 1e3 * _ended(theirs)) for _ in range(repeats)]
+    mine, other = zip(*pairs, strict=True)
     return beside(name, "ms", mine, peer, other)
 
 
@@ -38,7 +38,7 @@ def start_help(repeats: int = REPEATS) -> Result:
 
 
 def start_import_core(repeats: int = REPEATS) -> Result:
-    """What a control program imports, model and inverse kinematics, beside numpy alone."""
+    """Import of model and inverse kinematics, as in a control program, against numpy alone."""
     ours, peer = (
         ("-c", "import longarm_comp.core.compensation.compensate"),
         "python -c 'import numpy'",
@@ -47,6 +47,6 @@ def start_import_core(repeats: int = REPEATS) -> Result:
 
 
 def start_import_arm(repeats: int = REPEATS) -> Result:
-    """The arm's declaration and its checks beside the two libraries that it stands on."""
+    """Import of the arm's declaration against the two libraries that it uses."""
     ours, peer = ("-c", "import longarm_comp.core.arm.arm"), "python -c 'import numpy, pydantic'"
     return _ends_beside("start_import_arm", ours, peer, NUMPY_PYDANTIC, repeats)

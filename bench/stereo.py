@@ -1,4 +1,4 @@
-"""``python -m bench.stereo``: how well the tip is measured, by marker and depth.
+"""``python -m bench.stereo``: accuracy of the measured tip, by marker and depth.
 
 Rendered pairs with known truth; the marker is turned and moved at random over the common view.
 ``bias`` and ``sd`` are of measured - true in the left optical frame (x right, y down, z forward);

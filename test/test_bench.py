@@ -14,7 +14,6 @@ import pytest
 from matplotlib import image
 
 from bench import (
-    apart,
     arms,
     bags,
     calibration,
@@ -26,6 +25,7 @@ from bench import (
     ssa_scaling,
     ssa_training,
     startup,
+    subprocess_cost,
 )
 from bench.smooth import smooth_set
 from longarm_comp.cli.run import run
@@ -54,7 +54,10 @@ def test_ratios_above_one_are_ahead() -> None:
 
 
 def test_memory_counts_what_the_call_took() -> None:
-    one, big = (apart.cost_of("builtins", "eval", f"len(b'x' * ({mb} * 2**20))") for mb in (1, 200))
+    one, big = (
+        subprocess_cost.cost_of("builtins", "eval", f"len(b'x' * ({mb} * 2**20))")
+        for mb in (1, 200)
+    )
     assert (one.result, big.result) == (2**20, 200 * 2**20)
     assert big.grown_mb - one.grown_mb == pytest.approx(199, abs=5)
     assert big.peak_mb > big.grown_mb
@@ -63,7 +66,7 @@ def test_memory_counts_what_the_call_took() -> None:
 
 def test_a_call_that_fails_is_a_job_that_failed() -> None:
     with pytest.raises(JobError, match="fit_once"):
-        apart.cost_of("bench.calibration", "fit_once", 40, "no such arm")
+        subprocess_cost.cost_of("bench.calibration", "fit_once", 40, "no such arm")
 
 
 # ------------------------------------------------------------------ each kind in small
@@ -86,13 +89,13 @@ def test_calibration_against_samples(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_a_made_session_is_what_its_name_says() -> None:
     arm = arms.demo_arm()
-    session = calibration.made_session(arm, 100, seed=2)
+    session = calibration.synthetic_session(arm, 100, seed=2)
     assert session.q.shape == (100, arm.n)
     assert (session.q >= arm.lower).all()
     assert (session.q <= arm.upper).all()
-    again = calibration.made_session(arm, 100, seed=2)
+    again = calibration.synthetic_session(arm, 100, seed=2)
     assert again.hash == session.hash
-    assert calibration.made_session(arm, 100, seed=3).hash != session.hash
+    assert calibration.synthetic_session(arm, 100, seed=3).hash != session.hash
 
 
 def test_diagnosis_runs_with_a_part_of_the_library() -> None:

@@ -95,7 +95,7 @@ def test_evaluate_points_out_the_session_that_was_fitted(work: Path, shell: Shel
     both = ("--model", work / "model.yaml", "--predictor", work / "predictor.npz")
     fresh = shell.json("evaluate", work / "arm.yaml", "--test", work / "test.csv", *both)
     assert fresh["fitted_to_test"] == []
-    assert "judge on other poses" not in shell.err
+    assert "use other poses" not in shell.err
     session = read_csv(work / "samples.csv", ARM)
     write_csv(session, "copy.csv")
     known = ("evaluate", work / "arm.yaml", "--test", "copy.csv")
@@ -103,7 +103,7 @@ def test_evaluate_points_out_the_session_that_was_fitted(work: Path, shell: Shel
     assert shell.json(*known, *both[:2])["fitted_to_test"] == ["model"]
     assert shell.json(*known)["fitted_to_test"] == []
     assert shell(*known, *both) == 0
-    assert "the model and the predictor came from this session: judge on other poses" in shell.err
+    assert "the model and the predictor came from this session: use other poses" in shell.err
     shell("calibrate", work / "arm.yaml", work / "test.csv", "-o", "other.yaml")
     shell("train", work / "arm.yaml", "copy.csv", "--model", "other.yaml", "-o", "p.npz",
           "--ensemble", 1, "--hidden", 4)  # fmt: skip

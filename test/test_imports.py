@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from small_arm import ARM, measured
 
-from bench.calibration import made_session
+from bench.calibration import synthetic_session
 from longarm_comp.cli.registry import COMMANDS
 from longarm_comp.cli.run import run
 from longarm_comp.core.arm.arm import Arm
@@ -76,7 +76,7 @@ def test_no_command_loads_torch_unless_a_device_is_asked_for(tmp_path: Path) -> 
     """Calibrated, trained, judged, written as a bag: all without torch."""
     arm = folder("config") / "arm_demo.yaml"
     csv, out = tmp_path / "samples.csv", tmp_path / "out"
-    write_csv(made_session(Arm.load(arm), 80), csv)
+    write_csv(synthetic_session(Arm.load(arm), 80), csv)
     model, predictor = str(tmp_path / "model.yaml"), str(tmp_path / "predictor.npz")
     code = command_line("calibrate", str(arm), str(csv), "-o", model)
     code += command_line("train", str(arm), str(csv), "--model", model, "-o", predictor,

@@ -12,7 +12,7 @@ import pytest
 from bag_robot import command, header, robot, sighting, state
 from small_arm import ARM
 
-from bench.bag_made import PERIOD_S, recording, write_raw
+from bench.synthetic_bag import PERIOD_S, recording, write_raw
 from longarm_comp.sessions.bag import read_bag
 from longarm_comp.sessions.joint_states import KIND, JointStates
 from longarm_comp.sessions.message_types import message_types

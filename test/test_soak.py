@@ -1,4 +1,4 @@
-"""`longarm soak` in small, and its books: what must never happen is noticed."""
+"""`longarm soak` in small, and its ledger: what must never happen is noticed."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.jobs.soak.leaks import LeakWatch
-from longarm_comp.jobs.soak.ledger import Books
+from longarm_comp.jobs.soak.ledger import Ledger
 from longarm_comp.jobs.soak.setting import SoakSettings
 
 Q = (0.1, 0.2)
 
 
-def books() -> Books:
-    made = Books()
+def ledger() -> Ledger:
+    made = Ledger()
     made.target(1, 0.0, good=True)
     made.target(2, 0.1, good=False)
     return made
 
 
 def test_good_books_balance() -> None:
-    made = books()
-    made.trajectory(Q)  # may come before its story
+    made = ledger()
+    made.trajectory(Q)  # may come before its answer
     made.answer(1, 0, False, "", Q)
     made.answer(2, 4, True, "position [nan, 0] is not finite", ())
     made.close()
@@ -40,7 +40,7 @@ def test_good_books_balance() -> None:
 
 
 def test_everything_that_must_not_happen_is_noticed() -> None:
-    made = books()
+    made = ledger()
     made.answer(1, 0, False, "", Q)
     made.answer(1, 0, False, "", Q)
     made.answer(9, 0, False, "", Q)
@@ -53,7 +53,7 @@ def test_everything_that_must_not_happen_is_noticed() -> None:
         "refused but executed": 1,
         "executed but no trajectory": 2,
     }
-    made = books()
+    made = ledger()
     made.answer(2, 0, False, "", Q)
     made.trajectory(Q)
     made.trajectory(Q)
@@ -63,7 +63,7 @@ def test_everything_that_must_not_happen_is_noticed() -> None:
         "target without an answer": 1,
         "trajectory that no target asked for": 1,
     }
-    made = books()
+    made = ledger()
     assert made.late(20.0, 10.0) == 2
     made.answer(1, 0, False, "", ())
     assert dict(made.wrong) == {"accepted but not executed": 1}

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run ``longarm`` and leave with its exit code: 0 done, 2 bad input, 3 not possible."""
+    """Run ``longarm`` and exit with its code: 0 done, 2 bad input, 3 not possible."""
     try:
         from longarm_comp.cli.run import run
 

@@ -14,7 +14,7 @@ from longarm_comp.cli.output import note
 @click.command()
 @options.arm
 @options.session
-@options.output(None, "Bag folder to make.")
+@options.output(None, "Bag folder to write.")
 @click.option(
     "--storage", type=click.Choice(["mcap", "sqlite3"]), default="mcap", show_default=True
 )

@@ -22,15 +22,15 @@ _SHOWN = ("name", "value", "unit", "peer", "peer_value", "ratio", "spread")
     type=click.Path(path_type=Path),  # type: ignore[type-var]
     help="Folder for results.json and results.png.",
 )
-@click.option("--list", "listed", is_flag=True, help="Only say which benchmarks there are.")
+@click.option("--list", "listed", is_flag=True, help="Only list the benchmarks.")
 @options.as_json
 def command(names: tuple[str, ...], output: Path | None, listed: bool, as_json: bool) -> None:
-    """Measure this package beside its peers, all in one run; ratios above 1 mean faster.
+    """Measure the speed of this package and of its peers in one run.
 
-    Without NAMES all are run, which takes about half an hour; kinematics, ssa, calibration, bags
-    and so on (see --list) stand for all of their kind. Peers that are not installed give a row
-    without a ratio. The benchmarks are not installed: this command needs a checkout of the
-    project.
+    Ratios above 1 mean faster than the peer. Without NAMES all benchmarks are run, which takes
+    about half an hour. A group name such as kinematics, ssa or bags (see --list) runs the whole
+    group. A peer that is not installed gives a row without a ratio. This command needs a checkout
+    of the project, because the benchmarks are not installed with the package.
 
     \b
     Examples:
@@ -61,7 +61,7 @@ def command(names: tuple[str, ...], output: Path | None, listed: bool, as_json: 
             show(name, done / len(chosen))
             results["results"].append(_measured(name))
             results["load"][1] = machine.load()
-            if output is not None:  # after every row: whoever stops early keeps what there is
+            if output is not None:  # after every row, so that an early stop keeps the results
                 write_text(output / "results.json", as_text(results) + "\n")
     title = f"{results['machine']}; load {{:.1f}} to {{:.1f}}".format(*results["load"])
     if output is not None:
@@ -76,10 +76,10 @@ def command(names: tuple[str, ...], output: Path | None, listed: bool, as_json: 
 
 
 def _find_benchmarks() -> None:
-    """Make the folder ``bench`` of a checkout importable: beside the package, else here.
+    """Make the folder ``bench`` importable: from beside the package, else from here.
 
     Raises:
-        JobError: neither place has it.
+        JobError: it is in neither place.
     """
     from longarm_comp.core.errors import JobError
 
@@ -92,7 +92,7 @@ def _find_benchmarks() -> None:
 
 
 def _measured(name: str) -> dict[str, Any]:
-    """One row; what could not be measured says why, and the others go on."""
+    """One row. If it could not be measured, the row holds the reason."""
     from bench import catalogue, comparison
     from longarm_comp.core.errors import JobError
 

@@ -25,8 +25,10 @@ if TYPE_CHECKING:
     metavar="NAME",
     help="Effect to fit besides, on every joint or beam that may have it; repeat for more.",
 )
-@click.option("--no-deflection", is_flag=True, help="Leave the declared beams stiff.")
-@click.option("--fraction", type=float, default=0.2, show_default=True, help="Rows held out.")
+@click.option("--no-deflection", is_flag=True, help="Treat the declared beams as stiff.")
+@click.option(
+    "--fraction", type=float, default=0.2, show_default=True, help="Share of rows held out."
+)
 @options.seed
 @options.effects
 @options.as_json
@@ -42,8 +44,8 @@ def command(
 ) -> None:
     """Fit geometry and declared effects of ARM to SESSION (CSV or bag).
 
-    A ladder of ever fuller models is fitted without the held-out blocks and judged on them;
-    the last is then fitted to all rows and written with 95 % intervals.
+    A ladder of models of growing complexity is fitted without the held-out blocks and evaluated
+    on them. The last one is then fitted to all rows and written with 95 % intervals.
 
     \b
     Examples:
@@ -56,7 +58,7 @@ def command(
     declared = Arm.load(arm)
     chosen = [instances(name, declared, "--effect") for name in effects]
     with progress("calibrate") as show:
-        made = calibrate(
+        calibration = calibrate(
             declared,
             session,
             effects=chosen,
@@ -66,17 +68,19 @@ def command(
             note=note,
             progress=show,
         )
-    made.save(output)
-    for name in made.not_helping:
+    calibration.save(output)
+    for name in calibration.not_helping:
         note(f"{name} did not lower the held-out error: better left out")
-    rows, final = made.held_out.rows, made.fit
+    rows, final = calibration.held_out.rows, calibration.fit
     if as_json:
-        print_json({"output": str(output), "held_out": rows, **_facts(made)})
+        print_json({"output": str(output), "held_out": rows, **_facts(calibration)})
         return
-    print_rows(f"Held-out errors ({made.held_out_rows} of {len(made.session)} rows)", rows)
+    print_rows(
+        f"Held-out errors ({calibration.held_out_rows} of {len(calibration.session)} rows)", rows
+    )
     cells = [
         (p.effect, p.where, p.name, f"{p.value:.4g}", _interval(p), p.unit)
-        for p in made.parameters
+        for p in calibration.parameters
         if not p.geometry
     ]
     if cells:
@@ -92,12 +96,12 @@ def _interval(p: FittedParameter) -> str:
     return f"{low:.4g} .. {high:.4g}"
 
 
-def _facts(made: Calibration) -> dict[str, Any]:
-    final = made.fit
+def _facts(calibration: Calibration) -> dict[str, Any]:
+    final = calibration.fit
     return {
-        "parameters": [vars(p) for p in made.parameters],
+        "parameters": [vars(p) for p in calibration.parameters],
         "sigma_mm": 1e3 * final.sigma,
         "outliers": final.session.index[final.outliers],
         "converged": final.converged,
-        "session_hash": made.session.hash,
+        "session_hash": calibration.session.hash,
     }

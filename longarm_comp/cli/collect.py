@@ -21,13 +21,15 @@ from longarm_comp.cli.output import note, print_json, progress
     show_default=True,
     help="Joints arrive from: the plan's sides; sides drawn per joint; these and their opposites.",
 )
-@click.option("--repeats", default=0, show_default=True, help="Poses that come twice more.")
-@click.option("--in-order", is_flag=True, help="As in the file, not in random order.")
-@click.option("--sightings", default=5, show_default=True, help="Averaged at each pose.")
-@click.option("--dwell", default=0.3, show_default=True, help="Rest before the first, s.")
+@click.option(
+    "--repeats", default=0, show_default=True, help="Poses that are visited two more times."
+)
+@click.option("--in-order", is_flag=True, help="In the order of the file instead of a random one.")
+@click.option("--sightings", default=5, show_default=True, help="Sightings averaged at each pose.")
+@click.option("--dwell", default=0.3, show_default=True, help="Rest before the first sighting, s.")
 @click.option("--move", default=0.5, show_default=True, help="Least time of a move, s.")
-@click.option("--resume", is_flag=True, help="Go on with a bag that was broken off.")
-@click.option("--namespace", default="", help="Of the arm.")
+@click.option("--resume", is_flag=True, help="Continue an interrupted recording.")
+@click.option("--namespace", default="", help="Namespace of the arm.")
 @options.seed
 @options.as_json
 def command(
@@ -47,8 +49,8 @@ def command(
 ) -> None:
     """Drive ARM through the plan POSES over ROS and record a session bag.
 
-    Per pose: a run-up of each joint from its side, rest, and the mean of several sightings.
-    Ctrl-C ends it; the bag then holds every complete visit, and --resume makes the others.
+    At each pose every joint runs up from its side and rests, and several sightings are averaged.
+    Ctrl-C ends it. The bag then holds all completed visits, and --resume adds the others.
 
     \b
     Examples:

@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 @click.option("--seed-q", help="Joints to start from, q1,..,qn (rad, m); default mid-range.")
 @click.option("--lock", multiple=True, metavar="ROW|NAME", help="Joint that stays at its seed.")
 @options.path_option(
-    "--history", "Session after which the targets are executed in their order; else unknown."
+    "--history", "Session right before the targets, which are executed in order; else unknown."
 )
-@click.option("--no-run-up", is_flag=True, help="Joints go directly, whichever side that is.")
+@click.option("--no-run-up", is_flag=True, help="Joints move directly, from any side.")
 @click.option("--position-only", is_flag=True, help="Leave the orientation free.")
 @click.option("--single-pass", is_flag=True, help="Correct once, as the paper does.")
 @click.option(
@@ -62,8 +62,8 @@ def command(
 ) -> None:
     """Joint commands of ARM that bring its real tip to targets (m, base frame).
 
-    commands.csv has a line per target, with the reason where one fails; then the exit code is 3.
-    approach_q* says from which side each joint must arrive, run_up_q* the via point for it.
+    commands.csv has one line per target. If a target fails, the line holds the reason and the exit
+    code is 3. approach_q* is the side that each joint must arrive from, run_up_q* the via point.
 
     \b
     Examples:
@@ -89,7 +89,7 @@ def command(
     if chosen.learned and chosen is not fitting(learned):
         allowed = f"{fitting(learned).value}: as the predictor was trained"
         raise InputError("compensate", "--method", method, allowed)
-    made = compensate(
+    answers = compensate(
         base,
         wanted,
         learned,
@@ -102,8 +102,8 @@ def command(
         single_pass=single_pass,
         realisable=realisable,
     )
-    made.save(output)
-    commands = made.lines()
+    answers.save(output)
+    commands = answers.lines()
     rows = [_row(c, declared.n) for c in commands]
     if as_json:
         print_json({"output": str(output), "method": chosen.value, "commands": rows})

@@ -21,9 +21,11 @@ SHOWN = ("model", "n", "mean_mm", "rms_mm", "max_mm", "mean_abs_z_mm", "true_mea
     help="New folder for the session, the model, the predictor and the report.",
 )
 @click.option("--poses", type=int, default=180, show_default=True, help="Poses to learn from.")
-@click.option("--targets", type=int, default=40, show_default=True, help="Fresh targets.")
+@click.option("--targets", type=int, default=40, show_default=True, help="New targets.")
 @click.option("--hidden", help="Undeclared effects of the arm: 'name=mm name=mm'.")
-@click.option("--speed", type=float, default=20.0, show_default=True, help="Times real motion.")
+@click.option(
+    "--speed", type=float, default=20.0, show_default=True, help="Speed-up of all motion."
+)
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
 @options.as_json
 def command(
@@ -35,13 +37,13 @@ def command(
     seed: int,
     as_json: bool,
 ) -> None:
-    """The whole loop over the real ROS graph on a simulated arm.
+    """Run the whole loop over the real ROS graph on a simulated arm.
 
-    Five nodes start; the arm has errors that nobody declared. Fresh targets are driven without
-    compensation and with the declared deflection. A session is collected into a bag, the
-    diagnosis looks for the missing effects, the network is trained on the rest, and the same
-    targets are driven again with the effects found, then with the network too. Ends with the
-    table of these four, measured by the stereo cameras; exit code 3 where it did not improve.
+    Five nodes start; the simulated arm has undeclared errors. New targets are driven without
+    compensation and with the declared deflection. A session is collected into a bag. The
+    diagnosis searches the missing effects, and the network is trained on the remaining error.
+    The same targets are driven again with the effects found, then with the network too. The table
+    of these four runs is measured by the stereo cameras. The exit code is 3 without improvement.
 
     \b
     Example:
@@ -61,19 +63,19 @@ def command(
         settings = replace(settings, hidden=hidden)
     with stop_on_signals() as stop, progress("demo") as show:
         result = demonstrate(settings, stop, show)
-    made = report(settings, result)
-    write_text(out / "demo.json", json.dumps(made, indent=2))
+    printed = report(settings, result)
+    write_text(out / "demo.json", json.dumps(printed, indent=2))
     if as_json:
-        print_json(made)
+        print_json(printed)
     else:
-        columns = [{name: row[name] for name in SHOWN} for row in made["rows"]]
+        columns = [{name: row[name] for name in SHOWN} for row in printed["rows"]]
         print_rows(f"{targets} fresh targets, 3-D errors; the paper's arm beside", columns)
-        seconds = made["seconds"]["total"]
+        seconds = printed["seconds"]["total"]
         note(f"measured by the cameras; true_mean_mm is the simulation's own; {seconds:.0f} s")
         note(f"hidden in the arm: {settings.hidden} (mm rms at the tip)")
-        note(f"diagnosis ({made['verdict']}): {made['diagnosis']}")
-        inside = targets - made["outside_training_data"]
+        note(f"diagnosis ({printed['verdict']}): {printed['diagnosis']}")
+        inside = targets - printed["outside_training_data"]
         note(f"{inside} of {targets} targets lay inside the network's training data")
-        note(f"report in {made['files']['report']}")
+        note(f"report in {printed['files']['report']}")
     if not result.improved:
         raise JobError("compensation did not bring the arm nearer to its targets")

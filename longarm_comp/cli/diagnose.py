@@ -11,16 +11,16 @@ from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, print_rows, print_table, progress
 
 STEPS = 6.0
-"""Steps after which the bar stands half way: how many effects there are is not known before."""
+"""Steps after which the progress bar is half way, since the number of effects is not known."""
 
 
 @click.command()
 @options.arm
 @options.session
-@options.path_option("--test", "Hold-out (CSV or bag); blocks of SESSION if not given.")
-@options.path_option("--model", "What is known already; its effects are never added twice.")
+@options.path_option("--test", "Hold-out (CSV or bag); default: blocks of SESSION.")
+@options.path_option("--model", "Known model; its effects are never added twice.")
 @options.seed
-@click.option("--no-network", is_flag=True, help="Train no network on what is left.")
+@click.option("--no-network", is_flag=True, help="Train no network on the remaining error.")
 @options.output("diagnosis", "Folder to write.")
 @options.effects
 @options.as_json
@@ -34,11 +34,11 @@ def command(
     output: Path,
     as_json: bool,
 ) -> None:
-    """Trace what ARM's model lacks in SESSION (CSV or bag), add it and prove it.
+    """Find the effects that ARM's model lacks in SESSION (CSV or bag), add and prove them.
 
-    Writes report.json, report.html, plots, model.yaml with the effect added (longarm undo puts
-    the version of --model back), predictor.npz where a network helped the hold-out, and
-    next_poses.csv where more poses would tell two effects apart.
+    Writes report.json, report.html, plots and model.yaml with the effects added (longarm undo
+    restores the version of --model). Also writes predictor.npz if a network lowered the error on
+    the hold-out, and next_poses.csv if more poses would distinguish two effects.
 
     \b
     Examples:

@@ -30,7 +30,7 @@ def command(as_json: bool) -> None:
 
 
 def catalogue() -> list[dict[str, object]]:
-    """One row per effect, read from the effects themselves; those of others with their source."""
+    """One row per effect, from its declaration. Effects of other packages show their source."""
     from longarm_comp.core.effects.catalogue import origin, registered
     from longarm_comp.core.effects.effect import Bias
 

@@ -23,8 +23,8 @@ def command(
     """Errors of every stage on measured poses, as in the paper's Table I.
 
     Rows: the rigid declared arm, with its declared deflection, the calibrated model, and with the
-    network. A pose outside the network's training data keeps the physics' prediction. A test
-    session that the model or the network was fitted to is pointed out.
+    network. At poses outside the network's training data the physics is used alone. A note appears
+    if the model or the network was fitted to the test session.
 
     \b
     Example:
@@ -33,14 +33,14 @@ def command(
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.workflows.evaluate import evaluate
 
-    made = evaluate(Arm.load(arm), test, model=model, predictor=predictor, note=note)
-    rows = made.rows
-    if made.fitted:
-        note(f"the {' and the '.join(made.fitted)} came from this session: judge on other poses")
+    evaluation = evaluate(Arm.load(arm), test, model=model, predictor=predictor, note=note)
+    rows = evaluation.rows
+    if evaluation.fitted:
+        note(f"the {' and the '.join(evaluation.fitted)} came from this session: use other poses")
     if as_json:
-        facts = {"outside_training_data": made.outside, "fitted_to_test": made.fitted}
+        facts = {"outside_training_data": evaluation.outside, "fitted_to_test": evaluation.fitted}
         print_json({"test": str(test), "rows": rows, **facts})
         return
     print_rows(f"Errors on {test} ({rows[0]['n']} poses)", rows)
-    if made.outside:
-        note(f"{made.outside} poses lie outside the network's training data: physics only")
+    if evaluation.outside:
+        note(f"{evaluation.outside} poses lie outside the network's training data: physics only")

@@ -12,7 +12,7 @@ from longarm_comp.cli.output import note
 
 @click.command()
 @click.argument("urdf", type=click.Path(path_type=Path), metavar="URDF")
-@click.option("--base", required=True, metavar="LINK", help="Link that stands still.")
+@click.option("--base", required=True, metavar="LINK", help="Fixed link.")
 @click.option("--tip", required=True, metavar="LINK", help="Link that is commanded and measured.")
 @options.output("arm.yaml", "Arm to write.")
 def command(urdf: Path, base: str, tip: str, output: Path) -> None:

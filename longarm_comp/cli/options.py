@@ -1,4 +1,4 @@
-"""Arguments and options that several commands share, so that they look the same everywhere."""
+"""Arguments and options that several commands share."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ def _effects(expose: bool) -> Decorator:
 
 
 effects = _effects(expose=False)
-"""The files are executed before the command runs; the command does not see them."""
+"""Option ``--effects``: executes the files before the command, which does not get them."""
 effect_files = _effects(expose=True)
-"""The same, for a command that hands them on, as `effect_files`."""
+"""The same for a command that passes the files on; its parameter is `effect_files`."""
 
 
 def output(default: str | None, what: str) -> Decorator:

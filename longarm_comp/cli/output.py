@@ -1,4 +1,4 @@
-"""What commands print: results on stdout (a table, or JSON), progress and notes on stderr."""
+"""Output of commands: results on stdout (a table, or JSON), progress and notes on stderr."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ if TYPE_CHECKING:
 
 
 def note(text: str) -> None:
-    """One line beside the results."""
+    """Print a note on stderr."""
     click.echo(f"longarm: {text}", err=True)
 
 
 def as_text(data: object) -> str:
-    """Results as JSON; what is not a number is null."""
+    """Results as JSON text; NaN becomes null."""
     return json.dumps(_plain(data), indent=2, allow_nan=False)
 
 
 def print_json(data: object) -> None:
-    """Results as JSON on stdout."""
+    """Print results as JSON."""
     click.echo(as_text(data))
 
 
 def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Results as a table; the first column is text, numbers stand to the right."""
+    """Print results as a table: text in the first column, numbers right-aligned."""
     from rich.console import Console
     from rich.table import Table
 
@@ -46,14 +46,14 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[objec
 
 
 def print_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Rows of one kind as a table."""
+    """Print rows with equal keys as a table."""
     header = list(rows[0])
     print_table(title, header, [[row[name] for name in header] for row in rows])
 
 
 @contextmanager
 def progress(label: str) -> Iterator[Callable[[str, float], None]]:
-    """A bar on stderr where that is a terminal: call it with what is done and the share, 0 to 1."""
+    """A progress bar on stderr, on a terminal only. Call it with a text and the share, 0 to 1."""
     if not sys.stderr.isatty():
         yield lambda text, share: None
         return
@@ -79,7 +79,7 @@ def _cell(value: object) -> str:
 
 
 def _plain(data: Any) -> Any:
-    """Only what JSON knows."""
+    """The data converted to JSON's types."""
     if isinstance(data, Mapping):
         return {str(key): _plain(value) for key, value in data.items()}
     if isinstance(data, np.ndarray):

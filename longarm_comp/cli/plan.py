@@ -49,11 +49,11 @@ def command(
     if (kind == "next") != (report is not None):
         raise InputError("plan", "--report", report, "a diagnosis folder with --kind next, only")
     if kind == "next":
-        made = plan(declared, count, report=report)
+        poses = plan(declared, count, report=report)
     else:
-        made = plan(declared, count, kind=kind, seed=seed)
-    write_poses(made, output)
+        poses = plan(declared, count, kind=kind, seed=seed)
+    write_poses(poses, output)
     if as_json:
-        print_json({"output": str(output), "poses": made.q, "approach": made.approach})
+        print_json({"output": str(output), "poses": poses.q, "approach": poses.approach})
     else:
-        note(f"{len(made)} poses in {output}")
+        note(f"{len(poses)} poses in {output}")

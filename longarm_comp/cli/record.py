@@ -12,11 +12,11 @@ from longarm_comp.cli.output import note, print_json
 
 @click.command()
 @options.output(None, "Bag folder to record.")
-@click.option("--images", is_flag=True, help="The cameras' images and calibrations too.")
-@click.option("--duration", type=float, help="End by itself after so many s.")
-@click.option("--resume", is_flag=True, help="Add to a bag that is there.")
+@click.option("--images", is_flag=True, help="Also record images and camera calibrations.")
+@click.option("--duration", type=float, help="Stop after this time, s.")
+@click.option("--resume", is_flag=True, help="Add to an existing bag.")
 @click.option("--segment", default=20.0, show_default=True, help="Length of a file, s.")
-@click.option("--namespace", default="", help="Of the arm.")
+@click.option("--namespace", default="", help="Namespace of the arm.")
 @options.as_json
 def command(
     output: Path,
@@ -29,7 +29,7 @@ def command(
 ) -> None:
     """Record an arm's topics as a rosbag2 (mcap), until Ctrl-C.
 
-    The bag is readable at any time; what kills the recorder costs the last segment at most.
+    The bag is readable at any time. If the recorder is killed, at most the last segment is lost.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""Every command: its name, the module in this folder that holds it, one line of help.
+"""List of the commands: name, module in this folder, one line of help.
 
 The module has a click command named `command`.  A name of two words is a command of a group.
 """
@@ -18,30 +18,32 @@ class Entry(NamedTuple):
 
 COMMANDS = (
     Entry("calibrate", "calibrate", "Fit geometry and declared effects to a session."),
-    Entry("train", "train", "Train SSA-BP on what the model leaves."),
+    Entry("train", "train", "Train SSA-BP on the residual of the model."),
     Entry("compensate", "compensate", "Joint commands that bring the real tip to targets."),
     Entry("evaluate", "evaluate", "Error table on measured poses, as in the paper's Table I."),
-    Entry("diagnose", "diagnose", "Trace the residual to a missing effect, add it, prove it."),
-    Entry("plan", "plan", "Poses to measure: grid, sobol, or what a diagnosis asks for."),
+    Entry("diagnose", "diagnose", "Find missing effects in the residual, add and prove them."),
+    Entry("plan", "plan", "Poses to measure: grid, sobol, or those a diagnosis requests."),
     Entry("import-urdf", "import_urdf", "Write an arm.yaml from a URDF."),
-    Entry("bag info", "bag_info", "What is in a bag, and what a session is made from."),
-    Entry("bag to-csv", "bag_to_csv", "A bag as samples.csv."),
-    Entry("bag from-csv", "bag_from_csv", "A samples.csv as a bag."),
+    Entry("bag info", "bag_info", "Contents of a bag, and the topics a session is read from."),
+    Entry("bag to-csv", "bag_to_csv", "Convert a bag to samples.csv."),
+    Entry("bag from-csv", "bag_from_csv", "Convert a samples.csv to a bag."),
     Entry("study table1", "study_table1", "The paper's Table I on simulated arms."),
     Entry("study real", "study_real", "Held-out errors on public data of real arms."),
     Entry(
-        "study realisable", "study_realisable", "Joints among the servos' steps, beside rounding."
+        "study realisable",
+        "study_realisable",
+        "Choice among the servos' steps, compared with rounding.",
     ),
     Entry("up", "up", "Bring up an arm's ROS graph, real or simulated."),
     Entry("study loop", "study_loop", "Benchmark the diagnosis on simulated arms."),
-    Entry("bench", "bench", "Speed beside peers, in one run."),
+    Entry("bench", "bench", "Speed compared with peers, in one run."),
     Entry("demo", "demo", "The whole loop over the ROS graph on a simulated arm."),
     Entry("collect", "collect", "Drive a pose plan over ROS and record the session."),
     Entry("record", "record", "Record an arm's topics as a rosbag2."),
     Entry("soak", "soak", "Hours of targets on a simulated arm, with random faults."),
     Entry("effects", "effects", "The library of effects: parameters, units, priors, inputs."),
     Entry("schema", "schema", "JSON schema of arm.yaml, for editors."),
-    Entry("undo", "undo", "Put the version of a model.yaml before the last change back."),
+    Entry("undo", "undo", "Restore the version of a model.yaml before the last change."),
 )
 
 GROUPS = {

@@ -1,4 +1,4 @@
-"""The root command: commands loaded when they are run, errors as one line, exit codes."""
+"""The root command: loads commands when they are run, prints errors as one line, exit codes."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class LazyGroup(click.Group):
                 self.add_command(LazyGroup(within, first, summary))
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """In the order of the list."""
+        """Names in the order of the list."""
         return [*self._entries, *self.commands]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import and hand out one command."""
+        """Import one command and return it."""
         entry = self._entries.get(cmd_name)
         if entry is None:
             return super().get_command(ctx, cmd_name)
@@ -38,7 +38,7 @@ class LazyGroup(click.Group):
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The list of commands, without importing any."""
+        """Print the list of commands without importing any."""
         rows = [(name, entry.summary) for name, entry in self._entries.items()]
         rows += [(name, group.help or "") for name, group in self.commands.items()]
         with formatter.section("Commands"):
@@ -53,9 +53,10 @@ def _in(first: str, entry: Entry) -> bool:
 
 
 _POOLS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Matrices here are small: a second BLAS thread makes training three times slower, by measurement.
+"""BLAS runs on one thread.
 
-Read when numpy is first imported, so that they must be set before any command is."""
+The matrices are small, and a second thread makes training three times slower.  numpy reads these
+variables when it is first imported, so they are set before any command is."""
 
 
 def root() -> click.Group:
@@ -72,7 +73,7 @@ def root() -> click.Group:
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command line and return the exit code.
 
-    Errors of the package become one line; anything else is a bug and keeps its traceback.
+    Errors of the package are printed as one line. Any other exception is a bug and is raised.
     """
     for pool in _POOLS:
         os.environ.setdefault(pool, "1")

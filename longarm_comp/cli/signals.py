@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM as an event, so that a job ends in good order."""
+"""SIGINT and SIGTERM as an event, so that a job can clean up."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def stop_on_signals() -> Iterator[threading.Event]:
-    """An event that SIGINT and SIGTERM set; the handlers before are put back at the end."""
+    """An event that SIGINT and SIGTERM set. The previous handlers are restored at the end."""
     stop = threading.Event()
     before = {
         number: signal.signal(number, lambda *_: stop.set())

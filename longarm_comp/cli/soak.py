@@ -14,18 +14,18 @@ from longarm_comp.cli.output import note, print_json, print_rows, print_table, p
 @click.command()
 @click.option("--hours", default=1.0, show_default=True)
 @click.option("--rate", default=20.0, show_default=True, help="Targets a second.")
-@click.option("--fault-every", default=20.0, show_default=True, help="Mean time between, s.")
+@click.option("--fault-every", default=20.0, show_default=True, help="Mean time between faults, s.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder of its files; else temporary.")
 @options.seed
 @options.as_json
 def command(
     hours: float, rate: float, fault_every: float, out: Path | None, seed: int, as_json: bool
 ) -> None:
-    """Send targets to a simulated arm for hours while things break at random.
+    """Send targets to a simulated arm for hours while random faults occur.
 
-    Nodes are killed, files overwritten, the emergency stop pressed, servo replies damaged,
-    targets malformed. Every target must be answered once, every command sent once, every
-    refusal explained, and no process may crash or grow. Exit code 3 where one of these fails.
+    Nodes are killed, files overwritten, servo replies damaged, targets malformed, and the
+    emergency stop is pressed. Every target must be answered once, every command sent once and
+    every refusal explained. No process may crash or grow. The exit code is 3 if one fails.
 
     \b
     Examples:

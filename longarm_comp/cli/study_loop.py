@@ -11,13 +11,15 @@ from longarm_comp.cli.output import note, print_json, print_rows, progress
 
 
 @click.command()
-@options.output(None, "JSON-lines file, one line per case; cases in it are not run again.")
+@options.output(None, "JSON-lines file, one line per case. Cases in it are not run again.")
 @options.path_option("--arm", "arm.yaml of the declared arm; the demonstration's by default.")
 @click.option("--groups", default="none,single,pair,removed,outside", show_default=True)
-@click.option("--effects", help="Canonical names, by commas; all by default.")
+@click.option("--effects", help="Canonical names, separated by commas; all by default.")
 @click.option("--plans", default="grid", show_default=True, help="grid, sobol, or both.")
-@click.option("--rows", default="300,60", show_default=True, help="Sample sizes, by commas.")
-@click.option("--noises", default="1", show_default=True, help="Times the usual camera noise.")
+@click.option(
+    "--rows", default="300,60", show_default=True, help="Sample sizes, separated by commas."
+)
+@click.option("--noises", default="1", show_default=True, help="Factors on the usual camera noise.")
 @click.option("--arms", type=int, default=3, show_default=True, help="Arms like the declared one.")
 @click.option("--repeats", type=int, default=2, show_default=True, help="Repetitions per arm.")
 @click.option("--pairs", type=int, default=20, show_default=True, help="Pairs per arm and size.")
@@ -41,8 +43,8 @@ def command(
 ) -> None:
     """Benchmark the diagnosis on simulated arms with hidden effects.
 
-    Cases run on all cores, or on a Dask cluster; interrupt at will, the same command goes on
-    where it stopped. Ends with a table: shares with 95 % Wilson intervals.
+    Cases run on all cores, or on a Dask cluster. After an interruption the same command continues.
+    It ends with a table of shares with 95 % Wilson intervals.
 
     \b
     Examples:

@@ -18,8 +18,8 @@ _STEPS = 24  # fits in all, roughly: for the bar only
 def command(data: Path, as_json: bool) -> None:
     """Held-out errors on real arms: DLR Agile Justin, Barrett WAM, UR5.
 
-    "best" holds the effects that the training rows ask for; "frames_only" is the placement of base
-    and tool alone, which much of a published "before" consists of.
+    "best" holds the effects that are selected on the training rows. "frames_only" fits only the
+    placement of base and tool, which is often a large part of a published "before".
 
     \b
     Example:

@@ -16,18 +16,18 @@ from longarm_comp.cli.output import print_json, print_rows, progress
 )
 @click.option(
     *("--targets", "count"), type=click.IntRange(min=1), default=60, show_default=True,
-    help="Targets a row.",
+    help="Targets per row.",
 )  # fmt: skip
 @click.option(
     "--steps", type=click.IntRange(min=2), default=1000, show_default=True,
-    help="Steps of a revolute joint's servo in a turn; slides have 0.1 mm.",
+    help="Servo steps per turn of a revolute joint; slides have 0.1 mm.",
 )  # fmt: skip
 @options.seed
 @options.as_json
 def command(arm: Path | None, count: int, steps: int, seed: int, as_json: bool) -> None:
-    """Joints chosen among the servos' steps, beside rounding; what the choice needs to know.
+    """Compare the choice among the servos' steps with rounding, and its sensitivity.
 
-    The truth is the declared model, sag included; no measurement takes part.
+    The truth is the declared model with sag. No measurement is used.
 
     \b
     Example:

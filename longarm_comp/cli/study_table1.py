@@ -30,10 +30,10 @@ from longarm_comp.cli.output import note, print_json, print_rows, progress
 def command(
     arm: Path | None, count: int, jobs: int, seed: int, as_json: bool, output: Path | None
 ) -> None:
-    """The paper's Table I on simulated arms that are really commanded.
+    """Repeat the paper's Table I on simulated arms that execute the commands.
 
-    Each arm takes one to two minutes of one core. Errors are of the true tip against the target;
-    "seen" is what the stereo head reports of it.
+    Each arm takes one to two minutes of one core. Errors are true tip minus target; "seen" uses
+    the tip that the stereo head reports.
 
     \b
     Examples:
@@ -54,8 +54,8 @@ def command(
     began = time.monotonic()
     outcomes = []
     with progress("study table1") as show:
-        for made in study(base, count, seed, jobs=jobs):
-            outcomes.append(made)
+        for finished in study(base, count, seed, jobs=jobs):
+            outcomes.append(finished)
             show(f"{len(outcomes)} of {count} arms", len(outcomes) / count)
     table = summary.rows(outcomes)
     facts: dict[str, Any] = {

@@ -29,10 +29,10 @@ from longarm_comp.cli.output import note, print_json, progress
     type=click.IntRange(min=1),
     default=5,
     show_default=True,
-    help="Networks, each from its own start.",
+    help="Number of networks, each from its own start.",
 )
 @click.option(
-    "--hidden", type=click.IntRange(min=1), help="Hidden units; by evidence if not given."
+    "--hidden", type=click.IntRange(min=1), help="Hidden units; chosen by evidence if not given."
 )
 @click.option("--no-deflection", is_flag=True, help='The paper\'s "network only": rigid physics.')
 @click.option(
@@ -55,7 +55,7 @@ def command(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Train SSA-BP on what the physics of ARM leaves of SESSION (CSV or bag).
+    """Train SSA-BP on the residual that the physics of ARM leaves in SESSION (CSV or bag).
 
     \b
     Examples:
@@ -68,7 +68,7 @@ def command(
     from longarm_comp.workflows.train import train
 
     with progress("train") as show:
-        made = train(
+        trained = train(
             Arm.load(arm),
             session,
             model=model,
@@ -82,16 +82,19 @@ def command(
             note=note,
             progress=show,
         )
-    made.save(output)
+    trained.save(output)
     facts = {
         "output": str(output),
-        "samples": made.samples,
-        "training_mean_mm": {"before": 1e3 * made.before.mean, "after": 1e3 * made.after.mean},
-        "noise_mm": 1e3 * np.asarray(made.noise),
-        "hidden": made.hidden,
-        "inputs": list(made.encoding.names),
+        "samples": trained.samples,
+        "training_mean_mm": {
+            "before": 1e3 * trained.before.mean,
+            "after": 1e3 * trained.after.mean,
+        },
+        "noise_mm": 1e3 * np.asarray(trained.noise),
+        "hidden": trained.hidden,
+        "inputs": list(trained.encoding.names),
     }
     if as_json:
         print_json(facts)
         return
-    note(f"{made.summary} (judge it with evaluate); predictor in {output}")
+    note(f"{trained.summary} (judge it with evaluate); predictor in {output}")

@@ -12,7 +12,7 @@ from longarm_comp.cli.output import note
 @click.command()
 @click.argument("model", type=click.Path(path_type=Path), metavar="MODEL")
 def command(model: Path) -> None:
-    """Put the version of MODEL before the last change back, byte for byte.
+    """Restore the version of MODEL before the last change, byte for byte.
 
     \b
     Example:
@@ -21,4 +21,4 @@ def command(model: Path) -> None:
     from longarm_comp.core.model.model_file import undo
 
     undo(model)
-    note(f"{model} is the version before")
+    note(f"{model} is the previous version again")

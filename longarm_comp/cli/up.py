@@ -12,21 +12,21 @@ from longarm_comp.cli.output import note
 
 @click.command()
 @options.arm
-@options.path_option("--model", "Calibrated model; else the arm as declared.")
-@options.path_option("--predictor", "Learned residual; else physics only.")
+@options.path_option("--model", "Calibrated model; default: the declared arm.")
+@options.path_option("--predictor", "Learned residual; default: physics only.")
 @options.effect_files
 @click.option("--sim", is_flag=True, help="Simulated servos and cameras instead of hardware.")
 @click.option("--hidden", default="", help="Simulation: undeclared effects, 'backlash=2.0' (mm).")
-@click.option("--speed", default=1.0, help="Simulation: motion so many times faster.")
-@click.option("--seed", default=1, help="Simulation: seed of all chance.")
-@click.option("--port", default="", help="Serial port of the servos; else the file's.")
-@click.option("--namespace", default="", help="Of this arm, so that several share a network.")
+@click.option("--speed", default=1.0, help="Simulation: factor on all velocities.")
+@click.option("--seed", default=1, help="Simulation: seed of all random choices.")
+@click.option("--port", default="", help="Serial port of the servos; default: the file's.")
+@click.option("--namespace", default="", help="Namespace, so that several arms share a network.")
 @click.option(
     "--config",
     type=click.Path(exists=True, file_okay=False, path_type=Path),
     help="Folder of parameter files that replace the package's own, NODE.yaml.",
 )
-@click.option("--respawn/--no-respawn", default=True, help="Start again a node that dies.")
+@click.option("--respawn/--no-respawn", default=True, help="Restart a node that dies.")
 def command(
     arm: Path,
     model: Path | None,
@@ -41,9 +41,9 @@ def command(
     config: Path | None,
     respawn: bool,
 ) -> None:
-    """Bring up ARM's nodes as processes, until SIGINT or SIGTERM.
+    """Start ARM's nodes as processes, until SIGINT or SIGTERM.
 
-    The same graph as the launch files, for where `ros2 launch` is not installed.
+    This is the same graph as in the launch files, without `ros2 launch`.
 
     \b
     Examples:

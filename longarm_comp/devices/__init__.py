@@ -1,1 +1,1 @@
-"""Pixels and bytes: cameras and servo buses, without ROS."""
+"""Cameras and servo buses, without ROS."""

@@ -1,4 +1,4 @@
-"""What one step of the trajectory follower says: goals to send, and what happened."""
+"""Result of one step of the trajectory follower: goals to send and events."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from longarm_comp.devices.servo_watch import Finding
 
 
 class FollowerState(Enum):
-    """What the follower is doing."""
+    """State of the follower."""
 
     IDLE = "idle"
     TRACKING = "tracking"
@@ -19,7 +19,7 @@ class FollowerState(Enum):
 
 
 class EventKind(Enum):
-    """What happened in a step, or since the last one."""
+    """Kind of an event in a step, or since the last one."""
 
     STARTED = "started"
     REPLACED = "replaced"
@@ -33,7 +33,7 @@ class EventKind(Enum):
 
 @dataclass(frozen=True)
 class Event:
-    """One thing worth telling the user; ``finding`` only with FAULT."""
+    """One event to report to the user. ``finding`` is set only with FAULT."""
 
     kind: EventKind
     message: str

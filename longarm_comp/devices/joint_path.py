@@ -35,7 +35,7 @@ class JointPath:
         times: (k,) s, from 0, increasing.
         positions: (k, n) rad or m.
         slopes: (k, n) rad/s or m/s at the knots.
-        stretch: how much slower than asked, so that the velocity limits hold; 1: not slowed.
+        stretch: factor by which it was slowed to keep the velocity limits; 1 if it was not.
     """
 
     times: Array
@@ -50,11 +50,11 @@ class JointPath:
 
     @property
     def end(self) -> Array:
-        """(n,) where it rests."""
+        """(n,) final position."""
         return self.positions[-1]
 
     def at(self, time_s: float) -> Array:
-        """(n,) position; before the start and after the end it rests there."""
+        """(n,) position at a time; constant before the start and after the end."""
         if len(self.times) == 1 or time_s >= self.times[-1]:
             return self.positions[-1]
         k = max(int(np.searchsorted(self.times, time_s, side="right")) - 1, 0)
@@ -65,7 +65,7 @@ class JointPath:
         return p + h * m * u + (3 * step - h * (2 * m + n)) * u**2 + (h * (m + n) - 2 * step) * u**3
 
     def extremes(self) -> tuple[Array, Array]:
-        """(n,), (n,): lowest and highest position reached anywhere."""
+        """Lowest and highest position on the path, (n,) each."""
         if len(self.times) == 1:
             return self.positions[0], self.positions[0]
         h = np.diff(self.times)[:, None]
@@ -84,7 +84,7 @@ class JointPath:
         return every.min(axis=0), every.max(axis=0)
 
     def peak_velocity(self) -> Array:
-        """(n,) highest speed anywhere."""
+        """(n,) highest speed on the path."""
         if len(self.times) == 1:
             return np.zeros(self.positions.shape[1])
         b, c = self._velocity_terms()
@@ -105,28 +105,31 @@ class JointPath:
 def plan_path(
     start: Array, times: Array, positions: Array, velocities: Array | None, max_velocity: Array
 ) -> JointPath:
-    """From rest at ``start`` through the way-points to rest, slowed down where it is too fast.
+    """A path from rest at ``start`` through the way-points to rest, within the velocity limits.
 
-    A segment whose mean velocity is too high is lengthened; then all are, by one factor, until the
-    peak velocity is allowed. A first point at time 0 away from ``start`` is reached as fast as
-    that. Without velocities the slopes are those of Fritsch and Butland (1984): monotone between
-    way-points, so the path never leaves the box they span.
+    Segments whose mean velocity is too high are lengthened. Then all segments are lengthened by
+    one factor until the peak velocity is allowed. If the first point has time 0 and differs from
+    ``start``, it is reached at the velocity limit. Without given velocities the slopes are those
+    of Fritsch and Butland (1984). They are monotone between way-points, so the path stays in the
+    box that the way-points span.
 
     Args:
         start: (n,). times: (k,) s, increasing, from 0 or later. positions, velocities: (k, n).
         max_velocity: (n,).
     """
     away = float(np.max(np.abs(positions[0] - start) / max_velocity))
-    points, asked = positions, np.diff(times)
+    points, requested = positions, np.diff(times)
     if away > 1e-9 or times[0] > 1e-9:
         points = np.concatenate((start[None], positions))
-        asked = np.diff(times, prepend=0.0)
+        requested = np.diff(times, prepend=0.0)
     least = np.max(np.abs(np.diff(points, axis=0)) / max_velocity, axis=1)
-    steps = np.maximum(asked, least)
+    steps = np.maximum(requested, least)
     knots = np.concatenate(([0.0], np.cumsum(steps)))
     slopes = _monotone_slopes(knots, points)
     if velocities is not None:
-        ratio = np.minimum(np.divide(asked, steps, out=np.ones_like(steps), where=steps > 0.0), 1.0)
+        ratio = np.minimum(
+            np.divide(requested, steps, out=np.ones_like(steps), where=steps > 0.0), 1.0
+        )
         inner = np.minimum(ratio[:-1], ratio[1:])[:, None]
         slopes[1:-1] = velocities[-1 - len(inner) : -1] * inner
     path = JointPath(knots, points, slopes)

@@ -1,6 +1,6 @@
-"""The servos of an arm as one machine: opened, driven cycle by cycle, always let go in the end.
+"""All servos of an arm: opens the bus, drives them cycle by cycle, and releases them at the end.
 
-Not for use from two threads. Time is monotonic seconds, handed in.
+Not thread-safe. Times are monotonic seconds and are passed in.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from longarm_comp.devices.servo_bus import (
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_follower import FollowerState, Step, TrajectoryFollower
 
-_DRIVEN_EVERY = 25  # cycles between two looks at whether the servos still drive
+_DRIVEN_EVERY = 25  # cycles between two checks that the torque is still on
 _REOPEN_S = 0.5
 
 
 @dataclass(frozen=True)
 class JointReading:
-    """One joint as its servo reports it: rad or m, and per second."""
+    """Position (rad or m) and velocity of one joint, as its servo reports them."""
 
     position: float
     velocity: float
@@ -38,10 +38,10 @@ class Cycle:
     """The outcome of one cycle.
 
     Attributes:
-        step: of the follower.
-        joints: every joint by name; empty unless all were heard this time.
-        states: read-back by servo id, of those heard.
-        trouble: what the bus complained of; empty: nothing.
+        step: step of the follower.
+        joints: all joints by name; empty unless every servo answered in this cycle.
+        states: read-back by servo id, of the servos that answered.
+        trouble: message of a bus error; empty without one.
     """
 
     step: Step
@@ -51,7 +51,7 @@ class Cycle:
 
 
 class ServoArm:
-    """A bus, a follower, and what connects them; reopens the port when it comes back.
+    """Connects a servo bus and a trajectory follower. Reopens the port when it comes back.
 
     Raises:
         BusUnplugged, IncompleteReply: the port or a servo is not there.
@@ -63,7 +63,7 @@ class ServoArm:
         self.follower = TrajectoryFollower(config)
         self._ids = list(config.ids.values())
         self._powered = False
-        self._owing_off = False  # torque off that an unplugged bus has not heard yet
+        self._owing_off = False  # torque off is still to be sent to an unplugged bus
         self._cycles = 0
         self._next_open = 0.0
         self.bus: SerialServoBus | None = self._open()
@@ -86,11 +86,11 @@ class ServoArm:
 
     @property
     def powered(self) -> bool:
-        """Whether the servos were told to hold."""
+        """Whether the torque was switched on."""
         return self._powered
 
     def power(self, on: bool) -> None:
-        """Switch the torque; off is remembered for when an unplugged bus comes back.
+        """Switch the torque. With an unplugged bus, off is sent when the bus comes back.
 
         Raises:
             BusUnplugged, IncompleteReply, ServoFault: it could not be switched (on), or was not
@@ -104,10 +104,10 @@ class ServoArm:
         self._powered, self._owing_off = on, False
 
     def accept(self, trajectory: JointTrajectory, now: float) -> None:
-        """Take over a trajectory.
+        """Start a trajectory.
 
         Raises:
-            InputError, JobError: as the follower; JobError without power.
+            InputError, JobError: as `TrajectoryFollower.accept`; JobError when the torque is off.
         """
         if not self._powered:
             raise JobError("the torque is off")
@@ -122,7 +122,7 @@ class ServoArm:
         """Leave a fault or an emergency stop, with torque on.
 
         Raises:
-            JobError: its cause stands still; the torque stays off then.
+            JobError: its cause persists; the torque stays off.
         """
         if not on:
             self.follower.reset(now)
@@ -135,7 +135,7 @@ class ServoArm:
             raise
 
     def cycle(self, now: float) -> Cycle:
-        """Read, decide, command. Never raises for what a bus does."""
+        """Read all servos, step the follower, send goals. Bus errors are not raised."""
         self._cycles += 1
         trouble, states, driven = "", {}, {}
         if self.bus is None and now >= self._next_open:
@@ -164,7 +164,7 @@ class ServoArm:
         return Cycle(step, self._joints(states), states, trouble)
 
     def close(self) -> None:
-        """Torque off as well as it can be, port released; must not raise."""
+        """Switch the torque off if possible and release the port. Must not raise."""
         for _ in range(3):
             with contextlib.suppress(ServoBusError):
                 self.power(False)
@@ -174,15 +174,15 @@ class ServoArm:
             self.bus = None
 
     def _joints(self, states: Mapping[int, ServoState]) -> dict[str, JointReading]:
-        made = {}
+        readings = {}
         for name, joint in self.config.joints.items():
             state = states.get(joint.servo_id)
             if state is None:
                 return {}
-            made[name] = JointReading(
+            readings[name] = JointReading(
                 joint.to_si(state.position_ticks), joint.speed_to_si(state.velocity_ticks_s)
             )
-        return made
+        return readings
 
     def _lose(self, error: ServoBusError) -> str:
         if isinstance(error, BusUnplugged) and self.bus is not None:
@@ -191,7 +191,7 @@ class ServoArm:
         return str(error)
 
     def _reopen(self) -> None:
-        """Open a port that went away; servos kept their torque, unless it was to be off."""
+        """Reopen a lost port. The servos kept their torque unless it was to be switched off."""
         try:
             self.bus = self._open()
             if self._owing_off:

@@ -1,4 +1,4 @@
-"""Which servo drives which joint, and how: declared in YAML, checked once at the door.
+"""Configuration of the servos and the joints they drive, read from YAML and checked.
 
 ``bus``: the port; ``joints``: one entry a joint, in the order of the arm; ``follower``: limits of
 the trajectory follower. Joint values are rad (revolute) or m (prismatic), all else as the key says.
@@ -40,12 +40,13 @@ class FollowerConfig(ServoSettings):
     """Limits that hold for every joint; ticks are the servo's own.
 
     Attributes:
-        blend_s: a new trajectory takes over from a running one within this time.
-        max_step_s: a longer pause between two steps does not make a longer set-point step.
-        silence_s: no trusted read-back for so long is a fault.
-        stall_error_ticks, stall_time_s: so far off with full load for so long is a stall.
-        lost_error_ticks: so far off for ``stall_time_s`` whatever the load is a fault.
-        jump_ticks: a read-back further than this from where the joint can be is not believed.
+        blend_s: time in which a new trajectory takes over from a running one.
+        max_step_s: largest time step of the set-point, also after a longer pause.
+        silence_s: time without a trusted read-back that counts as a fault.
+        stall_error_ticks, stall_time_s: position error at full load, and its duration, that
+            count as a stall.
+        lost_error_ticks: position error over ``stall_time_s`` that is a fault at any load.
+        jump_ticks: a read-back further than this from any reachable position is rejected.
     """
 
     blend_s: Positive = 0.2
@@ -58,7 +59,7 @@ class FollowerConfig(ServoSettings):
 
 
 class ServoConfig(ServoSettings):
-    """The whole servo side of an arm; ``joints`` keeps the order of the file."""
+    """Configuration of all servos of an arm; ``joints`` keeps the order of the file."""
 
     bus: BusConfig
     joints: dict[str, JointConfig] = Field(min_length=1)
@@ -108,7 +109,7 @@ class ServoConfig(ServoSettings):
 
     @property
     def models(self) -> dict[int, ServoModel]:
-        """The kind of each servo, by id."""
+        """The model of each servo, by id."""
         return {joint.servo_id: joint.servo for joint in self.joints.values()}
 
     @property
@@ -118,7 +119,7 @@ class ServoConfig(ServoSettings):
 
     @property
     def speed_limits_ticks_s(self) -> dict[int, float]:
-        """A second bound, kept by the servos: 1.5 times ``max_velocity``, so that none lags."""
+        """Speed limit kept by the servos themselves: 1.5 times ``max_velocity``, so none lags."""
         return {j.servo_id: 1.5 * j.max_speed_ticks_s for j in self.joints.values()}
 
     def open_bus(self) -> SerialServoBus:
@@ -174,7 +175,7 @@ def _known_keys(loc: tuple[int | str, ...]) -> list[str]:
 
 
 def _without_ros(data: Any) -> Any:
-    """The parameters inside a ROS parameter file; keys of other readers are left to them."""
+    """The parameters inside a ROS parameter file, without those that are checked elsewhere."""
     if isinstance(data, Mapping) and len(data) == 1:
         (node,) = data.values()
         if isinstance(node, Mapping) and "ros__parameters" in node:

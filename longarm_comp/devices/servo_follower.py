@@ -1,7 +1,7 @@
-"""From a joint trajectory to bounded servo goals, one step at a time; never on doubtful data.
+"""Follows a joint trajectory: computes bounded servo goals step by step from the read-back.
 
-Pure: it knows neither ROS nor a port. The caller reads the bus, calls ``step`` with what it got,
-and sends the goals it gets back. A fault holds every servo where it is and sends nothing more::
+It uses neither ROS nor a port. The caller reads the bus, calls ``step`` with the states and sends
+the goals that it returns. On a fault every servo holds its position and no more goals are sent::
 
     bus = config.open_bus()
     bus.set_turns({j.servo_id: j.multi_turn for j in config.joints.values()})
@@ -39,7 +39,7 @@ _SETTLED_TICKS_S = 30.0
 class TrajectoryFollower:
     """Follows one trajectory at a time within the limits of ``config``.
 
-    Call ``step`` at a steady rate, also while idle: it is what keeps the read-back known.
+    Call ``step`` at a steady rate, also while idle, so that the read-back stays up to date.
     ``now`` is monotonic seconds everywhere.
     """
 
@@ -66,19 +66,20 @@ class TrajectoryFollower:
 
     @property
     def state(self) -> FollowerState:
-        """What it is doing."""
+        """State of the follower."""
         return self._state
 
     def accept(self, trajectory: JointTrajectory, now: float) -> None:
-        """Take over a trajectory; it starts with the next step, from where the set-point is.
+        """Accept a trajectory. It starts with the next step, from the present set-point.
 
-        Joints it does not name stay where they are. No point at all: stop smoothly. A first point
-        at time 0 away from the arm is reached as fast as the limits allow; a trajectory that is
-        too fast is slowed down evenly (SLOWED says by how much). It always ends at rest.
+        Joints that it does not name stay where they are. A trajectory without points means to
+        stop smoothly. If the first point has time 0 and is not at the arm, it is reached as fast
+        as the limits allow. A trajectory that is too fast is slowed down evenly, and an event
+        SLOWED reports the factor. It always ends at rest.
 
         Raises:
             InputError: unknown or repeated joint, wrong length, not finite, times not increasing,
-                outside the limits (on the way too); nothing changes then.
+                outside the limits, also between points; nothing changes then.
             JobError: no trusted read-back yet, fault, or emergency stop.
         """
         self._check_ready(now)
@@ -107,7 +108,7 @@ class TrajectoryFollower:
         self.accept(JointTrajectory((), ()), now)
 
     def estop(self) -> None:
-        """Command nothing more until ``reset``; the caller switches the torque off."""
+        """Send no goals until ``reset``. The caller switches the torque off."""
         self._state = FollowerState.ESTOP
         self._drop_motion()
         self._say(EventKind.ESTOP, "emergency stop")
@@ -116,7 +117,7 @@ class TrajectoryFollower:
         """Back to idle after a fault or an emergency stop.
 
         Raises:
-            JobError: a servo is silent, hot or alarmed still; the message says which.
+            JobError: a servo is still silent, hot or alarmed; the message says which.
         """
         self._check_health(now)
         self._watch.forget_errors()
@@ -130,10 +131,10 @@ class TrajectoryFollower:
         states: Mapping[int, ServoState],
         driven: Mapping[int, bool] | None = None,
     ) -> Step:
-        """Take in one read-back (by servo id, silent servos left out) and say what to send.
+        """Process one read-back, by servo id without silent servos, and return goals to send.
 
-        ``driven``, now and then, is what ``ServoBus.driven`` says: a servo that lost its power for
-        a moment answers as before but holds nothing.
+        ``driven``, given now and then, is the result of ``ServoBus.driven``. It reveals a servo
+        that lost power for a moment: it answers as before, but its torque is off.
 
         Raises:
             InputError: ``now`` is not finite.
@@ -155,7 +156,7 @@ class TrajectoryFollower:
         return Step(self._state, goals, set_points, events)
 
     def _move(self, dt: float) -> dict[int, int] | None:
-        """One bounded step along the path; nothing at all while any servo is in doubt."""
+        """One bounded step along the path; None while any read-back is doubtful."""
         if not self._fresh:
             if not self._doubting:
                 self._say(EventKind.DOUBTFUL, "waiting for a trusted read-back of every servo")
@@ -181,7 +182,7 @@ class TrajectoryFollower:
         return self._goals
 
     def _reference(self) -> Array:
-        """The path, blended in over a brake from the set-point and speed of the take-over.
+        """The path, blended with a braking motion from the set-point at the take-over.
 
         Both lie within the joint box, so their blend does; position and velocity are continuous.
         """
@@ -197,7 +198,7 @@ class TrajectoryFollower:
         return (1.0 - weight) * brake + weight * wanted
 
     def _settle(self) -> None:
-        """Say once that the arm has come to rest at the end of its trajectory."""
+        """Report once that the arm has come to rest at the end of its trajectory."""
         states = [self._watch.state(name) for name in self._names]
         still = all(s is not None and abs(s.velocity_ticks_s) < _SETTLED_TICKS_S for s in states)
         if still and not self._settled:
@@ -205,7 +206,7 @@ class TrajectoryFollower:
             self._say(EventKind.ARRIVED, "at rest at the end of the trajectory")
 
     def _fault(self, findings: list[Finding]) -> dict[int, int]:
-        """Stop where the servos are, once; a servo not heard just now keeps its last goal."""
+        """Stop at the present positions, once. A silent servo keeps its last goal."""
         self._state = FollowerState.FAULT
         for finding in findings:
             what = f"{finding.joint} {finding.trouble.value}: {finding.message}"
@@ -236,7 +237,7 @@ class TrajectoryFollower:
         self._check_health(now)
 
     def _start(self) -> Array:
-        """The set-point now; from idle, where the arm stands."""
+        """The present set-point; when idle, the present position of the arm."""
         if self._set is not None:
             return self._set
         values = []

@@ -20,7 +20,7 @@ STEP_KNOWN_TO = 0.15
 
 
 class ServoSettings(BaseModel):
-    """A part of the configuration: unknown keys are errors, nothing changes afterwards."""
+    """Base of the configuration records. They are frozen; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -33,8 +33,8 @@ class JointConfig(ServoSettings):
         gear_ratio: servo turns for one turn of the joint (or of the screw or pinion).
         screw_lead_m, pinion_radius_m: travel of a prismatic joint; one of the two.
         direction: +1 when ticks grow with the joint value.
-        multi_turn: the servo turns more than once over the range. It forgets its turns without
-            power, so such a joint must stand within its zero's turn when power comes on.
+        multi_turn: the servo turns more than once over the range. It loses its turn count
+            without power, so the joint must be within the turn of its zero at power-on.
         max_load: share of the servo's full effort that counts as stalled, 0 to 1.
     """
 
@@ -82,12 +82,12 @@ class JointConfig(ServoSettings):
 
     @property
     def servo(self) -> ServoModel:
-        """The kind of servo."""
+        """The servo's model."""
         return MODELS[self.model]
 
     @property
     def unit(self) -> str:
-        """Of the joint value."""
+        """Unit of the joint value."""
         return "m" if self.type == "prismatic" else "rad"
 
     @property
@@ -110,7 +110,7 @@ class JointConfig(ServoSettings):
 
     @property
     def goal_range(self) -> tuple[int, int]:
-        """Goals the servo accepts, ticks."""
+        """Lowest and highest goal that the servo accepts, ticks."""
         return self.servo.multi_turn if self.multi_turn else self.servo.single_turn
 
     @cached_property

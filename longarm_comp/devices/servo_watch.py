@@ -1,4 +1,4 @@
-"""Is the read-back to be trusted, and do the servos do as they are told?"""
+"""Checks the read-back of the servos: whether it is plausible and follows the goals."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from longarm_comp.devices.servo_config import JointConfig, ServoConfig
 
 
 class Trouble(Enum):
-    """What a servo can be found guilty of; each is a fault that stops the arm."""
+    """Kinds of servo faults. Each of them stops the arm."""
 
     SILENT = "silent"
     ALARM = "alarm"
@@ -23,7 +23,7 @@ class Trouble(Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One trouble of one joint, in words."""
+    """One fault of one joint, with a message."""
 
     trouble: Trouble
     joint: str
@@ -32,7 +32,7 @@ class Finding:
 
 @dataclass
 class _Seen:
-    """What is known of one servo."""
+    """Last read-back and timers of one servo."""
 
     state: ServoState | None = None
     said: int | None = None
@@ -42,7 +42,7 @@ class _Seen:
 
 
 class ServoWatch:
-    """Keeps the last trusted read-back of every joint and finds trouble in it.
+    """Keeps the last trusted read-back of every joint and finds faults in it.
 
     Args:
         config: the joints and their limits.
@@ -60,14 +60,14 @@ class ServoWatch:
         states: Mapping[int, ServoState],
         goals: Mapping[int, int] | None,
     ) -> tuple[bool, list[Finding]]:
-        """Take in one read-back, by servo id; servos that gave none are left out of it.
+        """Process one read-back, by servo id, without servos that did not answer.
 
         Args:
             now: s, monotonic.
-            goals: what was commanded last, ticks by id; None: nothing, so nothing can be off.
+            goals: last goals, ticks by id; None if nothing was commanded.
 
         Returns:
-            Whether every joint was heard and believed this time, and the troubles found.
+            Whether every joint had a trusted read-back this time, and the faults found.
         """
         if self._started is None:
             self._started = now
@@ -88,7 +88,7 @@ class ServoWatch:
         return fresh, findings
 
     def standing(self, now: float) -> list[Finding]:
-        """What is wrong with the servos whether they are commanded or not."""
+        """Faults that do not depend on a command."""
         findings: list[Finding] = []
         for name, seen in self._seen.items():
             findings += self._silence(name, seen, now)
@@ -101,12 +101,12 @@ class ServoWatch:
         return self._seen[joint].state
 
     def heard(self, joint: str) -> bool:
-        """Whether a joint was heard and believed in the last update."""
+        """Whether a joint had a trusted read-back in the last update."""
         seen = self._seen[joint]
         return seen.state is not None and seen.at == self._now
 
     def forget_errors(self) -> None:
-        """Start the stall clocks anew (after a reset)."""
+        """Restart the stall timers, after a reset."""
         for seen in self._seen.values():
             seen.off_since = seen.lost_since = None
 
@@ -115,7 +115,7 @@ class ServoWatch:
     ) -> bool:
         """Whether the joint would have had to move faster than it can to be there.
 
-        Uncommanded it may be moved by hand: then two read-backs that agree are believed.
+        Without a command it may be moved by hand: then two read-backs that agree are trusted.
         """
         jump = self._config.follower.jump_ticks
         said, seen.said = seen.said, state.position_ticks
@@ -147,7 +147,7 @@ class ServoWatch:
     def _obedience(
         self, name: str, joint: JointConfig, seen: _Seen, goal: int | None, now: float
     ) -> list[Finding]:
-        """Commanded against read back: pushing without moving, or not there at all."""
+        """Compare goal and read-back: a stalled joint, or one far from its goal."""
         if goal is None or seen.state is None:
             seen.off_since = seen.lost_since = None
             return []

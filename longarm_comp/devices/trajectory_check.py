@@ -1,4 +1,4 @@
-"""A joint trajectory checked once, at the door, and put into the order of the arm's joints."""
+"""Checks a joint trajectory and puts it into the order of the arm's joints."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def checked(trajectory: JointTrajectory, config: ServoConfig, start: Array) -> W
     Returns None for a trajectory without points.
 
     Raises:
-        InputError: with the point and the joint.
+        InputError: names the point and the joint, the value and what is allowed.
     """
     if not trajectory.points:
         return None

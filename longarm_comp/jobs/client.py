@@ -1,6 +1,6 @@
-"""A program's own place on an arm's graph: send joints, wait for rest, watch the tip.
+"""A client of an arm's graph: sends joints, waits for rest, collects sightings of the tip.
 
-A single executor in the caller's thread; every wait ends at once when ``stop`` is set.
+It uses one executor in the caller's thread. Every wait ends at once when ``stop`` is set.
 """
 
 from __future__ import annotations
@@ -91,10 +91,11 @@ class ArmClient:
     # ------------------------------------------------------------------ waiting
 
     def until(self, condition: Callable[[], Any], within_s: float, what: str) -> Any:
-        """Spin until something is truthy; what it is.
+        """Spin until a condition is truthy and return its value.
 
         Raises:
-            JobError: not within the time. Interrupted: stop was set.
+            JobError: the condition was not met in time.
+            Interrupted: ``stop`` was set.
         """
         end = time.monotonic() + within_s
         while not (found := condition()):
@@ -106,12 +107,12 @@ class ArmClient:
         return found
 
     def spin(self, seconds: float) -> None:
-        """Serve what comes for so long. Raises Interrupted."""
+        """Serve callbacks for a number of seconds. Raises Interrupted."""
         end = time.monotonic() + seconds
         self.until(lambda: time.monotonic() >= end, seconds + 60.0, "waiting")
 
     def ready(self, within_s: float = 30.0, *, tip: bool = True) -> None:
-        """Wait for joints, a driver that listens, and (``tip``) eyes that see."""
+        """Wait for joint states, a driver and, with ``tip``, a sighting of the tip."""
         self.until(lambda: self.joints is not None, within_s, "no joint_states")
         heard = self._trajectory.get_subscription_count
         self.until(lambda: heard() > 0, within_s, "nobody listens to joint_trajectory")
@@ -119,7 +120,7 @@ class ArmClient:
             self.until(lambda: self.sightings, within_s, "no tip_measured")
 
     def call(self, client: Any, request: Any, within_s: float = 20.0) -> Any:
-        """The answer of a service. Raises as `until`."""
+        """Call a service and return its response. Raises as `until`."""
         self.until(client.service_is_ready, within_s, f"nobody offers {client.srv_name}")
         future = client.call_async(request)
         self.until(future.done, within_s, f"no answer of {client.srv_name}")
@@ -128,7 +129,7 @@ class ArmClient:
     # ------------------------------------------------------------------ moving
 
     def send(self, path: np.ndarray, move_s: float = 0.5) -> None:
-        """Command way-points (k, n), stopping at each; the driver keeps its limits."""
+        """Command way-points (k, n) with a stop at each. The driver keeps its limits."""
         points = []
         for k, q in enumerate(path, 1):
             whole = int(k * move_s)
@@ -144,15 +145,16 @@ class ArmClient:
     def arrive(
         self, path: np.ndarray, tolerance: np.ndarray, dwell_s: float, within_s: float
     ) -> int:
-        """Wait until the joints stay within (n,) of the end of a path (k, n) for a while.
+        """Wait until the joints rest within a tolerance (n,) of the end of a path (k, n).
 
-        An arm that stands there already, and is to come back to it by way-points, must have left.
+        If the arm is there already and the path leads away and back, it must have left first.
 
         Returns:
             The moment (ns, the graph's clock) from which the arm was at rest.
 
         Raises:
-            JobError: it did not arrive. Interrupted.
+            JobError: it did not arrive.
+            Interrupted: ``stop`` was set.
         """
         q = path[-1]
         inside_since: list[float] = []
@@ -171,10 +173,7 @@ class ArmClient:
         return int(self.node.get_clock().now().nanoseconds)
 
     def look(self, after_ns: int, count: int, within_s: float) -> list[np.ndarray]:
-        """Sightings (3,) taken after a moment: ``count`` of them, or as many as came in time.
-
-        Lost ones are left out.
-        """
+        """Up to ``count`` sightings (3,) taken after a time (ns), without lost ones."""
 
         def taken() -> list[np.ndarray]:
             return [

@@ -1,4 +1,4 @@
-"""A predictor of the usual size on a made-up residual, for jobs that need one to be there."""
+"""A dummy predictor of the usual size, trained on a synthetic residual."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from longarm_comp.core.learn.predictor_file import save
 _SAMPLES = 300
 
 
-def train_stand_in(arm: Arm, path: Path) -> None:
+def train_dummy(arm: Arm, path: Path) -> None:
     """Train on a smooth residual of a few millimetres over the joint box, and save."""
     rng = np.random.default_rng(0)
     q = rng.uniform(arm.lower, arm.upper, (_SAMPLES, arm.n))

@@ -1,4 +1,4 @@
-"""Targets as a robot at work is given them: one near the other, anywhere in the joint box."""
+"""Targets along a smooth path through the joint box, as in normal operation."""
 
 from __future__ import annotations
 

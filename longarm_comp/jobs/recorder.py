@@ -1,4 +1,4 @@
-"""The graph's topics into a bag, as they come over the wire."""
+"""Recording of the graph's topics in a bag, as serialised messages."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SESSION_TOPICS = (
     graph.PREDICTED_ERROR, graph.TIP_MEASURED, graph.TEMPERATURE, graph.PAYLOAD,
     graph.INCLINATION,
 )  # fmt: skip
-"""What tells of a session; images would be a hundred times as much."""
+"""Topics of a session. Images would take a hundred times as much space."""
 
 IMAGE_TOPICS = (graph.LEFT_IMAGE, graph.RIGHT_IMAGE, graph.LEFT_INFO, graph.RIGHT_INFO)
 
@@ -33,12 +33,12 @@ _CLOCKS_APART_NS = 60 * 10**9
 
 
 class Recorder:
-    """Subscribes to topics on a node and keeps them in a bag.
+    """Subscribes to topics on a node and writes their messages to a bag.
 
     Messages wait in memory until `keep` makes them part of the recording; `drop` forgets them.
 
     Args:
-        segment_s: a segment is finished when it is older: at most so much is lost by a kill.
+        segment_s: length of a segment. A killed recorder loses at most one segment.
     """
 
     def __init__(
@@ -68,15 +68,15 @@ class Recorder:
         )
 
     def put(self, topic: str, kind: str, raw: bytes) -> None:
-        """Take one serialised message that came just now; ``topic`` is its full name."""
+        """Take a serialised message that was just received; ``topic`` is its full name."""
         self._waiting.append((topic, kind, time.time_ns(), raw))
 
     def keep(self, *, since_ns: int = 0, finish: bool = False) -> None:
-        """Write what waits.
+        """Write the waiting messages.
 
         Args:
-            since_ns: leave out what tells of moments before, whenever it came.
-            finish: make it part of the readable bag at once.
+            since_ns: leave out messages about earlier times.
+            finish: finish the segment, so that they are in the readable bag at once.
         """
         for topic, kind, received, raw in self._waiting:
             if self._moment(topic, received, raw) < since_ns:
@@ -89,7 +89,7 @@ class Recorder:
             self._since = time.monotonic()
 
     def _moment(self, topic: str, received: int, raw: bytes) -> int:
-        """What a message is about (ns): its header's stamp, where it has one of this clock."""
+        """Time (ns) of a message: its header's stamp if it is of this clock, else its receipt."""
         if topic not in self._stamped:
             return received
         seconds, rest = struct.unpack_from("<iI" if raw[1] & 1 else ">iI", raw, 4)
@@ -97,7 +97,7 @@ class Recorder:
         return stamp if abs(stamp - received) < _CLOCKS_APART_NS else received
 
     def drop(self) -> None:
-        """Forget what waits."""
+        """Drop the waiting messages."""
         self._waiting.clear()
 
 
@@ -114,7 +114,7 @@ def record(
     segment_s: float = _SEGMENT_S,
     duration_s: float | None = None,
 ) -> dict[str, int]:
-    """Record until the event is set, or for so long; messages by topic."""
+    """Record until the event is set or the time is over. Returns message counts by topic."""
     context = rclpy.Context()
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
     executor = SingleThreadedExecutor(context=context)

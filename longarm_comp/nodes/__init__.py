@@ -1,1 +1,1 @@
-"""The ROS 2 graph: one thin file a node. Declare, convert, call core, convert, publish."""
+"""The ROS 2 nodes. Each one converts messages, calls the core and publishes the result."""

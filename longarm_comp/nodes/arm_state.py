@@ -1,4 +1,4 @@
-"""What the graph tells of the arm right now: joints, where they were sent, circumstances."""
+"""State of the arm as heard on the graph: joints, last command, readings of circumstances."""
 
 from __future__ import annotations
 
@@ -22,15 +22,16 @@ from longarm_comp.nodes.worker import ManualCallbackGroup
 
 
 class ArmState:
-    """Listens; everything it holds is replaced whole, so that other threads may read it.
+    """Subscribes to the arm's topics. Values are replaced whole, so other threads may read them.
 
     Args:
-        refused: told of every message that cannot be meant, as (what, why).
-        commanded: told where the arm is sent, as joints (n,) and their history when there.
-        moved: told every joint reading (n,).
+        refused: called for every message that is refused, with its kind and the reason.
+        commanded: called for every command, with its joints (n,) and their history on arrival.
+        moved: called with every joint reading (n,).
 
     Attributes:
-        commands: to be taken by the worker, so that each command is known before the next target.
+        commands: subscription to the commands. The worker takes them, so that each command is
+            known before the next target.
     """
 
     def __init__(
@@ -42,7 +43,7 @@ class ArmState:
         moved: Callable[[np.ndarray], None],
     ) -> None:
         self._arm, self._refused = arm, refused
-        self._tell_commanded, self._tell_moved = commanded, moved
+        self._on_command, self._on_moved = commanded, moved
         self.readings = Readings(started_s=time.monotonic())
         self.history = History.unknown(arm.n)
         self._joints: tuple[np.ndarray, float] | None = None
@@ -57,13 +58,13 @@ class ArmState:
 
     @property
     def joints(self) -> np.ndarray | None:
-        """(n,) rad and m, as last told; None before that."""
+        """(n,) last joint reading, rad and m; None before the first."""
         held = self._joints
         return None if held is None else held[0]
 
     @property
     def age_s(self) -> float:
-        """Of the joints; infinite before the first."""
+        """Age of the joint reading, s; infinite before the first."""
         held = self._joints
         return math.inf if held is None else time.monotonic() - held[1]
 
@@ -74,10 +75,10 @@ class ArmState:
             self._refused("bad joint_states", str(error))
             return
         self._joints = q, time.monotonic()
-        self._tell_moved(q)
+        self._on_moved(q)
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
-        """Whoever commands the arm: this move is what its joints did last."""
+        """Record the move of any command, whoever sent it, in the history of the joints."""
         try:
             path = path_of(message, self._arm)
         except InputError as error:
@@ -86,13 +87,13 @@ class ArmState:
         before = self._commanded if self._commanded is not None else self.joints
         self.history = self.history.after(path, before)
         self._commanded = path[-1]
-        self._tell_commanded(path[-1], self.history)
+        self._on_command(path[-1], self.history)
 
     def _on_temperature(self, message: Temperature) -> None:
-        self._tell("temperature", {"temperature_c": message.temperature})
+        self._read("temperature", {"temperature_c": message.temperature})
 
     def _on_payload(self, message: Float64) -> None:
-        self._tell("payload", {"payload_kg": message.data})
+        self._read("payload", {"payload_kg": message.data})
 
     def _on_inclination(self, message: Imu) -> None:
         try:
@@ -100,9 +101,9 @@ class ArmState:
         except InputError as error:
             self._refused("bad inclination", str(error))
             return
-        self._tell(f"inclination {row}", columns)
+        self._read(f"inclination {row}", columns)
 
-    def _tell(self, source: str, columns: dict[str, float]) -> None:
+    def _read(self, source: str, columns: dict[str, float]) -> None:
         if all(math.isfinite(value) for value in columns.values()):
             self.readings = self.readings.told(source, columns, time.monotonic())
         else:

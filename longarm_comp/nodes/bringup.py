@@ -1,6 +1,6 @@
-"""Which nodes make an arm's graph, with which files: `longarm up` and the launch files read this.
+"""The nodes of an arm's graph and their files, for `longarm up` and the launch files.
 
-A program may bring the graph up for itself::
+A program can start the graph itself::
 
     with running(BringUp(arm=Path("arm.yaml"), sim=True)):
         ...
@@ -26,7 +26,7 @@ REAL = ("error_predictor", "kinematics", "servo_driver", "stereo_bridge")
 SIMULATED = ("simulated_arm", *REAL)
 
 _PATIENT = {"bus.reply_timeout_s": 0.2, "follower.silence_s": 2.0, "patience_s": 60.0}
-"""Emulated servos start beside the driver, share the computer with everything and may be late."""
+"""Longer timeouts for emulated servos: they start with the driver and share its computer."""
 
 
 @dataclass(frozen=True)
@@ -34,13 +34,13 @@ class BringUp:
     """One arm's graph.
 
     Attributes:
-        arm, model, predictor: files; without a model the arm is as declared.
+        arm, model, predictor: files. Without a model the declared arm is used.
         effects: Python files that define further effects, executed by `kinematics`.
-        sim: with the simulated arm instead of hardware.
-        namespace: of the arm; empty: none.
+        sim: run the simulated arm instead of hardware.
+        namespace: namespace of the arm; empty for none.
         config: folder of parameter files that replace the package's own, ``<node>.yaml``.
-        port: serial port of the servos; the file's by default.
-        speed: simulation: how many times faster than the files say all motion is.
+        port: serial port of the servos; empty for the one in the parameter file.
+        speed: factor on all velocities in simulation.
         set: further parameters, by node and name.
         without: nodes to leave out.
     """
@@ -66,17 +66,17 @@ class BringUp:
 
     @property
     def nodes(self) -> tuple[str, ...]:
-        """In the order of starting."""
+        """Names of the nodes, in the order of starting."""
         return tuple(n for n in (SIMULATED if self.sim else REAL) if n not in self.without)
 
     def file(self, node: str) -> Path:
-        """A node's parameter file: the given folder's where it has one, else the package's."""
+        """A node's parameter file: from the folder ``config`` if it has one, else the package's."""
         name = f"{node}.yaml"
         own = self.config / name if self.config else None
         return own if own is not None and own.is_file() else folder("config") / name
 
     def parameters(self, node: str, bus: str) -> dict[str, Any]:
-        """What is set on top of the file; ``bus``: link to the simulated servo bus."""
+        """Parameters that override the file; ``bus``: link to the simulated servo bus."""
         arm = {"arm": str(self.arm.absolute())}
         servos = str(self.file("servo_driver").absolute())
         port = bus if self.sim else self.port
@@ -91,13 +91,13 @@ class BringUp:
             "stereo_bridge": {"reliable_images": True} if self.sim else {},
             "simulated_arm": arm | {"servos": servos, "port": bus},
         }
-        made = per_node[node]
+        values = per_node[node]
         if self.sim and self.speed != 1.0:
-            made |= self._faster(node)
-        return made | dict(self.set.get(node, {}))
+            values |= self._faster(node)
+        return values | dict(self.set.get(node, {}))
 
     def _faster(self, node: str) -> dict[str, Any]:
-        """Servos and the driver's velocity limits, scaled alike."""
+        """Velocities of the servos and the driver's limits, scaled by the same factor."""
         if node not in ("servo_driver", "simulated_arm"):
             return {}
         given = _ros_parameters(self.file(node))
@@ -112,14 +112,14 @@ class BringUp:
         }
 
     def command(self, node: str, bus: str) -> list[str]:
-        """The program and its arguments."""
-        made = [sys.executable, "-m", f"{PACKAGE}.nodes.{node}", "--ros-args"]
+        """Program and arguments of a node's process."""
+        words = [sys.executable, "-m", f"{PACKAGE}.nodes.{node}", "--ros-args"]
         if self.namespace:
-            made += ["-r", f"__ns:=/{self.namespace.strip('/')}"]
-        made += ["--params-file", str(self.file(node))]
+            words += ["-r", f"__ns:=/{self.namespace.strip('/')}"]
+        words += ["--params-file", str(self.file(node))]
         for name, value in self.parameters(node, bus).items():
-            made += ["-p", f"{name}:={_text(value)}"]
-        return made
+            words += ["-p", f"{name}:={_text(value)}"]
+        return words
 
 
 def _path(name: str, path: Path | None) -> dict[str, Any]:
@@ -131,7 +131,7 @@ def _paths(name: str, paths: tuple[Path, ...]) -> dict[str, Any]:
 
 
 def _text(value: Any) -> str:
-    """A parameter's value as YAML: texts keep being texts, floats floats."""
+    """A parameter's value as YAML that keeps its type."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
@@ -152,10 +152,10 @@ def _ros_parameters(path: Path) -> dict[str, Any]:
 def running(
     graph: BringUp, *, respawn: bool = True, say: Callable[[str], None] = lambda text: None
 ) -> Iterator[Supervisor]:
-    """The graph's processes, started; all ended at the end, whatever happens.
+    """Start the graph's processes; on exit all of them are ended, also after an exception.
 
     Args:
-        respawn, say: as `Supervisor` has them.
+        respawn, say: see `Supervisor`.
 
     Raises:
         InputError: a file is missing or wrong.

@@ -49,7 +49,7 @@ class Loaded:
 
 
 class ErrorPredictor(Node):
-    """Questions are taken and answered on one thread, files are loaded on another."""
+    """Answers requests on one thread and loads files on another."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__("error_predictor", automatically_declare_parameters_from_overrides=True)
@@ -80,7 +80,7 @@ class ErrorPredictor(Node):
         self._files.close()
 
     def survived(self, error: Exception) -> None:
-        """Count what a callback let through."""
+        """Count an exception that a callback raised."""
         self._health.fault(error)
 
     def _on_predict(
@@ -107,7 +107,7 @@ class ErrorPredictor(Node):
         except LongarmError as error:
             self._refused += 1
             response.message = self._last = str(error)
-            response.sigma = math.inf  # a predictor is there: the question was wrong
+            response.sigma = math.inf  # a predictor is loaded, but the request was invalid
         except Exception as error:
             self.survived(error)
             response.message = f"{type(error).__name__}: {error}"
@@ -134,7 +134,7 @@ class ErrorPredictor(Node):
         self._answered += 1
 
     def _reload(self) -> tuple[bool, str]:
-        """Read the file; the one in use stays where that fails and the model is still the same."""
+        """Read the file. If that fails and the model is the same, the one in use stays."""
         if not self._path:
             return False, "no predictor file is configured"
         self._model.reload()

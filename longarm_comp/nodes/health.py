@@ -1,4 +1,4 @@
-"""What a node says about itself on /diagnostics, once a second."""
+"""Reports of a node's state on /diagnostics, once a second."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ OK, WARN, ERROR, STALE = (
 
 @dataclass(frozen=True)
 class Report:
-    """The state of one part: level, a sentence, and facts."""
+    """State of one part of a node: level, message and values by name."""
 
     level: bytes
     message: str
@@ -35,9 +35,9 @@ class Health:
     """Collects a report from every part of a node and publishes them.
 
     Args:
-        node: speaks for itself; a part is named ``<node>: <part>``.
-        parts: each part's report, made when asked.
-        period_s: between two publications.
+        node: the publishing node. A status is named ``<node>: <part>``.
+        parts: function that reports on each part.
+        period_s: time between two publications.
     """
 
     def __init__(
@@ -52,13 +52,13 @@ class Health:
         self._parts["process"] = self._process
 
     def fault(self, error: Exception) -> None:
-        """Count an exception that was survived."""
+        """Count an exception after which the node goes on."""
         self.faults += 1
         self.last_fault = f"{type(error).__name__}: {error}"
         self._node.get_logger().error(f"survived {self.last_fault}")
 
     def publish(self) -> None:
-        """Send every part's report now."""
+        """Publish the report of every part now."""
         name = self._node.get_fully_qualified_name()
         array = DiagnosticArray()
         array.header.stamp = self._node.get_clock().now().to_msg()

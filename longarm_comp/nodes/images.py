@@ -1,4 +1,4 @@
-"""Image messages <-> arrays, and what a camera message says of its camera."""
+"""Conversions between image messages and arrays, and of camera calibrations to messages."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def pixels_of(message: Image) -> Grey:
     """(H, W) grey or (H, W, 3) BGR.
 
     Raises:
-        StereoRefusal: BAD_IMAGE, another encoding or another amount of data than stated.
+        StereoRefusal: BAD_IMAGE, for an unsupported encoding or data of another size than stated.
     """
     channels = _CHANNELS.get(message.encoding)
     if channels is None:
@@ -53,25 +53,25 @@ def pixels_of(message: Image) -> Grey:
 
 
 def image_message(grey: Grey, ns: int, frame: str) -> Image:
-    """A grey image (H, W)."""
+    """Message of a grey image (H, W), uint8."""
     height, width = grey.shape
-    made = Image(height=height, width=width, encoding="mono8", step=width)
-    made.data = array.array("B", np.ascontiguousarray(grey).tobytes())
-    made.header.stamp, made.header.frame_id = stamp_of(ns), frame
-    return made
+    message = Image(height=height, width=width, encoding="mono8", step=width)
+    message.data = array.array("B", np.ascontiguousarray(grey).tobytes())
+    message.header.stamp, message.header.frame_id = stamp_of(ns), frame
+    return message
 
 
 def info_message(info: CameraInfoLike, ns: int, frame: str) -> CameraInfo:
-    """A calibration."""
-    made = CameraInfo(
+    """Message of a camera's calibration."""
+    message = CameraInfo(
         width=info.width, height=info.height, distortion_model=info.distortion_model,
         d=list(info.d), k=list(info.k), r=list(info.r), p=list(info.p),
     )  # fmt: skip
-    made.header.stamp, made.header.frame_id = stamp_of(ns), frame
-    return made
+    message.header.stamp, message.header.frame_id = stamp_of(ns), frame
+    return message
 
 
 def same_camera(a: CameraInfo, b: CameraInfo) -> bool:
-    """Whether two calibrations say the same."""
+    """Whether two messages hold the same calibration."""
     keys = ("width", "height", "distortion_model", "d", "k", "r", "p")
     return all(np.array_equal(getattr(a, key), getattr(b, key)) for key in keys)

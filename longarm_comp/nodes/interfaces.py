@@ -1,7 +1,7 @@
-"""Every topic and service of the graph, once: name, type, quality of service, meaning.
+"""Table of all topics and services of the graph: name, type, quality of service, meaning.
 
-All names are relative, so that a namespace makes a second arm; only /diagnostics is shared.
-Programs that talk to the graph use this table too, so that their QoS fits: for instance
+All names are relative, so that arms can be separated by namespaces; only /diagnostics is shared.
+Programs that talk to the graph use this table too, so that their QoS is compatible: for instance
 ``TARGET_POSE.publisher(node)`` or ``TIP_MEASURED.subscription(node, callback)``.
 """
 
@@ -31,11 +31,11 @@ BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
 
 _UNHEARD_PUBLISHER = PublisherEventCallbacks(use_default_callbacks=False)
 _UNHEARD_SUBSCRIPTION = SubscriptionEventCallbacks(use_default_callbacks=False)
-"""rclpy's default events (two a topic, they log a QoS that does not fit; the other side logs it
-too) are looked at before every callback and cost more than all else that its executor does."""
+"""rclpy's default events log an incompatible QoS, which the other side logs too.  The executor
+checks two of them per topic before every callback, which costs more than the rest of its work."""
 
 _PATIENT = QoSProfile(depth=200)
-"""Requests that wait on either side: ROS's default of 10 loses those of a burst."""
+"""Requests that can wait on either side. ROS's default of 10 loses requests of a burst."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,9 @@ class Topic:
         name: relative to the namespace of the arm.
         type: message class.
         depth: messages kept on either side.
-        listens: reliability of subscriptions; best effort also hears sensors that publish so.
-            Publishers are always reliable, which serves both.
-        meaning: in one line, for the documentation.
+        listens: reliability of subscriptions. Best effort also receives from best-effort sensors.
+            Publishers are always reliable, which is compatible with both.
+        meaning: one line for the documentation.
     """
 
     name: str
@@ -58,7 +58,7 @@ class Topic:
     meaning: str
 
     def publisher(self, node: Node) -> Any:
-        """A publisher on a node."""
+        """Create a publisher on a node."""
         return node.create_publisher(
             self.type, self.name, QoSProfile(depth=self.depth), event_callbacks=_UNHEARD_PUBLISHER
         )
@@ -70,7 +70,7 @@ class Topic:
         group: CallbackGroup | None = None,
         listens: ReliabilityPolicy | None = None,
     ) -> Any:
-        """A subscription on a node; ``listens`` instead of the topic's own reliability."""
+        """Create a subscription on a node; ``listens`` replaces the topic's own reliability."""
         qos = QoSProfile(depth=self.depth, reliability=listens or self.listens)
         return node.create_subscription(
             self.type, self.name, callback, qos,
@@ -80,7 +80,7 @@ class Topic:
 
 @dataclass(frozen=True)
 class Service:
-    """One service; ``~/`` names belong to the node that offers them."""
+    """One service. Names with ``~/`` are private to the node that offers them."""
 
     name: str
     type: type
@@ -89,31 +89,31 @@ class Service:
     def server(
         self, node: Node, callback: Callable[..., Any], group: CallbackGroup | None = None
     ) -> Any:
-        """Offer it on a node."""
+        """Create the service on a node."""
         return node.create_service(
             self.type, self.name, callback, qos_profile=_PATIENT, callback_group=group
         )
 
     def client(self, node: Node, group: CallbackGroup | None = None, of: str = "") -> Any:
-        """Use it from a node; ``of`` names the node that offers a private service."""
+        """Create a client on a node; ``of`` names the node that offers a private service."""
         name = self.name.replace("~", of) if of else self.name
         return node.create_client(self.type, name, qos_profile=_PATIENT, callback_group=group)
 
 
 TARGET_POSE = Topic(
-    "target_pose", PoseStamped, 200, RELIABLE, "pose that the tip shall reach, base frame"
+    "target_pose", PoseStamped, 200, RELIABLE, "pose for the tip to reach, base frame"
 )
 JOINT_TRAJECTORY = Topic(
     "joint_trajectory", JointTrajectory, 200, RELIABLE, "compensated joints, rad and m"
 )
 COMPENSATION = Topic(
-    "compensation", Compensation, 200, RELIABLE, "the whole story of one target, also of refusals"
+    "compensation", Compensation, 200, RELIABLE, "full record of one target, also of a refused one"
 )
 JOINT_STATES = Topic(
     "joint_states", JointState, 10, BEST_EFFORT, "joints as the servos report them, rad and m"
 )
 PREDICTED_ERROR = Topic(
-    "predicted_error", Vector3Stamped, 20, RELIABLE, "each learned error handed out, base frame, m"
+    "predicted_error", Vector3Stamped, 20, RELIABLE, "each learned error requested, base frame, m"
 )
 TIP_MEASURED = Topic(
     "tip_measured",

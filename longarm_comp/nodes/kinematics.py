@@ -1,4 +1,4 @@
-"""`kinematics`: a target in, compensated joints out, and the whole story of how."""
+"""`kinematics`: a target in, compensated joints out; publishes how they were computed."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
 from longarm_comp.nodes.markers import Markers
 from longarm_comp.nodes.messages import (
+    Answer,
     FileHashes,
     Refusal,
-    Told,
     compensation_message,
     joints_of,
     response_of,
@@ -79,16 +79,16 @@ PARAMS = (
 
 
 @dataclass
-class _Work:
-    """One target under way: what is asked, what came of it, whether it was sent to the arm."""
+class _Request:
+    """One target in work: the request, its answer, and whether the joints were sent to the arm."""
 
-    request: Compensate.Request
-    told: Told | None = None
+    message: Compensate.Request
+    answer: Answer | None = None
     sent: bool = False
 
 
 class Kinematics(Node):
-    """Targets are taken and worked off one after another on a thread; the executor stays free."""
+    """Computes one target after another on a worker thread, so that the executor stays free."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__("kinematics", automatically_declare_parameters_from_overrides=True)
@@ -134,12 +134,15 @@ class Kinematics(Node):
             "at the target": self._monitor.target_report,
         }
         self._health = Health(self, parts, p[PERIOD.name])
-        if p["compiled"]:  # beside the targets, which are solved more slowly until it is done
+        if p["compiled"]:  # in the background: targets are solved more slowly until it is done
             threading.Thread(target=ik.warm_up, name="compiler", daemon=True).start()
-        apart = ManualCallbackGroup()
+        on_worker = ManualCallbackGroup()
         self._worker.start(
-            [self._state.commands, graph.TARGET_POSE.subscription(self, self._on_target, apart)],
-            [graph.COMPENSATE.server(self, self._on_compensate, apart)],
+            [
+                self._state.commands,
+                graph.TARGET_POSE.subscription(self, self._on_target, on_worker),
+            ],
+            [graph.COMPENSATE.server(self, self._on_compensate, on_worker)],
         )
 
     def close(self) -> None:
@@ -148,54 +151,54 @@ class Kinematics(Node):
         self._predictor.close()
 
     def survived(self, error: Exception) -> None:
-        """Count what a callback let through."""
+        """Count an exception that a callback raised."""
         self._health.fault(error)
 
-    # ------------------------------------------------------------------ what is asked
+    # ------------------------------------------------------------------ requests
 
     def _on_target(self, message: PoseStamped) -> None:
         free = self.get_parameter("position_only").value
-        work = _Work(Compensate.Request(target=message, position_only=free, execute=True))
+        request = _Request(Compensate.Request(target=message, position_only=free, execute=True))
 
         def serve() -> None:
-            self._serve(work)
-            self._tell_story(work)
+            self._serve(request)
+            self._publish_answer(request)
 
         if not self._worker.submit(serve):
-            self._refuse_busy(work)
+            self._refuse_busy(request)
 
     def _on_compensate(
-        self, request: Compensate.Request, reply: Callable[[Compensate.Response], None]
+        self, message: Compensate.Request, reply: Callable[[Compensate.Response], None]
     ) -> None:
-        work = _Work(request)
+        request = _Request(message)
 
         def answer() -> None:
             try:
-                reply(response_of(self._serve(work), self._arm, self._base_frame))
-            finally:  # told also where the client is gone
-                self._tell_story(work)
+                reply(response_of(self._serve(request), self._arm, self._base_frame))
+            finally:  # published even when the client is gone
+                self._publish_answer(request)
 
         if not self._worker.submit(answer):
-            reply(response_of(self._refuse_busy(work), self._arm, self._base_frame))
+            reply(response_of(self._refuse_busy(request), self._arm, self._base_frame))
 
-    def _refuse_busy(self, work: _Work) -> Told:
+    def _refuse_busy(self, request: _Request) -> Answer:
         waiting = f"{self._worker.waiting} targets wait already"
-        work.told = self._refused(work.request, Status.NOT_READY, waiting)
-        self._tell_story(work)
-        return work.told
+        request.answer = self._refused(request.message, Status.NOT_READY, waiting)
+        self._publish_answer(request)
+        return request.answer
 
-    def _serve(self, work: _Work) -> Told:
-        """On the worker's thread: compute and send; the story is told after the answer."""
-        told = work.told = self._answer(work.request)
-        if work.request.execute and told.status.success and told.arrival is not None:
-            points = told.arrival.move.points
+    def _serve(self, request: _Request) -> Answer:
+        """Compute and send, on the worker's thread. The caller publishes the answer afterwards."""
+        answer = request.answer = self._answer(request.message)
+        if request.message.execute and answer.status.success and answer.arrival is not None:
+            points = answer.arrival.move.points
             self._trajectory.publish(trajectory_message(self._arm, points, self._move_time_s))
-            outcome = told.arrival.outcome
+            outcome = answer.arrival.outcome
             self._monitor.aimed(outcome.command, outcome.position)
-            work.sent = True
-        return told
+            request.sent = True
+        return answer
 
-    def _answer(self, request: Compensate.Request) -> Told:
+    def _answer(self, request: Compensate.Request) -> Answer:
         try:
             return self._compensate(request)
         except Refusal as refusal:
@@ -209,7 +212,7 @@ class Kinematics(Node):
             text = f"{type(error).__name__}: {error}"
             return self._refused(request, Status.INTERNAL_ERROR, text)
 
-    def _compensate(self, request: Compensate.Request) -> Told:
+    def _compensate(self, request: Compensate.Request) -> Answer:
         target = target_of(request.target, self._base_frame, request.position_only)
         options = self._options()
         start = self._start(request)
@@ -234,7 +237,7 @@ class Kinematics(Node):
             client, why = None, f": {absent.reason}"
             arrival = compensate_now(loaded.model, None, target, **known)
         outcome = arrival.outcome
-        return Told(
+        return Answer(
             request.target,
             request.position_only,
             outcome.status,
@@ -256,7 +259,11 @@ class Kinematics(Node):
         )
 
     def _start(self, request: Compensate.Request) -> np.ndarray:
-        """Joints to start from: the request's, else the last joint_states."""
+        """Joints (n,) to start from: the request's seed, else the last joint_states.
+
+        Raises:
+            Refusal: there are none, or they are too old.
+        """
         if request.seed.name:
             return joints_of(request.seed, self._arm, "seed")
         q, age = self._state.joints, self._state.age_s
@@ -266,8 +273,8 @@ class Kinematics(Node):
             raise Refusal(Status.NOT_READY, f"the last joint_states is {age:.1f} s old")
         return q
 
-    def _refused(self, request: Compensate.Request, status: Status, reason: str) -> Told:
-        return Told(
+    def _refused(self, request: Compensate.Request, status: Status, reason: str) -> Answer:
+        return Answer(
             request.target,
             request.position_only,
             status,
@@ -276,17 +283,17 @@ class Kinematics(Node):
             FileHashes(self._arm.hash, self._files.loaded.file_hash),
         )
 
-    def _tell_story(self, work: _Work) -> None:
-        told = work.told
-        if told is None:
+    def _publish_answer(self, request: _Request) -> None:
+        answer = request.answer
+        if answer is None:
             return
         self._compensation.publish(
-            compensation_message(told, self._arm, self._base_frame, executed=work.sent)
+            compensation_message(answer, self._arm, self._base_frame, executed=request.sent)
         )
-        self._markers.on_story(told)
-        self._count(told.status.name, "" if told.status is Status.SUCCESS else told.message)
+        self._markers.on_answer(answer)
+        self._count(answer.status.name, "" if answer.status is Status.SUCCESS else answer.message)
 
-    # ------------------------------------------------------------------ upkeep
+    # ------------------------------------------------------------------ files and monitoring
 
     def _reload(self) -> tuple[bool, str]:
         done = self._files.reload()
@@ -316,7 +323,7 @@ class Kinematics(Node):
             self._worker.submit(partial(self._monitor.judge, rest, model, context))
 
     def _now_context(self, history: History) -> Context | None:
-        """Of this moment; None while something that the model needs is not known."""
+        """Circumstances at this moment; None while one that the model needs is unknown."""
         model, now = self._files.loaded.model, time.monotonic()
         try:
             return self._state.readings.context(model, now, self._max_age_s, history)

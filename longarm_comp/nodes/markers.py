@@ -16,7 +16,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.outline import exaggerated, outline
 from longarm_comp.nodes.interfaces import MARKERS
-from longarm_comp.nodes.messages import Told, sighting_of
+from longarm_comp.nodes.messages import Answer, sighting_of
 from longarm_comp.nodes.params import Param
 
 PARAMS = (
@@ -37,7 +37,7 @@ TIP: Colour = (0.9, 0.1, 0.1, 1.0)
 
 
 class Markers:
-    """Remembers what there is to draw; `publish` draws it."""
+    """Keeps the latest target and tip; `publish` draws them with the arm."""
 
     def __init__(self, node: Node, frame: str) -> None:
         self._node, self._frame = node, frame
@@ -46,14 +46,14 @@ class Markers:
         self._pseudo: np.ndarray | None = None
         self._tip: np.ndarray | None = None
 
-    def on_story(self, told: Told) -> None:
-        """A target was worked on."""
-        if told.outcome is not None and told.status.success:
-            self._target = _position(told.outcome.target)
-            self._pseudo = _position(told.outcome.pseudo_target)
+    def on_answer(self, answer: Answer) -> None:
+        """Keep the target of the latest answer."""
+        if answer.outcome is not None and answer.status.success:
+            self._target = _position(answer.outcome.target)
+            self._pseudo = _position(answer.outcome.pseudo_target)
 
     def on_tip(self, message: PoseWithCovarianceStamped) -> None:
-        """The tip was seen, or lost."""
+        """Keep the latest sighting of the tip, or that it was lost."""
         tip, _ = sighting_of(message)
         self._tip = tip if all(map(math.isfinite, tip.tolist())) else None
 
@@ -61,24 +61,24 @@ class Markers:
         self, declared: Model, model: Model, q: np.ndarray, context: Context, sag: float,
         error: float,
     ) -> None:  # fmt: skip
-        """Draw the arm at q; nobody listening: nothing is computed."""
+        """Draw the arm at q (n,). Without a subscriber nothing is computed."""
         if not self._publisher.get_subscription_count():
             return
         straight = outline(declared, q)
         hanging = exaggerated(outline(model, q, context), straight, sag)
-        made = [
+        drawn = [
             self._marker(0, "declared", Marker.LINE_STRIP, DECLARED, 0.008, straight),
             self._marker(1, "hanging", Marker.LINE_STRIP, HANGING, 0.012, hanging),
         ]
         spots = (("target", TARGET, self._target), ("pseudo_target", PSEUDO, self._pseudo),
                  ("tip_measured", TIP, self._tip))  # fmt: skip
         for number, (name, colour, at) in enumerate(spots, 2):
-            made.append(self._spot(number, name, colour, at))
+            drawn.append(self._spot(number, name, colour, at))
         target, tip, arrow = self._target, self._tip, []
         if target is not None and tip is not None:
             arrow = [target, target + error * (tip - target)]
-        made.append(self._marker(5, "error", Marker.ARROW, TIP, 0.004, arrow))
-        self._publisher.publish(MarkerArray(markers=made))
+        drawn.append(self._marker(5, "error", Marker.ARROW, TIP, 0.004, arrow))
+        self._publisher.publish(MarkerArray(markers=drawn))
 
     def _spot(self, number: int, name: str, colour: Colour, at: np.ndarray | None) -> Marker:
         return self._marker(
@@ -89,18 +89,18 @@ class Markers:
         self, number: int, name: str, kind: int, colour: Colour, size: float,
         points: Sequence[np.ndarray] | np.ndarray,
     ) -> Marker:  # fmt: skip
-        """A marker; without points it is taken away."""
-        made = Marker(ns=name, id=number, type=kind, action=Marker.ADD)
-        made.header.frame_id = self._frame
-        made.header.stamp = self._node.get_clock().now().to_msg()
-        made.pose.orientation.w = 1.0
-        made.scale = Vector3(x=size, y=size if kind != Marker.ARROW else 2 * size, z=size)
-        made.color = ColorRGBA(**dict(zip("rgba", colour, strict=True)))
-        made.lifetime = Duration(sec=5)
-        made.points = [Point(x=float(x), y=float(y), z=float(z)) for x, y, z in points]
-        if not made.points:
-            made.action = Marker.DELETE
-        return made
+        """A marker. Without points it is removed."""
+        marker = Marker(ns=name, id=number, type=kind, action=Marker.ADD)
+        marker.header.frame_id = self._frame
+        marker.header.stamp = self._node.get_clock().now().to_msg()
+        marker.pose.orientation.w = 1.0
+        marker.scale = Vector3(x=size, y=size if kind != Marker.ARROW else 2 * size, z=size)
+        marker.color = ColorRGBA(**dict(zip("rgba", colour, strict=True)))
+        marker.lifetime = Duration(sec=5)
+        marker.points = [Point(x=float(x), y=float(y), z=float(z)) for x, y, z in points]
+        if not marker.points:
+            marker.action = Marker.DELETE
+        return marker
 
 
 def _position(target: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Message <-> record, once. Records hold numpy arrays in the order of the arm's joints."""
+"""Conversions between messages and records. Records hold arrays in the order of the joints."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from longarm_interfaces.srv import Compensate
 
 
 class Refusal(LongarmError):  # noqa: N818
-    """A target that is not even tried: a status and a reason."""
+    """A target that is refused before any computation: a status and a reason."""
 
     def __init__(self, status: Status, reason: str) -> None:
         super().__init__(reason)
@@ -43,7 +43,7 @@ class Refusal(LongarmError):  # noqa: N818
 
 @dataclass(frozen=True)
 class FileHashes:
-    """What computed an answer: SHA-256 of each file, empty without one."""
+    """SHA-256 of each file that an answer was computed with; empty without one."""
 
     arm: str
     model: str = ""
@@ -91,14 +91,14 @@ def vector_message(values: Sequence[float] | np.ndarray) -> Vector3:
 
 def joints_message(arm: Arm, q: np.ndarray, stamp: Time | None = None) -> JointState:
     """Joints (n,) by name."""
-    made = JointState(name=list(arm.joint_names), position=[float(v) for v in q])
+    message = JointState(name=list(arm.joint_names), position=[float(v) for v in q])
     if stamp is not None:
-        made.header.stamp = stamp
-    return made
+        message.header.stamp = stamp
+    return message
 
 
 def joints_of(message: JointState, arm: Arm, where: str) -> np.ndarray:
-    """Joints (n,) in the order of the arm; further names are passed over.
+    """Joints (n,) in the order of the arm. Names of other joints are ignored.
 
     Raises:
         InputError: a joint is missing or doubled, or a value is not finite.
@@ -114,7 +114,7 @@ def sides_of(approach: Sequence[int], names: Sequence[str], arm: Arm, where: str
     """Side (n,) of -1, 0, +1 that each joint arrives from, in the order of the arm.
 
     Raises:
-        InputError: neither none, nor one, nor one a name; another number.
+        InputError: the number of sides is not 0, 1 or one per name; or a side is not -1, 0, +1.
     """
     sides = [float(side) for side in approach]
     if any(side not in (-1.0, 0.0, 1.0) for side in sides):
@@ -132,7 +132,7 @@ def path_of(message: JointTrajectory, arm: Arm) -> np.ndarray:
     """The points of a trajectory, (k, n).
 
     Raises:
-        InputError: as `joints_of`, or without a point.
+        InputError: as `joints_of`, or the trajectory has no point.
     """
     where, names = "joint_trajectory", list(message.joint_names)
     for point in message.points:
@@ -156,17 +156,17 @@ def _in_order(at: Mapping[str, float], names: list[str], arm: Arm, where: str) -
 
 
 def trajectory_message(arm: Arm, points: np.ndarray, move_time_s: float) -> JointTrajectory:
-    """Way-points (k, n), each to be reached so long after the one before (stamp 0: now)."""
-    made = JointTrajectory(joint_names=list(arm.joint_names))
+    """Way-points (k, n), each ``move_time_s`` after the one before. The stamp 0 means now."""
+    message = JointTrajectory(joint_names=list(arm.joint_names))
     for k, q in enumerate(points.tolist(), 1):
         seconds, rest = divmod(k * move_time_s, 1.0)
         time = Duration(sec=int(seconds), nanosec=round(rest * 1e9))
-        made.points.append(JointTrajectoryPoint(positions=q, time_from_start=time))
-    return made
+        message.points.append(JointTrajectoryPoint(positions=q, time_from_start=time))
+    return message
 
 
 def trajectory_of(message: JointTrajectory) -> devices.JointTrajectory:
-    """As the servo side takes it; its header's stamp is not used: it starts now."""
+    """The trajectory for the servo side. It starts now: the header's stamp is not used."""
     points = tuple(
         devices.TrajectoryPoint(
             point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec,
@@ -179,7 +179,7 @@ def trajectory_of(message: JointTrajectory) -> devices.JointTrajectory:
 
 
 def tilt_of(message: Imu) -> tuple[str, dict[str, float]]:
-    """Row that the sensor sits on and the columns of its tilt (rad), as sessions name them.
+    """Row that the sensor is mounted on, and the columns of its tilt (rad) as in sessions.
 
     Raises:
         InputError: the sensor gives no orientation, or no unit quaternion.
@@ -197,22 +197,22 @@ def tilt_of(message: Imu) -> tuple[str, dict[str, float]]:
 
 
 def sighting_of(message: PoseWithCovarianceStamped) -> tuple[np.ndarray, np.ndarray]:
-    """Tip (3,) m, NaN where it was lost, and its variance (3,) m^2."""
+    """Tip (3,) m and its variance (3,) m^2. The tip is NaN where the marker was lost."""
     p = message.pose.pose.position
     covariance = np.asarray(message.pose.covariance, dtype=float)
     return np.array([p.x, p.y, p.z]), covariance[[0, 7, 14]]
 
 
 @dataclass(frozen=True)
-class Told:
-    """Everything that `compensation` tells of one target.
+class Answer:
+    """Everything that is published about one target on `compensation`.
 
     Attributes:
-        asked, position_only: the request.
-        arrival: None where it was refused before any computation.
+        target, position_only: the request.
+        arrival: the computation; None for a target that was refused before it.
     """
 
-    asked: PoseStamped
+    target: PoseStamped
     position_only: bool
     status: Status
     message: str
@@ -222,63 +222,67 @@ class Told:
 
     @property
     def outcome(self) -> Outcome | None:
-        """What came of the computation."""
+        """Result of the computation; None without one."""
         return None if self.arrival is None else self.arrival.outcome
 
 
-def compensation_message(told: Told, arm: Arm, base_frame: str, *, executed: bool) -> Compensation:
-    """The whole story of one target; `executed`: the joints were sent to the arm."""
-    context = Context.empty() if told.arrival is None else told.arrival.context
+def compensation_message(
+    answer: Answer, arm: Arm, base_frame: str, *, executed: bool
+) -> Compensation:
+    """The full record of one target; `executed`: the joints were sent to the arm."""
+    context = Context.empty() if answer.arrival is None else answer.arrival.context
     sides = {float(side) for side in context.approach}
-    made = Compensation(
-        header=Header(stamp=told.asked.header.stamp, frame_id=base_frame),
-        target=told.asked,
-        position_only=told.position_only,
-        status=int(told.status),
-        message=told.message,
-        method=told.method,
+    published = Compensation(
+        header=Header(stamp=answer.target.header.stamp, frame_id=base_frame),
+        target=answer.target,
+        position_only=answer.position_only,
+        status=int(answer.status),
+        message=answer.message,
+        method=answer.method,
         temperature_c=float(context.column("temperature_c", math.nan)),
         payload_kg=float(context.payload_kg(arm.payload.mass_kg if arm.payload else 0.0)),
         approach=int(sides.pop()) if len(sides) == 1 else 0,
         approach_joints=[int(side) for side in context.approach],
         travel=[float(leg) for leg in context.legs[::LEGS]],
-        arm_hash=told.provenance.arm,
-        model_hash=told.provenance.model,
-        predictor_hash=told.provenance.predictor,
+        arm_hash=answer.provenance.arm,
+        model_hash=answer.provenance.model,
+        predictor_hash=answer.provenance.predictor,
     )
-    _fill(made, told, arm, base_frame)
-    if executed and told.outcome is not None:
-        made.executed = joints_message(arm, told.outcome.command, told.asked.header.stamp)
-    return made
+    _fill(published, answer, arm, base_frame)
+    if executed and answer.outcome is not None:
+        published.executed = joints_message(arm, answer.outcome.command, answer.target.header.stamp)
+    return published
 
 
-def response_of(told: Told, arm: Arm, base_frame: str) -> Compensate.Response:
-    """The answer to a `compensate` request."""
-    made = Compensate.Response(
-        success=told.status.success, status=int(told.status), message=told.message
+def response_of(answer: Answer, arm: Arm, base_frame: str) -> Compensate.Response:
+    """The response to a `compensate` request."""
+    response = Compensate.Response(
+        success=answer.status.success, status=int(answer.status), message=answer.message
     )
-    _fill(made, told, arm, base_frame)
-    if told.status.success and told.arrival is not None and told.outcome is not None:
-        made.command = joints_message(arm, told.outcome.command, told.asked.header.stamp)
-        made.approach = [int(side) for side in told.arrival.move.side]
-    return made
+    _fill(response, answer, arm, base_frame)
+    if answer.status.success and answer.arrival is not None and answer.outcome is not None:
+        response.command = joints_message(arm, answer.outcome.command, answer.target.header.stamp)
+        response.approach = [int(side) for side in answer.arrival.move.side]
+    return response
 
 
-def _fill(made: Compensation | Compensate.Response, told: Told, arm: Arm, base_frame: str) -> None:
-    """What both tell; a number that is not known is NaN."""
-    made.sigma = math.nan
-    outcome = told.outcome
+def _fill(
+    message: Compensation | Compensate.Response, answer: Answer, arm: Arm, base_frame: str
+) -> None:
+    """Set the fields that both messages share. An unknown number is NaN."""
+    message.sigma = math.nan
+    outcome = answer.outcome
     if outcome is None:
-        made.predicted_error = vector_message([math.nan] * 3)
+        message.predicted_error = vector_message([math.nan] * 3)
         return
-    stamp = told.asked.header.stamp
-    if told.arrival is not None and told.arrival.move.run_up is not None:
-        made.run_up = joints_message(arm, told.arrival.move.run_up, stamp)
-    made.ideal = joints_message(arm, outcome.ideal, stamp)
-    made.predicted_error = vector_message(outcome.predicted_error)
-    made.pseudo_target = PoseStamped(
+    stamp = answer.target.header.stamp
+    if answer.arrival is not None and answer.arrival.move.run_up is not None:
+        message.run_up = joints_message(arm, answer.arrival.move.run_up, stamp)
+    message.ideal = joints_message(arm, outcome.ideal, stamp)
+    message.predicted_error = vector_message(outcome.predicted_error)
+    message.pseudo_target = PoseStamped(
         header=Header(stamp=stamp, frame_id=base_frame), pose=pose_message(outcome.pseudo_target)
     )
-    made.sigma = float(np.max(outcome.sigma))
-    made.in_domain = bool(outcome.in_domain)
-    made.passes = int(outcome.passes)
+    message.sigma = float(np.max(outcome.sigma))
+    message.in_domain = bool(outcome.in_domain)
+    message.passes = int(outcome.passes)

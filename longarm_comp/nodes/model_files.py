@@ -1,4 +1,4 @@
-"""The declared arm and the model in use; a new version of model.yaml replaces the old one whole."""
+"""The declared arm and the model in use, loaded from arm.yaml and model.yaml."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from longarm_comp.nodes.health import OK, WARN, Report
 
 @dataclass(frozen=True)
 class LoadedModel:
-    """A model and the SHA-256 of its file; empty for the arm as declared."""
+    """A model and the SHA-256 of its file. The hash of the declared arm is empty."""
 
     model: Model
     file_hash: str = ""
@@ -26,8 +26,8 @@ class ModelFiles:
     """arm.yaml, read once, and model.yaml, read again on demand.
 
     Raises:
-        InputError: arm.yaml is no declared arm. A model.yaml that is absent or wrong is no
-            error: the arm as declared (or the last good model) is used, and `report` says so.
+        InputError: arm.yaml is not a declared arm. A missing or invalid model.yaml is not an
+            error: the declared arm (or the last good model) is used, and `report` says so.
     """
 
     def __init__(self, arm_path: str, model_path: str) -> None:
@@ -42,7 +42,7 @@ class ModelFiles:
         self.reload()
 
     def reload(self) -> tuple[bool, str]:
-        """Read model.yaml again; the old model stays where that fails. (done, what happened)."""
+        """Read model.yaml again; on failure the old model stays. Returns success and message."""
         if not self._path:
             return True, "the arm as declared: no model.yaml is configured"
         try:
@@ -55,7 +55,7 @@ class ModelFiles:
         return True, f"{self._path} {self.loaded.file_hash[:12]}"
 
     def report(self) -> Report:
-        """For diagnostics."""
+        """State of the model, for diagnostics."""
         facts = {"file": self._path, "sha256": self.loaded.file_hash, "loads": self.loads}
         if self._fault:
             return Report(WARN, f"the last good model is kept: {self._fault}", facts)

@@ -30,7 +30,7 @@ PARAMS = (
 
 
 def advice(arm: str, model: str, namespace: str) -> str:
-    """Commands that find out what has changed: poses, a session of them, a diagnosis."""
+    """Shell commands that find what has changed: plan poses, collect a session, diagnose it."""
     given, where = shlex.quote(arm), namespace.strip("/")
     inside = f" --namespace {where}" if where else ""
     known = f" --model {shlex.quote(model)}" if model else ""
@@ -49,17 +49,20 @@ def _mm(vector: np.ndarray) -> str:
 
 @dataclass(frozen=True)
 class Promise:
-    """What is expected at a rest pose: tip and its standard deviation, (3,) m each."""
+    """Tip expected at a rest pose, and its standard deviation: (3,) m each."""
 
     tip: np.ndarray
     sigma: np.ndarray
 
 
 class TipMonitor:
-    """Fed by the executor and the worker (`on_...`), one at a time; the worker judges.
+    """Collects rest poses and tests their residuals.
+
+    The executor and the worker call the ``on_...`` methods, one at a time. The worker calls
+    `judge`.
 
     Args:
-        advice: the commands to run once it has drifted.
+        advice: returns the commands to run once drift is found.
     """
 
     def __init__(
@@ -78,31 +81,31 @@ class TipMonitor:
         self._outside = 0
 
     def reset(self) -> None:
-        """Start anew: another model promises something else."""
+        """Start the tests again, because another model predicts other tips."""
         self._monitor = self._at_target = Monitor(self._run_length)
 
     def aimed(self, q: np.ndarray, target: np.ndarray) -> None:
-        """Joints (n,) were sent to bring the tip to a target (3,), m."""
+        """Take a command for a target: joints (n,) that bring the tip to it, (3,) m."""
         self._aim = q, target
 
     def on_command(self, q: np.ndarray, history: History) -> None:
-        """The arm is sent somewhere."""
+        """Take a command: joints (n,) and their history on arrival."""
         with self._feeding:
             self._watch.commanded(q, history)
 
     def on_joints(self, q: np.ndarray) -> None:
-        """The joints are there now."""
+        """Take a joint reading (n,)."""
         with self._feeding:
             self._watch.joints(q, time.monotonic())
 
     def on_tip(self, message: PoseWithCovarianceStamped) -> RestPose | None:
-        """A sighting; a rest pose now and then."""
+        """Take a sighting; returns the rest pose that it completes, if it does."""
         tip, variance = sighting_of(message)
         with self._feeding:
             return self._watch.sighted(tip, variance, time.monotonic())
 
     def judge(self, rest: RestPose, model: Model, context: Context) -> None:
-        """Take a rest pose into the sequential test."""
+        """Add a rest pose to the sequential test."""
         promise = self._promise(rest, model, context)
         if promise is None:
             self._outside += 1
@@ -117,7 +120,7 @@ class TipMonitor:
             self._last_miss = f"tip - target {_mm(missed)}"
 
     def _promise(self, rest: RestPose, model: Model, context: Context) -> Promise | None:
-        """None where the predictor refuses: nothing is promised there."""
+        """Expected tip; None where the predictor refuses."""
         tip = model.measured(rest.q, context)
         fallback = np.full(3, self._sigma_m)
         if not self._client.present:

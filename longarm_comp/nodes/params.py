@@ -1,4 +1,4 @@
-"""Parameters of a node: declared once with description and range, checked, unknown ones refused."""
+"""Parameters of a node: declared with description and range, checked; unknown ones are refused."""
 
 from __future__ import annotations
 
@@ -40,26 +40,28 @@ class Param:
     live: bool = False
 
     def descriptor(self) -> ParameterDescriptor:
-        """As ROS describes it."""
-        made = ParameterDescriptor(
+        """The descriptor for ROS."""
+        described = ParameterDescriptor(
             name=self.name, description=self.description, read_only=not self.live
         )
         if self.choices:
-            made.additional_constraints = "one of " + ", ".join(self.choices)
+            described.additional_constraints = "one of " + ", ".join(self.choices)
         if self.lower is None and self.upper is None:
-            return made
+            return described
         low, high = self._range
         if isinstance(self.default, float):
-            made.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+            described.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
         elif isinstance(self.default, int):
-            made.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+            described.integer_range = [
+                IntegerRange(from_value=int(low), to_value=int(high), step=1)
+            ]
         else:
-            made.additional_constraints = self.allowed
-        return made
+            described.additional_constraints = self.allowed
+        return described
 
     @property
     def allowed(self) -> str:
-        """What may stand there, in words."""
+        """The allowed values, in words."""
         kind = "numbers" if isinstance(self.default, list) else type(self.default).__name__
         if self.choices:
             return "one of " + ", ".join(self.choices)
@@ -69,7 +71,7 @@ class Param:
 
     @property
     def comment(self) -> str:
-        """As the parameter file says it."""
+        """The comment on this parameter in the parameter file."""
         bounded = self.choices or self.lower is not None or self.upper is not None
         live = "; may be set while running" if self.live else ""
         return self.description + (f" ({self.allowed})" if bounded else "") + live
@@ -99,10 +101,10 @@ class Param:
 
 
 def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) -> dict[str, Any]:
-    """Declare a node's parameters; the node was made with parameters declared from overrides.
+    """Declare the parameters of a node that was created with automatic declaration.
 
     Args:
-        sections: first parts of names that another reader checks.
+        sections: prefixes of names that are checked elsewhere.
 
     Returns:
         Values by name.
@@ -129,14 +131,14 @@ def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) ->
 
 
 def redeclare(node: Node, name: str, value: Any, descriptor: ParameterDescriptor) -> None:
-    """Declare a parameter, also one that was declared from an override, with a description."""
+    """Declare a parameter with a description, even if it was declared from an override."""
     if node.has_parameter(name):
         node.undeclare_parameter(name)
     node.declare_parameter(name, value, descriptor, ignore_override=True)
 
 
 def overrides(node: Node) -> dict[str, Any]:
-    """Parameters that the command line and its files gave, without ROS's own."""
+    """Parameters given on the command line and in its files, without ROS's own."""
     names = node.list_parameters([], 0).names
     own = [name for name in names if name.split(".")[0] not in ROS_OWN]
     return {name: node.get_parameter(name).value for name in own}
@@ -150,17 +152,17 @@ def refuse_unknown(node: Node, given: Mapping[str, Any], known: Sequence[str]) -
 
 
 def where(node: Node) -> str:
-    """The source that errors name."""
+    """The source named in error messages."""
     return f"parameters of {node.get_fully_qualified_name()}"
 
 
 def nested(flat: Mapping[str, Any]) -> dict[str, Any]:
     """``{"a.b": 1}`` as ``{"a": {"b": 1}}``."""
-    made: dict[str, Any] = {}
+    tree: dict[str, Any] = {}
     for name, value in flat.items():
         *path, last = name.split(".")
-        place = made
+        place = tree
         for part in path:
             place = place.setdefault(part, {})
         place[last] = value
-    return made
+    return tree

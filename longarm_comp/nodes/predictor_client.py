@@ -1,4 +1,4 @@
-"""The learned residual of another process, asked through `predict_error`."""
+"""Client of the `predict_error` service: the learned error computed by another process."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.learn.expansion import Expansion
-from longarm_comp.nodes.asking import Asking
 from longarm_comp.nodes.interfaces import PREDICT_ERROR
 from longarm_comp.nodes.messages import joints_message
+from longarm_comp.nodes.service_caller import ServiceCaller
 from longarm_interfaces.srv import PredictError
 
 
@@ -24,18 +24,18 @@ class NoAnswer(JobError):  # noqa: N818
 
 
 _PROBE_S = 1.0
-"""A silent predictor is asked so often, without waiting, whether it is back."""
+"""Pause between two probes of a silent predictor, s. A probe is sent without waiting."""
 
 
 class PredictorClient:
-    """Asks `predict_error` in the thread that wants to know.
+    """Calls `predict_error` in the caller's thread.
 
-    The client has a hidden node of its own, in no executor: an answer costs neither a switch of
-    threads nor a round of the main executor.
+    It has a hidden node of its own, which is in no executor.  A call then costs no thread switch
+    and no round of the main executor.
 
     Args:
-        node: whose namespace and remappings hold.
-        timeout_s: no answer within it counts as no predictor.
+        node: node whose namespace and remappings apply.
+        timeout_s: without an answer within this time there is no predictor.
     """
 
     def __init__(self, node: Node, arm: Arm, timeout_s: float) -> None:
@@ -46,10 +46,10 @@ class PredictorClient:
         self._client = self._node.create_client(
             PredictError, node.resolve_service_name(PREDICT_ERROR.name)
         )
-        self._asking = Asking(self._client, node.context)
+        self._caller = ServiceCaller(self._client, node.context)
         self._arm = arm
         self._timeout_s = timeout_s
-        self._open: int | None = None  # a question that nobody waits for any more
+        self._open: int | None = None  # number of a request that is no longer waited for
         self._asked_s = 0.0
         self.file_hash = ""
 
@@ -65,13 +65,13 @@ class PredictorClient:
         *,
         deflection: bool = True,
     ) -> Expansion:
-        """Expected error at joints (n,) and around them, in the context of one posture.
+        """Expected error at joints (n,) and its expansion around them, for one context.
 
         Args:
-            deflection: whether the physics that it is to be added to has link deflection.
+            deflection: whether the physics that it is added to includes link deflection.
 
         Raises:
-            NoAnswer: why.
+            NoAnswer: no predictor runs, it has no file, or it does not answer in time.
         """
         request = PredictError.Request(
             joints=joints_message(self._arm, q),
@@ -103,7 +103,7 @@ class PredictorClient:
         if self._silent(request):
             raise NoAnswer("error_predictor does not answer, physics only until it does")
         question = self._send(request)
-        answer = self._asking.answer(question, self._timeout_s)
+        answer = self._caller.answer(question, self._timeout_s)
         if answer is None:
             self._open = question
             raise NoAnswer(f"error_predictor did not answer within {self._timeout_s:g} s")
@@ -111,13 +111,17 @@ class PredictorClient:
 
     def _send(self, request: PredictError.Request) -> int:
         self._asked_s = time.monotonic()
-        return self._asking.send(request)
+        return self._caller.send(request)
 
     def _silent(self, request: PredictError.Request) -> bool:
-        """Whether the last question is still open: only the first target waits for nothing."""
+        """Whether the last request is still unanswered.
+
+        Only the first target waits for the timeout; later ones are compensated without the
+        predictor until it answers a probe.
+        """
         if self._open is None:
             return False
-        if self._asking.answer(self._open, 0.0) is not None:
+        if self._caller.answer(self._open, 0.0) is not None:
             self._open = None
             return False
         if time.monotonic() - self._asked_s >= _PROBE_S:

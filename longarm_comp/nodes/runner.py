@@ -1,4 +1,4 @@
-"""Runs one node as a process: it ends tidily on SIGINT and SIGTERM and survives its callbacks."""
+"""Runs one node as a process. SIGINT and SIGTERM end it cleanly; a failing callback does not."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from longarm_comp.core.errors import LongarmError
 from longarm_comp.nodes.supervisor import GUARD
 
 _SWITCH_S = 2e-4
-"""Threads of a node wait this long for each other, not the 5 ms of Python's default."""
+"""Interval in which the threads of a node are switched, s. Python's default is 5 ms."""
 
 
 class Runnable(Protocol):
-    """What the runner asks of a node."""
+    """A node that the runner can run."""
 
     def close(self) -> None:
         """Stop what the node started; must not raise."""
 
     def survived(self, error: Exception) -> None:
-        """Tell of an exception that a callback let through."""
+        """Report an exception that a callback raised."""
 
 
 def run(make: Callable[[SingleThreadedExecutor], Runnable]) -> int:
-    """Spin a node until a signal; the exit code is 0, 2 for bad parameters or files.
+    """Spin a node until a signal. The exit code is 0, or 2 for bad parameters or files.
 
-    A second signal does not break off the clean-up: signals only set an event.
+    Signals only set an event, so a second one does not interrupt the clean-up.
     """
     sys.setswitchinterval(_SWITCH_S)
     stop = threading.Event()
@@ -46,7 +46,7 @@ def run(make: Callable[[SingleThreadedExecutor], Runnable]) -> int:
     try:
         node = make(executor)
         executor.add_node(node)
-        gc.freeze()  # what is loaded now stays: collections need not walk through it again
+        gc.freeze()  # everything loaded so far stays, so collections need not scan it again
         spin(executor, node, stop)
     except LongarmError as error:
         print(error, file=sys.stderr)
@@ -62,7 +62,7 @@ def run(make: Callable[[SingleThreadedExecutor], Runnable]) -> int:
 
 
 def spin(executor: SingleThreadedExecutor, node: Runnable, stop: threading.Event) -> None:
-    """Serve callbacks until the event is set; what they raise is told, not fatal.
+    """Serve callbacks until the event is set. Their exceptions are reported and not fatal.
 
     A node that a supervisor started ends when the supervisor is gone.
     """

@@ -1,7 +1,7 @@
 """`servo_driver` (lifecycle): joint trajectories to a servo bus, read-back to joint states.
 
-Configured: the port is open and the servos are read. Active: their torque is on. Torque goes off
-on deactivate, cleanup, shutdown, emergency stop and at the end of the process.
+When configured, the port is open and the servos are read. When active, their torque is on. It is
+switched off on deactivate, cleanup, shutdown, emergency stop and at the end of the process.
 """
 
 from __future__ import annotations
@@ -76,11 +76,11 @@ class ServoDriver(LifecycleNode):
             self.create_timer(p["retry_s"], self._start)
 
     def close(self) -> None:
-        """Let the servos go."""
+        """Switch the torque off and release the port."""
         self._release()
 
     def survived(self, error: Exception) -> None:
-        """Count what a callback let through."""
+        """Count an exception that a callback raised."""
         self._health.fault(error)
 
     def _servo_config(self) -> ServoConfig:
@@ -112,7 +112,7 @@ class ServoDriver(LifecycleNode):
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Torque on, where the arm stands."""
+        """Torque on; the arm holds its present position."""
         try:
             self._machine.power(True)
         except LongarmError as error:
@@ -126,7 +126,7 @@ class ServoDriver(LifecycleNode):
         try:
             self._machine.power(False)
         except LongarmError as error:
-            self._failed(error)  # off is owed, and sent as soon as the bus is back
+            self._failed(error)  # torque off is sent as soon as the bus is back
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:

@@ -1,6 +1,6 @@
-"""`simulated_arm`: the workshop as a process, so that the four real nodes run unchanged.
+"""`simulated_arm`: the simulated plant as a process, so that the four real nodes run unchanged.
 
-It offers a servo bus on a pseudo-terminal and publishes what two cameras and a thermometer see.
+It offers a servo bus on a pseudo-terminal and publishes images of two cameras and the temperature.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.runner import run
 from longarm_comp.nodes.worker import Worker
 from longarm_comp.sim.cameras import CameraPair, tag_plate
-from longarm_comp.sim.plant import Room, Workshop, hidden_effects, mounting
+from longarm_comp.sim.plant import Plant, PlantConfig, hidden_effects, mounting
 from longarm_comp.sim.servo_emulator import MotorSpec, read_arm
 
 PARAMS = (
@@ -70,26 +70,26 @@ def sizes(text: str) -> dict[str, float]:
     Raises:
         InputError: another form.
     """
-    made = {}
+    by_name = {}
     for part in text.split():
         name, _, size = part.partition("=")
         try:
-            made[name] = float(size)
+            by_name[name] = float(size)
         except ValueError:
             where = "parameters of simulated_arm"
             raise InputError(where, "hidden", part, "name=mm, for instance backlash=2.0") from None
-    return made
+    return by_name
 
 
 class SimulatedArm(Node):
-    """Images are rendered on a thread; a frame that comes too early is left out."""
+    """Renders images on a thread. A frame is skipped while the last one is being rendered."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__("simulated_arm", automatically_declare_parameters_from_overrides=True)
         p = declare(self, PARAMS)
         arm = Arm.load(p["arm"])
         rng = np.random.default_rng(p["seed"])
-        room = Room(
+        config = PlantConfig(
             arm,
             read_arm(p["servos"]),
             CameraPair(
@@ -110,7 +110,7 @@ class SimulatedArm(Node):
             temperature_c=(p["temperature_c"], p["warming_k"]),
             payload_kg=p["payload_kg"],
         )
-        self._workshop = Workshop(room, Path(p["port"]), rng)
+        self._plant = Plant(config, Path(p["port"]), rng)
         self._started = time.monotonic()
         self._frames = self._late = 0
         self._worker = Worker(self, executor, 1, self.survived)
@@ -127,16 +127,16 @@ class SimulatedArm(Node):
         if p["wire_faults_hz"]:
             self._chance = np.random.default_rng([p["seed"], 1])
             self.create_timer(1.0 / p["wire_faults_hz"], self._spoil)
-        self._health = Health(self, {"workshop": self._report}, p[PERIOD.name])
-        self._workshop.start()
+        self._health = Health(self, {"plant": self._report}, p[PERIOD.name])
+        self._plant.start()
 
     def close(self) -> None:
         """Power off."""
         self._worker.close()
-        self._workshop.stop()
+        self._plant.stop()
 
     def survived(self, error: Exception) -> None:
-        """Count what a callback let through."""
+        """Count an exception that a callback raised."""
         self._health.fault(error)
 
     def _expose(self) -> None:
@@ -144,37 +144,37 @@ class SimulatedArm(Node):
             self._late += 1
 
     def _frame(self) -> None:
-        """On the worker's thread: both images carry the moment of the exposure."""
+        """Render, on the worker's thread. Both images carry the time of the exposure."""
         ns = self.get_clock().now().nanoseconds
         t_s = time.monotonic() - self._started
-        images = self._workshop.look(t_s)
+        images = self._plant.look(t_s)
         truth = PointStamped()
         truth.header.stamp, truth.header.frame_id = stamp_of(ns), "base"
-        truth.point.x, truth.point.y, truth.point.z = self._workshop.tip_pose(t_s)[:3, 3].tolist()
+        truth.point.x, truth.point.y, truth.point.z = self._plant.tip_pose(t_s)[:3, 3].tolist()
         self._truth.publish(truth)
-        infos = self._workshop.room.cameras.camera_infos()
+        infos = self._plant.config.cameras.camera_infos()
         for k, frame in enumerate(("left_optical", "right_optical")):
             self._infos[k].publish(info_message(infos[k], ns, frame))
             self._images[k].publish(image_message(images[k], ns, frame))
         self._frames += 1
 
     def _spoil(self) -> None:
-        """The next reply of one servo is lost, damaged or cut."""
-        faults = self._workshop.emulator.faults
+        """Make the next reply of one servo get lost, damaged or cut."""
+        faults = self._plant.emulator.faults
         ways = (faults.drop, faults.corrupt, faults.cut)
-        servos = [joint.servo_id for joint in self._workshop.room.servos.joints]
+        servos = [joint.servo_id for joint in self._plant.config.servos.joints]
         ways[int(self._chance.integers(len(ways)))](int(self._chance.choice(servos)))
 
     def _tell(self) -> None:
         now = self.get_clock().now().nanoseconds
-        warm = self._workshop.temperature_c(time.monotonic() - self._started)
+        warm = self._plant.temperature_c(time.monotonic() - self._started)
         message = Temperature(temperature=warm)
         message.header.stamp = stamp_of(now)
         self._temperature.publish(message)
-        self._payload.publish(Float64(data=self._workshop.room.payload_kg))
+        self._payload.publish(Float64(data=self._plant.config.payload_kg))
 
     def _report(self) -> Report:
-        emulator = self._workshop.emulator
+        emulator = self._plant.emulator
         facts = {
             "frames": self._frames,
             "frames left out": self._late,

@@ -78,7 +78,7 @@ def target_of(p: dict[str, Any]) -> Target:
 
 
 class StereoBridge(Node):
-    """Pairs are measured on a thread of their own; a pair that comes too early is dropped."""
+    """Measures pairs on a worker thread. A pair that arrives during a measurement is dropped."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__("stereo_bridge", automatically_declare_parameters_from_overrides=True)
@@ -120,7 +120,7 @@ class StereoBridge(Node):
         self._worker.close()
 
     def survived(self, error: Exception) -> None:
-        """Count what a callback let through."""
+        """Count an exception that a callback raised."""
         self._health.fault(error)
 
     def _on_info(self, side: Side, message: CameraInfo) -> None:
@@ -149,7 +149,7 @@ class StereoBridge(Node):
                 self._count("a pair came before the last was measured", None)
 
     def _measure(self, eye: StereoEye, pair: Pair[Image]) -> None:
-        """On the worker's thread."""
+        """Measure a pair and publish the tip, on the worker's thread."""
         try:
             seen = eye.measure(pixels_of(pair.left), pixels_of(pair.right), pair.stamp_ns)
         except LongarmError as error:
@@ -161,13 +161,13 @@ class StereoBridge(Node):
         self._tips.publish(self._message(seen))
 
     def _message(self, seen: StereoSighting) -> PoseWithCovarianceStamped:
-        made = PoseWithCovarianceStamped()
-        made.header.stamp, made.header.frame_id = stamp_of(seen.stamp_ns), self._base_frame
-        made.pose.pose = pose_message(seen.pose)
+        message = PoseWithCovarianceStamped()
+        message.header.stamp, message.header.frame_id = stamp_of(seen.stamp_ns), self._base_frame
+        message.pose.pose = pose_message(seen.pose)
         x, y, z = seen.point.tolist()
-        made.pose.pose.position = Point(x=x, y=y, z=z)
-        made.pose.covariance = seen.pose_covariance.ravel().tolist()
-        return made
+        message.pose.pose.position = Point(x=x, y=y, z=z)
+        message.pose.covariance = seen.pose_covariance.ravel().tolist()
+        return message
 
     def _refuse(self, error: LongarmError, ns: int | None) -> None:
         self._last = str(error)
@@ -178,10 +178,10 @@ class StereoBridge(Node):
         self._lost = True
         if ns is None or not self._publish_lost:
             return
-        made = PoseWithCovarianceStamped()
-        made.header.stamp, made.header.frame_id = stamp_of(ns), self._base_frame
-        made.pose.pose.position = Point(x=math.nan, y=math.nan, z=math.nan)
-        self._tips.publish(made)
+        message = PoseWithCovarianceStamped()
+        message.header.stamp, message.header.frame_id = stamp_of(ns), self._base_frame
+        message.pose.pose.position = Point(x=math.nan, y=math.nan, z=math.nan)
+        self._tips.publish(message)
 
     def _report(self) -> Report:
         facts: dict[str, object] = {

@@ -1,4 +1,4 @@
-"""Starts processes, starts them again when they die, and never leaves one behind."""
+"""Starts processes, restarts those that die, and ends all of them in the end."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from types import TracebackType
 from longarm_comp.core.errors import JobError
 
 GUARD = "LONGARM_SUPERVISOR"
-"""Environment variable with the supervisor's process id: its nodes end when it is gone."""
+"""Environment variable with the supervisor's process id. Its nodes end when it is gone."""
 _BAD_INPUT = 2
 _GENTLE_S, _FIRM_S = 6.0, 2.0
 _PAUSE_S = 1.0
@@ -35,8 +35,8 @@ class Supervisor:
 
     Args:
         commands: program and arguments of each.
-        respawn: start again what dies. One that ends with code 2 (bad input) is not.
-        say: told of every start and end.
+        respawn: restart a process that ends, except after exit code 2 (bad input).
+        say: called with a message on every start and end.
     """
 
     commands: Mapping[str, Sequence[str]]
@@ -63,18 +63,18 @@ class Supervisor:
         self.stop()
 
     def pid(self, name: str) -> int:
-        """Process id of a node now."""
+        """Present process id of a node."""
         return self._children[name].process.pid
 
     def deaths(self, name: str) -> int:
-        """How often a node has died and was started again."""
+        """How often a node has died and was restarted."""
         return self._children[name].deaths
 
     def look(self) -> None:
-        """Start again what has died.
+        """Restart the processes that have died.
 
         Raises:
-            JobError: one ended for good: bad input, or any end without ``respawn``.
+            JobError: a process ended with bad input, or at all without ``respawn``.
         """
         for name, child in self._children.items():
             code = child.process.poll()
@@ -89,12 +89,12 @@ class Supervisor:
             self.say(f"{name} ended ({_how(code)}), started again, pid {child.process.pid}")
 
     def run(self, stop: threading.Event) -> None:
-        """Watch over the processes until the event is set. Raises as `look`."""
+        """Restart processes until the event is set. Raises as `look`."""
         while not stop.wait(0.2):
             self.look()
 
     def stop(self) -> None:
-        """End all: SIGINT, then SIGTERM, then SIGKILL; returns when all are gone."""
+        """End all processes by SIGINT, then SIGTERM, then SIGKILL; returns when all are gone."""
         processes = [child.process for child in self._children.values()]
         for number, patience in ((signal.SIGINT, _GENTLE_S), (signal.SIGTERM, _FIRM_S)):
             _send(processes, number)
@@ -108,7 +108,7 @@ class Supervisor:
 
 
 def _start(command: Sequence[str]) -> subprocess.Popen[bytes]:
-    """A session of its own: Ctrl-C reaches the supervisor alone, which then ends the others."""
+    """Start in a session of its own, so that Ctrl-C reaches only the supervisor."""
     env = {**os.environ, GUARD: str(os.getpid())}
     return subprocess.Popen(command, env=env, start_new_session=True, stdin=subprocess.DEVNULL)
 

@@ -1,4 +1,4 @@
-"""Files that a node has loaded, watched for a new version."""
+"""Detects new versions of the files that a node has loaded."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ Signature = tuple[tuple[int, int, int] | None, ...]
 
 
 class FileWatch:
-    """Tells when one of some files has been replaced, changed, made or removed."""
+    """Detects when one of several files is created, changed, replaced or removed."""
 
     def __init__(self, paths: Sequence[str]) -> None:
         self._paths = tuple(paths)
         self._seen = self._look()
 
     def changed(self) -> bool:
-        """Whether anything changed since the last call (or since the start)."""
+        """Whether a file changed since the last call, or since the start."""
         now = self._look()
         changed = now != self._seen
         self._seen = now

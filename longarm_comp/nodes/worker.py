@@ -1,8 +1,8 @@
-"""Long work beside the executor: jobs one after another on a thread, in the order of arrival.
+"""A worker thread with a queue of jobs, which keeps long computations out of the executor.
 
-The thread also takes the messages and requests that such work is made of, from a wait set of its
-own.  Through rclpy's executor each of them costs a wait set of every entity of the node, built in
-Python, and a change of threads, which together take longer than the work.
+The thread also takes the messages and requests of these jobs, from a wait set of its own.  Through
+rclpy's executor each of them costs a wait set of all entities of the node, built in Python, and a
+thread switch. Together these take longer than the job.
 """
 
 from __future__ import annotations
@@ -28,28 +28,28 @@ Job = Callable[[], Any]
 
 
 class ManualCallbackGroup(CallbackGroup):
-    """Of entities that a worker takes: no executor looks at them."""
+    """Callback group of entities that a worker takes; the executor ignores them."""
 
     def can_execute(self, entity: Any) -> bool:
-        """Never here."""
+        """Never in an executor."""
         return False
 
     def beginning_execution(self, entity: Any) -> bool:
-        """Never here."""
+        """Never in an executor."""
         return False
 
     def ending_execution(self, entity: Any) -> None:
-        """Nothing was begun."""
+        """Nothing to do."""
 
 
 class Worker:
-    """One thread, one bounded queue.
+    """One thread with a bounded queue of jobs, worked off in the order of arrival.
 
     Args:
-        node: whose messages and requests it may take.
+        node: node whose messages and requests it takes.
         executor: woken when an awaited job is done.
-        capacity: jobs that may wait; more are refused.
-        on_error: told what a job or a callback let through.
+        capacity: number of jobs that may wait; further ones are refused.
+        on_error: called with each exception of a job or callback.
     """
 
     def __init__(
@@ -66,14 +66,17 @@ class Worker:
 
     @property
     def waiting(self) -> int:
-        """Jobs that wait."""
+        """Number of waiting jobs."""
         return len(self._jobs)
 
     def start(self, topics: Sequence[Subscription] = (), services: Sequence[Service] = ()) -> None:
-        """Begin, once; take what comes in here, where the callback group is `ManualCallbackGroup`.
+        """Start the thread, once.
 
-        The callbacks run on the thread, before the next job.  That of a service gets the request
-        and a function that sends the response.
+        It takes the messages and requests of ``topics`` and ``services``, whose callback group
+        must be a `ManualCallbackGroup`.
+
+        The callbacks run on the thread, before the next job.  The callback of a service gets the
+        request and a function that sends the response.
         """
         inlets = _Inlets(self._context, self._bell, topics, services)
         self._thread = threading.Thread(target=self._run, args=(inlets,), daemon=True)
@@ -84,7 +87,7 @@ class Worker:
         if self.waiting >= self._capacity:
             return False
         self._jobs.append(job)
-        if threading.current_thread() is not self._thread:  # which looks before it sleeps
+        if threading.current_thread() is not self._thread:  # the worker itself need not be woken
             self._bell.trigger()
         return True
 
@@ -102,7 +105,7 @@ class Worker:
         return future if self.submit(answer) else None
 
     def close(self) -> None:
-        """Finish the job at hand, drop the others."""
+        """Finish the current job and drop the others."""
         self._closing = True
         self._bell.trigger()
         if self._thread is not None:
@@ -116,17 +119,17 @@ class Worker:
                     self._jobs.popleft()()
                 else:
                     inlets.wait()
-            except Exception as error:  # told, and the next job is taken
+            except Exception as error:  # reported; the worker goes on with the next job
                 self._on_error(error)
                 time.sleep(_PAUSE_S)
 
 
 _PAUSE_S = 0.01
-"""A fault that comes back at once must not take the whole processor."""
+"""Pause after an exception, s, so that a repeating one does not use the whole processor."""
 
 
 class _Inlets:
-    """What a thread takes for itself, and the wait set that it sleeps on."""
+    """Topics and services that the worker takes, and the wait set that it sleeps on."""
 
     def __init__(
         self,
@@ -142,7 +145,7 @@ class _Inlets:
             )
 
     def wait(self) -> None:
-        """Until something comes in or the bell rings."""
+        """Sleep until a message, a request or a trigger of the guard condition arrives."""
         self._set.clear_entities()
         self._set.add_guard_condition(self._bell.handle)
         for topic in self._topics:
@@ -152,7 +155,7 @@ class _Inlets:
         self._set.wait(_FOREVER_NS)
 
     def empty(self, at_most: int) -> None:
-        """Call back for all that has come in, so that no middleware's queue overflows."""
+        """Run the callbacks of everything received, so that no middleware queue overflows."""
         for topic in self._topics:
             for _ in range(at_most):
                 with topic.handle:

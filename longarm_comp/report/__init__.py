@@ -1,4 +1,4 @@
-"""A diagnosis as files: report.json for programs, report.html and plots for people."""
+"""Files of a diagnosis: report.json for programs, report.html and plots for people."""
 
 from longarm_comp.report.detail import (
     Check,

@@ -1,4 +1,4 @@
-"""Residual arrows on the arm: which rows, how much longer than true, from where to where."""
+"""Residual arrows on the arm: selected rows, exaggeration, end points."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from longarm_comp.report.detail import STAGES, SeenRows
 
 MOST = 150
-"""Arrows in one picture; of more rows, as many are taken evenly along the session."""
+"""Most arrows in one figure. Of more rows, this many are taken evenly along the session."""
 _SHARE = 0.15
 _ROUND = np.array([1.0, 2.0, 5.0])
 
@@ -19,7 +19,7 @@ class Arrows:
     """The errors of one stage, drawn from the measured tip.
 
     Attributes:
-        stage: whose errors.
+        stage: the model whose errors are drawn.
         start_m, stop_m: (M, 3) ends; an arrow is `exaggeration` times the error.
         error_m: (M, 3) as they are.
         index: (M,) row numbers in the session.
@@ -51,7 +51,7 @@ def extent_m(rows: SeenRows) -> float:
 
 
 def exaggeration(rows: SeenRows, stages: tuple[str, ...]) -> float:
-    """How much longer than true: the largest p95 of the stages comes to about 15 % of the scene."""
+    """Factor on all arrows: the largest p95 of the stages becomes about 15 % of the scene."""
     lengths = [np.linalg.norm(rows.errors_m[stage], axis=1) for stage in stages]
     long = max((float(np.percentile(length, 95)) for length in lengths if len(length)), default=0.0)
     if long <= 0:
@@ -62,7 +62,7 @@ def exaggeration(rows: SeenRows, stages: tuple[str, ...]) -> float:
 
 
 def arrows(rows: SeenRows, stage: str, times: float) -> Arrows:
-    """The arrows of a stage, `times` longer than true."""
+    """The arrows of a stage, drawn `times` their true length."""
     n = len(rows.index)
     taken = np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(int))
     start, error = rows.measured_m[taken], rows.errors_m[stage][taken]

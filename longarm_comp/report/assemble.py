@@ -1,4 +1,4 @@
-"""A diagnosis as report.json and as what its page draws; the same diagnosis, the same bytes."""
+"""Converts a diagnosis to report.json and to the data of its page, deterministically."""
 
 from __future__ import annotations
 
@@ -155,10 +155,10 @@ def _error_row(name: str, errors: Errors, sigma: np.ndarray) -> dict[str, Any]:
 
 def _outliers(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     fit = diagnosis.fit
-    made = []
+    rows = []
     for row in fit.outliers:
         length = float(np.linalg.norm(fit.residual[row]))
         ratio = float(np.max(np.abs(fit.residual[row]) / fit.sigma))
         why = f"{1e3 * length:.1f} mm off, {ratio:.0f} standard deviations on its worst axis"
-        made.append({"index": int(fit.session.index[row]), "why": why})
-    return made
+        rows.append({"index": int(fit.session.index[row]), "why": why})
+    return rows

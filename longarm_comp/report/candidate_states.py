@@ -1,4 +1,4 @@
-"""Every candidate of a diagnosis with what became of it, and why not, in words."""
+"""State of every candidate of a diagnosis, with the reason in words."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ Label = tuple[str, str]
 
 
 def sizes(diagnosis: Diagnosis) -> tuple[Smallest, ...]:
-    """Score and smallest visible size of all that is not in the model, on top of what is."""
+    """Score and smallest visible size of all candidates outside the model, added to the model."""
     found = diagnosis.search
     return detectable(found.fit, [s.candidate for s in found.last], found.threshold)
 
 
 def best_forms(tried: Sequence[Smallest]) -> dict[Label, Smallest]:
     """By effect and place, the form that scores best."""
-    made: dict[Label, Smallest] = {}
+    best: dict[Label, Smallest] = {}
     for one in tried:
-        known = made.get(label(one.candidate))
+        known = best.get(label(one.candidate))
         if known is None or one.log_bayes_factor > known.log_bayes_factor:
-            made[label(one.candidate)] = one
-    return made
+            best[label(one.candidate)] = one
+    return best
 
 
 def candidate_rows(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> list[dict[str, Any]]:
@@ -49,9 +49,9 @@ def candidate_rows(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> list[dict
     for at, one in best_forms(tried).items():
         state, why = _judged(diagnosis, one, first.get(at))
         rows[at] = _row(at, one.log_bayes_factor, state, why)
-    made = sorted(rows.values(), key=lambda r: (-r["log_bayes_factor"], r["effect"], r["where"]))
+    ordered = sorted(rows.values(), key=lambda r: (-r["log_bayes_factor"], r["effect"], r["where"]))
     missing = [_row((name, "arm"), None, "not_testable", w) for name, w in diagnosis.not_testable]
-    return made + missing
+    return ordered + missing
 
 
 def label(candidate: Candidate) -> Label:
@@ -64,10 +64,10 @@ def _row(at: Label, value: float | None, state: str, why: str) -> dict[str, Any]
 
 
 def _chosen(diagnosis: Diagnosis) -> dict[Label, dict[str, Any]]:
-    """What the search added, each place against the model without it."""
+    """Rows of the effects that the search added, each place against the model without it."""
     result = diagnosis.search
     columns = columns_at(result.fit)
-    made = {}
+    accepted = {}
     for term in result.chosen:
         single = Candidate(term.name, (term,))
         gain = score(
@@ -81,8 +81,8 @@ def _chosen(diagnosis: Diagnosis) -> dict[Label, dict[str, Any]]:
             )
             state = "rejected"
             why += f"; rolled back: held-out mean error {before:.3f} -> {after:.3f} mm"
-        made[label(single)] = _row(label(single), gain, state, why)
-    return made
+        accepted[label(single)] = _row(label(single), gain, state, why)
+    return accepted
 
 
 def _judged(diagnosis: Diagnosis, one: Smallest, first: float | None) -> tuple[str, str]:

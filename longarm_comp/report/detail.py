@@ -1,7 +1,7 @@
-"""What the page draws beyond report.json: plain arrays and strings, nothing to compute with.
+"""Data of the page beyond report.json, as plain arrays and strings.
 
-Everything is optional: a verdict of noise has no guilty input, one of bad_data no rows.
-Lengths are m, angles rad; one sign: error = measured - predicted.
+All parts are optional: a verdict of noise has no guilty input, one of bad_data no rows.
+Lengths are in m, angles in rad. Sign: error = measured - predicted.
 """
 
 from __future__ import annotations
@@ -137,12 +137,12 @@ class SplitPose:
 
 @dataclass(frozen=True)
 class SetSplit:
-    """Causes that cannot be told apart, and what would.
+    """Effects that these data cannot distinguish, and poses that would.
 
     Attributes:
         members: the names in the set, as the finding lists them.
         reason: why they look alike in these data.
-        poses: what to measure; empty for a permanent set.
+        poses: poses to measure; empty if no pose distinguishes them.
         expected_log_bayes_factor: between the two closest members after measuring the poses.
     """
 
@@ -154,12 +154,12 @@ class SetSplit:
 
 @dataclass(frozen=True)
 class Check:
-    """One attempt to shake a finding.
+    """One test of the robustness of a finding.
 
     Attributes:
-        name: what was done (``block bootstrap, 200 draws``, ``priors x5``).
-        passed: whether the finding held.
-        result: what came out, in words.
+        name: the test (``block bootstrap, 200 draws``, ``priors x5``).
+        passed: whether the finding persisted.
+        result: the outcome in words.
     """
 
     name: str
@@ -181,7 +181,7 @@ class Detail:
         correlation: of the accepted parameters with geometry.
         detectable: smallest visible size per effect.
         splits: sets with the poses that split them.
-        checks: attempts to shake the findings.
+        checks: tests of the robustness of the findings.
         plausibility: (effect, where, parameter) -> a remark on the value.
         provenance: further facts, name -> value, shown after those of report.json.
     """
@@ -202,7 +202,7 @@ class Detail:
     provenance: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check what the fields say about one another.
+        """Check that the fields are consistent.
 
         Raises:
             InputError: an unknown stage, joints without units, a pose of another length.

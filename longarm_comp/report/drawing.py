@@ -1,4 +1,4 @@
-"""What the page draws of a diagnosis: rows, correlations, smallest sizes, splits, checks."""
+"""Data of the page from a diagnosis: rows, correlations, smallest sizes, splits, checks."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from longarm_comp.report.detail import (
 )
 
 ARMS = 6
-"""Arms drawn in the scene."""
+"""Number of arms drawn in the scene."""
 GUILTY = 4
-"""Inputs plotted against the residual at most."""
+"""Most inputs that the residual is plotted against."""
 SPLITS = 3.0
-"""Expected log odds from which poses are worth measuring."""
+"""Smallest expected log odds for which poses are worth measuring."""
 UNITS = {"temperature_c": "°C", "payload_kg": "kg", "t_s": "s"}
 
 
@@ -73,11 +73,11 @@ def _rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
 
 def inputs(session: Session, units: Sequence[str]) -> tuple[Input, ...]:
     """Joints, mean approach side and way, and every recorded column that varies."""
-    made = [Input(f"q{j + 1}", unit, session.q[:, j]) for j, unit in enumerate(units)]
+    axes = [Input(f"q{j + 1}", unit, session.q[:, j]) for j, unit in enumerate(units)]
     if session.approach.any():
-        made.append(Input("approach", "", session.approach.mean(axis=1)))
-    made += [Input(k, UNITS.get(k, ""), v) for k, v in session.columns.items() if np.ptp(v) > 0]
-    return tuple(made)
+        axes.append(Input("approach", "", session.approach.mean(axis=1)))
+    axes += [Input(k, UNITS.get(k, ""), v) for k, v in session.columns.items() if np.ptp(v) > 0]
+    return tuple(axes)
 
 
 def _guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
@@ -118,15 +118,15 @@ def _correlation(diagnosis: Diagnosis) -> Correlation | None:
 
 
 def _detectable(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> tuple[Detectable, ...]:
-    """One line per effect and place; families are left to their places."""
-    made = []
+    """One line per effect and place, without families."""
+    smallest = []
     for (name, place), one in sorted(best_forms(tried).items()):
         slots = one.candidate.slots(diagnosis.arm)
         if len(one.candidate.terms) > 1 or not slots:
             continue
         p = slots[0].parameter
         seen = np.isfinite(one.size)
-        made.append(
+        smallest.append(
             Detectable(
                 name,
                 place,
@@ -136,11 +136,11 @@ def _detectable(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> tuple[Detect
                 1e3 * one.shift_m if seen else None,
             )
         )
-    return tuple(made)
+    return tuple(smallest)
 
 
 def split(diagnosis: Diagnosis, by: NextPoses) -> SetSplit:
-    """A set with its splitting poses; without any where no pose would tell."""
+    """A set with the poses that split it; no poses if none would."""
     found = next(f for f in diagnosis.findings if f.name == by.between[0])
     pair = f"{by.between[0]} and {by.between[1]}"
     if by.log_bayes_factor < SPLITS:
@@ -158,10 +158,10 @@ def split(diagnosis: Diagnosis, by: NextPoses) -> SetSplit:
 
 
 def _checks(diagnosis: Diagnosis) -> tuple[Check, ...]:
-    made = []
+    checks = []
     for found in diagnosis.findings:
         share = diagnosis.confirmed.stable[found.name]
-        made.append(
+        checks.append(
             Check(
                 f"{found.name}: block bootstrap, {RESAMPLES} draws",
                 share >= 0.95,
@@ -170,8 +170,8 @@ def _checks(diagnosis: Diagnosis) -> tuple[Check, ...]:
         )
         notes = diagnosis.confirmed.notes[found.name]
         others = [n for n in notes if "resampled sessions" not in n]
-        made += [Check(f"{found.name}: doubt", False, note) for note in others]
+        checks += [Check(f"{found.name}: doubt", False, note) for note in others]
         if not others:
             name = f"{found.name}: noise × 1.5, priors × 5 and / 5, size"
-            made.append(Check(name, True, "it would be found all the same"))
-    return tuple(made)
+            checks.append(Check(name, True, "it would be found all the same"))
+    return tuple(checks)

@@ -1,4 +1,4 @@
-"""report.html: one file that needs nothing else, by a template."""
+"""report.html: one self-contained file, from a template."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from longarm_comp.report.scene import scene_json
 from longarm_comp.report.style import LOOKS
 
 _FEW = 20
-"""Candidates shown before the rest is folded away."""
+"""Number of candidates shown; the others are folded."""
 
 
 def page(report: DiagnosisReport, detail: Detail, plots: Mapping[str, bytes]) -> str:
@@ -26,7 +26,7 @@ def page(report: DiagnosisReport, detail: Detail, plots: Mapping[str, bytes]) ->
 
     Args:
         report: the diagnosis.
-        detail: what it draws besides.
+        detail: further data of the page.
         plots: name -> SVG of the still figures.
     """
     environment = jinja2.Environment(
@@ -60,7 +60,7 @@ def page(report: DiagnosisReport, detail: Detail, plots: Mapping[str, bytes]) ->
 
 
 def still_stages(detail: Detail) -> tuple[str, ...]:
-    """Before and after, as far as the hold-out has them; else its first and last stage."""
+    """Stages before and after if the hold-out has both; else its first and last stage."""
     rows = detail.held_out
     if rows is None:
         return ()

@@ -1,4 +1,4 @@
-"""The still figures of the page."""
+"""The static figures of the page."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from longarm_comp.report.style import FLOOR, GRID, INK, LOOKS, SKY
 
 _MM = 1e3
 _LEVELS = 8
-"""An input with no more distinct values than this is drawn level by level."""
+"""An input with at most this many distinct values is drawn level by level."""
 _FAINT = 0.1
 _MANY = 800
-"""Above this many points, a cloud is drawn as pixels."""
+"""Above this many points, a scatter plot is rasterised."""
 
 
 def distribution(rows: SeenRows, sigma_mm: tuple[float, float, float] | None) -> Figure:
@@ -57,7 +57,7 @@ def _boxes(axes: Axes, rows: SeenRows) -> None:
     for k, stage in enumerate(stages):
         look = LOOKS[stage]
         at = np.arange(3) + (k - (len(stages) - 1) / 2) * width
-        made = axes.boxplot(
+        boxes = axes.boxplot(
             list((rows.errors_m[stage] * _MM).T),
             positions=at,
             widths=width * 0.8,
@@ -66,7 +66,7 @@ def _boxes(axes: Axes, rows: SeenRows) -> None:
             showfliers=False,
             medianprops={"color": INK, "linewidth": 1.5},
         )
-        for box in made["boxes"]:
+        for box in boxes["boxes"]:
             box.set(facecolor="white", edgecolor=look.color, hatch=look.hatch)
         axes.plot([], [], color=look.color, marker=look.marker, linestyle="", label=look.label)
     axes.axhline(0, color=INK, linewidth=0.8)
@@ -136,7 +136,7 @@ def _behind(panel: Axes, fitted: SeenRows | None, name: str, stage: str, axis: i
 
 
 def _spread(values: np.ndarray) -> np.ndarray:
-    """Levels drawn a little apart, so that their points can be told; anything else as it is."""
+    """Values of levels with a small jitter, so that points do not overlap; others unchanged."""
     levels = np.unique(values)
     if not 1 < len(levels) <= _LEVELS:
         return values

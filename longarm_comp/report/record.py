@@ -1,4 +1,4 @@
-"""report.json: its shape, its check, its text. schema.json is `DiagnosisReport`'s."""
+"""Schema, validation and text of report.json. schema.json is that of `DiagnosisReport`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from longarm_comp.core.errors import InputError
 
 SCHEMA = "longarm/diagnosis/1"
 DIGITS = 12
-"""Significant digits of every number in report.json: the last bits differ between machines."""
+"""Significant digits of every number in report.json, as the last bits differ by machine."""
 
 Verdict = Literal["noise", "named", "set", "partly", "unknown", "bad_data"]
 CandidateState = Literal["accepted", "rejected", "not_testable", "invisible"]
@@ -95,7 +95,7 @@ class ErrorRow(_Record):
 
 
 class HeldOut(_Record):
-    """The proof on rows that no fit saw."""
+    """Errors on the held-out rows, which were never fitted."""
 
     n: int = Field(ge=0)
     rows: list[ErrorRow]

@@ -1,4 +1,4 @@
-"""The scene that turns with the mouse: the arm and its residual arrows, drawn by plotly."""
+"""The interactive scene of the arm and its residual arrows, drawn by plotly."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _HEAD = 0.018
 _WIDE = 0.45
 """Half width of a head over its length."""
 _POINTS = 10
-"""Points of the broken line that is one arrow."""
+"""Number of points of the polyline of one arrow."""
 
 
 def scene_json(rows: SeenRows, shown: str) -> str:
@@ -122,7 +122,7 @@ def _layout() -> dict[str, Any]:
 
 
 def _short(value: Any) -> Any:
-    """Numbers to a hundredth of a millimetre: nobody sees more, and the file stays small."""
+    """Numbers rounded to a hundredth of a millimetre, to keep the file small."""
     if isinstance(value, float):
         return round(value, 5)
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""One look for every figure: Okabe and Ito's palette, and a second sign beside every colour."""
+"""Style of all figures: Okabe and Ito's palette, with a marker, line or hatch per colour."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BLUE, ORANGE, GREEN, VERMILLION, PURPLE, SKY = (
 
 @dataclass(frozen=True)
 class Look:
-    """How a stage is called and drawn: no two share a colour, a line, a marker or a hatch."""
+    """Label and style of a stage. No two share a colour, a line, a marker or a hatch."""
 
     label: str
     color: str
@@ -68,7 +68,7 @@ _UNDATED: Any = {
 
 
 def rc() -> AbstractContextManager[None]:
-    """Context within which figures look alike."""
+    """Context manager with the common style."""
     return mpl.rc_context(RC)
 
 

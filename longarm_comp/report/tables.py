@@ -1,4 +1,4 @@
-"""The numbers of the page as rows of text, ready to be set in tables."""
+"""The tables of the page as rows of text."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from longarm_comp.report.style import FLOOR, LOOKS
 DASH = "–"
 _STRONGEST = 5
 _CERTAIN = 100
-"""Power of ten of odds beyond which no figure is given."""
+"""Power of ten above which odds are given only as a bound."""
 
 VERDICTS = {
     "noise": ("Noise", "Nothing beyond the noise was found; nothing was added."),
@@ -51,7 +51,7 @@ class ErrorLine:
 
 @dataclass(frozen=True)
 class ParameterLine:
-    """A parameter of a finding, and whether one should believe it."""
+    """A parameter of a finding, and whether its size is plausible."""
 
     effect: str
     name: str
@@ -133,7 +133,7 @@ def fitted_lines(detail: Detail) -> list[ErrorLine]:
 
 
 def _floor(noise: ReportNoise, n: int) -> list[ErrorLine]:
-    """What Gaussian noise alone would show: lengths as if alike on all axes, max the median one."""
+    """Errors of Gaussian noise alone, with the mean sigma for all axes and the median maximum."""
     if noise.sigma_mm is None or n == 0:
         return []
     variance = float(np.mean(np.square(noise.sigma_mm)))
@@ -183,7 +183,7 @@ def _zero(parameter: FindingParameter) -> str:
 
 
 def _size(parameter: FindingParameter) -> str:
-    """The value against the tolerance that was expected before looking."""
+    """The value compared with its prior scale."""
     if parameter.prior_scale is None:
         return "no prior scale"
     times = abs(parameter.value) / parameter.prior_scale

@@ -1,4 +1,4 @@
-"""Write a diagnosis: report.json, report.html, plots."""
+"""Writes the files of a diagnosis: report.json, report.html, plots."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ _BARS = 15
 def write_report(report: dict[str, Any], detail: Detail, folder: str | os.PathLike[str]) -> Path:
     """Write ``report.json``, ``report.html`` and ``plots/*.svg``; return the page's path.
 
-    The same diagnosis gives the same bytes. Nothing is written when the report is not as the
-    schema says, or when its hold-out table is not that of the errors in `detail`.
+    The same diagnosis gives the same bytes. Nothing is written if the report violates the schema,
+    or if its hold-out table differs from the errors in `detail`.
 
     Args:
-        report: as the contract's report.json.
-        detail: what the page draws besides.
-        folder: made where it is missing; files of an earlier report are replaced.
+        report: contents of report.json.
+        detail: further data of the page.
+        folder: created if missing. Files of an earlier report are replaced.
 
     Raises:
-        InputError: the report is not as the schema says, contradicts the detail, or the folder
-            cannot be written to.
+        InputError: the report violates the schema or contradicts the detail, or the folder cannot
+            be written to.
     """
     checked = record.checked(report)
     _agree(checked, detail)
@@ -89,7 +89,7 @@ def _names(rows: SeenRows) -> str:
 
 
 def _agree(report: record.DiagnosisReport, detail: Detail) -> None:
-    """The table and the drawings tell of the same errors."""
+    """Check that the table and the figures show the same errors."""
     rows = detail.held_out
     if rows is None:
         return

@@ -1,1 +1,1 @@
-"""Sessions in and out: CSV files and ROS bags, and the targets and commands beside them."""
+"""Reading and writing of sessions (CSV, ROS bags), pose plans, targets and commands."""

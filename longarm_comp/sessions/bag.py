@@ -1,14 +1,13 @@
-"""A rosbag2 folder (mcap or sqlite3) as a session.
+"""Reads a session from a rosbag2 folder (mcap or sqlite3).
 
-A row is a command and what was seen once the arm had settled at it: the mean of the settled
-sightings up to the next command.  A command without any sighting only passes through, and so
-does one at which the measured joints did not rest: like the via points of a trajectory it
-tells from which side the joints arrived.  A sighting at NaN is a lost marker.  Temperature and
-payload hold until the next message; `session_row` messages, where recorded, add index,
-repeats, labels and further columns.
+A row is a command and the mean of the sightings after the arm has settled, up to the next command.
+A command without a sighting, or at which the measured joints did not rest, gives no row.  Like the
+via points of a trajectory, it determines from which side the joints arrive.  A sighting at NaN is
+a lost marker.  Temperature and payload hold until the next message.  Recorded `session_row`
+messages add index, repeats, labels and further columns.
 
-Topics are found by their last name, so any namespace will do; other topics and unknown types
-are passed over.
+Topics are found by the last part of their name, so any namespace will do.  Other topics and
+unknown types are ignored.
 """
 
 from __future__ import annotations
@@ -37,10 +36,10 @@ def read_bag(path: str | Path, arm: Arm, namespace: str | None = None) -> Sessio
     Args:
         path: the bag's folder, or one of its files.
         arm: names and orders the joints.
-        namespace: which arm, when the bag holds several.
+        namespace: namespace of the arm, when the bag holds several.
 
     Raises:
-        InputError: no bag, cut short, without commands or sightings, joints of another arm.
+        InputError: not a bag, truncated, without commands or sightings, joints of another arm.
     """
     where = str(path)
     with open_bag(path) as reader:
@@ -55,10 +54,10 @@ def read_bag(path: str | Path, arm: Arm, namespace: str | None = None) -> Sessio
 
 @contextmanager
 def open_bag(path: str | Path) -> Iterator[Reader]:
-    """A bag, open for reading.
+    """Open a bag for reading.
 
     Raises:
-        InputError: there is none, or it is cut short.
+        InputError: there is no bag, or it is truncated.
     """
     where = str(path)
     if Path(path).is_dir() and not (Path(path) / "metadata.yaml").is_file():
@@ -113,7 +112,7 @@ def _read_messages(
 def _messages(
     reader: Reader, connections: list[Connection], arm: Arm, where: str
 ) -> Iterator[tuple[str, int, Any]]:
-    """Topic's last name, time of recording (ns) and message, in the order of time."""
+    """Last part of the topic's name, time of recording (ns), message; in the order of time."""
     types = message_types()
     decoders: dict[str, Callable[[bytes], Any]] = {
         name: partial(types.deserialize_cdr, typename=kind) for name, kind in TYPES.items()

@@ -1,4 +1,4 @@
-"""What is in a bag: topics, types, counts, and how much of a session that makes."""
+"""Contents of a bag: topics, types and message counts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from longarm_comp.sessions.message_buffer import TYPES
 
 @dataclass(frozen=True)
 class TopicInfo:
-    """One topic; `read` tells whether a session is made from it."""
+    """One topic; `read`: whether it is used for a session."""
 
     topic: str
     type: str
@@ -21,7 +21,7 @@ class TopicInfo:
 
 @dataclass(frozen=True)
 class BagInfo:
-    """A bag at a glance; times in s (start since the epoch of its clock)."""
+    """Summary of a bag; times in s (start since the epoch of its clock)."""
 
     path: str
     storage: str
@@ -32,10 +32,10 @@ class BagInfo:
 
 
 def bag_info(path: str | Path) -> BagInfo:
-    """Look into a bag.
+    """Summarise a bag.
 
     Raises:
-        InputError: there is none, or it is cut short.
+        InputError: there is no bag, or it is truncated.
     """
     with open_bag(path) as reader:
         topics = tuple(

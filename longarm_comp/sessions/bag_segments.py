@@ -1,7 +1,7 @@
-"""A bag that is readable at every moment of its recording: a split rosbag2 that grows by files.
+"""Writer of a bag that is readable at any time while recording: a split rosbag2.
 
-Messages go to a hidden segment; a segment that is finished is moved into the bag and told of in
-metadata.yaml in one step.  Whoever kills the recorder loses the segment at hand, nothing else.
+Messages go to a hidden segment.  A finished segment is moved into the bag and entered in
+metadata.yaml in one step.  A killed recorder loses only the current segment.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ _KEY = "rosbag2_bagfile_information"
 
 
 class SegmentedBag:
-    """Writer of a bag folder; use as a context manager, within which it is readable.
+    """Writer of a bag folder. Use as a context manager; the bag is readable within it.
 
     Args:
         path: the bag's folder.
-        resume: go on with a bag that is there already.
+        resume: continue an existing bag.
 
     Raises:
-        InputError: the folder exists (or, with ``resume``, holds something else).
+        InputError: the folder exists or, with ``resume``, does not hold a bag.
     """
 
     def __init__(self, path: str | Path, *, resume: bool = False) -> None:
@@ -41,7 +41,7 @@ class SegmentedBag:
         self._writer: Writer | None = None
         self._connections: dict[tuple[str, str], Connection] = {}
         self.messages = 0
-        """Written into the segment at hand."""
+        """Number of messages in the current segment."""
 
     def _begin(self, resume: bool) -> dict[str, Any] | None:
         metadata = self._path / "metadata.yaml"
@@ -70,7 +70,7 @@ class SegmentedBag:
 
     def __enter__(self) -> SegmentedBag:
         if self._information is None:
-            self._open()  # a bag without a message is a bag
+            self._open()  # a bag without a message is valid
             self.finish_segment()
         return self
 
@@ -105,23 +105,23 @@ class SegmentedBag:
         return self._partial / f"{self._path.name}_{place}"
 
     def finish_segment(self) -> None:
-        """Make everything written so far part of the bag."""
+        """Move everything written so far into the bag."""
         if self._writer is None:
             return
         segment = self._segment
         self._writer.close()
         self._writer, self._connections, self.messages = None, {}, 0
-        made = yaml.safe_load((segment / "metadata.yaml").read_text(encoding="utf-8"))[_KEY]
-        for name in made["relative_file_paths"]:
+        metadata = yaml.safe_load((segment / "metadata.yaml").read_text(encoding="utf-8"))[_KEY]
+        for name in metadata["relative_file_paths"]:
             (segment / name).replace(self._path / name)
-        self._information = _joined(self._information, made)
+        self._information = _joined(self._information, metadata)
         text = yaml.safe_dump({_KEY: self._information}, sort_keys=False)
         write_text(self._path / "metadata.yaml", text)
         shutil.rmtree(self._partial, ignore_errors=True)
 
 
 def _joined(one: dict[str, Any] | None, two: dict[str, Any]) -> dict[str, Any]:
-    """Metadata of both: files in order, counts added, the time of both."""
+    """Merged metadata: files in order, counts added, total time span."""
     if one is None or not one["message_count"]:
         return two
     first, second = (part["starting_time"]["nanoseconds_since_epoch"] for part in (one, two))

@@ -1,7 +1,7 @@
-"""Positions out of serialised joint states, without parsing again what is laid out alike.
+"""Reads positions from serialised joint states without parsing each message.
 
-A robot sends the same names in the same order a hundred times a second.  A message whose bytes
-before the positions are those of one that was parsed has its positions at the same place.
+A robot sends the same names in the same order a hundred times a second.  If the bytes before the
+positions equal those of a message that was parsed, the positions are at the same offset.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Numbers = tuple[float, ...]
 
 
 class _Layout(NamedTuple):
-    """Bytes before the positions, how to read these, and which are the arm's."""
+    """Bytes before the positions, format of the positions, and which of them are the arm's."""
 
     encoding: bytes
     head: bytes
@@ -37,7 +37,7 @@ class JointStates:
 
     Args:
         names: joints of the arm, in order.
-        types: knows the message.
+        types: type store with the message type.
     """
 
     def __init__(self, names: Sequence[str], types: Typestore) -> None:
@@ -66,7 +66,7 @@ class JointStates:
     def _layout(
         self, raw: bytes, message: Any, pick: Callable[[Numbers], Numbers] | None
     ) -> _Layout | None:
-        """Where the positions are: serialise the message with marks in their place, find those."""
+        """Find the offset of the positions: serialise marks in their place and search them."""
         count = len(message.position)
         marks = 1.5 + np.arange(count)
         probe = dataclasses.replace(message, position=marks)

@@ -1,7 +1,7 @@
-"""The messages of a bag that make a session, checked and in the order of time.
+"""The messages of a bag that are needed for a session, checked and in the order of time.
 
-Only what a row may still need is held: `forget` drops the rest, so that a bag of any length is read
-in bounded memory.
+`forget` drops messages that no further row needs, so that a bag of any length is read in bounded
+memory.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ TYPES = {
 """Topics that are read, by last name, and their types."""
 
 CLOCKS_APART = 60.0
-"""Seconds between stamp and recording above which the stamp is another clock's."""
+"""Seconds between stamp and recording above which the stamp belongs to another clock."""
 
 
 class SessionRow(BaseModel):
-    """What a `session_row` message tells about a row, as JSON."""
+    """Contents of a `session_row` message about a row, as JSON."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -51,24 +51,24 @@ class SessionRow(BaseModel):
 
 
 class Held:
-    """A quantity that holds until it is told again."""
+    """A quantity that keeps its value until the next message."""
 
     def __init__(self, first: float) -> None:
         self.first = first
         self._times, self._values = array("d"), array("d")
 
     def tell(self, t: float, value: float) -> None:
-        """From `t` (s) on it is this."""
+        """Set the value from time `t` (s) on."""
         self._times.append(t)
         self._values.append(value)
 
     def at(self, t: float) -> float:
-        """What was told last; before anything was told, what came first."""
+        """The last value up to `t` (s); before the first message, the first value."""
         place = bisect_right(self._times, t)
         return self._values[place - 1] if place else self.first
 
     def forget(self, until: float) -> None:
-        """No time up to `until` is asked for any more."""
+        """Drop values that are needed only before `until` (s)."""
         past = bisect_right(self._times, until) - 1
         if past > 0:
             del self._times[:past], self._values[:past]
@@ -76,20 +76,20 @@ class Held:
 
 @dataclass
 class MessageBuffer:
-    """What was read and may still be needed; every time in s from `start_ns`.
+    """The messages that may still be needed. All times are in s from `start_ns`.
 
-    `take` puts a message of a topic in `TYPES` where it belongs, or raises `InputError`.
+    `take` stores a message of a topic in `TYPES`, or raises `InputError`.
 
     Attributes:
-        arm, where, start_ns: whose bag, for messages, and its first moment.
-        every_command: one that is sent again counts; otherwise, while the arm is there or on its
-            way, it is the same command.
+        arm, where, start_ns: arm, name of the bag for error messages, time of its start.
+        every_command: whether a repeated command counts. Otherwise it is the same command while
+            the arm is at it or on its way.
         commands: time and points (k, n), oldest first.
         sightings: by the time they were taken.
-        rows: what `session_row` told, by time.
+        rows: contents of `session_row` messages, by time.
         columns: temperature, payload, inclinations.
-        frames: that sightings were in.
-        commanded, sighted: whether there was any.
+        frames: frames of the sightings.
+        commanded, sighted: whether there was any command, any sighting.
     """
 
     arm: Arm
@@ -111,15 +111,15 @@ class MessageBuffer:
         self._sent: np.ndarray | None = None
 
     def take(self, topic: str, stamp_ns: int, message: Any) -> None:
-        """Read one message of the topic with this last name."""
+        """Read one message of the topic whose name ends in this."""
         self._readers[topic]((stamp_ns - self.start_ns) * 1e-9, message)
 
     def sightings_between(self, begin: float, end: float) -> list[Sighting]:
-        """Taken after `begin` and before `end`."""
+        """Sightings taken after `begin` and before `end`."""
         return self.sightings[_within(self.sightings, begin, end)]
 
     def rows_between(self, begin: float, end: float) -> list[tuple[float, SessionRow]]:
-        """Told after `begin` and before `end`."""
+        """Row messages after `begin` and before `end`."""
         return self.rows[_within(self.rows, begin, end)]
 
     def states_between(self, begin: float, end: float) -> tuple[np.ndarray, np.ndarray]:
@@ -130,7 +130,7 @@ class MessageBuffer:
         return np.array(self._times[low:high]), joints
 
     def forget(self, until: float) -> None:
-        """Nothing up to `until` is asked for any more."""
+        """Drop messages that are needed only before `until` (s)."""
         for records in (self.sightings, self.rows):
             del records[: bisect_right(records, until, key=_time)]  # type: ignore[call-overload]
         past = bisect_right(self._times, until)

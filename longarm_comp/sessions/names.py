@@ -1,4 +1,4 @@
-"""Column names: a misspelt one is an error that says which name was meant."""
+"""Checks of column names. The error for a misspelt name gives the most likely known one."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def check_unknown(
     """Raise `InputError` for an unknown name that comes close to a known one.
 
     Close: the same but for case, blanks and punctuation; without its unit (`temperature`);
-    one edit away, or two in a name of eight letters or more.  Any other name is kept as
-    context, so a recorded quantity needs no permission.
+    one edit away, or two in a name of eight letters or more.  A column with any other name is
+    kept as context.
     """
     for name in names:
         if name in known or name in kept:

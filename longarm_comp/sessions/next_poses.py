@@ -1,4 +1,4 @@
-"""The poses that a diagnosis asks for, from the folder it wrote."""
+"""Reads the poses that a diagnosis requests from its folder."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ FILE = "next_poses.csv"
 
 
 def read_next_poses(folder: str | Path, arm: Arm, n: int) -> Plan:
-    """The first n poses of a diagnosis' ``next_poses.csv``, most telling first.
+    """The first n poses of a diagnosis' ``next_poses.csv``, most informative first.
 
     Raises:
-        InputError: the diagnosis asks for none, for fewer than n, or for those of another arm.
+        InputError: the diagnosis requests none, fewer than n, or poses of another arm.
     """
     path = Path(folder) / FILE
     if not path.is_file():

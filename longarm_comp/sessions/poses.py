@@ -1,6 +1,6 @@
 """A plan as a CSV file (poses.csv): ``index,approach,q1..qn[,payload_kg]``.
 
-Where the joints of a pose arrive from different sides, ``approach_q1..qn`` stand for ``approach``.
+If the joints of a pose arrive from different sides, ``approach_q1..qn`` replace ``approach``.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def _written_approach(plan: Plan) -> dict[str, Sequence[object] | np.ndarray]:
 
 
 def read_poses(path: str | Path, arm: Arm) -> Plan:
-    """Read a plan for an arm; a blank or 0 approach is from wherever the arm comes.
+    """Read a plan for an arm. A blank or 0 approach means from any side.
 
     Raises:
         InputError: a column is missing or unknown, a pose lies outside the joint limits.

@@ -1,4 +1,4 @@
-"""A session from whichever form it is kept in."""
+"""Reads a session from any supported format."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def read_session(path: str | Path, arm: Arm) -> Session:
     """A CSV file, or a rosbag2: its folder or a ``.mcap`` or ``.db3`` file.
 
     Raises:
-        InputError: it cannot be read as what it looks like.
+        InputError: it cannot be read in the format of its name.
     """
     path = Path(path)
     if path.is_dir() or path.suffix in (".mcap", ".db3"):

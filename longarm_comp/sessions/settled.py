@@ -1,4 +1,4 @@
-"""Which sightings after a command show the arm at rest, and their mean."""
+"""Selects the sightings that show the arm at rest after a command, and averages them."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 from longarm_comp.core.data.rest_pose import JOINT_REST
 
 TIP_REST_M = 3e-3
-"""A sighting this close to where the sightings end shows the arm at rest."""
+"""Largest distance (m) of a settled sighting from the final position of the sightings."""
 REST_S = 0.1
-"""A shorter rest of the measured joints is none: the arm only passes."""
+"""Shortest rest (s) of the measured joints; a shorter one is only a passage."""
 _LAST = 5
 
 
@@ -29,8 +29,8 @@ def settled(
 ) -> Sighting | None:
     """The mean of the settled sightings between a command at `begin` (s) and the next one.
 
-    The arm is at rest from when the measured joints stay where they end (`JOINT_REST`), and
-    the sightings stay where they end (`TIP_REST_M` about the median of the last five).
+    The arm is at rest once the measured joints stay at their final values (`JOINT_REST`) and the
+    sightings at their final position (`TIP_REST_M` about the median of the last five).
 
     Args:
         sightings: in the order of time.
@@ -38,8 +38,8 @@ def settled(
         begin: time of the command, s.
 
     Returns:
-        Mean time and position, and the variance of the mean; at NaN when the marker was only
-        ever lost; None when nothing was sighted, or the joints did not come to rest.
+        Mean time and position, and the variance of the mean. The position is NaN if the marker
+        was lost in all of them. None without a sighting, or if the joints did not come to rest.
     """
     if not sightings:
         return None

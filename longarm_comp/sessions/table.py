@@ -1,4 +1,4 @@
-"""A CSV file as columns of text, with the place of every cell for messages; and back."""
+"""Reads a CSV file as columns of text that know their lines for errors, and writes one."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Table:
         return InputError(self.where, f"line {self.lines[row]}, {column}", value, allowed)
 
     def blank(self, column: str) -> np.ndarray:
-        """(N,) whether a cell is empty; all of them where there is no such column."""
+        """(N,) whether a cell is empty; all True if there is no such column."""
         if column not in self.cells:
             return np.ones(len(self), dtype=bool)
         return np.array([not cell for cell in self.cells[column]])
@@ -55,26 +55,26 @@ class Table:
         """(N,) numbers; an empty cell is NaN where `blanks` are allowed.
 
         Raises:
-            InputError: a cell is no finite number, or does not pass `test`.
+            InputError: a cell is not a finite number, or does not pass `test`.
         """
         allowed = f"a finite number ({unit})" + (", or blank" if blanks else "")
-        made = np.empty(len(self))
+        values = np.empty(len(self))
         for row, cell in enumerate(self.cells[column]):
             if not cell and blanks:
-                made[row] = math.nan
+                values[row] = math.nan
                 continue
             try:
-                made[row] = float(cell)
+                values[row] = float(cell)
             except ValueError:
                 raise self.error(row, column, allowed) from None
-            if not math.isfinite(made[row]) or (test is not None and not test(made[row])):
+            if not math.isfinite(values[row]) or (test is not None and not test(values[row])):
                 raise self.error(row, column, allowed)
-        return made
+        return values
 
     def integers(self, column: str, blank: int | None = None) -> np.ndarray:
         """(N,) whole numbers; an empty cell becomes `blank` where that is given."""
-        made = self.numbers(column, "whole", blank is not None, float.is_integer)
-        return np.where(np.isnan(made), -1 if blank is None else blank, made).astype(np.int64)
+        values = self.numbers(column, "whole", blank is not None, float.is_integer)
+        return np.where(np.isnan(values), -1 if blank is None else blank, values).astype(np.int64)
 
     def is_numeric(self, column: str) -> bool:
         """Whether every filled cell of a column reads as a number."""

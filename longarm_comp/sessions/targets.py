@@ -1,4 +1,4 @@
-"""Targets asked for (targets.csv) and joint commands answered (commands.csv)."""
+"""Targets (targets.csv) and the joint commands computed for them (commands.csv)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Targets:
         index: (N,) number of each target.
         xyz: (N, 3), m.
         quaternion: (N, 4) x, y, z, w of unit length; NaN rows leave the orientation free.
-        approach: (N,) side that all joints shall arrive from, 0 unknown.
+        approach: (N,) side that all joints are to arrive from, 0 for any.
         columns: further numbers by name, (N,) each, as in `Session.columns`.
         labels: text by name, (N,) each.
         source: file, for messages.
@@ -65,13 +65,13 @@ class Targets:
             allowed = "x y z or x y z qx qy qz qw, finite"
             raise InputError("target", "numbers", list(numbers), allowed)
         free = np.full((1, 4), np.nan)
-        made = cls(np.zeros(1, int), values[None, :3], free, np.zeros(1), source="target")
+        single = cls(np.zeros(1, int), values[None, :3], free, np.zeros(1), source="target")
         if len(values) == 3:
-            return made
+            return single
         length = np.linalg.norm(values[3:])
         if abs(length - 1) > _UNIT_LENGTH:
             raise InputError("target", "qx qy qz qw", f"length {length:.4g}", "length 1")
-        return dataclasses.replace(made, quaternion=values[None, 3:] / length)
+        return dataclasses.replace(single, quaternion=values[None, 3:] / length)
 
 
 @dataclass(frozen=True)
@@ -80,17 +80,17 @@ class Command:
 
     Attributes:
         index: number of the target.
-        status: ``success``, or why not in one word.
-        reason: in one sentence; empty on success.
+        status: ``success``, or the kind of failure in one word.
+        reason: the failure in one sentence; empty on success.
         q: commanded joints (n,), rad and m; None without success.
-        target: asked for, (3,), m.
+        target: (3,) requested position, m.
         predicted_error: expected error (3,), m; None where none was predicted.
         sigma_m: its standard deviation per axis, m.
         passes: pseudo-target passes used.
-        approach: (n,) side that each joint must arrive from for the prediction to hold; 0: any.
+        approach: (n,) side that each joint must arrive from for the prediction to hold; 0 any.
         run_up: (n,) via point from which the last approach begins; None: none needed.
-        ideal: (n,) joints that the physics alone gives; where the command was chosen among the
-            servos' steps, the joints before that choice.
+        ideal: (n,) joints from the physics alone, or the joints before the command was chosen
+            among the servos' steps.
     """
 
     index: int
@@ -123,8 +123,8 @@ def read_targets(path: str | Path) -> Targets:
     xyz = np.stack([table.numbers(name, "m") for name in XYZ], axis=-1)
     quaternion = np.full((len(table), 4), np.nan)
     if len(required) > len(XYZ):
-        made = [table.numbers(name, "unit quaternion", blanks=True) for name in QUATERNION]
-        quaternion = np.stack(made, axis=-1)
+        turns = [table.numbers(name, "unit quaternion", blanks=True) for name in QUATERNION]
+        quaternion = np.stack(turns, axis=-1)
         length = np.linalg.norm(quaternion, axis=1)
         for row in range(len(table)):
             blanks = np.isnan(quaternion[row]).sum()

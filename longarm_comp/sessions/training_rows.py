@@ -1,4 +1,4 @@
-"""Whether a test session is the one that a model or a predictor was fitted to."""
+"""Detects a test session that a model or a predictor was fitted to."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 
 
 def fitted_to(session: Session, model: Path | None, predictor: Predictor | None) -> list[str]:
-    """``model``, ``predictor``: those that were fitted to this session, by its hash.
+    """``model`` and ``predictor``, as far as they were fitted to this session, by its hash.
 
-    Files keep the hash of the whole session, not of its rows: a session that shares only some of
-    its rows with this one is not recognised.
+    Files hold the hash of the whole session. A session that shares only some rows with this one
+    is therefore not recognised.
 
     Raises:
         InputError: the model file cannot be read.

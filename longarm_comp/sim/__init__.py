@@ -1,1 +1,1 @@
-"""The real arm, simulated: exact elastic lines and hidden effects, never the model's physics."""
+"""Simulation of the real arm: exact elastic rods and hidden effects, independent of the model."""

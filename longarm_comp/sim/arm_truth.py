@@ -1,4 +1,4 @@
-"""The simulated real arm: declared parts, hidden effects, exact elastic lines."""
+"""The simulated real arm: declared parts, hidden effects, exact elastic rods."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ Array = np.ndarray
 
 
 class TrueArm:
-    """What stands in the workshop.
+    """The true arm: the declared arm with hidden effects.
 
     Args:
         arm: as declared.
-        hidden: what nobody declared, in the order in which it acts on the joints. What acts on the
-            command (a servo's rounding) comes before all others, wherever it stands.
+        hidden: undeclared effects, in the order in which they act on the joints. Effects on the
+            command (a servo's rounding) always come first.
         steps: integration steps per piece of rod.
-        shear: let tubes shear and stretch too (0.04 mm on an arm that sags by 13 mm).
+        shear: include shear and extension of tubes (0.04 mm on an arm that sags by 13 mm).
 
     Raises:
         InputError: the arm has masses at recorded positions (`position_columns`), or a hidden
-            effect is not of the arm's side.
+            effect acts on the camera instead of the arm.
     """
 
     def __init__(
@@ -70,11 +70,11 @@ class TrueArm:
     def settled(
         self, q: Array, context: TrueContext | None = None, *, trace: bool = False
     ) -> Settled:
-        """Everything about the arm at rest.
+        """State of the arm at rest.
 
         Raises:
-            InputError: q or the context is not what the arm takes.
-            JobError: no equilibrium (a load far beyond what the rods can hold).
+            InputError: q or the context has a wrong shape or is not finite.
+            JobError: there is no equilibrium, because the load is too large for the rods.
         """
         state = State.of(self.arm, q, context)
         walk = Walk(state, self.hidden, self._steps, self._shear)

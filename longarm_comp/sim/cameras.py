@@ -1,9 +1,9 @@
-"""Two rendered cameras that look at a printed marker, for tests and for the simulated arm.
+"""Two rendered cameras that observe a printed marker, for tests and for the simulated arm.
 
 Geometry is exact: every image pixel is a grid of finer ones, each traced back through the lens
 onto the marker's plane, so edges fall where they belong to a few thousandths of a pixel. Then come
 defocus, motion blur, exposure, shot and read noise, and 8 bits. Nothing here is shared with the
-measuring side (`devices/stereo`), so the two check each other.
+measuring side (`devices/stereo`), so that each checks the other.
 
 Optical frames: x right, y down, z forward. Marker frame: x right, y up, z towards the viewer,
 origin in the middle of the plate. ``a_T_b`` takes points of b to a; metres.
@@ -38,7 +38,7 @@ _BACK_GREY = 90.0  # the plate's unprinted side, and what covers it
 
 @dataclass(frozen=True)
 class CameraInfo:
-    """What a sensor_msgs/CameraInfo says (the fields that a stereo pair needs)."""
+    """The fields of a sensor_msgs/CameraInfo that a stereo pair needs."""
 
     width: int
     height: int
@@ -55,7 +55,7 @@ class CameraPair:
 
     Args:
         position_m: left camera's centre in the base frame.
-        optical_axis: where the left camera looks, base frame.
+        optical_axis: viewing direction of the left camera, base frame.
         baseline_m: right camera's centre along the left camera's x.
         focal_px, size: of both cameras; the principal point is the middle of the image.
         d: plumb-bob distortion k1 k2 p1 p2 k3 of both.
@@ -132,8 +132,8 @@ class Conditions:
         read_noise, shot_noise: grey levels; variance = read^2 + shot^2 * level / 255.
         blur_px: Gaussian sigma of the lens, left and right alike.
         motion_px: (right, down) path of the marker on the sensor during the exposure.
-        covered: share of the plate's width hidden, seen by the left and by the right camera.
-        background: seed of what is behind the marker.
+        covered: hidden share of the plate's width in the left and in the right image.
+        background: seed of the background.
     """
 
     exposure: float = 0.75
@@ -270,7 +270,7 @@ def _path_kernel(motion_px: tuple[float, float]) -> NDArray[np.float32]:
 
 @lru_cache(maxsize=8)
 def _background(seed: int, size: tuple[int, int], blur_px: float) -> NDArray[np.float32]:
-    """A cluttered wall: soft patches, boxes with sharp edges, fine grain; then the lens."""
+    """A cluttered background: soft patches, boxes with sharp edges, fine grain, lens blur."""
     rng = np.random.default_rng(seed)
     soft = rng.uniform(60.0, 150.0, (size[1] // 80 + 2, size[0] // 80 + 2)).astype(np.float32)
     wall = cv2.resize(soft, size, interpolation=cv2.INTER_CUBIC)

@@ -1,4 +1,4 @@
-"""Circumstances in which the simulated arm stands."""
+"""Circumstances of the simulated arm."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class TrueContext:
-    """Circumstances of N postures; what is None is as declared, or not known.
+    """Circumstances of N postures. None means as declared, or unknown.
 
     Attributes:
         approach: side each joint arrived from, (N, n) or (n,) of -1, 0, +1: from below is +1.
@@ -61,7 +61,7 @@ class State:
 
     @classmethod
     def of(cls, arm: Arm, q: Array, context: TrueContext | None) -> State:
-        """Fill in what the context leaves open.
+        """Create from joints and a context, with defaults for None.
 
         Args:
             arm: as declared.

@@ -1,4 +1,4 @@
-"""Printed marker plates for the rendered cameras. Marker frame: the middle, x right, y up."""
+"""Printed markers for the rendered cameras. Marker frame: centre, x right, y up."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def tag_plate(
 ) -> Plate:
     """A grid of tags, ids along the rows from the top left, a white margin of 0.2 tags.
 
-    `print_scale` is how much larger than declared the printer made everything.
+    `print_scale` is the printed size over the declared size.
     """
     tag_px = 30 * _dictionary(dictionary).markerSize
     gap_px, margin_px = round(gap_m / tag_m * tag_px), round(0.2 * tag_px)

@@ -1,4 +1,4 @@
-"""What the stereo head reports of the true arm, and whole measured sessions."""
+"""Simulated measurements of the true arm by the stereo head, and whole sessions."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Noise:
 
     Attributes:
         sigma_m: equal in all directions.
-        depth_m: along the line of sight, on top.
+        depth_m: additional error along the line of sight.
         rho: correlation from one row to the next (AR(1)).
         tail_dof: degrees of freedom of Student's t, scaled to the same variance; None: normal.
     """
@@ -100,7 +100,7 @@ class TrueCamera:
 
 @dataclass(frozen=True)
 class SimulatedSession:
-    """A measured session and what really was.
+    """A measured session and its truth.
 
     Attributes:
         columns: as in samples.csv; NaN is blank.
@@ -130,19 +130,19 @@ def measure_session(
     """Drive the true arm through poses and measure its tip.
 
     Args:
-        true_arm: what stands there.
-        camera: what looks at it.
+        true_arm: the arm.
+        camera: the stereo head.
         poses: commanded joints (N, n).
-        rng: all chance.
+        rng: source of all randomness.
         approach: `both`: every pose twice, from below and from above; `random`: one side at
             random; `mixed`: a third of these left blank; `previous`: all blank. A blank row
             arrives joint by joint from the row before.
-        repeats: this many poses (drawn) come twice more, spread over the session.
+        repeats: number of random poses that are visited two more times during the session.
         lost: share of rows without a sighting.
         outliers: share of rows with a gross error of 4-15 mm.
         noise: `Noise()` by default.
-        start_s: clock at the first row.
-        warming_k: by how much the room warms up over hours.
+        start_s: time of the first row.
+        warming_k: rise of the room temperature over hours.
         payload_kg: carried mass, scalar or (N,); as declared by default.
     """
     arm = true_arm.arm
@@ -185,8 +185,8 @@ def measure_session(
 def arrival(q: Array, written: Array) -> Array:
     """Side (N, n) of -1, 0, +1 that each joint arrived from: below is +1.
 
-    A row's written side (N,) holds for all joints; where it is blank (NaN) a joint that moved
-    says it, and one that did not keeps its side.
+    A row's written side (N,) holds for all joints. If it is blank (NaN), it follows from the motion
+    of each joint; a joint that did not move keeps its side.
     """
     side = np.zeros_like(q)
     for k in range(len(q)):
@@ -227,7 +227,7 @@ def _cell(name: str, value: float) -> str:
 def _with_repeats(
     poses: int, repeats: int, both: bool, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Pose number of every row, and the repeat id (row of the first of its kind; NaN: alone)."""
+    """Pose number of every row, and the repeat id (first row of that pose; NaN if single)."""
     order = np.arange(poses)
     again = rng.choice(poses, min(repeats, poses), replace=False)
     for pose in np.repeat(again, 2):
@@ -250,6 +250,6 @@ def _written_side(approach: Approach, order: Array, rng: np.random.Generator) ->
 
 
 def _warming(t: Array, start_c: float, rise: float, rng: np.random.Generator) -> Array:
-    """Room and motors warm up over hours, with a draught, read to 0.03 K."""
+    """Temperature of room and motors, rising over hours with fluctuations, read to 0.03 K."""
     slow = rise * -np.expm1(-t / 5000) + 0.15 * rise * np.sin(2 * np.pi * t / 2500)
     return start_c + slow + 0.03 * rng.standard_normal(len(t))

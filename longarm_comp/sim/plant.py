@@ -1,6 +1,6 @@
-"""The simulated workshop: emulated servos move the true arm, two rendered cameras look at it.
+"""The simulated plant: emulated servos move the true arm, two rendered cameras observe it.
 
-Nobody but the servo bus can command it, and nobody but the cameras can see it.
+It is commanded only through the servo bus and observed only through the cameras.
 """
 
 from __future__ import annotations
@@ -31,32 +31,32 @@ _SAME = 1e-7  # rad or m: the arm has not moved
 def hidden_effects(
     arm: Arm, sizes_mm: Mapping[str, float], rng: np.random.Generator
 ) -> tuple[HiddenEffect, ...]:
-    """Effects by canonical name, each shifting the tip by so many mm rms.
+    """Hidden effects by canonical name, each scaled to shift the tip by its size in mm rms.
 
     Raises:
         InputError: no such effect, or one of the camera side.
     """
-    made = []
+    effects = []
     for name, size_mm in sizes_mm.items():
         effect = draw(name, arm, rng, size_mm)
         if not isinstance(effect, HiddenEffect):
-            raise InputError("workshop", "hidden", name, "an effect of the arm's side")
-        made.append(effect)
-    return tuple(made)
+            raise InputError("plant", "hidden", name, "an effect of the arm's side")
+        effects.append(effect)
+    return tuple(effects)
 
 
 @dataclass(frozen=True)
-class Room:
-    """What stands in the workshop.
+class PlantConfig:
+    """Parts of the plant and its conditions.
 
     Attributes:
         arm: as declared.
         servos: the servos that drive it.
-        hidden: what nobody declared.
-        cameras, plate, plate_on_tip: the eyes, the marker and its place (4, 4) on the tip.
+        hidden: undeclared effects.
+        cameras, plate, plate_on_tip: cameras, marker and the marker's pose (4, 4) on the tip.
         spec: mechanics of the servos.
-        temperature_c: at the start, and its rise over hours (K).
-        payload_kg: what it carries.
+        temperature_c: temperature at the start, and its rise over hours (K).
+        payload_kg: carried mass.
     """
 
     arm: Arm
@@ -71,19 +71,19 @@ class Room:
     payload_kg: float = 0.0
 
 
-class Workshop:
-    """The room in motion. `start` and `stop` it; time is seconds since the start, handed in."""
+class Plant:
+    """The running plant: `start` and `stop` it. Times are seconds since the start."""
 
-    def __init__(self, room: Room, link: Path, rng: np.random.Generator) -> None:
-        if sorted(j.name for j in room.servos.joints) != sorted(room.arm.joint_names):
-            names = ", ".join(j.name for j in room.servos.joints)
-            raise InputError("workshop", "servo joints", names, ", ".join(room.arm.joint_names))
-        self.room = room
+    def __init__(self, config: PlantConfig, link: Path, rng: np.random.Generator) -> None:
+        if sorted(j.name for j in config.servos.joints) != sorted(config.arm.joint_names):
+            names = ", ".join(j.name for j in config.servos.joints)
+            raise InputError("plant", "servo joints", names, ", ".join(config.arm.joint_names))
+        self.config = config
         self.emulator = ServoEmulator(
-            room.servos.protocol, room.servos.start_ticks(), room.spec, link=link
+            config.servos.protocol, config.servos.start_ticks(), config.spec, link=link
         )
         self._rng = rng
-        self._true = TrueArm(room.arm, room.hidden, steps=_STEPS)
+        self._true = TrueArm(config.arm, config.hidden, steps=_STEPS)
         self._last: tuple[Array, Array] | None = None
 
     def start(self) -> None:
@@ -95,9 +95,9 @@ class Workshop:
         self.emulator.stop()
 
     def joints(self) -> Array:
-        """(n,) where the joints really stand (rad, m)."""
-        values = self.room.servos.values(self.emulator.positions())
-        return np.array([values[name] for name in self.room.arm.joint_names])
+        """(n,) true joint positions, rad and m."""
+        values = self.config.servos.values(self.emulator.positions())
+        return np.array([values[name] for name in self.config.arm.joint_names])
 
     def side(self) -> Array:
         """(n,) of -1, 0, +1: the side that each joint arrived from."""
@@ -108,33 +108,35 @@ class Workshop:
         return self._upwards(self.emulator.windings())
 
     def _upwards(self, turned: Mapping[int, float]) -> Array:
-        """(n,) of what is positive where a servo's ticks grow, positive where its joint does."""
-        made = {j.name: np.sign(j.travel) * turned[j.servo_id] for j in self.room.servos.joints}
-        return np.array([made[name] for name in self.room.arm.joint_names])
+        """(n,) signed by the joint's direction, from values signed by the servo's."""
+        direction = {
+            j.name: np.sign(j.travel) * turned[j.servo_id] for j in self.config.servos.joints
+        }
+        return np.array([direction[name] for name in self.config.arm.joint_names])
 
     def temperature_c(self, t_s: float) -> float:
-        """The room warms up slowly."""
-        start, rise = self.room.temperature_c
+        """Temperature of the arm, which rises slowly."""
+        start, rise = self.config.temperature_c
         return float(start - rise * np.expm1(-t_s / 5000.0))
 
     def tip_pose(self, t_s: float) -> Array:
-        """(4, 4) true tip in the base frame: what nobody is told."""
+        """(4, 4) true tip in the base frame. It is published only for evaluation."""
         q, side, wound = self.joints(), self.side(), self.wound()
         known = np.concatenate([q, side, wound, [self.temperature_c(t_s)]])
         if self._last is None or np.abs(known - self._last[0]).max() > _SAME:
-            context = TrueContext(side, self.temperature_c(t_s), self.room.payload_kg, t_s, wound)
+            context = TrueContext(side, self.temperature_c(t_s), self.config.payload_kg, t_s, wound)
             self._last = known, self._true.pose(q, context)
         return self._last[1]
 
     def look(self, t_s: float) -> tuple[Grey, Grey]:
-        """The left and the right image of this moment."""
-        room = self.room
-        plate = self.tip_pose(t_s) @ room.plate_on_tip
-        return render(plate, room.plate, room.cameras, self._rng, room.conditions)
+        """Left and right image (H, W) at this time."""
+        config = self.config
+        plate = self.tip_pose(t_s) @ config.plate_on_tip
+        return render(plate, config.plate, config.cameras, self._rng, config.conditions)
 
 
 def mounting(turn_rad: Sequence[float]) -> Array:
-    """(4, 4) of a plate whose centre is the tip, turned by a rotation vector (rad) against it."""
-    made = np.eye(4)
-    made[:3, :3] = cv2.Rodrigues(np.asarray(turn_rad, dtype=float))[0]
-    return made
+    """(4, 4) pose on the tip of a plate centred there, turned by a rotation vector (rad)."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = cv2.Rodrigues(np.asarray(turn_rad, dtype=float))[0]
+    return matrix

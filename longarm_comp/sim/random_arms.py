@@ -1,4 +1,4 @@
-"""Many arms of a kind, and the mix of hidden effects that errs as the paper's arm did."""
+"""Random variants of an arm, and a mix of hidden effects with the paper's error sizes."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Mix:
 def paper_mix(
     rng: np.random.Generator, arm: Arm, *, deflection_only_mm: float = 15.4, mean_z_mm: float = 1.0
 ) -> Mix:
-    """What a printed arm with hobby servos has, sized as in the paper's Table I.
+    """Typical effects of a printed arm with hobby servos, sized as in the paper's Table I.
 
     Pot gains, gear eccentricity, servo steps, backlash with a load gate, friction and telescope
     clearance, and some lens distortion; joints that lift err most.  One common dose makes the

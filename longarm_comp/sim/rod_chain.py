@@ -1,4 +1,4 @@
-"""One walk along the whole true arm, from its last frame back to the foot."""
+"""Integration of the whole true arm, from its last frame back to the foot."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Settled:
 
 
 class Walk:
-    """One walk from the last frame to the base, for given joint values."""
+    """The whole chain for given joint values, integrated from the last frame to the base."""
 
     def __init__(
         self,
@@ -84,7 +84,7 @@ class Walk:
         return masses
 
     def rigid(self) -> Array:
-        """Gravity in the last frame's axes if nothing bent, (3, N)."""
+        """Gravity in the last frame's axes of the rigid arm, (3, N)."""
         weightless = np.zeros((3, 1, len(self._state.q)))
         end = self._walk(weightless, last=True)[0]
         return np.stack([np.sum(self.gravity[:, None] * end.seen(k)[:, 0], 0) for k in range(3)])
@@ -94,7 +94,7 @@ class Walk:
         return settle(lambda gamma: self._walk(gamma)[0], start, self.gravity)
 
     def finish(self, gamma: Array, *, trace: bool = False) -> Settled:
-        """The walk at rest, with what is wanted of it."""
+        """The arm at rest for the solved gravity direction."""
         end, marks, torques = self._walk(gamma[:, None], tip=True, trace=trace)
         pose = np.zeros((gamma.shape[1], 4, 4))
         pose[:, 3, 3] = 1.0
@@ -107,7 +107,7 @@ class Walk:
     def _walk(
         self, gamma: Array, *, tip: bool = False, trace: bool = False, last: bool = False
     ) -> tuple[Walker, list[int], Array]:
-        """From the last frame to the base: the walker there, its marks and the joint loads."""
+        """Integrate to the base. Returns the walker there, its marks and the joint loads."""
         walker = Walker(gamma, trace=trace)
         marks: list[int] = []
         torques = np.zeros_like(self._state.q)
@@ -182,7 +182,7 @@ class Walk:
     def _beam(
         self, walker: Walker, axis: int, sign: float, beams: list[Beam], ends: Array, k: int
     ) -> None:
-        """One beam, cut where the bodies that lie in it begin."""
+        """One beam, divided at the beginnings of the bodies inside it."""
         first, second, torsion = beams[k].stiffness
         order = (torsion, first, second) if axis == 0 else (first, second, torsion)
         compliance = np.reshape(order, (3, 1)) ** -1.0

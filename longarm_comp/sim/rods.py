@@ -1,10 +1,9 @@
-"""Exact elastic lines, walked from the tip back to the base.
+"""Exact elastic rods, integrated from the tip back to the base.
 
-Kirchhoff rods (bending and torsion; on request Cosserat's, with shear and extension) under
-weight alone.  A walker
-stands at a section of the chain and describes everything *beyond* it in the section's own
-axes: gravity, the moment of all that hangs beyond, points and directions.  One step back by
-``du`` along the rod's axis ``e`` turns the axes by ``kappa du``, so that
+Kirchhoff rods (bending and torsion; optionally Cosserat rods, with shear and extension) under
+weight alone.  A `Walker` is at a section of the chain and holds the state of everything *beyond* it
+in the section's own axes: gravity, the moment of the weight beyond, points and directions.  One
+step back by ``du`` along the rod's axis ``e`` turns the axes by ``kappa du``, so that
 
     d gamma / du = kappa x gamma
     d mu / du    = kappa x mu + e x (M gamma)        kappa = diag(compliance) mu
@@ -12,9 +11,9 @@ axes: gravity, the moment of all that hangs beyond, points and directions.  One 
     d M / du     = density
 
 (Antman, *Nonlinear Problems of Elasticity*, ch. 8, written in the section's axes).  Nothing
-is linearised; every load is met where the bent rod really is.  The one unknown is the
-direction of gravity in the axes of the last frame, two angles: they are found by shooting
-until gravity points down in the base frame (`settle`).
+is linearised; every load acts at its place on the bent rod.  The only unknown is the direction of
+gravity in the axes of the last frame, two angles.  They are found by shooting until gravity points
+down in the base frame (`settle`).
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ _NEWTON = 12
 
 
 class Walker:
-    """All that lies beyond one section of the chain, in the section's axes.
+    """State of everything beyond one section of the chain, in the section's axes.
 
     Args:
         gamma: gravity in the axes of the last frame, (3, B, N) m/s^2: N postures, B trial
@@ -81,7 +80,7 @@ class Walker:
         return len(self._point) - 3
 
     def point(self) -> None:
-        """Follow this section's origin, where wanted."""
+        """Follow this section's origin if ``trace`` is set."""
         if self._trace:
             self.line.append(self.mark((0.0, 0.0, 0.0), point=True))
 
@@ -91,7 +90,7 @@ class Walker:
         self.mass = self.mass + mass
 
     def shift(self, offset: Array) -> None:
-        """Go back along a rigid piece that leads from the new section to this one, (3, ...) m."""
+        """Go back along a rigid piece, (3, ...) m from the new section to this one."""
         v = _column(offset)
         self._v[:, _MOMENT] += cross(v, self.mass * self.gravity)
         self._v += v[:, None] * self._point[:, None, None]
@@ -174,11 +173,11 @@ class Walker:
 def settle(walk: Callable[[Array], Walker], start: Array, gravity: Array) -> Array:
     """Gravity in the last frame's axes for which it is `gravity` in the base frame.
 
-    Newton's method on the two angles of the direction, one posture beside the other; where
-    the full load does not converge it is raised in steps.
+    Newton's method on the two angles of the direction, for all postures at once. If the full load
+    does not converge, it is raised in steps.
 
     Args:
-        walk: walks from the last frame to the base for gravity (3, B, N).
+        walk: integrates from the last frame to the base for gravity (3, B, N).
         start: first guess, (3, N), of gravity's length.
         gravity: in the base frame, (3,) m/s^2.
 

@@ -1,1 +1,1 @@
-"""Studies that stand behind the figures in the documentation."""
+"""Studies that produce the figures in the documentation."""

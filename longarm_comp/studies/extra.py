@@ -1,4 +1,4 @@
-"""What the studies need and the package does not: the extra ``studies``."""
+"""Imports of libraries that only the studies need: the extra ``studies``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from longarm_comp.core.errors import JobError
 
 @contextmanager
 def extra() -> Iterator[None]:
-    """Around imports of libraries that only the studies need.
+    """Context manager for imports of libraries that only the studies need.
 
     Raises:
         JobError: one of them is not installed.

@@ -1,7 +1,7 @@
-"""`longarm study loop`: does the diagnosis name what was hidden, and keep quiet otherwise?
+"""`longarm study loop`: how often the diagnosis names hidden effects, and nothing else.
 
-Cases run side by side on all cores, or on a cluster through joblib's dask backend.  Every case
-that is done is one line of a JSON-lines file; cases that are in the file are not run again.
+Cases run in parallel on all cores, or on a cluster through joblib's dask backend.  Every finished
+case is one line of a JSON-lines file. Cases in the file are not run again.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from longarm_comp.studies.loop_score import score
 from longarm_comp.studies.loop_setting import set_up
 
 ANSWER_S = 20.0
-"""A scheduler must answer within this."""
+"""Time within which a scheduler must answer, s."""
 
 
 def run_case(case: Case, arm: Arm) -> dict[str, Any]:
-    """Measure, diagnose and judge one case; an error of the package is a result too."""
+    """Measure, diagnose and score one case. An error of the package is recorded as its result."""
     started = time.process_time()
-    made: dict[str, Any] = {"case": case.as_dict()}
+    record: dict[str, Any] = {"case": case.as_dict()}
     try:
         setting = set_up(case, arm)
         gone = set(case.effects) if case.group == "removed" else set()
         kinds = [kind for kind in LIBRARY if kind.name not in gone]
         found = diagnose(setting.arm, setting.train, test=setting.held_out, kinds=kinds, seed=1)
-        made["cpu_s"] = round(time.process_time() - started, 2)
-        made["result"] = score(setting, found)
+        record["cpu_s"] = round(time.process_time() - started, 2)
+        record["result"] = score(setting, found)
     except LongarmError as error:
-        made["error"] = str(error)
-    return made
+        record["error"] = str(error)
+    return record
 
 
 def run(
@@ -52,18 +52,18 @@ def run(
     dask: str | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> list[dict[str, Any]]:
-    """Run the cases that are not in the file yet; return all of theirs, in the cases' order.
+    """Run the cases that are not in the file yet; return the lines of all cases in their order.
 
     Args:
-        cases: what to run.
+        cases: cases to run.
         arm: as declared.
-        out: JSON-lines file, one line per case; made or appended to.
+        out: JSON-lines file, one line per case; created or appended to.
         jobs: processes; -1 is one per core.  Not used with dask.
         dask: address of a scheduler (``tcp://host:8786``), or ``local`` for one on this machine.
-        progress: told the last case done and the share of all.
+        progress: called with the last finished case and the share of all.
 
     Raises:
-        InputError: the file holds something else, dask is missing, or its scheduler is.
+        InputError: the file holds other data; dask is not installed or its scheduler not found.
         JobError: joblib is not installed.
     """
     with extra():
@@ -85,9 +85,9 @@ def run(
 
 
 def read(path: Path) -> dict[str, dict[str, Any]]:
-    """The lines of a file by case; none where there is no file.
+    """The lines of a file by case; empty if there is no file.
 
-    A last line that was cut off in the middle is dropped from the file.
+    An incomplete last line is removed from the file.
 
     Raises:
         InputError: a line is not one of this study's.
@@ -98,14 +98,14 @@ def read(path: Path) -> dict[str, dict[str, Any]]:
     whole, _, torn = text.rpartition("\n")
     if torn:
         os.truncate(path, len(whole.encode()) + 1 if whole else 0)
-    made = {}
+    records = {}
     for number, line in enumerate(whole.splitlines(), 1):
         try:
             parsed = json.loads(line)
-            made[str(parsed["case"]["id"])] = parsed
+            records[str(parsed["case"]["id"])] = parsed
         except (ValueError, TypeError, KeyError):
             raise InputError(path, f"line {number}", line, "a line of this study") from None
-    return made
+    return records
 
 
 @contextlib.contextmanager

@@ -1,4 +1,4 @@
-"""What the loop study measures: which effect, on which arm, in which data."""
+"""Cases of the loop study: effects, arm and data."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ GROUPS = ("none", "single", "pair", "removed", "outside")
 
 @dataclass(frozen=True)
 class Spoiled:
-    """How measuring goes wrong.
+    """Disturbances of the measurement.
 
     Attributes:
         outliers: share of gross errors.
@@ -47,18 +47,18 @@ SPOILED: dict[str, Spoiled] = {
 
 @dataclass(frozen=True)
 class Case:
-    """One data set to diagnose; its `id` names it and seeds everything random in it.
+    """One data set to diagnose. Its `id` names it and seeds all of its random choices.
 
     Attributes:
         group: none, single, pair, removed (the true effects are not in the library) or outside.
-        effects: canonical names of what is hidden.
-        one_place: the effect sits at one joint or beam only, where it has several.
+        effects: canonical names of the hidden effects.
+        one_place: the effect is at one joint or beam only, if it could be at several.
         spoiled: key of `SPOILED`.
         plan: ``grid`` (the paper's) or ``sobol``.
-        rows: measured for fitting; the hold-out comes on top.
-        noise: times the usual noise of a stereo head (0.22 mm across, 0.36 mm in depth).
-        arm: 0 is the declared arm, others are random ones like it.
-        number: tells repetitions apart.
+        rows: number of rows for fitting, without the hold-out.
+        noise: factor on the usual noise of a stereo head (0.22 mm across, 0.36 mm in depth).
+        arm: 0 is the declared arm, others are random variants.
+        number: number of the repetition.
     """
 
     group: str
@@ -91,17 +91,17 @@ class Case:
 
     @property
     def rng(self) -> np.random.Generator:
-        """A generator that belongs to this case alone."""
+        """A random generator of this case alone."""
         return np.random.default_rng(list(hashlib.sha256(self.id.encode()).digest()))
 
     def as_dict(self) -> dict[str, object]:
-        """For a JSON line."""
+        """Fields of a JSON line."""
         return {**dataclasses.asdict(self), "effects": list(self.effects), "id": self.id}
 
 
 @dataclass(frozen=True)
 class Design:
-    """Which cases: every combination of the lists, `repeats` times.
+    """Selection of cases: every combination of the lists, `repeats` times.
 
     Raises:
         InputError: an unknown group, effect or plan, or too few rows.
@@ -133,17 +133,17 @@ class Design:
                 raise InputError("study loop", name, getattr(self, name), "at least 1")
 
     def cases(self) -> list[Case]:
-        """All of them, the repetitions outermost, so that a part of them is a fair sample."""
-        made = []
+        """All cases. Repetitions are the outer loop, so that a part is a fair sample."""
+        drawn = []
         for number, arm in itertools.product(range(self.repeats), range(self.arms)):
             for plan, rows, noise in itertools.product(self.plans, self.rows, self.noises):
                 for group in self.groups:
                     for effects, spoiled in _MENUS[group](self, number * self.arms + arm):
                         odd = (number + arm) % 2 == 1
-                        made.append(
+                        drawn.append(
                             Case(group, effects, odd, spoiled, plan, rows, noise, arm, number)
                         )
-        return made
+        return drawn
 
 
 Menu = Iterator[tuple[tuple[str, ...], str]]

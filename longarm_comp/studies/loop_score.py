@@ -1,4 +1,4 @@
-"""A diagnosis judged by the truth: right, honest, dangerous."""
+"""Scores of a diagnosis against the truth."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from longarm_comp.studies.loop_setting import LoopSetting
 from longarm_comp.studies.loop_truth import places, values
 
 ALIKE = 10.0
-"""Loss in noise-free log likelihood below which another explanation counts as a true twin.
+"""Loss in noise-free log likelihood below which another explanation counts as equivalent.
 
 With noise the log likelihood of such a pair differs by 10 +- 4.5: within the 3 that the
 diagnosis calls undecided about once in twenty times.
@@ -38,7 +38,7 @@ SHOWN = 4
 
 
 def score(setting: LoopSetting, found: Diagnosis) -> dict[str, Any]:
-    """Everything that the tables count, as plain JSON; lengths in mm."""
+    """All scores that the tables use, as plain JSON; lengths in mm."""
     true = set(setting.case.effects)
     names = [set(f.names) for f in found.findings]
     best = true_fit(setting) if _knowable(setting) else None
@@ -50,7 +50,7 @@ def score(setting: LoopSetting, found: Diagnosis) -> dict[str, Any]:
     sets = [f for f in found.findings if f.alternatives]
     meant = true.union(*(family for family in TWINS if family & true))
     named_wrong = [f.name for f in found.findings if not f.alternatives and f.name not in meant]
-    made: dict[str, Any] = {
+    scores: dict[str, Any] = {
         "verdict": found.verdict,
         "visible": [round(v, 3) for v in setting.visible],
         "found": [list(f.names) for f in found.findings],
@@ -79,19 +79,19 @@ def score(setting: LoopSetting, found: Diagnosis) -> dict[str, Any]:
         "last": _table(found.search.last),
         "threshold": found.search.threshold,
     }
-    made["dangerous"] = bool(
+    scores["dangerous"] = bool(
         found.verdict == "named"
         and named_wrong
         and np.hypot(errors["with_effects"], errors["floor"]) > 2 * errors["floor"]
     )
-    return made
+    return scores
 
 
 def true_fit(setting: LoopSetting, session: Session | None = None) -> ModelFit:
     """The model that holds exactly the hidden effects, in their best form, fitted.
 
     Args:
-        setting: what is hidden.
+        setting: the case with its hidden effects.
         session: rows; the training rows by default.
 
     Raises:
@@ -120,7 +120,7 @@ def _misfit(fitted: ModelFit) -> float:
 
 
 def _forms(setting: LoopSetting, name: str) -> list[tuple[Term, ...]]:
-    """Each form of an effect, at all of its places; and all forms, where they go together."""
+    """Each form of an effect at all of its places, and all compatible forms together."""
     known = library(setting.arm, setting.train.context(), (BUILT_IN[name],))
     most = max(len(c.terms) for c in known.testable)
     forms = [c.terms for c in known.testable if len(c.terms) == most]
@@ -139,15 +139,15 @@ def _errors(setting: LoopSetting, found: Diagnosis, best: ModelFit | None) -> di
     models: dict[str, Model] = dict(found.models)
     if best is not None:
         models["true_effects"] = best.model
-    made = {
+    errors = {
         name: _rms(setting.clean_held_out, model, setting.held_out)
         for name, model in models.items()
     }
     for name in ("with_effects", "true_effects"):
         if name in models:
-            made[f"{name}_train"] = _rms(setting.clean_train, models[name], setting.train)
-    made["floor"] = 1e3 * float(np.sqrt((setting.sigma**2).sum()))
-    return made
+            errors[f"{name}_train"] = _rms(setting.clean_train, models[name], setting.train)
+    errors["floor"] = 1e3 * float(np.sqrt((setting.sigma**2).sum()))
+    return errors
 
 
 def _rms(clean: np.ndarray, model: Model, session: Session) -> float:
@@ -156,7 +156,7 @@ def _rms(clean: np.ndarray, model: Model, session: Session) -> float:
 
 
 def _minimal(setting: LoopSetting, sets: Sequence[EffectFinding], best: ModelFit | None) -> bool:
-    """Whether no member of any set could be told from the truth with these rows, or with any."""
+    """Whether no member of any set can be distinguished from the truth by these or any rows."""
     if not sets or best is None:
         return best is not None
     clean = _clean(setting)
@@ -181,7 +181,7 @@ def _clean(setting: LoopSetting) -> Session:
 
 
 def _located(setting: LoopSetting, found: Diagnosis) -> bool | None:
-    """Whether the strongest place of what covers an effect at one place is the true one."""
+    """Whether the strongest place of the finding that covers the effect is the true one."""
     if not setting.case.one_place:
         return None
     answers = []
@@ -194,14 +194,14 @@ def _located(setting: LoopSetting, found: Diagnosis) -> bool | None:
 
 
 def _said(found: Diagnosis, finding: EffectFinding, name: str) -> set[str]:
-    """Where a finding has an effect: its own strongest place, or the alternative's places."""
+    """Places of an effect in a finding: its strongest place, or those of the alternative."""
     if finding.name == name:
         return {_strongest(found, finding.terms)}
     return {w for a in finding.alternatives if a.candidate.name == name for w in a.candidate.where}
 
 
 def _strongest(found: Diagnosis, terms: tuple[Effect | Bias, ...]) -> str:
-    """Where the largest shift of the tip comes from."""
+    """Place with the largest shift of the tip."""
     fitted = found.search.fit
     sizes: dict[str, float] = {}
     mine = {(t.name, t.where) for t in terms}
@@ -217,7 +217,7 @@ def _strongest(found: Diagnosis, terms: tuple[Effect | Bias, ...]) -> str:
 
 def _intervals(setting: LoopSetting, found: Diagnosis) -> list[dict[str, Any]]:
     """True value and 95 % interval of every found parameter that the simulator has too."""
-    made = []
+    rows = []
     for effect in setting.effects:
         true = values(effect, setting.arm)
         if not any(f.name == effect.name for f in found.findings):
@@ -226,7 +226,7 @@ def _intervals(setting: LoopSetting, found: Diagnosis) -> list[dict[str, Any]]:
             key = slot.owner.where, slot.parameter.name
             if slot.owner.name == effect.name and key in true:
                 i = found.confirmed.intervals[k]
-                made.append(
+                rows.append(
                     {
                         "of": f"{effect.name} {key[0]} {key[1]}",
                         "true": true[key],
@@ -235,7 +235,7 @@ def _intervals(setting: LoopSetting, found: Diagnosis) -> list[dict[str, Any]]:
                         "high": i.high,
                     }
                 )
-    return made
+    return rows
 
 
 def _table(scores: Sequence[Score]) -> list[list[Any]]:

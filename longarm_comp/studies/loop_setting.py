@@ -1,4 +1,4 @@
-"""A case made real: the true arm, its measured session, and how visible its effects are."""
+"""Set-up of a case: the true arm, its measured session, and the visibility of its effects."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from longarm_comp.studies.loop_cases import SPOILED, Case
 from longarm_comp.studies.loop_truth import at_one_place, size
 
 HELD_OUT = 100
-"""Fresh poses, drawn evenly from the whole joint box: off the grid."""
+"""Number of further poses, uniform over the joint box."""
 CANDIDATES = 150
-"""About as many hypotheses are weighed; an effect must be visible beyond that choice."""
+"""Approximate number of hypotheses; visibility accounts for the choice among them."""
 _PLANS = {"grid": grid, "sobol": sobol}
 _STEPS = 4
 _MOST = 6.0  # times the typical size
@@ -35,14 +35,14 @@ _MOST = 6.0  # times the typical size
 
 @dataclass(frozen=True)
 class LoopSetting:
-    """What a case is measured on.
+    """Arm, effects and data of a case.
 
     Attributes:
-        case: it.
+        case: the case.
         arm: as declared.
-        effects: what is hidden beside the geometry errors.
-        visible: per effect, size of what a full geometry refit leaves of it, over the size that
-            can be detected at all; 1 and more is visible.
+        effects: hidden effects besides the geometry errors.
+        visible: per effect, size that remains after a full geometry refit over the smallest
+            detectable size; 1 and more is visible.
         train: rows to fit. held_out: fresh poses.
         clean_train: (N, 3) without noise, m. clean_held_out: likewise.
         sigma: (3,) true noise per axis, m.
@@ -63,7 +63,7 @@ def set_up(case: Case, declared: Arm) -> LoopSetting:
     """Draw arm, effects and noise, and measure.
 
     Raises:
-        InputError, JobError: the arm cannot have such an effect or does not hold it.
+        InputError, JobError: the arm cannot have such an effect or is not stable with it.
     """
     rng = case.rng
     arm = declared if case.arm == 0 else random_arm(np.random.default_rng(case.arm), declared)
@@ -121,7 +121,7 @@ def _drawn(name: str, arm: Arm, one_place: bool, rng: np.random.Generator) -> Hi
 
 
 class _Gauge:
-    """What a geometry refit leaves of an effect, on the poses of a plan."""
+    """Size of an effect after a geometry refit, on the poses of a plan."""
 
     def __init__(
         self,
@@ -151,7 +151,7 @@ class _Gauge:
         return dataclasses.replace(self.head, effects=outside).seen(tip, self.t_s)
 
     def visibility(self, effect: Hidden) -> float:
-        """Sqrt of what is left, in units of the noise, over what can be detected.
+        """Remaining size in units of the noise over the smallest detectable size.
 
         Detectable is what an ideal observer finds who knows the shape of each of `CANDIDATES`
         effects, asks for odds of 20 and pays half a log of the number of readings per
@@ -166,7 +166,7 @@ class _Gauge:
         return math.sqrt(max(left, 0.0) / needed)
 
     def sized(self, effect: Hidden, rng: np.random.Generator) -> tuple[Hidden, float]:
-        """The effect made large enough to be visible (drawn, 1.25 to 3), if 6 times typical do."""
+        """The effect scaled to a random visibility of 1.25 to 3, at most 6 times typical."""
         wanted = float(np.exp(rng.uniform(np.log(1.25), np.log(3.0))))
         now = self.visibility(effect)
         if now < wanted and now > 0:

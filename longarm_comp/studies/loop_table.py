@@ -1,4 +1,4 @@
-"""The loop study in figures: shares with Wilson intervals, by group, plan and sample size."""
+"""Tables of the loop study: shares with Wilson intervals, by group, plan and sample size."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ Row = dict[str, Any]
 
 Z95 = 1.959963984540054
 WORSE = 1.1
-"""A found model may err by so many times the true model's own fit."""
+"""Largest allowed error of a found model, relative to the fit of the true model."""
 
 
 def wilson(hits: int, count: int) -> tuple[float, float]:
-    """95 % interval of a share (Wilson 1927); 0 to 1 where nothing was counted."""
+    """95 % interval of a share (Wilson 1927); 0 to 1 without any count."""
     if count == 0:
         return 0.0, 1.0
     p, z2 = hits / count, Z95**2 / count
@@ -27,7 +27,7 @@ def wilson(hits: int, count: int) -> tuple[float, float]:
 
 
 def share(of: str, measure: str, answers: Iterable[bool | None]) -> Row | None:
-    """One row; answers that are None do not count.  None where nothing counts."""
+    """One row from the answers that are not None; None without any."""
     counted = [bool(a) for a in answers if a is not None]
     if not counted:
         return None
@@ -119,11 +119,11 @@ def by_effect(lines: Sequence[Line]) -> list[Row]:
         case = line["case"]
         if case["group"] == "single" and _visible(line):
             kinds.setdefault((case["effects"][0], case["plan"], case["rows"]), []).append(line)
-    made = []
+    rows = []
     for (name, plan, count), mine in sorted(kinds.items(), key=lambda k: (k[0][1:], k[0][0])):
         results = [x["result"] for x in mine]
         ratios = [r for r in map(_ratio, mine) if r is not None]
-        made.append(
+        rows.append(
             {
                 "effect": name,
                 "data": f"{plan} {count}",
@@ -137,11 +137,11 @@ def by_effect(lines: Sequence[Line]) -> list[Row]:
                 "off-grid ratio": float(np.median(ratios)),
             }
         )
-    return made
+    return rows
 
 
 def failures(lines: Sequence[Line]) -> list[str]:
-    """One line per case that broke off."""
+    """One line per case that ended with an error."""
     return [f"{x['case']['id']}: {x['error']}" for x in lines if "error" in x]
 
 

@@ -1,4 +1,4 @@
-"""The truth behind a case: what was hidden in the simulator, in the words of the library."""
+"""The truth of a case: hidden effects of the simulator in the terms of the library."""
 
 from __future__ import annotations
 
@@ -59,13 +59,13 @@ _READERS: dict[str, Callable[[Hidden, Arm], Values]] = {
 
 
 def values(effect: Hidden, arm: Arm) -> Values:
-    """True values of the parameters that mean the same here and in the library; may be empty."""
+    """True values of the parameters that have the same meaning in the library; may be empty."""
     read = _READERS.get(effect.name)
     return read(effect, arm) if read is not None else {}
 
 
 def places(effect: Hidden, arm: Arm) -> frozenset[str]:
-    """Where the effect sits, in the words of the library; empty where it is the whole arm."""
+    """Places of the effect in the terms of the library; empty for the whole arm."""
     found = set()
     for field in effect.doses:
         value = getattr(effect, field)
@@ -78,7 +78,7 @@ def places(effect: Hidden, arm: Arm) -> frozenset[str]:
 
 
 def at_one_place(effect: Hidden, arm: Arm, rng: np.random.Generator) -> Hidden:
-    """The effect at one of its joints or beams only, drawn; the whole arm's stay as they are."""
+    """The effect at a random one of its joints or beams; effects of the whole arm unchanged."""
     where = sorted(places(effect, arm))
     if len(where) < 2:
         return effect

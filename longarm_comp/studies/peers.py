@@ -1,4 +1,4 @@
-"""Learners that a user would pick instead of SSA-BP, with its train/predict signature.
+"""Alternative learners to SSA-BP, with the same train and predict signatures.
 
 Both are scikit-learn, which only the studies need.
 """
@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PeerPredictor:
-    """A fitted scikit-learn regressor on the inputs that SSA-BP would get."""
+    """A fitted scikit-learn regressor on the inputs of SSA-BP."""
 
     encoding: Encoding
     regressor: Any
@@ -38,7 +38,7 @@ class PeerPredictor:
     sigma: Array | None  # (3,) m where the regressor gives none of its own
 
     def predict(self, q: Array, context: Context | None = None) -> Prediction:
-        """Expected residual; peers know no domain, so every row is said to be inside."""
+        """Expected residual. Peers have no domain, so every row counts as inside."""
         q, known = check_rows("predict", q, context)
         x = self.encoding.standardise(self.encoding.raw(q, known))
         if self.sigma is None:

@@ -1,4 +1,4 @@
-"""How far each model gets on public measurements of real arms, on rows that no fit has seen.
+"""Errors of each model on held-out rows of public measurements of real arms.
 
 DLR Agile Justin (two arms on one torso, fitted together), Barrett WAM, UR5.  The ladder is rigid
 first (beams of these arms are not declared), then torsion of the joints, then lateral elasticity of
@@ -47,7 +47,7 @@ class Line:
     Attributes:
         model: name of the rung.
         errors: on the test rows.
-        effects: what the model holds beyond geometry.
+        effects: effects of the model besides geometry.
     """
 
     model: str
@@ -60,7 +60,7 @@ def study(folder: Path, progress: Progress | None = None) -> dict[str, list[Line
 
     Args:
         folder: holds ``dlr_justin`` and ``wam_ur5``.
-        progress: told what is being fitted.
+        progress: called with the name of the model being fitted.
 
     Raises:
         InputError: a data set is missing.
@@ -126,7 +126,7 @@ def _fitted(
 
 
 def _own(slot: Slot) -> bool:
-    """Whether a parameter belongs to one arm alone (a robot of one arm: it does not matter)."""
+    """Whether a parameter belongs to one arm alone (irrelevant for a robot with one arm)."""
     place = slot.owner.placement
     row = place.get("row", place.get("joint"))
     return isinstance(slot.owner, TipOffset) or (row is not None and row > LAST_SHARED_ROW)

@@ -1,4 +1,4 @@
-"""The public data sets as sessions: what each file's columns mean, on the stated splits."""
+"""Reads the public data sets as sessions, with their stated splits."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def justin(folder: Path) -> list[Measured]:
     """
     rows = _table(folder / "dlr_justin" / "samples.csv")
     order = np.random.default_rng(0).permutation(500)
-    made = []
+    sessions = []
     chains = {side: declared(f"justin_{side}") for side in ("right", "left")}
     columns = {"right": range(4, 11), "left": range(11, 18)}
     for side, other in (("right", "left"), ("left", "right")):
@@ -67,8 +67,8 @@ def justin(folder: Path) -> list[Measured]:
             source=f"dlr_justin {side}",
         )
         train = np.isin(numbers, order[:350])
-        made.append(Measured(chains[side], session.take(train), session.take(~train)))
-    return made
+        sessions.append(Measured(chains[side], session.take(train), session.take(~train)))
+    return sessions
 
 
 def _centre_of_mass(arm: Arm, q: np.ndarray) -> np.ndarray:

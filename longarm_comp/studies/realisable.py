@@ -1,7 +1,7 @@
-"""What choosing realisable joints together brings, and what it needs to know.
+"""Benefit of choosing realisable joints together, and its sensitivity.
 
-The truth is the model itself, on servos of so many steps a turn and slides of a tenth of a
-millimetre; only the sensitivity rows have servos, or an arm, that differ from what is declared.
+The truth is the model itself, with stepped servos and slides with steps of 0.1 mm.  Only in the
+sensitivity rows do the servos or the arm differ from the declaration.
 """
 
 from __future__ import annotations
@@ -60,10 +60,10 @@ class ArmCase:
         q = rng.uniform(arm.lower, arm.upper, (4 * count, arm.n))
         q[:, locked] = arm.mid[locked]
         poses = tip_poses(self.model, q)
-        asked = poses if pose else poses[:, :3, 3]
-        found = ik.solve_many(self.model, asked, locked=locked)
+        requested = poses if pose else poses[:, :3, 3]
+        found = ik.solve_many(self.model, requested, locked=locked)
         kept = np.flatnonzero(found.ok)[:count]
-        return StudyTargets(self, asked[kept], found.q[kept])
+        return StudyTargets(self, requested[kept], found.q[kept])
 
 
 @dataclass(frozen=True)
@@ -71,12 +71,12 @@ class StudyTargets:
     """Targets of a case, positions (N, 3) or poses (N, 4, 4), and their ideal joints."""
 
     case: ArmCase
-    asked: np.ndarray
+    requested: np.ndarray
     ideal: np.ndarray
 
     def search(self, **options: Any) -> Search:
-        """The options as shipped, but for some."""
-        pose = self.asked.ndim == 3
+        """The default options with some replaced."""
+        pose = self.requested.ndim == 3
         length = POSE_LENGTH_M if pose else characteristic_length(self.case.model)
         return Search(length, **options)
 
@@ -87,7 +87,7 @@ class StudyTargets:
             case.model.arm,
             Lattice.of(case.model.arm),
             lambda q, _: tip_poses(case.model, q),
-            self.asked[rows],
+            self.requested[rows],
             self.ideal[rows],
             self.search(**options),
             locked=case.locked,
@@ -112,18 +112,18 @@ def _spent(work: Callable[[], object]) -> float:
 
 
 def cases(base: Arm, steps: int) -> list[ArmCase]:
-    """Variants of an arm with servos of so many steps a turn: slides locked, a wrist added."""
+    """Variants of an arm with servos of ``steps`` per turn: slides locked, a wrist added."""
     whole = _stepped(base, steps)
     slides = [
         k for k, row in enumerate(whole.commanded) if whole.joints[row - 1].type == "prismatic"
     ]
     model = declared_model(whole)
-    made = [
+    drawn = [
         ArmCase(f"{whole.n - len(locked)} joints", model, tuple(locked))
         for locked in (slides, slides[-1:], [])
     ]
     wrist = declared_model(_stepped(base, steps, wrist=True))
-    return [*made, ArmCase(f"{wrist.arm.n} joints", wrist)]
+    return [*drawn, ArmCase(f"{wrist.arm.n} joints", wrist)]
 
 
 def _stepped(base: Arm, steps: int, *, wrist: bool = False) -> Arm:
@@ -143,7 +143,7 @@ def _stepped(base: Arm, steps: int, *, wrist: bool = False) -> Arm:
 
 def arms_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, object]]:
     """Arms with few and many joints, positions and poses."""
-    made: list[dict[str, object]] = []
+    rows: list[dict[str, object]] = []
     for case in cases(base, steps):
         ik.warm_up(case.model)
         for pose in (False, True):
@@ -154,7 +154,7 @@ def arms_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, o
             got = t.choose()
             alone, together = t.seconds()
             error, rounded = got.error, got.rounded_error
-            made.append(
+            rows.append(
                 {
                     "arm": case.name,
                     "target": "pose" if pose else "position",
@@ -170,18 +170,18 @@ def arms_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, o
                     "batch_cpu_us": 1e6 * together,
                 }
             )
-    return made
+    return rows
 
 
 def price_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, object]]:
-    """The price of movement: the error of single targets against moves along a line."""
+    """Effect of the price of movement: errors of single targets, and moves along a line."""
     case = _whole(base, steps)
     t = case.targets(count, np.random.default_rng(seed), False)
     line = _line(case, seed)
-    made: list[dict[str, object]] = []
+    rows: list[dict[str, object]] = []
 
     def add(name: object, error: np.ndarray, at: np.ndarray, path: np.ndarray) -> None:
-        made.append(
+        rows.append(
             {
                 "price_mm_per_deg": name,
                 "mean_mm": 1e3 * error[:, 0].mean(),
@@ -193,15 +193,15 @@ def price_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, 
     for price in PRICES_MM_PER_DEG:
         price_m = float(np.degrees(1e-3 * price))
         single, along = t.choose(price_m=price_m), line.choose(price_m=price_m)
-        if not made:
+        if not rows:
             add("ideal joints", single.ideal_error, single.ideal, along.ideal)
             add("rounding", single.rounded_error, single.rounded, along.rounded)
         add(price, single.error, single.joints, along.joints)
-    return made
+    return rows
 
 
 def sensitivity_table(base: Arm, count: int, steps: int, seed: int) -> list[dict[str, object]]:
-    """Where servos or arm are not as declared: true error of rounding and of the choice."""
+    """True error of rounding and of the choice if servos or arm differ from the declaration."""
     case = _whole(base, steps)
     t = case.targets(count, np.random.default_rng(seed), False)
     got = t.choose()
@@ -219,16 +219,16 @@ def sensitivity_table(base: Arm, count: int, steps: int, seed: int) -> list[dict
     truth.append((f"offset of sd {KNOWN_TO:g} of a step", arm.steps, offset, case.model))
     aside = case.model.plus(TipOffset(x=MODEL_ERROR_M))
     truth.append((f"tip {1e3 * MODEL_ERROR_M:g} mm aside", arm.steps, right, aside))
-    made: list[dict[str, object]] = []
+    rows: list[dict[str, object]] = []
     for name, step, offset, model in truth:
         low = np.ceil((arm.lower - offset) / step - 1e-9)
         high = np.floor((arm.upper - offset) / step + 1e-9)
         errors = []
         for sent in (got.ideal, got.joints):  # a servo stands at the nearest of its own steps
             stood = offset + step * np.clip(np.rint((sent - offset) / step), low, high)
-            errors.append(1e3 * np.linalg.norm(model.tip(stood) - t.asked, axis=1).mean())
-        made.append({"truth": name, "rounded_mm": errors[0], "mean_mm": errors[1]})
-    return made
+            errors.append(1e3 * np.linalg.norm(model.tip(stood) - t.requested, axis=1).mean())
+        rows.append({"truth": name, "rounded_mm": errors[0], "mean_mm": errors[1]})
+    return rows
 
 
 def _whole(base: Arm, steps: int) -> ArmCase:

@@ -1,4 +1,4 @@
-"""Which families of effects a set of training rows supports: forward, by blocked cross-validation.
+"""Forward selection of families of effects on training rows, by blocked cross-validation.
 
 A family is one effect in one form at every place it may have.  Each is tried on top of the model
 so far with its columns at the present fit (one linear step per fold); the best is taken and
@@ -35,12 +35,12 @@ def select(
     refit: Callable[[Sequence[tuple[Term, ...]]], Sequence[ModelFit]],
     progress: Callable[[str], None] | None = None,
 ) -> tuple[list[str], list[ModelFit]]:
-    """Families that pay, and the fits with them.
+    """Select the families that lower the error, and fit them.
 
     Args:
         fits: the model so far, one fit per part (arm); a part's rows are split in time.
         refit: fits all parts anew with further terms, one tuple per part.
-        progress: told which family was taken.
+        progress: called with the family that was added.
 
     Returns:
         Labels in the order taken, and the last fits.
@@ -71,7 +71,7 @@ def select(
 
 
 def _families(fit: ModelFit) -> dict[str, Candidate]:
-    """Every effect that the rows can speak of, per form, at all its places together."""
+    """Every effect that the rows can test, per form, at all its places together."""
     arm = fit.model.arm
     known = library(arm, fit.session.context(), declared=fit.model.terms)
     largest: dict[str, Candidate] = {}

@@ -1,15 +1,15 @@
-"""The paper's Table I, on many arms that are really commanded.
+"""The paper's Table I on many simulated arms that execute the commands.
 
 Every arm is a variant of one declared arm with hidden effects of its own, sized as the paper's
-(`sim.variety`).  It is measured on the III.B grid (900 poses; the first 300 are the small set),
-each row of the table is trained on these, and 40 random targets are commanded: the joints that a
-row sends go to the simulated arm, and what counts is where its tip really goes.
+(`sim.random_arms`).  It is measured on the III.B grid (900 poses; the first 300 are the small set).
+Each row of the table is trained on these rows.  Then 40 random targets are commanded to the
+simulated arm, and the errors of its true tip are evaluated.
 
 The paper's rows are the paper's scheme: one SSA-BP network of 12 hidden units on the commanded
 joints alone, one pseudo-target pass.  The peer is a Gaussian process on joints and approach
 direction.  The best setting calibrates, adds the effects that the training rows ask for, and
-learns the rest from joints and context.  Where a row is told the approach direction, it is the one
-with which the arm arrives.
+learns the rest from joints and context.  A row that uses the approach direction gets the one with
+which the arm arrives.
 """
 
 from __future__ import annotations
@@ -94,12 +94,12 @@ def ssa_bp_best(q: np.ndarray, residual: np.ndarray, context: Context, seed: int
 
 
 def gaussian_process(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:
-    """What a user would pick, told the approach direction (one for all joints: it is common)."""
+    """A Gaussian process with the approach direction (common to all joints)."""
     return train_gaussian_process(q, residual, context, seed=seed)
 
 
 def with_effects(declared: Model, session: Session) -> Model:
-    """Calibrated, with the effects that the training rows ask for (`identify.trace`)."""
+    """Calibrated, with the effects found on the training rows (`identify.search`)."""
     base = declared.plus(*geometry(declared.arm, session))
     hypotheses = library(declared.arm, session.context(), declared=base.terms).testable
     return search(base, session, hypotheses).fit.model
@@ -140,7 +140,7 @@ COMPARISONS = (
     ("Best: effects + SSA-BP, 300", "Calibrated + effects, 300"),
     ("Best: effects + SSA-BP, 900", "Calibrated + effects, 900"),
 )
-"""Pairs of rows whose difference is told, arm by arm."""
+"""Pairs of rows whose paired differences are reported."""
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ class Bench:
         )
 
     def run(self, setting: RowSetting, seed: int) -> Outcome:
-        """Train a row, command the targets, look where the tip goes."""
+        """Train a row, command the targets, evaluate the tip."""
         rows = self.session.take(slice(0, setting.samples))
         model = setting.physics(self.declared, rows)
         predictor = None
@@ -223,7 +223,7 @@ class Bench:
 def one_arm(
     base: Arm, seed: int, number: int, settings: tuple[RowSetting, ...] = SETTINGS
 ) -> list[Outcome]:
-    """Every row on one arm; a model that two rows share is fitted once."""
+    """All rows on one arm. A model that two rows share is fitted once."""
     bench = Bench.draw(base, seed, number, max(s.samples for s in settings) or 1)
     fitted: dict[int, Model] = {}
 
@@ -246,12 +246,12 @@ def study(
     jobs: int = -1,
     settings: tuple[RowSetting, ...] = SETTINGS,
 ) -> Iterator[list[Outcome]]:
-    """The outcomes of every arm, as they are done.
+    """Yield the outcomes of every arm as they are finished.
 
     Args:
         base: the declared arm whose variants are built.
-        arms: how many.
-        seed: of everything; the same seed gives the same table.
+        arms: number of arms.
+        seed: seed of all random choices; the same seed gives the same table.
         jobs: processes; -1 is one per core.
         settings: rows.
 

@@ -1,4 +1,4 @@
-"""Table I over many arms: means, spread, paired differences, beside the paper's figures."""
+"""Summary of Table I over many arms: means, spread, paired differences, the paper's figures."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ def rows(
     `mean_abs_z_mm` and `variance_mm2` are of the true tip, `seen_mean_abs_z_mm` of what the camera
     reports; `sd_over_arms_mm` is the spread of the former.
     """
-    made = []
+    table = []
     for k, setting in enumerate(settings):
         outcomes = [arm[k] for arm in arms]
         z = 1e3 * np.array([o.tip.mean_abs_z for o in outcomes])
-        made.append(
+        table.append(
             {
                 "row": setting.row,
                 "mean_abs_z_mm": float(z.mean()),
@@ -39,7 +39,7 @@ def rows(
                 "arms_mm": z.tolist(),
             }
         )
-    return made
+    return table
 
 
 def differences(
@@ -47,7 +47,7 @@ def differences(
 ) -> list[dict[str, Any]]:
     """Mean |z| of one row minus that of another on the same arms, with a 95 % interval (mm)."""
     by_name = {row["row"]: np.array(row["arms_mm"]) for row in table}
-    made = []
+    lines = []
     for one, other in pairs:
         if one not in by_name or other not in by_name:
             continue
@@ -57,7 +57,7 @@ def differences(
             error = change.std(ddof=1) / np.sqrt(len(change))
             half = float(student.ppf(0.975, len(change) - 1) * error)
         mean = float(change.mean())
-        made.append(
+        lines.append(
             {
                 "row": one,
                 "minus": other,
@@ -67,21 +67,21 @@ def differences(
                 "arms": len(change),
             }
         )
-    return made
+    return lines
 
 
 def contradictions(table: Sequence[dict[str, Any]]) -> list[str]:
-    """Pairs of the paper's rows that come out in the other order here, in words."""
+    """Pairs of the paper's rows with the opposite order here, in words."""
     printed = [row for row in table if row["paper_mean_abs_z_mm"] is not None]
-    made = []
+    found = []
     for k, one in enumerate(printed):
         for other in printed[k + 1 :]:
             ours = one["mean_abs_z_mm"] - other["mean_abs_z_mm"]
             theirs = one["paper_mean_abs_z_mm"] - other["paper_mean_abs_z_mm"]
             if ours * theirs < 0:
                 better, worse = (one, other) if theirs < 0 else (other, one)
-                made.append(
+                found.append(
                     f"the paper has '{better['row']}' below '{worse['row']}' by "
                     f"{abs(theirs):.2f} mm, here it is above by {abs(ours):.2f} mm"
                 )
-    return made
+    return found

@@ -1,1 +1,1 @@
-"""What each command does, callable from Python: one file a workflow, no command line in it."""
+"""The work of each command as Python functions, one file per workflow."""

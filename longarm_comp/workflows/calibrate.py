@@ -35,11 +35,11 @@ class FittedParameter:
     """One fitted parameter.
 
     Attributes:
-        effect, where, name: which one.
-        value: in SI units.
-        unit: of the value.
-        ci95: its 95 % interval.
-        geometry: whether it belongs to the arm's geometry, not to an effect beyond it.
+        effect, where, name: effect, place and parameter.
+        value: value in SI units.
+        unit: unit of the value.
+        ci95: 95 % interval of the value.
+        geometry: whether it is part of the arm's geometry rather than of another effect.
     """
 
     effect: str
@@ -53,15 +53,15 @@ class FittedParameter:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Calibration:
-    """A calibrated model, and how well every rung of the ladder did.
+    """A calibrated model, and the errors of each model of the ladder.
 
     Attributes:
-        rungs: ever fuller models, fitted without the held-out rows.
-        effect_rungs: how many of them, the last, add an effect to the geometry.
-        held_out_rows: rows held out, those without a marker included.
-        fit: of the last rung to all rows.
+        rungs: models of growing complexity, fitted without the held-out rows.
+        effect_rungs: number of rungs at the end that add an effect to the geometry.
+        held_out_rows: number of held-out rows, including those without a marker.
+        fit: fit of the last rung to all rows.
         session: all rows.
-        seed: of the split.
+        seed: seed of the split.
     """
 
     rungs: tuple[Rung, ...]
@@ -83,7 +83,7 @@ class Calibration:
 
     @property
     def not_helping(self) -> tuple[str, ...]:
-        """Effects that did not lower the held-out RMS error: better left out."""
+        """Effects that did not lower the held-out RMS error and are better left out."""
         first = len(self.rungs) - self.effect_rungs
         pairs = zip(self.rungs[first - 1 :], self.rungs[first:], strict=False)
         return tuple(
@@ -110,7 +110,7 @@ class Calibration:
 
     @property
     def summary(self) -> str:
-        """What the calibration brought, in one sentence."""
+        """Result of the calibration in one sentence."""
         first, last = self.rungs[0], self.rungs[-1]
         return (
             f"held-out mean error {1e3 * first.held_out.mean:.2f} mm ({first.name}) -> "
@@ -122,7 +122,7 @@ class Calibration:
         return f"Calibration({self.summary})"
 
     def save(self, path: FilePath) -> None:
-        """Write model.yaml with 95 % intervals; a file already there becomes the version before.
+        """Write model.yaml with 95 % intervals. An existing file becomes the previous version.
 
         Raises:
             InputError: the folder cannot be written.
@@ -148,26 +148,26 @@ def calibrate(
     note: Note = log_note,
     progress: Progress = silent,
 ) -> Calibration:
-    """ModelFit geometry and declared effects of an arm to a session.
+    """Fit geometry and declared effects of an arm to a session.
 
-    A ladder of ever fuller models is fitted without the held-out blocks and judged on them; the
-    last is then fitted to all rows.
+    A ladder of models of growing complexity is fitted without the held-out blocks and evaluated
+    on them. The last one is then fitted to all rows.
 
     Args:
         arm: as declared.
         session: measurements, or their CSV or bag. Rows without a marker are not fitted.
-        effects: to fit besides, each a rung: a canonical name (on every joint or beam that may
-            have it), one instance, or several that are fitted together.
+        effects: effects to add, one rung each: a canonical name (on every joint or beam that
+            may have it), one instance, or several that are fitted together.
         deflection: whether the declared beams sag.
-        fraction: of the rows to hold out.
-        seed: of the split.
-        note: told what admission found.
-        progress: told what is being fitted.
+        fraction: share of the rows to hold out.
+        seed: seed of the split.
+        note: called with each finding of the admission.
+        progress: called with the name of the model being fitted.
 
     Raises:
-        InputError: the session cannot be what it claims to be, an effect has no place on this
-            arm or needs an input that was not recorded.
-        JobError: a fit did not stay finite.
+        InputError: the session was refused; an effect has no place on this arm or needs an input
+            that was not recorded.
+        JobError: a fit diverged.
     """
     chosen = [_named(effect, arm) for effect in effects]
     whole = admitted(session, arm, note=note)
@@ -191,12 +191,12 @@ def instances(name: str, arm: Arm, where: str = "calibrate") -> tuple[Term, ...]
     """An effect on every joint or beam of an arm that may have it.
 
     Raises:
-        InputError: no such effect, or no place for it; `where` names the source of the name.
+        InputError: unknown effect, or no place for it; `where` names the source of the name.
     """
-    made: tuple[Term, ...] = effect_class(name, where).for_arm(arm)
-    if not made:
+    terms: tuple[Term, ...] = effect_class(name, where).for_arm(arm)
+    if not terms:
         raise InputError(where, name, "no place on this arm", "an effect this arm can have")
-    return made
+    return terms
 
 
 def _named(given: str | Term | Sequence[Term], arm: Arm) -> tuple[str, tuple[Term, ...]]:

@@ -34,7 +34,7 @@ class Commands(Sequence[Compensation]):
 
     Attributes:
         numbers: (N,) number of each target.
-        arrivals: what came of each, and the move that it holds for.
+        arrivals: result of each target, and the move for which it holds.
     """
 
     numbers: np.ndarray
@@ -45,7 +45,7 @@ class Commands(Sequence[Compensation]):
 
     @property
     def results(self) -> tuple[Compensation, ...]:
-        """What came of each target."""
+        """Result of each target."""
         return tuple(each.outcome for each in self.arrivals)
 
     @overload
@@ -57,7 +57,7 @@ class Commands(Sequence[Compensation]):
 
     @property
     def command(self) -> np.ndarray:
-        """(N, n) joints to send, rad and m; of no use where `success` is False."""
+        """(N, n) joints to send, rad and m; not valid where `success` is False."""
         return np.array([each.command for each in self.results])
 
     @property
@@ -67,17 +67,17 @@ class Commands(Sequence[Compensation]):
 
     @property
     def success(self) -> np.ndarray:
-        """(N,) whether the command is fit to be sent."""
+        """(N,) whether the command may be sent."""
         return np.array([each.success for each in self.results])
 
     @property
     def predicted_error(self) -> np.ndarray:
-        """(N, 3) learned error that was taken off, m."""
+        """(N, 3) learned error that was compensated, m."""
         return np.array([each.predicted_error for each in self.results])
 
     @property
     def summary(self) -> str:
-        """How many targets ended how, in one line."""
+        """Number of targets by status, in one line."""
         counts = Counter(status.name.lower() for status in self.status)
         return f"{len(self)} targets: " + ", ".join(f"{n} {name}" for name, n in counts.items())
 
@@ -118,20 +118,21 @@ def compensate(
         model: arm and effects.
         targets: in the base frame: positions (N, 3) in m or poses (N, 4, 4), one of them, or
             `Targets` that were read from a file. Those with an orientation are poses.
-        predictor: of what this model leaves, from `train` or `load_predictor`.
+        predictor: of the residual of this model, from `train` or `load_predictor`.
         method: ``none``, ``deflection``, ``network`` or ``both``; by default all that is given.
-        context: circumstances in which the arm will stand; `Targets` have their own. Sides of
-            arrival that it holds are asked for.
-        history: session, or its file, after which the targets are executed in their order; its
-            end says where the joints stand and how they came there. Without it that is unknown.
+        context: circumstances at the targets; `Targets` have their own. Sides of arrival that it
+            holds are used.
+        history: session, or its file, after which the targets are executed in their order. Its
+            last row gives the joints' positions and history. Without it these are unknown.
         run_up: whether joints may run up to a target, so that they arrive from a chosen side.
-        realisable: whether commands are chosen among the joints that the servos can stand at, by
-            the steps that the arm declares or by a lattice (docs/realisable.md); off for paths.
+        realisable: whether commands are chosen among the joint values that the servos can hold,
+            by the steps that the arm declares or by a lattice (docs/realisable.md). Switch it
+            off for paths.
         seed: (n,) or (N, n) joints to start from, rad and m; default mid-range.
         position_only: leave the orientation free.
         locked: joints that stay at their seed, by name or number from 0.
-        settling: when the pseudo-target passes end: ``single_pass``, ``tol_m``, ``max_passes``,
-            ``max_correction_m``.
+        settling: options of the pseudo-target passes: ``single_pass``, ``tol_m``,
+            ``max_passes``, ``max_correction_m``.
 
     Returns:
         One answer per target. Invalid or unreachable targets are reported in `status`, not
@@ -147,20 +148,20 @@ def compensate(
     if predictor is not None and chosen.learned and chosen is not fitting(predictor):
         allowed = f"{fitting(predictor).value}: as the predictor was trained"
         raise InputError("compensate", "method", chosen.value, allowed)
-    goals, told, numbers = _goals(model, targets, context)
+    goals, contexts, numbers = _goals(model, targets, context)
     starts = None if seed is None else _starts(seed, len(goals))
     options = CompensationOptions(chosen, Settling(**settling), tuple(locked), run_up, realisable)
     at, came = (None, History.unknown(model.arm.n)) if history is None else _last(history, model)
     arrivals = []
     for k, goal in enumerate(goals):
-        sides = _sides(told[k], model.arm.n)
+        sides = _sides(contexts[k], model.arm.n)
         arrival = compensate_move(
             model,
             predictor,
             goal,
             start=at,
             history=came,
-            context_after=partial(_after, told[k]),
+            context_after=partial(_after, contexts[k]),
             sides=sides,
             seed=starts[k] if starts is not None and starts.ndim == 2 else starts,
             position_only=position_only or goal.ndim == 1,
@@ -172,27 +173,27 @@ def compensate(
     return Commands(numbers, tuple(arrivals))
 
 
-def _after(told: Context, arrived: History) -> Context:
-    """What is told of a target, with the history that the move leaves where none was told."""
-    fields = {k: getattr(told, k) or v for k, v in arrived.fields().items()}
-    return dataclasses.replace(told, **fields)
+def _after(given: Context, arrived: History) -> Context:
+    """The given circumstances, completed by the history that the move leaves in the joints."""
+    fields = {k: getattr(given, k) or v for k, v in arrived.fields().items()}
+    return dataclasses.replace(given, **fields)
 
 
-def _sides(told: Context, n: int) -> np.ndarray | None:
-    """(n,) sides that were asked for."""
-    sides = np.sign(np.broadcast_to(told.approach or 0.0, n))
+def _sides(given: Context, n: int) -> np.ndarray | None:
+    """(n,) requested sides of arrival; None if there are none."""
+    sides = np.sign(np.broadcast_to(given.approach or 0.0, n))
     return np.array(sides, float) if sides.any() else None
 
 
 def _last(history: SessionLike, model: Model) -> tuple[np.ndarray, History]:
-    """Where the joints stood at the end of a session, and how they came there."""
+    """Joints (n,) at the end of a session, and their history."""
     session = history if isinstance(history, Session) else read_session(history, model.arm)
     session = as_fitted(session, model)
     return session.q[-1], History(**{name: getattr(session, name)[-1] for name in PER_JOINT})
 
 
 def fitting(predictor: Predictor | None) -> Method:
-    """The method that goes with a predictor: the physics that it was trained beside."""
+    """The method for a predictor: it uses the physics that the predictor was trained with."""
     if predictor is None:
         return Method.DEFLECTION
     return Method.learned_beside(deflection=predictor.provenance.beside_deflection)
@@ -220,16 +221,16 @@ def _goals(
     if isinstance(targets, Targets):
         if context is not None:
             raise InputError("compensate", "context", "given", "None: the targets have their own")
-        all_told = targets.context(model.arm.n)
+        all_contexts = targets.context(model.arm.n)
         goals = [_goal(targets, row) for row in range(len(targets))]
-        return goals, [all_told.take(row) for row in range(len(targets))], targets.index
+        return goals, [all_contexts.take(row) for row in range(len(targets))], targets.index
     given = np.asarray(targets, dtype=float)
     given = given[None] if given.shape in ((3,), (4, 4)) else given
     if given.ndim not in (2, 3) or given.shape[1:] not in ((3,), (4, 4)) or not len(given):
         allowed = "positions (N, 3) or poses (N, 4, 4), N of at least 1"
         raise InputError("compensate", "targets", f"shape {given.shape}", allowed)
-    all_told = context or Context.empty()
-    return list(given), [all_told.take(row) for row in range(len(given))], np.arange(len(given))
+    all_contexts = context or Context.empty()
+    return list(given), [all_contexts.take(row) for row in range(len(given))], np.arange(len(given))
 
 
 def _goal(targets: Targets, row: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Diagnosis: trace the residual to a missing effect; report, model, predictor, poses to measure."""
+"""Diagnosis: finds missing effects; writes report, model, predictor and poses to measure."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DiagnosisResult:
-    """What a diagnosis found; `save` writes everything that the command writes.
+    """Result of a diagnosis; `save` writes all files of the command.
 
     Attributes:
-        diagnosis: every step: search, intervals, structure, proof.
-        session_hash: of the rows that were diagnosed.
+        diagnosis: results of all steps: search, intervals, structure, proof.
+        session_hash: hash of the diagnosed rows.
         facts: further provenance for the report's page.
-        model_before: file of the model that was known already, if it came from one.
+        model_before: file of the given model, if it came from one.
     """
 
     diagnosis: core.Diagnosis
@@ -60,7 +60,7 @@ class DiagnosisResult:
 
     @property
     def summary(self) -> str:
-        """What was found, in one sentence."""
+        """Result in one sentence."""
         return self.diagnosis.summary
 
     @property
@@ -75,7 +75,7 @@ class DiagnosisResult:
 
     @property
     def predictor(self) -> Predictor | None:
-        """The network of what is left, where one was trained and helped the hold-out."""
+        """Network of the remaining error, if it lowered the error on the hold-out."""
         network = self.diagnosis.network
         return network if isinstance(network, Predictor) else None
 
@@ -120,21 +120,21 @@ def diagnose(
     note: Note = log_note,
     progress: Say = lambda _: None,
 ) -> DiagnosisResult:
-    """Trace what a model lacks in a session, add it and prove it on a hold-out.
+    """Find the effects that a model lacks in a session, add them, and prove them on a hold-out.
 
     Args:
         arm: as declared.
         session: measurements, or their CSV or bag.
-        test: hold-out; blocks of the session are locked away when not given.
-        model: what is known already, or its file; its effects are never added twice.
-        network: whether to train on what is left.
-        seed: of everything random.
-        note: told what admission found.
-        progress: told what is being done.
+        test: hold-out. Without it, blocks of the session are held out.
+        model: known model, or its file. Its effects are never added twice.
+        network: whether to train a network on the remaining error.
+        seed: seed of all random choices.
+        note: called with each finding of the admission.
+        progress: called with the present step.
 
     Raises:
-        InputError: the data were refused, or a file cannot be used at all.
-        JobError: a fit did not stay finite.
+        InputError: the data were refused, or a file cannot be used.
+        JobError: a fit diverged.
     """
     known = None if model is None else physics(arm, model)
     whole = admitted(session, arm, known, FEW_POSES, note)
@@ -173,9 +173,9 @@ def diagnose_files(
     """Diagnose files and write everything to a folder; arguments as in `diagnose`.
 
     Raises:
-        InputError: the data were refused (the report says so too, verdict ``bad_data``), or a
-            file of the request cannot be used at all.
-        JobError: a fit did not stay finite.
+        InputError: the data were refused (also reported with verdict ``bad_data``), or a given
+            file cannot be used.
+        JobError: a fit diverged.
     """
     for path in (session, test, model):
         if path is not None and not path.exists():
@@ -195,13 +195,13 @@ def diagnose_files(
 
 
 def _train(seed: int) -> core.Train:
-    def made(model: Model, session: Session) -> Predictor:
+    def train_on(model: Model, session: Session) -> Predictor:
         arm = model.arm
         origin = Provenance(arm.hash, session.hash, arm.joint_names, {"deflection": True})
         rows = training_rows(model, session)
         return networks.train(*rows, seed=seed, provenance=origin)
 
-    return made
+    return train_on
 
 
 def _name(given: SessionLike) -> str:

@@ -25,13 +25,13 @@ MODEL, PREDICTOR = "model.yaml", "predictor.npz"
 
 
 def write_model(found: Diagnosis, session_hash: str, before: Path | None, folder: Path) -> None:
-    """Write the model; the version before, if one was given, is what `undo` puts back.
+    """Write the model. `undo` restores the version before, if one was given.
 
     Args:
         found: the diagnosis.
-        session_hash: where it came from.
+        session_hash: hash of the diagnosed session.
         before: file of the version that it replaces.
-        folder: to write to.
+        folder: folder to write to.
     """
     stored = _stored(found, session_hash, None if before is None else read_stored(before))
     path = folder / MODEL
@@ -42,7 +42,7 @@ def write_model(found: Diagnosis, session_hash: str, before: Path | None, folder
 
 
 def write_predictor(predictor: Predictor | None, session_hash: str, folder: Path) -> None:
-    """The network where it helped, bound to the model beside it; else none."""
+    """Write the network if it helped, bound to the written model; else remove an old file."""
     path = folder / PREDICTOR
     if predictor is None:
         path.unlink(missing_ok=True)
@@ -56,7 +56,7 @@ def write_predictor(predictor: Predictor | None, session_hash: str, folder: Path
 
 
 def write_next(found: Diagnosis, folder: Path) -> None:
-    """Every splitting pose with its side, for ``longarm collect``; no file where there is none."""
+    """Write the poses that separate effects, with their sides; no file if there are none."""
     splits = [s for s in found.split_by if s.log_bayes_factor >= SPLITS]
     path = folder / FILE
     if not splits:
@@ -69,7 +69,7 @@ def write_next(found: Diagnosis, folder: Path) -> None:
 
 
 def _stored(found: Diagnosis, session_hash: str, before: StoredModel | None) -> StoredModel:
-    """The model to use from now on, as it is written."""
+    """The resulting model in its stored form."""
     model = found.model
     intervals: dict[tuple[int, str], tuple[float, float]] = {}
     spread = None

@@ -35,8 +35,8 @@ class Evaluation(ErrorTable):
     `network` (with a predictor).
 
     Attributes:
-        outside: poses outside the network's training data: physics only.
-        fitted: ``model``, ``predictor``: what was fitted to this very session (known of files).
+        outside: number of poses outside the network's training data, where physics is used alone.
+        fitted: ``model``, ``predictor`` where it was fitted to this session (known for files).
     """
 
     outside: int = 0
@@ -61,13 +61,13 @@ def evaluate(
         arm: as declared.
         test: measured poses, or their CSV or bag; rows without a marker do not count.
         model: calibrated model, or its file.
-        predictor: trained with this model, or its file. A pose outside its training data keeps
-            the physics' prediction.
-        note: told what admission found.
+        predictor: trained with this model, or its file. At poses outside its training data the
+            physics is used alone.
+        note: called with each finding of the admission.
 
     Raises:
-        InputError: the session cannot be what it claims to be; the model or the predictor is of
-            another arm, or the predictor of another model.
+        InputError: the session was refused; the model or the predictor is for another arm, or
+            the predictor for another model.
     """
     calibrated = None if model is None else physics(arm, model)
     session = admitted(test, arm, calibrated, min_poses=1, note=note)

@@ -1,4 +1,4 @@
-"""What workflows take: an admitted session, the physics, the predictor that goes with it."""
+"""Inputs of the workflows: an admitted session, the model, the predictor for that model."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ ModelLike = Model | FilePath
 """A model, or the model.yaml that it is read from."""
 Note = Callable[[str], None]
 Progress = Callable[[str, float], None]
-"""Called with what is being done and the share that is done, 0 to 1."""
+"""Called with the present step and the share of the work that is done, 0 to 1."""
 
 DIGEST = "model_digest"
-"""Setting of a predictor that was trained on top of a model in memory."""
+"""Key in a predictor's settings: digest of a model in memory that it was trained with."""
 
 log_note: Note = logging.getLogger("longarm_comp").info
-"""Where notes go that nobody asked for: the log of the package, level INFO."""
+"""Default for notes: the log of the package, level INFO."""
 
 
 def silent(text: str, share: float) -> None:
@@ -49,12 +49,12 @@ def admitted(
     min_poses: int = FEW_POSES,
     note: Note = log_note,
 ) -> Session:
-    """A session that passed admission; what admission finds is noted.
+    """A session that passed admission. Findings of the admission are passed to ``note``.
 
     Run-ups of unknown length are taken to be as long as the model was fitted with.
 
     Raises:
-        InputError: it cannot be read, or cannot be what it claims to be.
+        InputError: it cannot be read, or it was refused.
     """
     session = given if isinstance(given, Session) else read_session(given, arm)
     if model is not None:
@@ -67,7 +67,7 @@ def admitted(
 
 
 def physics(arm: Arm, given: ModelLike | None, deflection: bool = True) -> Model:
-    """The calibrated model, or the arm as declared; without its sag where asked.
+    """The calibrated model, or the declared arm; without sag if ``deflection`` is False.
 
     Raises:
         InputError: the model is of another arm, or its file cannot be read.
@@ -82,7 +82,7 @@ def physics(arm: Arm, given: ModelLike | None, deflection: bool = True) -> Model
 
 
 def physics_mark(given: ModelLike | None, deflection: bool = True) -> dict[str, object]:
-    """What a predictor was trained on top of; a different physics has a different residual."""
+    """Identification of the physics that a predictor was trained with."""
     if isinstance(given, Model):
         return {DIGEST: _digest(given), "deflection": deflection}
     digest = "" if given is None else file_hash(given)
@@ -95,8 +95,8 @@ def load_predictor(path: FilePath, arm: Arm, model: ModelLike | None = None) -> 
     Args:
         path: file that `train` or a diagnosis wrote.
         arm: as declared.
-        model: what it is to be used with: a model, its file, or the arm as declared (None).
-            A predictor that was trained with a file is told from others by the file only.
+        model: the model to use it with: a model, its file, or the declared arm (None). A
+            predictor that was trained with a file is identified by the hash of that file.
 
     Raises:
         InputError: corrupt, or trained for another arm or on top of another model.
@@ -125,10 +125,10 @@ def predictor_of(given: Predictor | FilePath, arm: Arm, model: ModelLike | None)
 
 
 def check_predictor(predictor: Predictor, model: Model, where: object) -> None:
-    """Check that a predictor in memory was trained on what this model leaves.
+    """Check that a predictor in memory was trained on the residual of this model.
 
     Raises:
-        InputError: it says that it was trained for another arm, or with another model.
+        InputError: it was trained for another arm, or with another model.
     """
     origin = predictor.provenance
     if origin.arm_hash and origin.arm_hash != model.arm.hash:

@@ -1,4 +1,4 @@
-"""Which poses to measure next."""
+"""Planning of the poses to measure."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def plan(
 
     Args:
         arm: as declared.
-        n: how many.
+        n: number of poses.
         kind: ``sobol`` fills the joint box evenly; ``grid`` draws from the paper's levels.
-        seed: of what is drawn.
-        report: folder of a diagnosis: the poses that it asks for, whatever the kind.
+        seed: seed of the random choices.
+        report: folder of a diagnosis. Its requested poses are used, whatever the kind.
 
     Returns:
         Joints `q` (n, joints) in rad and m, and the side `approach` (n,) of +1 or -1.

@@ -1,4 +1,4 @@
-"""A session as a predictor takes it: the one place where rows become training and test data."""
+"""Conversion of a session's rows to the training and test data of a predictor."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from longarm_comp.core.model.model import Model
 
 
 def training_rows(model: Model, session: Session) -> tuple[np.ndarray, np.ndarray, Context]:
-    """Joints (M, n), what a model leaves (M, 3) in m, and circumstances, of the M seen rows."""
+    """Joints (M, n), residual of a model (M, 3) in m, and circumstances of the M seen rows."""
     seen = session.take(session.seen)
     return seen.q, errors(model, seen), seen.context()
 

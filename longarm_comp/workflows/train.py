@@ -1,4 +1,4 @@
-"""Training: SSA-BP on what the physics leaves of a session."""
+"""Training of SSA-BP on the residual of the physics."""
 
 from __future__ import annotations
 
@@ -32,12 +32,13 @@ from longarm_comp.workflows.residual import expected, training_rows
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TrainedPredictor(Predictor):
-    """A predictor, and what it made of the rows that it was trained on.
+    """A predictor with its errors on the training rows.
 
     Attributes:
-        samples: rows it was trained on.
+        samples: number of training rows.
         before: errors of the physics alone on these rows, m.
-        after: errors with the predictor; on other rows they are larger: see `evaluate`.
+        after: errors with the predictor on these rows, m. On other rows they are larger; see
+            `evaluate`.
     """
 
     samples: int = field(kw_only=True)
@@ -46,7 +47,7 @@ class TrainedPredictor(Predictor):
 
     @property
     def summary(self) -> str:
-        """What the training brought, in one sentence."""
+        """Result of the training in one sentence."""
         return (
             f"{self.samples} samples: mean error {1e3 * self.before.mean:.2f} -> "
             f"{1e3 * self.after.mean:.2f} mm on the training rows"
@@ -80,33 +81,33 @@ def train(
     note: Note = log_note,
     progress: Progress = silent,
 ) -> TrainedPredictor:
-    """Train SSA-BP on what the physics of an arm leaves of a session.
+    """Train SSA-BP on the residual that the physics of an arm leaves in a session.
 
     Args:
         arm: as declared.
         session: measurements, or their CSV or bag. Rows without a marker are left out.
-        model: calibrated model or its file; the arm as declared when not given. A predictor
-            that is trained with the file is told from others by the file's hash.
+        model: calibrated model or its file; the declared arm when not given. A predictor that is
+            trained with a file stores the hash of that file.
         deflection: False is the paper's "network only": the physics is rigid.
         inputs: ``context``: joints, approach, temperature, payload; ``joints``: as in the paper.
         init: where back-propagation starts: sparrow search or Xavier.
-        ensemble: networks, each from its own start.
-        hidden: hidden units; by evidence if not given.
+        ensemble: number of networks, each from its own start.
+        hidden: number of hidden units; chosen by evidence if not given.
         weights: (N,) precision factors of the session's rows; 0 leaves one out.
-        seed: of everything random.
+        seed: seed of all random choices.
         device: torch device of the sparrow search, such as ``cuda``; numpy if not given.
-        note: told what admission found.
-        progress: told which network is being trained.
+        note: called with each finding of the admission.
+        progress: called with the number of the network being trained.
 
     Raises:
-        InputError: the session cannot be what it claims to be, has fewer than 20 rows with a
-            marker or one pose only; the model is of another arm; an option is not allowed.
+        InputError: the session was refused, has fewer than 20 rows with a marker or only one
+            pose; the model is for another arm; an option is not allowed.
     """
     base = physics(arm, model, deflection)
     whole = admitted(session, arm, None if model is None else base, note=note)
     rows = training_rows(base, whole)
     origin = Provenance(arm.hash, whole.hash, arm.joint_names, physics_mark(model, deflection))
-    made = networks.train(
+    predictor = networks.train(
         *rows,
         inputs=inputs,
         init=init,
@@ -119,9 +120,9 @@ def train(
         device=device,
     )
     residual = rows[1]
-    left = residual - expected(made, whole).error
+    left = residual - expected(predictor, whole).error
     return TrainedPredictor(
-        **{f.name: getattr(made, f.name) for f in dataclasses.fields(made)},
+        **{f.name: getattr(predictor, f.name) for f in dataclasses.fields(predictor)},
         samples=len(residual),
         before=Errors.of(residual),
         after=Errors.of(left),

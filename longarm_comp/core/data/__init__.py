@@ -1,1 +1,1 @@
-"""Sessions in memory: admission, hold-outs, plans of poses."""
+"""Sessions in memory: admission, hold-outs, splits and plans of poses."""

@@ -1,8 +1,8 @@
-"""Admission: is a session what it claims to be?  Nothing is repaired here.
+"""Admission: checks a session against the arm that it claims to show.  Nothing is repaired.
 
-What cannot be meant (millimetres, degrees, mirrored axes, rows out of order, no measurement)
-is refused with an `InputError` that says what it looks like.  What can be worked with but
-limits the answer (a joint that never moved, lost markers, gross outliers) is a finding.
+An invalid session (millimetres, degrees, mirrored axes, rows out of order, no measurement) is
+refused with an `InputError` that names the likely mistake.  A limitation of a valid session (a
+joint that never moved, lost markers, gross outliers) is reported as a finding.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ _TILTED = np.radians(20.0)
 
 @dataclass(frozen=True)
 class AdmissionFinding:
-    """Something to know about a session that is admitted.
+    """A limitation of a session that is admitted.
 
     Attributes:
-        check: which check found it, in one word.
+        check: name of the check that found it.
         field: the columns or rows concerned.
-        message: in one sentence.
+        message: description in one sentence.
     """
 
     check: str
@@ -52,7 +52,7 @@ class AdmissionFinding:
 
 @dataclass(frozen=True)
 class Admission:
-    """A session that may be used, and what to know about it."""
+    """An admitted session and the findings about it."""
 
     session: Session
     findings: tuple[AdmissionFinding, ...]
@@ -72,16 +72,16 @@ class _Case:
 def admit(
     session: Session, arm: Arm, model: Model | None = None, min_poses: int = FEW_POSES
 ) -> Admission:
-    """Check a session against the arm that it claims to show.
+    """Check a session against an arm.
 
     Args:
         session: as read.
         arm: declared arm.
-        model: what predicts the tip; the rigid declared arm by default.
-        min_poses: distinct poses with a marker that are needed at least.
+        model: predicts the tip; the rigid declared arm by default.
+        min_poses: least number of distinct poses with a marker.
 
     Raises:
-        InputError: it cannot be what it claims to be; says what it looks like.
+        InputError: the session does not fit the arm; the message names the likely mistake.
     """
     findings: list[AdmissionFinding] = []
     case = _Case(session, arm, session, np.empty((0, 3)))

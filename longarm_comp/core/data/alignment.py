@@ -1,4 +1,4 @@
-"""How one cloud of points lies in another: best rotation and offset, best swap of axes."""
+"""Alignment of two sets of points: best rotation and offset, best swap of axes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Alignment:
     Attributes:
         rotation: (3, 3), orthonormal; a mirror has determinant -1.
         offset: (3,), m.
-        misfit: median distance that is left, m.
+        misfit: median remaining distance, m.
     """
 
     rotation: np.ndarray
@@ -24,7 +24,7 @@ class Alignment:
 
     @property
     def mirrored(self) -> bool:
-        """Whether no rotation can do this."""
+        """Whether it includes a reflection."""
         return bool(np.linalg.det(self.rotation) < 0)
 
     @property
@@ -59,8 +59,8 @@ def best_rotation(predicted: np.ndarray, measured: np.ndarray) -> Alignment:
 
 
 def best_axes(predicted: np.ndarray, measured: np.ndarray) -> tuple[Alignment, str]:
-    """Best of the 48 ways to swap and flip axes, and its name like ``x,-z,y``."""
-    made = []
+    """Best of the 48 permutations and reflections of the axes, and its name like ``x,-z,y``."""
+    fits = []
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
             rotation = np.zeros((3, 3))
@@ -68,8 +68,8 @@ def best_axes(predicted: np.ndarray, measured: np.ndarray) -> tuple[Alignment, s
             name = ",".join(
                 ("-" if s < 0 else "") + "xyz"[k] for k, s in zip(order, signs, strict=True)
             )
-            made.append((align(predicted, measured, rotation), name))
-    return min(made, key=lambda pair: pair[0].misfit)
+            fits.append((align(predicted, measured, rotation), name))
+    return min(fits, key=lambda pair: pair[0].misfit)
 
 
 def roll_pitch_yaw(rotation: np.ndarray) -> tuple[float, float, float]:

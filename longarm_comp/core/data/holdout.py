@@ -1,4 +1,4 @@
-"""Hold-outs: split by whole blocks and whole poses, and kept under lock until the fit is done."""
+"""Hold-outs: split by whole blocks and whole poses, sealed until the fit is finished."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ def blocked_split(
     min_poses: int = 30,
     rng: np.random.Generator | int = 0,
 ) -> tuple[Session, Session]:
-    """Train and hold-out in whole blocks of time.
+    """Training set and hold-out in whole blocks of time.
 
-    The poses, in the order of their first visit, are cut in about 25 blocks; a pose belongs
-    with all its later visits to the block of its first one, so neither repeats nor equal
-    poses straddle. Blocks are drawn until the hold-out has `fraction` of the rows and
-    `min_poses` poses with a marker, but never more than a third of the poses.
+    The poses, in the order of their first visit, are divided into about 25 blocks. All visits of
+    a pose belong to the block of its first visit, so repeats and equal poses are never divided.
+    Blocks are drawn until the hold-out has `fraction` of the rows and `min_poses` poses with a
+    marker, but never more than a third of the poses.
 
     Raises:
         InputError: fewer than two poses.
@@ -35,7 +35,7 @@ def random_split(
     min_poses: int = 1,
     rng: np.random.Generator | int = 0,
 ) -> tuple[Session, Session]:
-    """Train and hold-out by single poses drawn at random; otherwise as `blocked_split`."""
+    """Training set and hold-out by single random poses; otherwise as `blocked_split`."""
     return _split(session, fraction, min_poses, rng, blocks=None)
 
 
@@ -75,13 +75,13 @@ def _block_numbers(first_visit: np.ndarray, blocks: int | None) -> np.ndarray:
 
 
 class SealedError(LongarmError):
-    """A hold-out was read before the work that it is to prove was finished."""
+    """A hold-out was read before the fit that it tests was finished."""
 
 
 class Sealed:
-    """A hold-out under lock.  Only its size and hash can be read until `release`.
+    """A sealed hold-out.  Only its size and hash can be read until `release`.
 
-    `open(reason)` hands it out and is counted: a hold-out that was used often proves little.
+    `open(reason)` returns it and is counted, since a hold-out that was used often proves little.
     """
 
     def __init__(self, session: Session) -> None:
@@ -100,11 +100,11 @@ class Sealed:
 
     @property
     def uses(self) -> tuple[str, ...]:
-        """The reasons it was opened for, in order."""
+        """Reasons for which it was opened, in order."""
         return tuple(self._uses)
 
     def release(self, finished: str) -> None:
-        """State what is finished and to be proved (a model's hash); `open` works from now on."""
+        """Allow `open`, given the hash of the finished model that is to be tested."""
         if not finished:
             raise InputError("hold-out", "finished", finished, "the hash of what is to be proved")
         self._finished = finished
@@ -121,7 +121,7 @@ class Sealed:
         return self._session
 
     def __getattr__(self, name: str) -> NoReturn:
-        """Everything else stays closed."""
+        """Refuse every other attribute."""
         if name.startswith("__"):
             raise AttributeError(name)
         raise SealedError(f"the hold-out is sealed: {name} can be read through open(reason) only")

@@ -1,4 +1,4 @@
-"""One measured residual per rest pose, out of a running stream of commands, joints and sightings.
+"""Finds rest poses in a stream of commands, joint readings and sightings.
 
 Sightings of one pose share the pose's model error, so only their mean is an independent sample.
 """
@@ -13,16 +13,18 @@ from longarm_comp.core.arm.history import History
 from longarm_comp.core.errors import InputError
 
 JOINT_REST = 2e-3
-"""Joints (rad, m) this close to where they were sent, or to where they end, rest there."""
+"""Largest distance (rad, m) of a resting joint from its goal or its final position."""
 
 
 @dataclass(frozen=True)
 class RestPose:
-    """The arm at rest where it was sent, and the mean of what was seen.
+    """The arm at rest at a commanded pose, and the mean sighting of the tip.
 
     Attributes:
-        q: (n,) commanded joints, rad and m. history: how they came there.
-        tip: (3,) m. variance: (3,) m^2, of the mean as the sightings claim.
+        q: (n,) commanded joints, rad and m.
+        history: history of the joints at the pose.
+        tip: (3,) m.
+        variance: (3,) m^2, of the mean, from the variances of the sightings.
         command: number of the command, counted from 1.
     """
 
@@ -35,11 +37,11 @@ class RestPose:
 
 @dataclass
 class RestWatch:
-    """Hands out each rest pose once.
+    """Returns each rest pose once.
 
     Args:
-        settle_s: the joints must have been there for so long.
-        sightings: averaged for one rest pose.
+        settle_s: time for which the joints must have rested.
+        sightings: number of sightings averaged for one rest pose.
     """
 
     settle_s: float = 0.5
@@ -54,13 +56,13 @@ class RestWatch:
             raise InputError("rest watch", "sightings", self.sightings, "1 or more")
 
     def commanded(self, q: np.ndarray, history: History) -> None:
-        """The arm is sent to q (n,); `history`: of the joints when they are there."""
+        """Take a command q (n,) and the history of the joints on arrival."""
         self._goal, self._there_since = (q, history), None
         self._seen.clear()
         self.commands += 1
 
     def joints(self, q: np.ndarray, at_s: float) -> None:
-        """The joints are at q (n,)."""
+        """Take a joint reading q (n,)."""
         if self._goal is None:
             return
         if np.abs(q - self._goal[0]).max() > JOINT_REST:
@@ -70,7 +72,7 @@ class RestWatch:
             self._there_since = at_s
 
     def sighted(self, tip: np.ndarray, variance: np.ndarray, at_s: float) -> RestPose | None:
-        """The tip was seen (m, m^2; NaN: lost); the rest pose once it is known well enough."""
+        """Take a sighting (m, m^2; NaN if lost). Returns the rest pose that it completes."""
         settled = self._there_since is not None and at_s - self._there_since >= self.settle_s
         if self._goal is None or not settled or not np.isfinite(tip).all():
             return None

@@ -1,8 +1,8 @@
-"""A session: what was commanded, what was measured, and under which circumstances.
+"""A session: commanded joints, measured tips and their circumstances.
 
-Rows keep the order in which they were recorded.  What depends on that order (the side a
-joint arrived from) is derived once, here, so that any subset may be taken afterwards.
-Splits and the sealed hold-out: `core/data/holdout.py`.
+Rows keep the order in which they were recorded.  Quantities that depend on that order (the side
+from which a joint arrived) are derived once, here, so that any subset may be taken afterwards.
+See `core/data/holdout.py` for splits and the sealed hold-out.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ class Session:
     """N measurements of an arm with n commanded joints. Arrays are read-only.
 
     Attributes:
-        index: (N,) counter of the recording; a step other than 0 or 1 is a gap.
+        index: (N,) counter of the recording. A step other than 0 or 1 is a gap.
         q: (N, n) commanded joints, rad and m.
-        xyz: (N, 3) measured tip, m; NaN in a whole row is a lost marker.
+        xyz: (N, 3) measured tip, m. A row of NaN is a lost marker.
         approach: (N, n) side each joint arrived from: +1 from below, -1 from above, 0 unknown.
-        repeat_id: (N,) rows of one number revisit one pose; -1 is none.
+        repeat_id: (N,) rows with the same number revisit one pose; -1 for none.
         sigma: (N, 3) standard deviation of the measurement in m, or None.
         columns: further numbers by name, (N,) each, finite: `t_s`, `temperature_c`,
             `payload_kg`, `incl_<frame>_x`, any other quantity that was recorded.
@@ -199,7 +199,7 @@ class Session:
 
     @cached_property
     def arrivals(self) -> tuple[tuple[int, int], ...]:
-        """By joint, rows that arrived from above (-1) and from below (+1); empty: not recorded."""
+        """Per joint, rows that arrived from above (-1) and below (+1); empty if not recorded."""
         if not self.approach.any():
             return ()
         above, below = (self.approach < 0).sum(axis=0), (self.approach > 0).sum(axis=0)
@@ -218,7 +218,7 @@ class Session:
 
     @cached_property
     def hash(self) -> str:
-        """SHA-256 of the contents: the same rows give the same hash, whatever file they are in."""
+        """SHA-256 of the contents. Equal rows give equal hashes, whatever file they are in."""
         digest = hashlib.sha256()
         parts: list[tuple[str, np.ndarray | None]] = [
             ("index", self.index),
@@ -239,7 +239,7 @@ class Session:
         return digest.hexdigest()
 
     def context(self, rows: Rows | None = None) -> Context:
-        """What effects may need besides q, for some rows or all: scalars are (N,) arrays.
+        """Circumstances of some rows, or all, for the effects. Scalars are (N,) arrays.
 
         The history of the joints is absent when no side of arrival is known in the whole session.
         """

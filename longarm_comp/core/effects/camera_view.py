@@ -1,4 +1,4 @@
-"""What camera-side biases share: a point split along and across the optical axis."""
+"""Base of camera-side biases: splits a point along and across the optical axis."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Every effect that a model may hold, by its canonical name: one line each, and those of others.
+"""Catalogue of the effects by canonical name: those of this package and registered ones.
 
-Another package brings effects by entry points of the group `GROUP`, each named as its effect and
-pointing at its class; a file brings them where a user names it (`load_file`), which executes it.
-A model.yaml names effects only, never code.
+Another package registers effects by entry points of the group `GROUP`, each with the name of the
+effect and its class.  A file of effects is executed when a user names it (`load_file`).  A
+model.yaml holds only names of effects, never code.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ Kind = type[Effect] | type[Bias]
 K = TypeVar("K", bound=Kind)
 
 GROUP = "longarm_comp.effects"
-"""Group of the entry points by which another package brings effects."""
+"""Group of the entry points of effects from other packages."""
 
 _OURS: tuple[Kind, ...] = (
     JointZero,
@@ -82,9 +82,9 @@ _OURS: tuple[Kind, ...] = (
     CameraDrift,
 )
 BUILT_IN: dict[str, Kind] = {kind.name: kind for kind in _OURS}
-"""The effects of this package, in the order in which they are listed and tried."""
+"""The effects of this package, in the order of listing and search."""
 LIBRARY: tuple[Kind, ...] = tuple(k for k in _OURS if k.searched and not k.geometry)
-"""Those of this package that a diagnosis tries: what studies and benchmarks go by."""
+"""The effects of this package that a diagnosis tries; used by studies and benchmarks."""
 
 _STORED = (int, float, str, "int", "float", "str")
 _origins: dict[str, str] = {}
@@ -92,10 +92,10 @@ _others: dict[str, Kind] = {}
 
 
 def registered() -> dict[str, Kind]:
-    """Every effect by name: this package's, other packages', those of files that were loaded.
+    """All effects by name: of this package, of other packages and of loaded files.
 
     Raises:
-        InputError: an entry point cannot be loaded, or is no effect.
+        InputError: an entry point cannot be loaded, or is not an effect.
     """
     _load_entry_points()
     return {**BUILT_IN, **_others}
@@ -115,11 +115,11 @@ def effect_class(name: str, where: str, known_from: str = "") -> Kind:
 
     Args:
         name: canonical name.
-        where: names the source in the error.
-        known_from: where the effect came from when the source was written (`origin`).
+        where: name of the source in the error message.
+        known_from: origin of the effect when the source was written (see `origin`).
 
     Raises:
-        InputError: no such effect; says what is missing.
+        InputError: unknown effect; the message names the file or package that is missing.
     """
     found = BUILT_IN.get(name) or registered().get(name)
     if found is None:
@@ -133,19 +133,19 @@ def effect_class(name: str, where: str, known_from: str = "") -> Kind:
 
 
 def origin(kind: Kind) -> str:
-    """Where an effect of others came from, in words; empty for one of this package."""
+    """Origin of an effect from outside the package, in words; empty for one of this package."""
     return _origins.get(kind.name, "")
 
 
 def register(kind: K, source: str = "") -> K:
-    """Add an effect; a program that defines one may use this as a decorator.
+    """Register an effect. It can be used as a decorator.
 
     Args:
         kind: a frozen dataclass derived from `Effect` or `Bias`.
-        source: where it comes from, in words; the class's module by default.
+        source: its origin in words; by default the module of the class.
 
     Raises:
-        InputError: it is no such class, a field does not say what it is, or the name is taken.
+        InputError: the class is not an effect, a field is not declared, or the name is taken.
     """
     source = source or f"module {getattr(kind, '__module__', '?')}"
     _check(kind, source)
@@ -158,10 +158,10 @@ def register(kind: K, source: str = "") -> K:
 
 
 def load_file(path: str | Path) -> tuple[Kind, ...]:
-    """Execute a Python file and add the effects that it defines; once, for the same contents.
+    """Execute a Python file, once for the same contents, and register its effects.
 
     Raises:
-        InputError: no such file, it fails, it defines no effect, or one is not as it must be.
+        InputError: there is no such file, it fails, or it defines no effect or an invalid one.
     """
     path = Path(path)
     if not path.is_file():
@@ -210,7 +210,7 @@ def _source(point: EntryPoint) -> str:
 
 
 def _file(kind: Kind) -> str:
-    """The file that defines a class: it may define it again, another one may not."""
+    """The file that defines a class. Only this file may define it again."""
     return getattr(sys.modules.get(kind.__module__), "__file__", None) or kind.__module__
 
 
@@ -223,7 +223,7 @@ def _is_kind(value: object) -> bool:
 
 
 def _check(kind: Kind, source: str) -> None:
-    """Whether a class is an effect that can be fitted, saved and loaded."""
+    """Check that a class is an effect that can be fitted, saved and loaded."""
     if not _is_kind(kind):
         raise InputError(source, "class", repr(kind), "a class of Effect or Bias, nothing abstract")
     name = getattr(kind, "name", "")

@@ -1,9 +1,9 @@
-"""What an effect is: a small twist at a few stations, and a handful of declared fields.
+"""Base classes of effects: small twists at a few stations, with declared fields.
 
-Every field of an effect says what it is: a `place` (where on the arm), a `form` (which variant)
-or a `parameter` (a number that is fitted).  The search, the fit, the files, the report and the
-documentation read the fields and the class attributes from here and from nowhere else, so they
-know an effect of another package as well as one of this folder (docs/add_an_effect.md).
+Every field of an effect is declared as a `place` (where on the arm), a `form` (which variant) or a
+`parameter` (a fitted number).  The search, the fit, the files, the report and the documentation
+read only these declarations and the class attributes.  An effect of another package is therefore
+treated like one of this folder (docs/add_an_effect.md).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Parameter:
     name: str
     unit: str
     meaning: str
-    prior: float  # 0 means held at its value
+    prior: float  # 0 means fixed at its value
     lower: float = -math.inf
     upper: float = math.inf
 
@@ -51,25 +51,25 @@ def parameter(
     """Declare a field as a fitted parameter.
 
     Args:
-        unit: of the value; SI.
-        meaning: in a few words.
-        prior: standard deviation of what is plausible; 0 holds the parameter at its value.
+        unit: unit of the value, SI.
+        meaning: description in a few words.
+        prior: standard deviation of plausible values; 0 fixes the parameter at its value.
         lower, upper: physical bounds.
-        default: value without an error.
+        default: value of an arm without this error.
     """
     meta = {"unit": unit, "meaning": meaning, "prior": prior, "lower": lower, "upper": upper}
     return dataclasses.field(default=default, metadata={_PARAMETER: meta})
 
 
 def place(allowed: Places | None = None, default: int | str | None = None) -> Any:
-    """Declare a field as a place: instances that differ in it may stand side by side in a model.
+    """Declare a field as a place. A model may hold several instances with different places.
 
-    All places of one form together are one family, which a diagnosis tries as a whole.
+    All places of one form together are a family, which a diagnosis tries as a whole.
 
     Args:
-        allowed: what the field may hold on an arm (`moving_joints`, `beams`, ... or a function of
-            your own); None for any text.
-        default: for an effect that need not say it.
+        allowed: allowed values on an arm (`moving_joints`, `beams`, ... or a function of your
+            own); None for any text.
+        default: default value; None if the field is required.
     """
     meta = {_PLACE: allowed}
     if default is None:
@@ -78,12 +78,12 @@ def place(allowed: Places | None = None, default: int | str | None = None) -> An
 
 
 def form(default: float | int | str, lower: float | None = None, upper: float | None = None) -> Any:
-    """Declare a field as a form: which variant of the effect it is, tried but not fitted.
+    """Declare a field as a form: a variant of the effect, which is tried but not fitted.
 
     Args:
-        default: where nothing else is said.
-        lower, upper: ends of a scale; the search then looks between the values that `candidates`
-            tries.  Without them there are only those values.
+        default: default value.
+        lower, upper: ends of a continuous scale. The search then also tries values between those
+            of `candidates`.  Without them only those values are tried.
     """
     if (lower is None) != (upper is None):
         raise TypeError("a form's scale has two ends")
@@ -118,26 +118,26 @@ def markers(arm: Arm) -> list[str]:
 
 @dataclass(frozen=True)
 class _Term:
-    """What arm-side effects and camera-side biases share: identity, parameters, files.
+    """Common base of arm-side effects and camera-side biases: identity, parameters, files.
 
     Attributes:
         name: canonical name, used in files and reports.
-        needs: recorded inputs without which none of its kind can be tested.
-        geometry: always fitted and never "named" by a diagnosis.
-        seen_only: moves the frame that the arm is seen in, and gravity with it.
-        continuous: a small motion of the joints changes it by little; no command undoes others.
-        loaded: depends on the loads, so that it must be reconverged as the arm sags.
-        searched: a diagnosis tries it; geometry is fitted always instead.
-        aliases: effects that no pose can tell from it, whatever is measured; it is enough that
-            one of the two says so.
-        limit_aliases: effects that it becomes at an end of its form's scale or of a parameter's
-            bounds; studies count either name as right there.
-        free_levels: of an effect that is a function of the position of one turning joint alone:
-            at so many distinct positions of the joint it can take any values, the joint's zero
-            helping.  On a grid that is no finer it imitates every other such function.  0 for an
-            effect that depends on anything else.
-        displaces_joint: its one parameter displaces one joint, so that its column is what any
-            displacement of that joint does at the tip; structure that is left is sought there.
+        needs: recorded inputs that every instance needs.
+        geometry: always fitted, and never "named" by a diagnosis.
+        seen_only: moves the frame of the measurements, and gravity with it.
+        continuous: changes little for a small motion of the joints.
+        loaded: depends on the loads, so that it must be iterated as the arm sags.
+        searched: tried by a diagnosis. Geometry is always fitted instead.
+        aliases: effects that no measurement can distinguish from it. One of the two must declare
+            it.
+        limit_aliases: effects that it equals at an end of its form's scale or of a parameter's
+            bounds. Studies accept either name there.
+        free_levels: for an effect that depends only on the position of one turning joint: number
+            of distinct positions at which it can take any values, together with the joint's
+            zero.  On a grid with no more positions it imitates every other such function.  0 for
+            other effects.
+        displaces_joint: its only parameter displaces one joint. Its column is then the effect of
+            any displacement of that joint at the tip, and remaining structure is sought in it.
     """
 
     name: ClassVar[str]
@@ -166,24 +166,24 @@ class _Term:
         return self.declared()
 
     def with_values(self, values: Mapping[str, float]) -> Self:
-        """The same effect with other values of some parameters."""
+        """A copy with other values of some parameters."""
         return dataclasses.replace(self, **{name: float(v) for name, v in values.items()})
 
     @classmethod
     def undeclared(cls) -> tuple[str, ...]:
-        """Fields that do not say what they are; an effect must have none."""
+        """Fields that are declared neither as place, form nor parameter; there must be none."""
         known = {_PARAMETER, _PLACE, _FORM}
         return tuple(f.name for f in dataclasses.fields(cls) if not known & set(f.metadata))
 
     @classmethod
     def allowed_places(cls) -> Mapping[str, Places]:
-        """By place field, what it may hold on an arm; fields that may hold any text left out."""
+        """By place field, its allowed values on an arm, without fields that allow any text."""
         meta = {f.name: f.metadata for f in dataclasses.fields(cls)}
         return {name: m[_PLACE] for name, m in meta.items() if m.get(_PLACE) is not None}
 
     @classmethod
     def scales(cls) -> Mapping[str, tuple[float, float]]:
-        """Forms that may have any value between two ends."""
+        """Forms with a continuous scale: lower and upper end by name."""
         meta = {f.name: f.metadata for f in dataclasses.fields(cls)}
         return {name: m[_FORM] for name, m in meta.items() if m.get(_FORM) is not None}
 
@@ -199,7 +199,7 @@ class _Term:
 
     @property
     def placement(self) -> dict[str, Any]:
-        """The fields that are not parameters: they say where and in which form."""
+        """Values of the place and form fields."""
         return self._declared_as(_PLACE, _FORM)
 
     def _declared_as(self, *roles: str) -> dict[str, Any]:
@@ -208,28 +208,28 @@ class _Term:
 
     @property
     def where(self) -> str:
-        """Its places in words, ``joint 2``, ``joint 3, driver 1``; ``arm`` for all of it."""
+        """Its places in words: ``joint 2``, ``joint 3, driver 1``; ``arm`` for the whole arm."""
         return ", ".join(f"{name} {value}" for name, value in self.places.items()) or "arm"
 
     @property
     def place(self) -> str:
-        """What only one instance can occupy in a model: where it is, and what else may coexist."""
+        """Key that only one instance in a model may have: by default, where it is."""
         return self.where
 
     @property
     def joints(self) -> tuple[int, ...]:
-        """Row ids of the joints among its places: structure that it explains depends on them."""
+        """Row ids of the joints among its places; the structure it explains depends on them."""
         kinds = self.allowed_places()
         return tuple(v for name, v in self.places.items() if kinds.get(name) is moving_joints)
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """Every form that a diagnosis may try: each a group of instances fitted together."""
+        """Candidates of a diagnosis, each a group of instances that are fitted together."""
         return []
 
     @classmethod
     def for_arm(cls, arm: Arm) -> tuple[Self, ...]:
-        """The instances to fit when the user declares this effect without saying where."""
+        """The instances to fit when the user declares this effect without a place."""
         groups = cls.candidates(arm)
         seen: dict[tuple[Any, ...], Self] = {}
         for group in groups:
@@ -239,9 +239,9 @@ class _Term:
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """What this instance reads of the record of circumstances: per-joint fields, columns.
+        """Fields of the circumstances that this instance reads: per-joint fields, columns.
 
-        Structure that it explains depends on them, beside its joints.
+        The structure it explains depends on them and on its joints.
         """
         return self.needs
 
@@ -250,7 +250,7 @@ class _Term:
         return ()
 
     def require(self, context: Context) -> None:
-        """Raise `InputError` when an input without which it cannot be tested was not recorded."""
+        """Raise `InputError` if an input that it needs was not recorded."""
         for name in self.needs:
             if not context.has(name):
                 raise InputError(self.name, name, "missing", "a recorded column of the session")
@@ -265,24 +265,24 @@ class Effect(_Term, ABC):
         """Small twist ``[d; delta]`` (m, rad) by station, each in its station's axes."""
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
-        """Weight that this effect adds to the arm (kg at a point of a station)."""
+        """Masses that this effect adds to the arm (kg at a point of a station)."""
         return ()
 
     def gravity(self, gravity: Vec) -> Vec:
-        """Gravity in the base frame as this effect has it (m/s^2)."""
+        """Gravity in the base frame with this effect (m/s^2)."""
         return gravity
 
     @property
     def changes_loads(self) -> bool:
-        """Whether the effect acts through other effects' loads instead of by itself."""
+        """Whether the effect acts through the loads on other effects instead of by a twist."""
         kind = type(self)
         return kind.masses is not Effect.masses or kind.gravity is not Effect.gravity
 
 
 @dataclass(frozen=True)
 class Bias(_Term, ABC):
-    """A camera-side cause: it moves the *seen* point, not the arm, and is never compensated."""
+    """A camera-side cause. It moves the *seen* point, not the arm, and is never compensated."""
 
     @abstractmethod
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """Where the camera reports a tip that is at `point` (m, base frame)."""
+        """Point reported by the camera for a tip at `point` (m, base frame)."""

@@ -1,4 +1,4 @@
-"""What effects of one joint share: which joint, how it moves, how heavy the arm is."""
+"""Base of the effects of one joint: the joint, its motion, its loads."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ class JointTerm(Effect):
 
     @classmethod
     def fits(cls, arm: Arm, row: int) -> bool:
-        """Whether the effect makes sense at a commanded row; revolute joints by default."""
+        """Whether the effect applies to a commanded row; revolute joints by default."""
         return arm.joints[row - 1].type == "revolute"
 
     @classmethod
     def rows(cls, arm: Arm) -> list[int]:
-        """Rows that the effect may sit at: the commanded ones that it fits."""
+        """Rows that the effect may have: the commanded ones that it fits."""
         return [row for row in arm.commanded if cls.fits(arm, row)]
 
     @classmethod
@@ -51,28 +51,28 @@ class JointTerm(Effect):
         return [(cls(joint=row),) for row in cls.rows(arm)]
 
     def history_joints(self, arm: Arm) -> tuple[int, ...]:
-        """Its own joint, where it reads a history at all."""
+        """Its own joint if it reads a history."""
         reads = any(name in PER_JOINT for name in self.inputs)
         return (arm.commanded.index(self.joint),) if reads else ()
 
     def motion(self, posture: Posture, amount: Scalar) -> Mapping[int, Twist]:
         """The joint moved by `amount` (rad or m) along its own z axis, at its bearing.
 
-        Passive joints coupled to it (mimic) follow, as their linkage makes them.
+        Passive joints coupled to it (mimic) follow.
         """
-        made: dict[int, Twist] = {}
+        twists: dict[int, Twist] = {}
         for row, weight in self._coupled(posture.arm):
             moved = amount if weight == 1.0 else weight * amount
             if posture.arm.joints[row - 1].type == "prismatic":
-                made[posture.bearing(row)] = (0.0, 0.0, moved, 0.0, 0.0, 0.0)
+                twists[posture.bearing(row)] = (0.0, 0.0, moved, 0.0, 0.0, 0.0)
             else:
-                made[posture.bearing(row)] = (0.0, 0.0, 0.0, 0.0, 0.0, moved)
-        return made
+                twists[posture.bearing(row)] = (0.0, 0.0, 0.0, 0.0, 0.0, moved)
+        return twists
 
     def load(self, posture: Posture) -> Scalar:
         """Gravity torque (N m) about, or force (N) along, the joint's z axis.
 
-        By virtual work it includes what passive joints coupled to it hand on.
+        By virtual work it includes the loads of passive joints coupled to it.
         """
         total: Scalar = 0.0
         for row, weight in self._coupled(posture.arm):
@@ -83,11 +83,11 @@ class JointTerm(Effect):
         return total
 
     def side(self, posture: Posture, gate: float, blend: float = BLEND) -> Scalar:
-        """Where a joint with play or a deadband rests, -1 to +1.
+        """Resting side of a joint with play or a deadband, -1 to +1.
 
-        On the side that its load pushes it to, where the load exceeds a threshold; below that
-        friction holds it where its motion left it: it lags, on the side it came from.  Between
-        the two the side changes over gradually, as under a nearly balanced load.
+        Above a threshold the load pushes the joint to its side.  Below it, friction holds the
+        joint where its motion left it: it lags, on the side it came from.  The transition is
+        gradual, as under a nearly balanced load.
 
         Args:
             posture: the arm.
@@ -127,7 +127,7 @@ class JointTerm(Effect):
 
 
 def with_prior(parameters: tuple[Parameter, ...], **changes: object) -> tuple[Parameter, ...]:
-    """The same parameters with other attributes (prior, unit) for an arm."""
+    """Copies of parameters with other attributes (prior, unit) for an arm."""
     return tuple(dataclasses.replace(p, **changes) for p in parameters)  # type: ignore[arg-type]
 
 

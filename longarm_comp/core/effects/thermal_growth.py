@@ -32,11 +32,11 @@ class ThermalGrowth(Effect):
         """Translation along every row's a and d, in proportion to their length."""
         warm = posture.context.column("temperature_c", posture.arm.reference_temperature_c)
         rise = self.expansion * (warm - posture.arm.reference_temperature_c)
-        made: dict[int, Twist] = {}
+        growth: dict[int, Twist] = {}
         for joint, value in zip(posture.arm.joints, posture.values, strict=True):
             d = joint.d_m + value if joint.type == "prismatic" else joint.d_m
             before, here = posture.frame(joint.id - 1), posture.frame(joint.id)
-            made[here] = (0.0, 0.0, rise * d, 0.0, 0.0, 0.0)
+            growth[here] = (0.0, 0.0, rise * d, 0.0, 0.0, 0.0)
             along_x: Twist = (rise * joint.a_m, 0.0, 0.0, 0.0, 0.0, 0.0)
-            made[before] = add_twists(made[before], along_x) if before in made else along_x
-        return made
+            growth[before] = add_twists(growth[before], along_x) if before in growth else along_x
+        return growth

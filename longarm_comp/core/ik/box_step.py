@@ -1,7 +1,7 @@
 """One damped least-squares step inside a box: the linear algebra of the inverse kinematics.
 
-Written on flat buffers, without a branch on data, so that the same lines serve floats, arrays
-whose entries are (N,) slices, and traced numbers.
+The functions work on flat buffers and have no branch on data.  The same code therefore serves
+floats, arrays whose entries are (N,) slices, and traced numbers.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def rotation_error(R: Buffer, r: int, target: Buffer, t: int, e: Buffer, at: int
         R, target: axes n, o, a one after the other, 9 numbers each, from index r and t on.
 
     Returns:
-        The angle (rad), 0 to pi.  At pi the direction is lost (the vector is 0), the angle is not.
+        The angle (rad), 0 to pi.  At pi the vector is 0, as its direction is undefined.
     """
     x = 0.5 * (
         R[r + 1] * target[t + 2]

@@ -1,6 +1,6 @@
-"""The ways to run a search: machine code, plain Python, arrays, and the model's own code.
+"""Engines of the search: machine code, plain Python, arrays, and the model's own code.
 
-All take a `Problem` and give joints (N, n) and a report (N, 4): position residual (m), angle
+All take a `Problem` and return joints (N, n) and a report (N, 4): position residual (m), angle
 residual (rad), iterations, starts.
 """
 
@@ -23,12 +23,12 @@ from longarm_comp.core.ik import newton
 from longarm_comp.core.ik.kernel import Kernel, kernel_of, tip_and_jacobian
 from longarm_comp.core.model.model import Model
 
-_CHUNK = 4096  # targets at a time: fewer cost calls, more cost cache
-_FEW = 4  # targets up to which plain Python is ahead of arrays
-_COMPILE_AFTER = 500  # single targets' worth of work for a model before it is compiled unasked
-_WORTH = 1 / 16  # of a target among many, beside one alone
+_CHUNK = 4096  # targets at a time: a compromise between calls and cache
+_FEW = 4  # number of targets up to which plain Python is faster than arrays
+_COMPILE_AFTER = 500  # workload, in single targets, after which a model is compiled
+_WORTH = 1 / 16  # workload of one target in a batch, in single targets
 _NOTHING = Context.empty().layout
-_THIN = 0.7  # share of the columns still at work below which the others are put aside
+_THIN = 0.7  # share of active columns below which the finished ones are removed
 
 
 @dataclass(frozen=True)
@@ -39,12 +39,12 @@ class Problem:
         targets: position (m) and axes n, o, a, (N, 12).
         m: 3 for position tasks, 6 for poses.
         starts, lower, upper: (N, n); a locked joint has both limits at its start.
-        points: restarts (S, n + 1): a point in the unit box and how far to go to it (0 to 1).
-        length: metres that a radian of tool angle counts for.
-        tol: what a search works towards, on position (m) and angle (rad).
-        reached: what counts as success, on both; what misses by more is started elsewhere.
+        points: restarts (S, n + 1): a point in the unit box and the share of the way to it.
+        length: weight of a radian of tool angle, m.
+        tol: tolerance of the search on position (m) and angle (rad).
+        reached: tolerance of success on both. Targets with larger residuals are restarted.
         max_iterations: per start.
-        threads: at work at once in machine code.
+        threads: number of threads, in machine code only.
     """
 
     targets: np.ndarray
@@ -71,21 +71,22 @@ class Engine(Enum):
 
 
 class _LongLived:
-    """Whether `warm_up` was called: then every model is compiled when it is first used."""
+    """Whether `warm_up` was called. Then every model is compiled on its first use."""
 
     now = False
 
 
 @cache
 def compiler_at_hand() -> bool:
-    """Whether llvmlite is installed; a ROS workspace may lack it, and is slower then."""
+    """Whether llvmlite is installed. Without it the search is slower."""
     return importlib.util.find_spec("llvmlite") is not None
 
 
 def warm_up(model: Model | None = None, context: Context | None = None) -> bool:
-    """Have models compiled from now on when they are first used; False without the compiler.
+    """Compile models on their first use from now on. Returns False without the compiler.
 
-    For a process that lives long: a model takes about a second. Given here, it takes it now.
+    This is for long-lived processes, since a model takes about a second.  A model given here is
+    compiled now.
     """
     if compiler_at_hand():
         _LongLived.now = True
@@ -94,9 +95,9 @@ def warm_up(model: Model | None = None, context: Context | None = None) -> bool:
     return compiler_at_hand()
 
 
-def worth_compiling(asked: float) -> bool:
-    """Whether to compile what did so many single targets' worth of work without."""
-    return compiler_at_hand() and (_LongLived.now or asked > _COMPILE_AFTER)
+def worth_compiling(workload: float) -> bool:
+    """Whether to compile a program after a workload without compilation, in single targets."""
+    return compiler_at_hand() and (_LongLived.now or workload > _COMPILE_AFTER)
 
 
 def is_compiled(kernel: Kernel, engine: Engine) -> bool:
@@ -109,7 +110,7 @@ def is_compiled(kernel: Kernel, engine: Engine) -> bool:
 def run(
     model: Model, context: Context, problem: Problem, engine: Engine
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Search from the starts, then from elsewhere for those that failed."""
+    """Search from the starts, then from the restarts for the targets that failed."""
     p, count = problem, len(problem.targets)
     if engine is Engine.AUTO:
         engine = _chosen(model, context.layout, count)
@@ -143,8 +144,8 @@ def _chosen(model: Model, layout: Layout, count: int) -> Engine:
     if not layout.traceable:
         return Engine.MODEL
     kernel = kernel_of(model, layout)
-    kernel.asked += count if count <= _FEW else _WORTH * count
-    if is_compiled(kernel, Engine.AUTO) or worth_compiling(kernel.asked):
+    kernel.workload += count if count <= _FEW else _WORTH * count
+    if is_compiled(kernel, Engine.AUTO) or worth_compiling(kernel.workload):
         return Engine.COMPILED
     return Engine.PYTHON if count <= _FEW else Engine.ARRAYS
 
@@ -155,7 +156,7 @@ Found = tuple[np.ndarray, np.ndarray, np.ndarray]  # joints (K, n), residuals (K
 
 
 def _given(context: Context, p: Problem, ids: np.ndarray, start: np.ndarray) -> Given:
-    """What a search starts from, by name: (K, k) or one row for all."""
+    """Inputs of a search by name: (K, k), or one row for all."""
     return {
         "target": p.targets[ids],
         "lower": p.lower[ids],
@@ -182,7 +183,7 @@ def _read(s: np.ndarray, kernel: Kernel) -> Found:
 
 
 class Column:
-    """A list of state, and programs on it."""
+    """State of one search as a list of floats, and the programs on it."""
 
     def __init__(self, programs: Programs, place: dict[str, range], s: list[float]) -> None:
         self.programs, self.place, self.s = programs, place, s
@@ -199,7 +200,7 @@ class Column:
 
 
 class Columns:
-    """Rows (size, K) of state, and programs on them."""
+    """State of K searches as rows (size, K), and the programs on them."""
 
     def __init__(
         self, programs: Programs, place: dict[str, range], s: np.ndarray, thin: float = _THIN
@@ -207,7 +208,7 @@ class Columns:
         self.programs, self.place, self.s, self.thin = programs, place, s, thin
 
     def repeat(self, row: str, body: newton.Flow) -> None:
-        """Run until the row is 0 everywhere; columns that are done are put aside."""
+        """Run until the row is 0 everywhere. Finished columns are removed."""
         aside: list[tuple[np.ndarray, np.ndarray]] = []
         at = self.place[row][0]
         while (todo := self.s[at] != 0.0).any():
@@ -233,12 +234,12 @@ def _arrays(model: Model, context: Context, p: Problem, given: Given, count: int
 
 def _python(model: Model, context: Context, p: Problem, given: Given, count: int) -> Found:
     kernel = kernel_of(model, context.layout)
-    made = []
+    results = []
     for s in _filled(given, kernel, count).T.tolist():
         column = Column(kernel.floats, kernel.place, s)
         newton.run(kernel.flows[f"search{p.m}"], column.call, column.repeat)
-        made.append(s)
-    return _read(np.array(made).T, kernel)
+        results.append(s)
+    return _read(np.array(results).T, kernel)
 
 
 def _compiled(model: Model, context: Context, p: Problem, given: Given, count: int) -> Found:
@@ -249,7 +250,7 @@ def _compiled(model: Model, context: Context, p: Problem, given: Given, count: i
     width = kernel.code.width
     number, rest = -(-count // width), count % width
     blocks = np.empty((number, kernel.size, width))
-    blocks[-1] = 0.0  # the last need not be full
+    blocks[-1] = 0.0  # the last block may be partly used
     for name, values in given.items():
         part = blocks[:, kernel.slice(name)]
         if values.ndim == 1:
@@ -258,7 +259,7 @@ def _compiled(model: Model, context: Context, p: Problem, given: Given, count: i
             even = values[: count - rest].reshape(count // width, width, part.shape[1])
             part[: count // width] = even.swapaxes(1, 2)
             part[count // width :, :, :rest] = values[count - rest :].T
-    search = kernel.code.function(f"many_search{p.m}")  # Python's lock is let go meanwhile
+    search = kernel.code.function(f"many_search{p.m}")  # releases Python's lock
     if p.threads == 1:
         search(blocks.ctypes.data, number)
     else:
@@ -273,7 +274,7 @@ def _compiled(model: Model, context: Context, p: Problem, given: Given, count: i
 
 
 def _model(model: Model, context: Context, p: Problem, given: Given, count: int) -> Found:
-    """The search on arrays, the model by its own code with all load passes at every step."""
+    """The search on arrays, with the model's own code and all load passes at every step."""
     kernel = kernel_of(Model(model.arm), _NOTHING)
     out = kernel.slice("out")
 
@@ -290,7 +291,7 @@ def _model(model: Model, context: Context, p: Problem, given: Given, count: int)
 
 
 def _nothing(s: np.ndarray) -> None:
-    """No twists are carried."""
+    """Placeholder: no twists are carried."""
 
 
 _SEARCH: dict[Engine, Callable[[Model, Context, Problem, Given, int], Found]] = {
@@ -303,11 +304,11 @@ _SEARCH: dict[Engine, Callable[[Model, Context, Problem, Given, int], Found]] = 
 
 @cache
 def restart_points(n: int, count: int) -> np.ndarray:
-    """(count, n + 1): points of the unit box and how far to go from the seed to each.
+    """(count, n + 1): points of the unit box, and the share of the way from the seed to each.
 
-    An additive recurrence on the plastic number's generalisation (M. Roberts' R_d), the same
-    every time.  The first stay near the seed; every other one is stretched so that many joints
-    start on a limit, where taught poses tend to be.
+    A fixed additive recurrence on the generalised plastic number (M. Roberts' R_d).  The first
+    points stay near the seed.  Every other one is stretched, so that many joints start at a limit,
+    as taught poses often are.
     """
     g = 2.0
     for _ in range(40):
@@ -318,8 +319,8 @@ def restart_points(n: int, count: int) -> np.ndarray:
 
 def with_radii(points: np.ndarray) -> np.ndarray:
     """Points (S, n) stretched and with their radii, (S, n + 1)."""
-    made = np.ones((len(points), points.shape[1] + 1))
-    made[:, :-1] = points
-    made[1::2, :-1] = np.clip(0.5 + 1.6 * (points[1::2] - 0.5), 0.0, 1.0)
-    made[:2, -1] = (0.25, 0.5)[: len(points)]
-    return made
+    radii = np.ones((len(points), points.shape[1] + 1))
+    radii[:, :-1] = points
+    radii[1::2, :-1] = np.clip(0.5 + 1.6 * (points[1::2] - 0.5), 0.0, 1.0)
+    radii[:2, -1] = (0.25, 0.5)[: len(points)]
+    return radii

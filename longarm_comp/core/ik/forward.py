@@ -1,4 +1,4 @@
-"""Tip poses of many joints at once, by the programs that the inverse kinematics is made of."""
+"""Tip poses of many postures at once, by the programs of the inverse kinematics."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from longarm_comp.core.ik.kernel import Kernel, kernel_of
 from longarm_comp.core.ik.newton import LEVELS, evaluation
 from longarm_comp.core.model.model import Model
 
-_BLOCKS = 16  # at a time stay in the cache
+_BLOCKS = 16  # blocks at a time, which fit in the cache
 
 
 def tip_poses(model: Model, q: np.ndarray, context: Context | None = None) -> np.ndarray:
-    """True tip poses by a model, as `Model.pose`: in machine code where the model is compiled.
+    """True tip poses as by `Model.pose`, in machine code if the model is compiled.
 
     Args:
         q: joints (M, n), rad or m.

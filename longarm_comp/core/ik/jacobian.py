@@ -1,4 +1,4 @@
-"""How the tip moves with the joints: Eq. (5) with a unit twist at each joint's bearing."""
+"""Jacobian of the tip by the joints: Eq. (5) with a unit twist at each joint's bearing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def geometric(posture: Posture, tip: Vec) -> list[tuple[Vec, Vec]]:
 
     A revolute row turns all that follows about the z axis of its bearing; a prismatic row
     pushes it along the z axis of its frame.  Passive rows follow through the arm's mixing.
-    The sag is held, so on a soft arm this is a chord of a few percent: iterate.
+    The sag is kept constant, so on a soft arm the Jacobian is a few percent off.
     """
     chain = posture.chain
     columns: list[tuple[Vec, Vec]] = [(ZERO, ZERO)] * chain.arm.n

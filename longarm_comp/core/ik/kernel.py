@@ -1,11 +1,11 @@
-"""The model as small programs, for the inverse kinematics.
+"""The model as small traced programs, for the inverse kinematics.
 
-At the trial joints, `rigid` gives the tip and its Jacobian without what loads and context do,
-`first` the twists under the rigid arm's loads, `again` those under the loads of the arm with
-given twists, `tip` its tip and Jacobian; the others are the search of `newton`.  All are traced
-from the package's own Python, so they give its numbers; parameters are constants in them,
-joints and context are inputs.  They run on floats, on arrays, or (with llvmlite) as machine
-code, compiled in about a second.
+At the trial joints, `rigid` computes the tip and its Jacobian without loads and context, `first`
+the twists under the rigid arm's loads, `again` the twists under the loads of the arm with given
+twists, and `tip` the tip and Jacobian of that arm.  The other programs are the search of `newton`.
+All are traced from the package's own Python and give its numbers.  Parameters are constants in
+them; joints and context are inputs.  They run on floats, on arrays, or (with llvmlite) as machine
+code, which is compiled in about a second.
 """
 
 from __future__ import annotations
@@ -25,19 +25,21 @@ from longarm_comp.core.model.model import Model
 
 Fixed = dict[tuple[int, int], float]
 Slots = dict[tuple[int, int], int]
-_KEPT = 32  # kernels held, the latest used
+_KEPT = 32  # number of kernels kept, the most recently used
 
 
 class Kernel:
-    """The traced programs of one arm and, where it is traceable, of one model.
+    """The traced programs of one arm and, if it is traceable, of one model.
 
     Attributes:
-        place: where a search keeps what (`newton.rows`); size: how many numbers that is.
+        place: layout of a search's state (`newton.rows`).
+        size: length of the state.
         passes: load passes of the model.
-        layout: the context it reads; lower, upper, mid: the joint box.
-        asked: single targets' worth of work that it was asked for before it was compiled.
-        flows: `search3` and `search6` from joints q, `solve3` and `solve6` from a seed and a
-            matrix.
+        layout: layout of the context.
+        lower, upper, mid: the joint box.
+        workload: work done before it is compiled, in single targets.
+        flows: `search3` and `search6` start from joints q, `solve3` and `solve6` from a seed and
+            a matrix.
     """
 
     def __init__(self, model: Model, layout: Layout) -> None:
@@ -46,7 +48,7 @@ class Kernel:
         fixed, slot = _twist_slots(model, layout)
         self.place = newton.rows(self.n, layout.count, len(slot))
         self.size = 1 + max(r[-1] for r in self.place.values() if r)
-        self.passes, self.asked = model.load_passes, 0.0
+        self.passes, self.workload = model.load_passes, 0.0
         self.flows: dict[str, newton.Flow] = {}
         for m in (3, 6):
             search = newton.flow(self.passes, m)
@@ -56,7 +58,7 @@ class Kernel:
         self._trace_search(model)
 
     def slice(self, name: str) -> slice:
-        """Where a search keeps a thing."""
+        """Slice of a quantity in the state."""
         return slice(self.place[name].start, self.place[name].stop)
 
     def _trace(self, name: str, work: Callable[[newton.State], newton.Outcome]) -> None:
@@ -68,7 +70,7 @@ class Kernel:
                 self.place[name][k]: value
                 for name, values in work(state).items()
                 for k, value in enumerate(values)
-                if value is not state[name][k]  # what stays as it is needs no writing
+                if value is not state[name][k]  # unchanged values need no writing
             },
         )
 
@@ -133,7 +135,7 @@ class Kernel:
 
 
 class _Python(dict[str, Any]):
-    """Programs as Python functions, each written when it is first called for."""
+    """Programs as Python functions, each generated on its first use."""
 
     def __init__(self, programs: Mapping[str, tuple[Graph, emit.Outputs]], arrays: bool) -> None:
         super().__init__()
@@ -156,15 +158,15 @@ def tip_and_jacobian(model: Model, posture: Posture) -> list[Any]:
 
 
 def characteristic_length(model: Model) -> float:
-    """Metres that a radian of tool angle counts for: a quarter of the stretched arm."""
+    """Weight of a radian of tool angle in metres: a quarter of the stretched arm."""
     size = sum(abs(j.a_m) + abs(j.d_m) for j in model.arm.joints)
     return max(0.25 * size, 0.01)
 
 
 def _twist_slots(model: Model, layout: Layout) -> tuple[Fixed, Slots]:
-    """Components of twists (station, number): those that nothing moves, and places of the rest.
+    """Components of twists (station, number): constant ones, and places of the others.
 
-    Neither joints nor context nor loads move the fixed ones.
+    The constant ones depend neither on joints nor on context or loads.
     """
     graph = Graph()
     q = tuple(graph.input(f"q{i}") for i in range(model.arm.n))

@@ -1,9 +1,9 @@
 """Nearest points of a lattice: LLL reduction and Schnorr-Euchner enumeration.
 
-Whole numbers k in a box that make ``|R k + y|`` smallest, R upper triangular: the best few of
-them, in order.  Like the search for joints (`newton`) it is written once, without a branch on
-data, and traced: machine code does several targets side by side where llvmlite is at hand, plain
-Python does one after the other with the same results.
+It finds the integer vectors k in a box with the smallest ``|R k + y|``, R upper triangular, in
+order.  Like the search for joints (`newton`) it is written once, without a branch on data, and
+traced.  Machine code processes several targets in parallel if llvmlite is installed.  Plain Python
+processes one after the other with the same results.
 
 C. P. Schnorr and M. Euchner, Lattice basis reduction: improved practical algorithms and solving
 subset sum problems, Mathematical Programming 66 (1994).
@@ -28,7 +28,7 @@ MAX_SWEEPS = 200.0
 MAX_WIDER = 8.0
 _SLACK = 1e-9  # of a step
 NOTHING = 1e300
-"""Squared distance of a place in the list where no point was found."""
+"""Squared distance of an entry without a point."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,9 @@ class Points:
     """The best points of N lattices, nearest first.
 
     Attributes:
-        k: whole numbers, (N, kept, n).
-        distance2: ``|R k + y|^2``, (N, kept); `NOTHING` where no further point was found.
-        nodes: nodes of the search tree that were visited, (N,).
+        k: integers, (N, kept, n).
+        distance2: ``|R k + y|^2``, (N, kept); `NOTHING` for entries without a point.
+        nodes: number of visited nodes of the search tree, (N,).
     """
 
     k: np.ndarray
@@ -57,14 +57,14 @@ def nearest(
 ) -> Points:
     """The `kept` points nearest to zero of each of N lattices.
 
-    They are looked for within the radius that holds twice as many on average (the ball's volume
-    over that of a cell), and further out where the box leaves too few of them.
+    They are searched within the radius that holds twice as many on average (the ball's volume
+    over that of a cell), and within a larger one if too few of them are in the box.
 
     Args:
         R: (N, n, n + 1): upper triangular without a zero on the diagonal, and y beside it.
-        low, high: (N, n), whole numbers, the box of k.
-        kept: points wanted.
-        max_nodes: nodes after which a search ends with what it has.
+        low, high: (N, n), integers, the box of k.
+        kept: number of points.
+        max_nodes: number of nodes after which a search ends with the points found so far.
         compiled: machine code or plain Python; by default as in `Traced.run`.
     """
     count, n = low.shape
@@ -79,21 +79,21 @@ def nearest(
 
 
 def _radius2(R: np.ndarray, points: float) -> np.ndarray:
-    """Square of the radius of the ball that holds so many points on average, (N, 1)."""
+    """Squared radius of the ball that holds a number of points on average, (N, 1)."""
     n = R.shape[1]
     ball = math.pi ** (n / 2) / math.gamma(n / 2 + 1)
     log_cell = np.log(np.abs(np.diagonal(R, axis1=1, axis2=2))).sum(axis=1)
-    made: np.ndarray = np.exp((math.log(points / ball) + log_cell) * (2.0 / n))[:, None]
-    return made
+    radius2: np.ndarray = np.exp((math.log(points / ball) + log_cell) * (2.0 / n))[:, None]
+    return radius2
 
 
 # ------------------------------------------------------------------ what is traced
 
 
 def rows(n: int, kept: int) -> dict[str, range]:
-    """Where a search keeps what: given, answered, work.
+    """Layout of a search's state: inputs, results, work.
 
-    `open<l>` holds a loop over level l of the tree open; the tree's root is level n.
+    `open<l>` keeps the loop over level l of the tree running; the tree's root is level n.
     """
     sizes = {
         "R": n * (n + 1), "low": n, "high": n, "radius2": 1, "live": 1, "cap": 1,
@@ -103,15 +103,15 @@ def rows(n: int, kept: int) -> dict[str, range]:
         "z": n, "centre": n, "side": n, "sum": n + 1,
         **{f"open{level}": 1 for level in range(n + 1)},
     }  # fmt: skip
-    made, at = {}, 0
+    layout, at = {}, 0
     for name, size in sizes.items():
-        made[name] = range(at, at + size)
+        layout[name] = range(at, at + size)
         at += size
-    return made
+    return layout
 
 
 def begin(s: State, n: int, kept: int) -> Outcome:
-    """Nothing reduced, nothing found."""
+    """Initial state."""
     return {
         "U": [float(i == j) for i in range(n) for j in range(n)], "sweeps": [0.0],
         "more": s["live"], "wider": [0.0], "inner2": [0.0],
@@ -123,8 +123,8 @@ def begin(s: State, n: int, kept: int) -> Outcome:
 def sweep(s: State, n: int) -> Outcome:
     """A pass of the LLL reduction over neighbouring columns; `more`: some were swapped.
 
-    U collects what is done to the columns of R, whole numbers of determinant +-1; rotations keep
-    R triangular.
+    U collects the operations on the columns of R, an integer matrix of determinant +-1. Rotations
+    keep R triangular.
     """
     R, U, wide = list(s["R"]), list(s["U"]), n + 1
     swaps: Any = 0.0
@@ -153,7 +153,7 @@ def sweep(s: State, n: int) -> Outcome:
 
 
 def reduce(s: State, n: int) -> Outcome:
-    """Short columns throughout, once the neighbours are in order."""
+    """Size-reduce all columns, once neighbours are in order."""
     R, U = list(s["R"]), list(s["U"])
     for b in range(1, n):
         for a in range(b - 1, -1, -1):
@@ -162,7 +162,7 @@ def reduce(s: State, n: int) -> Outcome:
 
 
 def inverse(s: State, n: int) -> Outcome:
-    """k as a function of what is left: ``k = expected + W (R z + y)``, so that the box prunes.
+    """k as a function of the residual, ``k = expected + W (R z + y)``, so that the box prunes.
 
     `spread2` sums squares of W up to a level; `expected` is kept level by level.
     """
@@ -186,7 +186,7 @@ def inverse(s: State, n: int) -> Outcome:
 
 
 def _subtract(R: list[Any], U: list[Any], n: int, b: int, a: int) -> None:
-    """Take column a off column b as often as makes it shortest."""
+    """Subtract the multiple of column a from column b that makes it shortest."""
     wide = n + 1
     times = floor(R[a * wide + b] / R[a * wide + a] + 0.5)
     for i in range(a + 1):
@@ -196,9 +196,9 @@ def _subtract(R: list[Any], U: list[Any], n: int, b: int, a: int) -> None:
 
 
 def enter(s: State, n: int, level: int) -> Outcome:
-    """The first number to try at a level: the one nearest to what the levels above ask for.
+    """The first integer to try at a level: the nearest to the centre given by the levels above.
 
-    Unless the box cannot be reached any more, however the rest is chosen within the radius.
+    The level is skipped if the box cannot be reached within the radius.
     """
     wide, R, above = n + 1, s["R"], level + 1
     may: Any = s[f"open{above}"][0]
@@ -218,12 +218,12 @@ def enter(s: State, n: int, level: int) -> Outcome:
     centre = rest / R[level * wide + level]
     z = floor(centre + 0.5)
     side = where(centre < z, -1.0, 1.0)
-    made = _tried(s, n, level, z, side, centre, may)
-    return made | {"centre": _with(s["centre"], level, centre), "expected": expected}
+    tried = _tried(s, n, level, z, side, centre, may)
+    return tried | {"centre": _with(s["centre"], level, centre), "expected": expected}
 
 
 def advance(s: State, n: int, level: int) -> Outcome:
-    """The next number at a level: to and fro, further and further from the centre."""
+    """The next integer at a level, alternating to both sides with growing distance."""
     by = s["side"][level]
     side = where(by > 0.0, -1.0 - by, 1.0 - by)
     z, centre = s["z"][level] + by, s["centre"][level]
@@ -244,7 +244,7 @@ def _tried(
 
 
 def leaf(s: State, n: int, kept: int) -> Outcome:
-    """Put a point into the list of the best, if it lies in the box; the worst is the radius."""
+    """Insert a point in the box into the list of the best. The worst sets the radius."""
     found: Any = where(s["open0"][0] > 0.0, s["sum"][0], NOTHING)
     found = where(found < s["inner2"][0], NOTHING, found)
     point = []
@@ -256,19 +256,19 @@ def leaf(s: State, n: int, kept: int) -> Outcome:
         point.append(k)
     entry = [found, *point]
     held = [[s["distance2"][i], *s["k"][i * n : (i + 1) * n]] for i in range(kept)]
-    made, above = [], entry
-    for own in held:  # what is further than the new one moves down by a place
-        made.append([where(found < own[0], a, b) for a, b in zip(above, own, strict=True)])
+    entries, above = [], entry
+    for own in held:  # entries farther than the new one move down by one
+        entries.append([where(found < own[0], a, b) for a, b in zip(above, own, strict=True)])
         above = [where(found < own[0], a, b) for a, b in zip(own, entry, strict=True)]
-    distance2, points = [e[0] for e in made], [k for e in made for k in e[1:]]
+    distance2, points = [e[0] for e in entries], [k for e in entries for k in e[1:]]
     radius2 = where(distance2[-1] < s["radius2"][0], distance2[-1], s["radius2"][0])
     return {"distance2": distance2, "k": points, "radius2": [radius2]}
 
 
 def widen(s: State, n: int) -> Outcome:
-    """Walk again, twice the squared radius, for a list that is not full; `open<n>`: do.
+    """Search again with twice the squared radius if the list is not full; `open<n>`: repeat.
 
-    What lies inside the radius before is in the list already.
+    Points inside the radius before are already in the list.
     """
     lacking = where(s["distance2"][-1] < NOTHING, 0.0, s[f"open{n}"][0])
     wider = s["wider"][0] + lacking
@@ -281,24 +281,24 @@ def widen(s: State, n: int) -> Outcome:
 
 
 def _with(values: Any, place: int, value: Any) -> list[Any]:
-    """The same with one of them changed."""
-    made = list(values)
-    made[place] = value
-    return made
+    """A copy with one value changed."""
+    replaced = list(values)
+    replaced[place] = value
+    return replaced
 
 
 def flow(n: int) -> Flow:
-    """Reduce, then walk the tree depth first: one loop a level, each inside the one above it."""
-    walk: Flow = ("leaf",)
+    """Reduce, then search the tree depth first: one loop per level, nested in the one above."""
+    visit: Flow = ("leaf",)
     for level in range(n):
-        walk = (f"enter{level}", Repeat(f"open{level}", (*walk, f"advance{level}")))
-    again = Repeat(f"open{n}", (*walk, "widen"))
+        visit = (f"enter{level}", Repeat(f"open{level}", (*visit, f"advance{level}")))
+    again = Repeat(f"open{n}", (*visit, "widen"))
     return ("begin", Repeat("more", ("sweep",)), "reduce", "inverse", again)
 
 
 @cache
 def _search(n: int, kept: int) -> Traced:
-    """The traced search for lattices of n dimensions that keeps so many points."""
+    """The traced search for lattices of n dimensions that keeps ``kept`` points."""
     work: dict[str, Callable[[State], Outcome]] = {
         "begin": partial(begin, n=n, kept=kept), "sweep": partial(sweep, n=n),
         "reduce": partial(reduce, n=n), "leaf": partial(leaf, n=n, kept=kept),

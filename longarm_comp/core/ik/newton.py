@@ -1,14 +1,14 @@
-"""Newton-Raphson in the joint box: one search, written once, run by every engine.
+"""Newton-Raphson search in the joint box, written once for every engine.
 
-What a search knows stands in a column of numbers (`Rows`).  The functions here read and write
-it without a branch on data, so that they can be traced like the model itself; what is traced
-serves one target in plain Python, many in NumPy, and lanes of a processor in machine code.
-`flow` is the order in which these programs run.
+The state of a search is a column of numbers (`rows`).  The functions here read and write it without
+a branch on data, so that they can be traced like the model itself.  The traced programs run for
+one target in plain Python, for many in NumPy, and for the lanes of a processor in machine code.
+`flow` is the order in which the programs run.
 
-Three levels of truth bring the tip home: the rigid arm while it is far; then the deflected
-arm with the twists carried from one iterate to the next, a load pass a step; near the target
-the model itself with all its passes.  There Broyden's rule corrects the Jacobian, which
-otherwise holds the sag.
+The tip is evaluated at three levels: by the rigid arm while it is far; then by the deflected arm
+with the twists carried from one iterate to the next, one load pass per step; near the target by
+the model itself with all its passes.  There Broyden's rule corrects the Jacobian, which otherwise
+keeps the sag constant.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ Scalars = Sequence[Any]
 State = Mapping[str, Scalars]
 Outcome = dict[str, Scalars]
 
-UNKNOWN = 1e300  # energy (m^2) before anything was evaluated
-POOR = 0.1  # of the squared residual left after a step: too much where twists are carried
+UNKNOWN = 1e300  # energy (m^2) before the first evaluation
+POOR = 0.1  # share of the squared residual after a step that is too large with carried twists
 FLOOR = 1e-13  # least damping, in (m per joint range)^2
-STALL_AFTER = 6  # iterations without a fifth of progress that end a level
+STALL_AFTER = 6  # iterations with less than a fifth of progress that end a level
 FIRST_DAMPING = 0.05
 ROTATION_TOLERANCE = 1e-6
 
 
 class Level(NamedTuple):
-    """How the tip is evaluated, down to which residual.
+    """Evaluation of the tip, and the residual down to which it is used.
 
     Attributes:
         evaluate: "rigid", "carried" or "full".
-        near: position (m) and angle (rad) at which the level has done its work; None: `tol`.
-        skip: the same for where it starts, which a finer level may find to be the answer.
-        hasty: a step that gains little ends it too.
-        learns: Broyden's rule holds, as the residual is a function of the joints alone.
+        near: position (m) and angle (rad) at which the level ends; None for `tol`.
+        skip: residual at its start at which the level is skipped.
+        hasty: a step with little progress ends it too.
+        learns: Broyden's rule is used, as the residual depends on the joints alone.
     """
 
     evaluate: str
@@ -58,10 +58,9 @@ LEVELS = (
 
 
 def rows(n: int, context: int, twists: int) -> dict[str, range]:
-    """Where a search keeps what: n joints, numbers of context and of twists.
+    """Layout of a search's state for n joints and given numbers of context and twists.
 
-    First what is given, then what is answered, then work.  `live` is 0 in a column that is
-    there but has nothing to do.
+    It holds inputs, then results, then work.  `live` is 0 in an unused column.
     """
     sizes = {
         "given": 16, "seed": n, "live": 1, "tol": 1, "permitted": 1, "lower": n, "upper": n,
@@ -69,11 +68,11 @@ def rows(n: int, context: int, twists: int) -> dict[str, range]:
         "trial": n, "x": twists, "out": 12 + 6 * n, "e": 6, "J": 6 * n, "sag": 6 * n, "left": 6,
         "free": n, "energy": 1, "mu": 1, "marked": 1, "since": 1, "open": 1, "more": 1,
     }  # fmt: skip
-    made, at = {}, 0
+    layout, at = {}, 0
     for name, size in sizes.items():
-        made[name] = range(at, at + size)
+        layout[name] = range(at, at + size)
         at += size
-    return made
+    return layout
 
 
 # ------------------------------------------------------------------ what is traced
@@ -99,7 +98,7 @@ def accept(s: State, m: int) -> Outcome:
 
 
 def begin(n: int) -> Outcome:
-    """A search that has seen nothing yet."""
+    """Initial state of a search."""
     return {
         "e": [0.0] * 6, "J": [0.0] * (6 * n), "sag": [0.0] * (6 * n), "used": [0.0],
         "mu": [FIRST_DAMPING], "size": [UNKNOWN, UNKNOWN],
@@ -107,7 +106,7 @@ def begin(n: int) -> Outcome:
 
 
 def opening(s: State) -> Outcome:
-    """Enter a level: the joints have to be evaluated anew."""
+    """Enter a level, which requires a new evaluation of the joints."""
     return {
         "trial": s["q"], "energy": [UNKNOWN], "marked": [UNKNOWN], "since": [0.0],
         "open": s["live"],
@@ -115,7 +114,7 @@ def opening(s: State) -> Outcome:
 
 
 def judge(s: State, span: Sequence[float], length: float, m: int, level: Level) -> Outcome:
-    """Accept or refuse the trial after its evaluation (Levenberg-Marquardt); set up the next."""
+    """Accept or reject the evaluated trial (Levenberg-Marquardt) and prepare the next."""
     n, out, J, sag = len(span), s["out"], s["J"], s["sag"]
     e: list[Any] = [s["target"][i] - out[i] for i in range(3)] + [0.0] * 3
     size: list[Any] = [sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2]), 0.0]
@@ -131,7 +130,7 @@ def judge(s: State, span: Sequence[float], length: float, m: int, level: Level) 
     go_on = is_open * (1.0 - fresh)
 
     u = [(t - q) / w for t, q, w in zip(s["trial"], s["q"], span, strict=True)]
-    square: Any = 1e-300  # a step of nothing corrects nothing
+    square: Any = 1e-300  # avoids a division by zero for a zero step
     for v in u:
         square = square + v * v
     gain = go_on / square if level.learns else 0.0
@@ -175,10 +174,10 @@ def judge(s: State, span: Sequence[float], length: float, m: int, level: Level) 
 
 
 def step_in_box(s: State, span: Sequence[float], m: int) -> Outcome:
-    """A round of the damped least-squares step that stays in the box.
+    """One round of the damped least-squares step that stays in the box.
 
-    A joint that would leave is put on its limit and the rest solved again (`more`), the
-    furthest out first: at most n times.  Every joint is free again at the next iteration.
+    The joint that would leave the box farthest is put on its limit and the others are solved again
+    (`more`), at most n times.  All joints are free again at the next iteration.
     """
     n, free, left = len(span), s["free"], s["left"]
     J = [a + b for a, b in zip(s["J"][: m * n], s["sag"], strict=False)]
@@ -196,7 +195,7 @@ def step_in_box(s: State, span: Sequence[float], m: int) -> Outcome:
         worst = maximum(worst, by)
     more = where(worst > 0.0, 1.0, 0.0)
     left, kept, still = list(left[:m]), [], more
-    for j in range(n):  # the first of those that are furthest out
+    for j in range(n):  # the first of those that are farthest outside
         put = still * (out_by[j] >= worst)
         still = still - put
         kept.append(free[j] - put)
@@ -205,12 +204,12 @@ def step_in_box(s: State, span: Sequence[float], m: int) -> Outcome:
     return {"trial": trial, "free": kept, "left": left, "more": [more]}
 
 
-# ------------------------------------------------------------------ the order of things
+# ------------------------------------------------------------------ the order of the programs
 
 
 @dataclass(frozen=True)
 class Repeat:
-    """Programs that run again as long as a row holds anything but 0."""
+    """Programs that are repeated while a row is not 0."""
 
     row: str
     body: Flow
@@ -220,7 +219,7 @@ Flow = tuple["str | Repeat", ...]
 
 
 def flow(passes: int, m: int) -> Flow:
-    """The search from q, which becomes the answer: programs in their order."""
+    """Programs of the search from q in their order; q becomes the answer."""
     steps: list[str | Repeat] = ["begin"]
     for level in LEVELS:
         again: Flow = (f"round{m}", Repeat("more", (f"round{m}",)))
@@ -232,7 +231,7 @@ def flow(passes: int, m: int) -> Flow:
 
 
 def evaluation(level: Level, passes: int, anew: bool) -> tuple[str, ...]:
-    """The programs that evaluate the trial; `anew`: no twists are carried yet."""
+    """Programs that evaluate the trial; `anew`: no twists are carried yet."""
     if level.evaluate == "rigid":
         return ("rigid",)
     if level.evaluate == "carried":
@@ -241,7 +240,7 @@ def evaluation(level: Level, passes: int, anew: bool) -> tuple[str, ...]:
 
 
 def run(work: Flow, call: Callable[[str], None], repeat: Callable[[str, Flow], None]) -> None:
-    """Run a flow on a machine that can call programs and repeat flows."""
+    """Run a flow, given functions that call a program and repeat a flow."""
     for step in work:
         if isinstance(step, str):
             call(step)

@@ -1,6 +1,6 @@
-"""One target by machine code, with next to nothing around it.
+"""Single targets by machine code with minimal overhead.
 
-What does not change from target to target is made once per model and task.
+Everything that does not change from target to target is prepared once per model and task.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from longarm_comp.core.ik.kernel import Kernel, kernel_of
 from longarm_comp.core.model.model import Model
 
 Key = tuple[Layout | None, int, float, int]  # layout, equations, tolerance, iterations
-# joints (n,); position (m) and angle (rad) that are left, iterations, joints at limits, fault
+# joints (n,); position (m) and angle (rad) residuals, iterations, joints at limits, fault
 Found = tuple[np.ndarray, list[float]]
 
 _NOTHING = Context.empty().layout
 
 
 class _Workspace:
-    """A block of columns of which the first is at work, and views of what goes in and out."""
+    """A block of columns, of which the first is used, and views of its inputs and results."""
 
     def __init__(self, kernel: Kernel, key: Key) -> None:
         _, m, tol, max_iterations = key
@@ -37,37 +37,37 @@ class _Workspace:
         self.seed, self.q = column[kernel.slice("seed")], column[kernel.slice("q")]
         self.context = column[kernel.slice("c")]
         self.report = column[kernel.place["size"].start : kernel.place["fault"].stop]
-        self.block = block  # what the views show
+        self.block = block  # keeps the memory of the views
         self.address = block.ctypes.data
         self.search = kernel.code.function(f"solve{m}")
 
 
 class Task:
-    """Single searches that differ in target, seed and numbers of context alone."""
+    """Single searches that differ only in target, seed and numbers of the context."""
 
     def __init__(self, kernel: Kernel, key: Key) -> None:
         self.kernel, self.key = kernel, key
         self.spare = [_Workspace(kernel, key)]
 
     def run(self, target: np.ndarray, seed: np.ndarray, context: Context | None) -> Found | None:
-        """Search from the seed alone; None where the target or the seed is wrong."""
+        """Search from the seed alone; None if the target or the seed is invalid."""
         if seed.shape != self.kernel.mid.shape:
             return None
         try:
-            desk = self.spare.pop()
-        except IndexError:  # another thread holds it
-            desk = _Workspace(self.kernel, self.key)
+            workspace = self.spare.pop()
+        except IndexError:  # another thread uses it
+            workspace = _Workspace(self.kernel, self.key)
         if target.size == 3:
-            desk.given[...] = 0.0
-            desk.position[...] = target
+            workspace.given[...] = 0.0
+            workspace.position[...] = target
         else:
-            desk.given[...] = target
-        desk.seed[...] = seed
+            workspace.given[...] = target
+        workspace.seed[...] = seed
         if context is not None:
-            desk.context[...] = self.kernel.layout.pack(context, 1)[0]
-        desk.search(desk.address)
-        report, q = desk.report.tolist(), desk.q.copy()
-        self.spare.append(desk)
+            workspace.context[...] = self.kernel.layout.pack(context, 1)[0]
+        workspace.search(workspace.address)
+        report, q = workspace.report.tolist(), workspace.q.copy()
+        self.spare.append(workspace)
         return None if report[-1] else (q, report)
 
 
@@ -81,8 +81,8 @@ def solve_compiled(
 ) -> Found | None:
     """Search from a seed (default mid-range) in machine code; options: m, tolerance, iterations.
 
-    None where the request needs the long way: not compiled by now, text columns, input that is
-    wrong and has to be named.
+    None if the request needs the general solver: the model is not compiled, the context has text
+    columns, or the input is invalid and needs an error message.
     """
     key = (None if context is None else context.layout, *options)
     tasks: dict[Any, Task] = model.__dict__.setdefault("_tasks", {})

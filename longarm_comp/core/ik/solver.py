@@ -1,9 +1,9 @@
 """Inverse kinematics of the deflected arm: Newton-Raphson on any model, inside the joint box.
 
-Solved for the *true* tip: what the camera reports wrongly is never compensated.  The seed
-comes first and restarts follow only where it fails, so that a tracked path does not jump to
-another branch.  Limits hold exactly; success is judged on the joints handed out, with the
-model's full load passes; a failure is an answer with the best joints and the reason.
+It is solved for the *true* tip, so errors of the camera are never compensated.  The seed comes
+first.  Restarts follow only if it fails, so that a tracked path does not jump to another branch.
+Limits hold exactly.  Success is evaluated at the returned joints with all load passes of the
+model.  A failure is returned with the best joints and the reason.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ from longarm_comp.core.model.model import Model
 __all__ = ["Engine", "Reason", "Solution", "Solutions", "solve", "solve_many", "warm_up"]
 
 TOLERANCE = 1e-9
-"""m and rad: what a search works towards."""
+"""Tolerance of the search, m and rad."""
 REACHED = 1e-6
-"""m and rad: a target that is missed by less is reached. On the boundary of what the arm reaches
-the last digits of a target decide whether any joints meet it more closely."""
+"""Tolerance of success, m and rad. On the boundary of the reachable space, the last digits of a
+target decide whether any joints meet it more closely."""
 MAX_ITERATIONS = 60
 MAX_STARTS = 16
 _MACHINE = (Engine.AUTO, Engine.COMPILED)
 
 
 class Reason(Enum):
-    """Why a search ended."""
+    """Reasons for the end of a search."""
 
     CONVERGED = "converged"
     AT_LIMITS = "joint limits keep the tip from the target"
@@ -63,10 +63,10 @@ class Solution(NamedTuple):
         q: (n,), inside the limits; the best found when not `ok`.
         ok: residuals are within `REACHED`, or within `tol` where that is wider.
         reason: why the search ended.
-        position_residual_m, angle_residual_rad: what is left at q (0 rad for position tasks).
-        iterations: in total, over all starts.
-        active_limits: names of the joints that stand on a limit.
-        starts: how many starts were tried; 1 means that the seed led there.
+        position_residual_m, angle_residual_rad: residuals at q (0 rad for position tasks).
+        iterations: total number over all starts.
+        active_limits: names of the joints at a limit.
+        starts: number of starts; 1 means that the seed sufficed.
     """
 
     q: np.ndarray
@@ -178,18 +178,18 @@ def solve_many(
     """Joints that bring the tip to each of N targets.
 
     Args:
-        model: arm and effects; its camera-side biases play no part.
+        model: arm and effects; camera-side biases are not used.
         targets: positions (N, 3) in m or poses (N, 4, 4), base frame.
         seed: (n,) or (N, n) starts (rad, m), put inside the limits; default mid-range.
         context: circumstances of the targets, scalars or (N,) arrays.
         position_only: leave the orientation free (always so for (N, 3)).
         locked: joints that stay at their seed: 0-based numbers in q, or names.
-        tol: what a search works towards, on the position (m) and on the angle (rad).
+        tol: tolerance of the search on the position (m) and on the angle (rad).
         max_iterations: per start.
-        max_starts: the seed and so many restarts less one; 1 never leaves the seed's branch.
-        rng: draws the restarts; by default a fixed low-discrepancy sequence does.
+        max_starts: number of starts including the seed; 1 never leaves the seed's branch.
+        rng: draws the restarts; by default they are a fixed low-discrepancy sequence.
         engine: how to run the search; see `warm_up` for the compiled one.
-        threads: so many at once, in machine code only.
+        threads: number of threads, in machine code only.
 
     Raises:
         InputError: wrong shape, numbers that are not finite, no rotation, unknown joint.
@@ -227,7 +227,7 @@ def solve_many(
 
 
 def target_faults(targets: np.ndarray, position_only: bool, where: str) -> list[str]:
-    """What is wrong with each of N targets; an empty string where nothing is.
+    """The fault of each of N targets; an empty string for a valid one.
 
     Raises:
         InputError: the targets are neither (N, 3) nor (N, 4, 4).
@@ -259,7 +259,7 @@ def _axes(T: np.ndarray) -> np.ndarray:
 def checked_targets(
     targets: np.ndarray, position_only: bool, where: str = "ik.solve_many"
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Positions (N, 3) and axes n, o, a (N, 9) or None, checked at the door."""
+    """Checked positions (N, 3) and axes n, o, a (N, 9) or None."""
     targets = np.asarray(targets, dtype=float)
     faults = target_faults(targets, position_only, where)
     if any(faults):
@@ -274,7 +274,7 @@ def checked_targets(
 def checked_seed(
     model: Model, seed: np.ndarray | None, count: int, where: str = "ik.solve_many"
 ) -> np.ndarray:
-    """Starts (N, n), inside the limits."""
+    """Checked starts (N, n), clipped to the limits."""
     arm = model.arm
     given = np.asarray(arm.mid if seed is None else seed, dtype=float)
     if given.shape not in ((arm.n,), (count, arm.n)):
@@ -288,16 +288,16 @@ def checked_seed(
 def locked_joints(model: Model, locked: Sequence[int | str]) -> list[int]:
     """0-based numbers in q of joints given by number or name."""
     names = model.arm.joint_names
-    made = []
+    indices = []
     for joint in locked:
         if isinstance(joint, str) and joint in names:
-            made.append(names.index(joint))
+            indices.append(names.index(joint))
         elif isinstance(joint, int) and 0 <= joint < model.arm.n:
-            made.append(joint)
+            indices.append(joint)
         else:
             allowed = f"0..{model.arm.n - 1} or one of {', '.join(names)}"
             raise InputError("ik.solve_many", "locked", joint, allowed)
-    return made
+    return indices
 
 
 def _active(model: Model, q: np.ndarray) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
-"""Programs and a flow of them that are traced once and run on N columns of numbers.
+"""Programs and their flow, traced once and run on N columns of numbers.
 
-In machine code, several columns side by side, where llvmlite is at hand; in plain Python, one
-after the other, where it is not.  The numbers are the same but for their last digits.
+With llvmlite they run as machine code on several columns in parallel, without it in plain Python on
+one after the other.  The results differ only in their last digits.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ class Traced:
     """A flow of programs.
 
     Args:
-        place: where a column holds what, by name.
-        work: the programs by name: what each writes, given the state.
-        flow: their order.
+        place: layout of a column, by name.
+        work: programs by name; each maps the state to the values that it writes.
+        flow: order of the programs.
     """
 
     def __init__(
         self, place: dict[str, range], work: Mapping[str, Callable[[State], Outcome]], flow: Flow
     ) -> None:
-        self.place, self.flow, self.asked = place, flow, 0
+        self.place, self.flow, self.workload = place, flow, 0
         self.size = 1 + max(r[-1] for r in place.values())
         self.programs = {name: self._traced(do) for name, do in work.items()}
 
@@ -41,26 +41,26 @@ class Traced:
             self.place[name][k]: value
             for name, values in do(state).items()
             for k, value in enumerate(values)
-            if value is not state[name][k]  # what stays as it is needs no writing
+            if value is not state[name][k]  # unchanged values need no writing
         }
         return graph, written
 
     def slice(self, name: str) -> slice:
-        """Where a column holds a thing."""
+        """Slice of a quantity in a column."""
         return slice(self.place[name].start, self.place[name].stop)
 
     def run(
         self, given: Mapping[str, np.ndarray], count: int, compiled: bool | None = None
     ) -> np.ndarray:
-        """The columns of N runs, (N, size), each started from zeros and what is given, (N, k).
+        """The columns of N runs, (N, size), each started from zeros and given values (N, k).
 
         Args:
             compiled: machine code or plain Python; by default machine code once it pays
                 (`engines.warm_up`, or after some hundred runs) where llvmlite is at hand.
         """
-        self.asked += count
+        self.workload += count
         if compiled is None:
-            compiled = "_code" in self.__dict__ or worth_compiling(self.asked)
+            compiled = "_code" in self.__dict__ or worth_compiling(self.workload)
         return self._compiled(given, count) if compiled else self._interpreted(given, count)
 
     @cached_property

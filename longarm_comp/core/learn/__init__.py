@@ -1,5 +1,5 @@
-"""The learned residual: sparrow search (SSA), BP network, a predictor with its own doubts.
+"""The learned residual: sparrow search (SSA), BP network, a predictor with uncertainty.
 
-``ensemble.train`` makes a ``predictor.Predictor``; ``predictor_file`` saves and loads it.
-Nothing is imported here, so that a node that only predicts needs numpy alone.
+``ensemble.train`` trains a ``predictor.Predictor``; ``predictor_file`` saves and loads it.
+Nothing is imported here, so that a node that only predicts needs only numpy.
 """

@@ -33,7 +33,7 @@ INITS: dict[str, Start] = {
     "ssa": sparrow_start,
     "xavier": lambda shape, fitness, rng, search: xavier_start(shape, rng),
 }
-HIDDEN_CHOICES = (8, 12, 17, 24, 34)  # tried in turn until the evidence falls by _UNLIKELY
+HIDDEN_CHOICES = (8, 12, 17, 24, 34)  # tried in order until the evidence falls by _UNLIKELY
 _UNLIKELY = 30.0
 _FEWEST_ROWS = 20
 _Z90 = 1.6449
@@ -71,8 +71,8 @@ def train(
     hidden: hidden units; ``None`` tries several sizes and keeps the likeliest members of any.
     ensemble: members, each from its own start.
     weights: (N,) precision factors of the samples; 0 leaves one out.
-    progress: called with (networks trained, networks in all at most).
-    provenance: what the predictor belongs to; the settings are added.
+    progress: called with (networks trained, largest number of networks).
+    provenance: arm, session and model of the predictor; the settings are added.
     device: torch device of the sparrow's population (``cuda``); None is numpy.
 
     Raises
@@ -107,13 +107,16 @@ def train(
     for turn, units in enumerate(sizes):
         if turn and Shape(x.shape[1], units, 3).size > 1.5 * (weights > 0).sum():
             break
-        made = []
+        networks = []
         for start in range(starts):
             if progress is not None:
                 progress(turn * starts + start, len(sizes) * starts)
-            made.append(fit(units, np.random.default_rng([seed, units, start])))
-        fits += made
-        if max(each.evidence for each in made) < max(each.evidence for each in fits) - _UNLIKELY:
+            networks.append(fit(units, np.random.default_rng([seed, units, start])))
+        fits += networks
+        if (
+            max(each.evidence for each in networks)
+            < max(each.evidence for each in fits) - _UNLIKELY
+        ):
             break
     if progress is not None:
         progress(len(sizes) * starts, len(sizes) * starts)
@@ -148,7 +151,7 @@ def train(
 
 
 def _padded(shape: Shape, own: Shape, weights: NDArray[Any]) -> NDArray[Any]:
-    """Weights (..., own D) of a smaller network as weights (..., D): idle hidden units added."""
+    """Weights (..., own D) of a smaller network padded to (..., D) with idle hidden units."""
     v, w, b = shape.split(np.arange(shape.size))
     place = np.concatenate((v[:, : own.hidden].ravel(), w[: own.hidden].ravel(), b))
     padded = np.zeros((*weights.shape[:-1], shape.size), dtype=weights.dtype)
@@ -178,8 +181,8 @@ def _calibrated(
 
 
 def _probe(x: Array, encoding: Encoding, rng: np.random.Generator) -> Array:
-    """Inputs (2000, d) spread over the training region: joints anywhere in their box, context as
-    some training sample had it."""
+    """Inputs (2000, d) over the training region: random joints in their box, with the context of
+    some training sample."""
     joints = int(np.sum(encoding.kept < encoding.joints))
     probe = x[rng.integers(0, len(x), 2000)].copy()
     low, high = x[:, :joints].min(axis=0), x[:, :joints].max(axis=0)
@@ -188,8 +191,8 @@ def _probe(x: Array, encoding: Encoding, rng: np.random.Generator) -> Array:
 
 
 def _leading(fit: Fit, probe: Array) -> NDArray[np.float32]:
-    """(r, D) the directions of the posterior that matter: they carry all but 0.5 % of the Laplace
-    variance of the outputs over the training region, at a fraction of the cost."""
+    """(r, D) leading directions of the posterior. They hold all but 0.5 % of the Laplace variance
+    of the outputs over the training region, at a fraction of the cost."""
     flat = output_jacobian(fit.shape, fit.weights, with_ones(probe[:500]))
     flat = flat.reshape(-1, fit.shape.size)
     spread = flat @ fit.posterior.T
@@ -201,7 +204,7 @@ def _leading(fit: Fit, probe: Array) -> NDArray[np.float32]:
 
 
 def _leave_one_out(fit: Fit, x: Array, target: Array, weights: Array) -> Array:
-    """Residuals (N, 3) as if each sample had been left out: ``(I - H_i)^-1 r_i``, linearised."""
+    """Linearised leave-one-out residuals (N, 3): ``(I - H_i)^-1 r_i``."""
     left = np.empty_like(target)
     precision = weights * fit.row_weights / fit.sigma**2
     eye = np.eye(target.shape[1])

@@ -1,7 +1,7 @@
-"""A prediction that also holds nearby: its slope, and how far slope and domain can be relied on.
+"""Linear expansion of a prediction: its slope, and the range in which slope and domain hold.
 
-A compensation asks for the error at joints a few millirad apart.  With the slope one question is
-enough, which matters where each is a round trip to another process.
+A compensation needs the error at joints that differ by a few millirad.  With the slope one
+request is enough, which matters when a request is a round trip to another process.
 """
 
 from __future__ import annotations
@@ -17,21 +17,22 @@ from longarm_comp.core.learn.network import with_ones
 from longarm_comp.core.learn.predictor import Prediction, Predictor
 
 LINEAR_M = 5e-6
-"""Within its reach an expansion is true to this."""
+"""Accuracy of an expansion within its reach, m."""
 _FARTHEST = 0.05  # of a column's training sd; epistemic variance grows by a quarter at the most
-_VARIANCE_GROWS = 1.5  # so much is allowed for, before the domain's limit
-_CURVATURE = 0.77  # largest |tanh''|, hence of a bound on it that a step may not leave
+_VARIANCE_GROWS = 1.5  # allowed growth of the variance, up to the limit of the domain
+_CURVATURE = 0.77  # largest |tanh''|, which bounds the error of a step
 
 
 @dataclass(frozen=True)
 class Expansion:
-    """Expected residual at joints (n,) and around them.
+    """Expected residual at joints (n,) and its linear expansion.
 
     Attributes:
-        error, sigma: (3,) m; in_domain, reason, doubt: as in `Prediction`.
+        error, sigma: (3,) m.
+        in_domain, reason, doubt: as in `Prediction`.
         jacobian: (3, n), m per rad or m of each joint.
-        reach: (n,) rad or m: joints that each move no farther stay inside the training data, and
-            ``error + jacobian @ step`` is true to `LINEAR_M`; zero: ask again.
+        reach: (n,) rad or m. If no joint moves farther, the joints stay inside the training data
+            and ``error + jacobian @ step`` is accurate to `LINEAR_M`. Zero: valid only at q.
     """
 
     error: np.ndarray
@@ -44,7 +45,7 @@ class Expansion:
 
 
 class Expander:
-    """Expansions of one predictor; what its weights alone say is worked out once."""
+    """Computes expansions of one predictor. Terms of the weights alone are computed once."""
 
     def __init__(self, predictor: Predictor) -> None:
         self._predictor = predictor
@@ -91,10 +92,10 @@ Ask = Callable[[np.ndarray, Context], Expansion]
 
 
 class Nearby:
-    """A predictor for one target: it answers near its last answer without asking again.
+    """A predictor for one target, which reuses its last expansion within its reach.
 
     Args:
-        ask: the expansion at joints (n,) in a context.
+        ask: returns the expansion at joints (n,) in a context.
     """
 
     def __init__(self, ask: Ask) -> None:
@@ -104,7 +105,8 @@ class Nearby:
     def predict(self, q: np.ndarray, context: Context | None = None) -> Prediction:
         """Expected residual at joints (N, n); as `Predictor.predict`.
 
-        Asked near the first of them; the others are extrapolated from there, whatever the reach.
+        The expansion is around the first of them. The others are extrapolated from it, also
+        beyond its reach.
         """
         joints, given = q[0], context or Context.empty()
         held = self._held

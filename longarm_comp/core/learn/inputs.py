@@ -1,17 +1,17 @@
-"""From a posture and its circumstances to the standardised inputs of the network.
+"""Encoding of joints and circumstances as the standardised inputs of the network.
 
 The columns, in this order, constant ones left out:
 
 * ``q1..qn`` commanded joints (rad, m): all that the paper uses (``inputs="joints"``);
 * ``approach``: mean over the joints of the direction they arrive from, -1 (from above) to +1;
-* ``approach_q1..qn``: how far each joint's direction differs from that mean. Nearly zero where all
-  joints arrive from one side, so they vary only where the directions are mixed;
+** ``approach_q1..qn``: difference of each joint's direction from that mean. They vary only if the
+  joints arrive from different sides;
 * ``temperature_c`` (degC), ``payload_kg`` (kg).
 
-They are read from the one record of circumstances, `Context`. What it does not hold, an unknown
-side of arrival (0) too, is not known (NaN). Time ``t_s`` is left out: online it always lies outside
-the training range, and what depends on it (warm-up) is better told by the temperature. Travel is
-left to the physics.
+They are read from the record of circumstances, `Context`. A quantity that it does not hold is NaN;
+so is an unknown side of arrival (0). Time ``t_s`` is not an input: online it is always outside the
+training range, and warm-up is better described by the temperature. Travel is modelled by the
+physics only.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _CONSTANT = 1e-6  # a column whose sd is below this (relative to its size) carri
 
 @dataclass(frozen=True)
 class Encoding:
-    """How raw columns become network inputs; fitted once on the training set."""
+    """Map of raw columns to network inputs, fitted once to the training set."""
 
     joints: int
     context: tuple[str, ...]  # context names in use, in the order of the columns
@@ -47,11 +47,11 @@ class Encoding:
         return tuple(raw[i] for i in self.kept)
 
     def raw(self, q: Array, context: Context) -> Array:
-        """(N, columns) raw inputs in SI units; NaN where the context is not known."""
+        """(N, columns) raw inputs in SI units; NaN where the context is unknown."""
         return raw_columns(q, context, self.context)
 
     def standardise(self, raw: Array) -> Array:
-        """Inputs (N, d) of raw columns; what is not known is taken at its training mean."""
+        """Inputs (N, d) from raw columns. NaN is replaced by the training mean."""
         x: Array = (raw[:, self.kept] - self.mean) / self.scale
         if self.context:
             x[np.isnan(x)] = 0.0
@@ -87,7 +87,7 @@ def raw_columns(q: Array, context: Context, used: tuple[str, ...]) -> Array:
 
 
 def _spread(values: tuple[object, ...], columns: Array) -> None:
-    """Mean over the joints whose value is known (not 0), and how far each differs from it."""
+    """Mean over the joints whose value is known (not 0), and the difference of each from it."""
     each = columns[:, 1:]
     each[:] = np.asarray(values, float).T
     known = np.abs(each) > 0.0
@@ -126,7 +126,7 @@ def fit_encoding(q: Array, context: Context, kind: str) -> Encoding:
 
 
 def check_rows(where: str, q: Array, context: Context | None) -> tuple[Array, Context]:
-    """Joints as a finite (N, n) array, and circumstances that fit them.
+    """Checked joints, a finite (N, n) array, and circumstances of matching shape.
 
     Raises
     ------

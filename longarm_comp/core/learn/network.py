@@ -25,7 +25,7 @@ Weights = NDArray[Any]  # float32 in the sparrow's fitness, float64 elsewhere
 
 _GRAM_ROWS = 4096  # rows of B held at once
 _FITNESS_BYTES = 512 * 1024  # hidden activations held at once: they should stay in the L2 cache
-_ALIKE = 0.05  # hidden units nearer than this (relative) count as collapsed
+_ALIKE = 0.05  # relative distance of hidden units below which they count as collapsed
 SPARROW_BOUND = 1.0  # weights of standardised inputs and outputs
 
 
@@ -54,8 +54,8 @@ class Shape:
         )
 
     def groups(self) -> NDArray[np.intp]:
-        """(D,) which prior each weight shares: one per input (ARD), one for the hidden biases,
-        one for ``W``, one for ``b``."""
+        """(D,) index of the prior of each weight: one per input (ARD), one for the hidden
+        biases, one for ``W``, one for ``b``."""
         d, h, k = self.inputs, self.hidden, self.outputs
         return np.repeat(np.arange(d + 3), [h] * (d + 1) + [h * k, k])
 
@@ -202,7 +202,7 @@ def sparrow_start(
 def hidden_alike(shape: Shape, weights: Array) -> NDArray[np.bool_]:
     """(H,) hidden units whose incoming weights repeat those of an earlier unit up to sign.
 
-    Such units have the same gradient: back-propagation can never tell them apart.
+    Such units have the same gradient, so back-propagation can never separate them.
     """
     v, _, _ = shape.split(weights)
     columns = v.T
@@ -216,7 +216,7 @@ def hidden_alike(shape: Shape, weights: Array) -> NDArray[np.bool_]:
 
 
 def separate(shape: Shape, weights: Array, rng: np.random.Generator) -> Array:
-    """Weights (D,) with every collapsed hidden unit drawn anew (Xavier); the others untouched."""
+    """Weights (D,) with every collapsed hidden unit redrawn (Xavier); the others unchanged."""
     weights = weights.copy()
     v, w, _ = shape.split(weights)
     for _ in range(10):

@@ -1,7 +1,7 @@
-"""The sparrow's fitness on an accelerator: the whole population as one batched torch product.
+"""The fitness of the sparrow search on an accelerator, as one batched torch product.
 
-On a CPU the numpy form in ``network.squared_error`` is faster; torch is imported only here, when a
-device is asked for.
+On a CPU the numpy form in ``network.squared_error`` is faster.  torch is imported only here, when a
+device is requested.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ def torch_error(device: str, shape: Shape, x: Weights, y: Weights) -> Population
                 z = torch.tanh(v.transpose(1, 2) @ x1)  # (p, H, N)
                 out = torch.baddbmm(b[:, :, None] - target, w.transpose(1, 2), z)
                 errors.append(out.square().sum(dim=(1, 2)))
-            made: NDArray[np.float32] = (torch.cat(errors) / (n * k)).cpu().numpy()
-        return made
+            mean: NDArray[np.float32] = (torch.cat(errors) / (n * k)).cpu().numpy()
+        return mean
 
     return fitness
 

@@ -1,4 +1,4 @@
-"""The learned residual: an ensemble of BP networks that says how sure it is, or refuses.
+"""The learned residual: an ensemble of BP networks with uncertainty and a training domain.
 
 ``error = measured - predicted`` (m), so a prediction is subtracted from the target. ``sigma`` is
 the standard deviation of a new measurement around the prediction: spread of the ensemble, Laplace
@@ -24,7 +24,7 @@ from longarm_comp.core.learn.network import Shape, output_jacobian, with_ones
 Array = NDArray[np.float64]
 
 _JOINT_MARGIN = 0.02  # of a joint's training range
-_CONTEXT_MARGIN = 0.5  # of a context column's training range: it matters less, and drifts
+_CONTEXT_MARGIN = 0.5  # of a context column's training range; it has less influence, and drifts
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Provenance:
-    """What the predictor belongs to and how it was made."""
+    """Arm, session and settings that the predictor was trained with."""
 
     arm_hash: str = ""
     session_hash: str = ""
@@ -49,7 +49,7 @@ class Provenance:
 
     @property
     def beside_deflection(self) -> bool:
-        """Whether it learned what the physics with link deflection leaves, not the rigid arm."""
+        """Whether it learned the residual of the physics with link deflection."""
         return bool(self.settings.get("deflection", True))
 
 
@@ -101,8 +101,8 @@ class Predictor:
     def predict(self, q: Array, context: Context | None = None) -> Prediction:
         """Expected residual at joints (N, n), rad and m.
 
-        Context that is absent or NaN is taken at its training mean, and ``sigma`` grows by what it
-        would have told.
+        Context that is absent or NaN is replaced by its training mean, and ``sigma`` is widened by
+        its influence.
 
         Raises
         ------
@@ -143,8 +143,8 @@ class Predictor:
         return mean * self.scale + self.offset, variance * self.scale**2
 
     def _unknown_context(self, raw: Array, x: Array) -> Array:
-        """Variance (N, 3) in m^2 of what is not known: one training sd to either side, column by
-        column."""
+        """Variance (N, 3) in m^2 of unknown context: the effect of one training sd, summed over
+        the columns."""
         unknown = np.isnan(raw[:, self.encoding.kept])
         variance = np.zeros((len(x), len(self.offset)))
         for column in np.flatnonzero(unknown.any(axis=0)):

@@ -68,7 +68,7 @@ def load(
     arm_hash: str | None = None,
     joint_names: tuple[str, ...] | None = None,
 ) -> Predictor:
-    """Read a predictor; with ``arm_hash`` or ``joint_names`` given, they must be those it has.
+    """Read a predictor. A given ``arm_hash`` or ``joint_names`` must match the file.
 
     Raises
     ------
@@ -124,16 +124,16 @@ def load(
 
 
 def belongs(predictor: Predictor, path: str | os.PathLike[str], model_hash: str, to: str) -> None:
-    """Check that a predictor was trained on what this physics leaves; another leaves other errors.
+    """Check that a predictor was trained on the residual of this physics.
 
     Args:
-        path: of the predictor, for the error.
-        model_hash: SHA-256 of model.yaml; empty for the arm as declared.
-        to: what is wanted, for the error.
+        path: file of the predictor, for the error message.
+        model_hash: SHA-256 of model.yaml; empty for the declared arm.
+        to: the expected model, for the error message.
 
     Raises
     ------
-    InputError: it says that it was trained on top of another model.
+    InputError: it was trained with another model.
     """
     found = predictor.provenance.settings.get("model_hash", model_hash)
     if found != model_hash:

@@ -55,7 +55,7 @@ _TINY = 1e-50
 
 @dataclass(frozen=True)
 class Flock:
-    """What the update rules may look at: best, worst and horizon of the current iteration."""
+    """Inputs of the update rules: best, worst and horizon of the current iteration."""
 
     best: Array  # (D,)
     worst: Array  # (D,)
@@ -72,7 +72,7 @@ Watch = Callable[[np.random.Generator, Array, Array, Flock], Array]
 
 @dataclass(frozen=True)
 class Rules:
-    """The four moves of one reading of the algorithm; each takes and returns (m, D) positions."""
+    """The four moves of one form of the algorithm; each takes and returns (m, D) positions."""
 
     discover: Discover  # (rng, position, rank (m,), horizon, alarmed)
     follow: Follow  # (rng, position, leader (D,))

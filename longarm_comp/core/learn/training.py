@@ -1,4 +1,4 @@
-"""Back-propagation by Levenberg-Marquardt, with the evidence framework setting the regularisation.
+"""Back-propagation by Levenberg-Marquardt; the evidence framework sets the regularisation.
 
 MacKay (1992), Neural Computation 4, 448-472, and Foresee and Hagan (1997): each prior precision
 ``alpha_g`` (one per input: automatic relevance determination) and the noise precision ``beta`` are
@@ -6,7 +6,7 @@ re-estimated from the number of well determined weights ``gamma_g = n_g - alpha_
 
 Gross outliers: residuals are taken as Student-t over the ``k`` outputs of a sample, by iteratively
 re-weighted least squares with ``u = (nu + k) / (nu + beta |r|^2)``; ``nu`` is picked by likelihood,
-so that clean data get ``u = 1`` (Gaussian) and nothing has to be cut off by hand.
+so clean data get ``u = 1`` (Gaussian) and no outlier threshold is needed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 _TAILS = np.array([2.5, 3.0, 4.0, 6.0, 9.0, 15.0, 30.0, 100.0, 1e4])  # nu; the last is Gaussian
 _PLAIN_STEPS = 5  # steps before the evidence and the robust weights join in
 _ALPHA = (1e-4, 1e6)
-_SETTLED, _SETTLED_STEPS = 7e-4, 8  # change of log beta, over so many steps in a row
+_SETTLED, _SETTLED_STEPS = 7e-4, 8  # change of log beta, and number of successive steps
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def _cost(residual: Array, weights: Array, row: Array, prior: Array, beta: float
 def _determined(
     matrix: Array, group: NDArray[np.intp], members: Array, alpha: Array, beta: float
 ) -> Array:
-    """gamma per group: how many of its weights the data determine."""
+    """gamma per group: number of its weights that the data determine."""
     factor = cholesky(beta * matrix + np.diag(alpha[group]), lower=True, check_finite=False)
     inverse = solve_triangular(factor, np.eye(len(group)), lower=True, check_finite=False)
     variance = np.einsum("ij,ij->j", inverse, inverse)
@@ -119,7 +119,7 @@ def _determined(
 
 
 def _student(residual: Array, beta: float, count: Array) -> tuple[float, Array]:
-    """The likeliest ``nu`` of the table and the weights (N,) that go with it."""
+    """The likeliest ``nu`` of the table and the robust weights (N,) for it."""
     k = residual.shape[1]
     square = beta * count * np.sum(residual**2, axis=1)
     used = square[count > 0]

@@ -1,1 +1,1 @@
-"""The arm with its effects: what it predicts, what a parameter does, its file."""
+"""The model of an arm with its effects: prediction, columns of parameters, model file."""

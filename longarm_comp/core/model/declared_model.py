@@ -1,4 +1,4 @@
-"""The model that an arm has before anything was measured."""
+"""The model of an arm before any measurement."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ from longarm_comp.core.model.model import Model
 
 
 def declared_model(arm: Arm, *, deflection: bool = True) -> Model:
-    """The arm as declared: with its beams' sag, where it has beams."""
+    """The arm as declared, with the sag of its beams if ``deflection`` is set."""
     return Model(arm, (LinkDeflection(),) if deflection and arm.links else ())

@@ -1,9 +1,9 @@
-"""A model: the declared arm and a list of effects.  Predicts the tip, explains an error.
+"""A model: the declared arm and a list of effects.  It predicts the tip and explains errors.
 
-Predict: compose the effects' twists inside the chain, in passes, so that every effect
-sees the loads of the sagged arm (Eq. 1-4).  Explain: Eq. (5) applied to the change of
-twist per unit of a parameter is that parameter's design-matrix column.  The loop below
-knows no effect.
+To predict, the effects' twists are composed inside the chain, in passes, so that every effect
+uses the loads of the sagged arm (Eq. 1-4).  To explain, Eq. (5) is applied to the change of twist
+per unit of a parameter, which gives the parameter's column of the design matrix.  This module
+names no effect.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from longarm_comp.core.effects.effect import Bias, Effect, Parameter
 
 @dataclass(frozen=True)
 class Slot:
-    """One parameter of a model: which term, which of its parameters."""
+    """One parameter of a model: its term and the parameter of that term."""
 
     term: int
     owner: Effect | Bias
@@ -34,7 +34,7 @@ class Slot:
 
     @property
     def identity(self) -> tuple[object, ...]:
-        """What makes it one parameter: effect, place, form and name."""
+        """Key of the parameter: effect, place, form and name."""
         return (self.owner.name, *self.owner.placement.items(), self.parameter.name)
 
     @property
@@ -50,11 +50,11 @@ class Model:
     Attributes:
         arm: as declared.
         effects: arm side, in any order.
-        biases: camera side, applied in order; they never reach a joint command.
+        biases: camera side, applied in order. They never change a joint command.
         passes: load passes (1 leaves 0.14 mm at 18 mm of sag, 2 leave 0.001; docs/physics.md).
-        elements_per_beam: pieces each beam is cut in.
-        arrivals: by commanded joint, rows of the data that it was fitted to that arrived from
-            above (-1) and from below (+1); empty: not recorded.
+        elements_per_beam: number of elements of each beam.
+        arrivals: per commanded joint, number of fitted rows that arrived from above (-1) and
+            from below (+1); empty if not recorded.
     """
 
     arm: Arm
@@ -70,7 +70,7 @@ class Model:
         return f"Model({self.arm.name}: {', '.join(held) or 'rigid'})"
 
     def __getstate__(self) -> dict[str, object]:
-        """Copies and other processes get what was declared, not what was compiled for it."""
+        """State for copies and other processes, without compiled programs."""
         return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
 
     @cached_property
@@ -85,7 +85,7 @@ class Model:
 
     @cached_property
     def slots(self) -> tuple[Slot, ...]:
-        """Every parameter that is not held, in the order of `values` and of the columns."""
+        """All free parameters, in the order of `values` and of the columns."""
         return slots_of(self.arm, self.terms)
 
     @cached_property
@@ -94,7 +94,7 @@ class Model:
         return np.array([getattr(s.owner, s.parameter.name) for s in self.slots], dtype=float)
 
     def with_values(self, values: np.ndarray) -> Model:
-        """The same model with other parameter values, (p,)."""
+        """A copy with other parameter values, (p,)."""
         changes: list[dict[str, float]] = [{} for _ in self.terms]
         for slot, value in zip(self.slots, values, strict=True):
             changes[slot.term][slot.parameter.name] = float(value)
@@ -112,7 +112,7 @@ class Model:
         return model
 
     def plus(self, *terms: Effect | Bias) -> Model:
-        """With further terms."""
+        """A copy with further terms."""
         effects = tuple(t for t in terms if isinstance(t, Effect))
         biases = tuple(t for t in terms if isinstance(t, Bias))
         return dataclasses.replace(
@@ -131,11 +131,11 @@ class Model:
 
     @property
     def load_passes(self) -> int:
-        """Passes that `posture` makes: one is enough where nothing depends on the loads."""
+        """Number of load passes of `posture`: one if nothing depends on the loads."""
         return self.passes if any(e.loaded for e in self.effects) else min(1, len(self.effects))
 
     def loaded(self, q: Sequence[Scalar], context: Context, twists: Twists) -> Posture:
-        """The arm at q with given twists (by station), and the loads it carries there."""
+        """The arm at q with given twists (by station), and its loads."""
         frames, lengths = self.chain.place(q, twists)
         gravity = self._gravity(context)
         posture = Posture(self.chain, tuple(q), context, frames, lengths, gravity)
@@ -145,7 +145,7 @@ class Model:
         return dataclasses.replace(posture, extra=extra, _cache={}) if extra else posture
 
     def _gravity(self, context: Context) -> Vec:
-        """Gravity in the frame that the arm is seen in (m/s^2)."""
+        """Gravity (m/s^2) in the frame of the measurements."""
         gravity: Vec = self.arm.gravity_mps2
         for effect in self.effects:
             gravity = effect.gravity(gravity)
@@ -180,21 +180,21 @@ class Model:
         return frame._replace(p=p)
 
     def seen(self, point: Vec, context: Context) -> Vec:
-        """Where the camera reports the point: the biases, in order."""
+        """The point as reported by the camera: all biases applied in order."""
         for bias in self.biases:
             point = bias.seen(point, context, self.arm)
         return point
 
     def tip(self, q: np.ndarray, context: Context | None = None) -> np.ndarray:
-        """True tip position by this model, q (..., n) -> (..., 3) in m, base frame."""
+        """Predicted true tip position, q (..., n) -> (..., 3) in m, base frame."""
         return stack(self.tip_frame(self.posture(unstack(q), context)).p)
 
     def pose(self, q: np.ndarray, context: Context | None = None) -> np.ndarray:
-        """True tip pose by this model, q (..., n) -> (..., 4, 4)."""
+        """Predicted true tip pose, q (..., n) -> (..., 4, 4), base frame."""
         return self.tip_frame(self.posture(unstack(q), context)).matrix()
 
     def measured(self, q: np.ndarray, context: Context | None = None) -> np.ndarray:
-        """What the camera should report, q (..., n) -> (..., 3) in m."""
+        """Predicted measurement of the camera, q (..., n) -> (..., 3) in m."""
         context = context or Context.empty()
         posture = self.posture(unstack(q), context)
         return stack(self.seen(self.tip_frame(posture).p, context))
@@ -208,50 +208,50 @@ class Model:
 
         Args:
             posture: the arm at N poses, from `posture`.
-            slots: the parameters wanted; all of them by default.
+            slots: the parameters; all of them by default.
 
         Returns:
-            Predicted points (N, 3) in m and columns (N, 3, p), by Eq. (5) with the frames
-            held: exact at zero effect, within a few percent at large ones.
+            Predicted points (N, 3) in m and columns (N, 3, p), by Eq. (5) with fixed frames.
+            They are exact at zero effect and within a few percent at large ones.
         """
         slots = self.slots if slots is None else slots
         tip = self.tip_frame(posture).p
         point = self.seen(tip, posture.context)
-        made = []
+        blocks = []
         total = self.twists(posture)
         for slot in slots:
             term, step = slot.owner, 0.01 * slot.parameter.prior
             if isinstance(term, Bias):
-                made.append(self._bias_column(slot, tip, posture.context, step))
+                blocks.append(self._bias_column(slot, tip, posture.context, step))
                 continue
             raised, lowered = (
                 self._twists_at(slot, value, posture, total) for value in (step, -step)
             )
             shift = self._tip_shift(posture, tip, total, raised, lowered, 0.5 / step)
-            made.append(self._seen_shift(tip, shift, posture.context))
-        if not made:
+            blocks.append(self._seen_shift(tip, shift, posture.context))
+        if not blocks:
             return stack(point), np.zeros((*np.shape(stack(point)), 0))
         shape = np.broadcast_shapes(*(np.shape(c) for c in point))
-        columns = [np.stack([np.broadcast_to(c, shape) for c in v], -1) for v in made]
+        columns = [np.stack([np.broadcast_to(c, shape) for c in v], -1) for v in blocks]
         return stack(point), np.stack(columns, axis=-1)
 
     def shifts(self, posture: Posture, terms: Sequence[Effect | Bias]) -> list[np.ndarray]:
-        """What terms that the model does not hold would each add to the seen tip, (N, 3) in m.
+        """Shift of the seen tip, (N, 3) in m, by each of some terms outside the model.
 
-        To first order, by Eq. (5): for terms with nothing to fit.
+        To first order, by Eq. (5). It is meant for terms without free parameters.
         """
         tip = self.tip_frame(posture).p
         point = self.seen(tip, posture.context)
         total = self.twists(posture)
-        made = []
+        rows = []
         for term in terms:
             if isinstance(term, Bias):
                 seen = spatial.sub(term.seen(point, posture.context, self.arm), point)
             else:
                 moved = self._tip_shift(posture, tip, total, term.twists(posture), {}, 1.0)
                 seen = self._seen_shift(tip, moved, posture.context)
-            made.append(np.broadcast_to(stack(seen), np.shape(stack(point))))
-        return made
+            rows.append(np.broadcast_to(stack(seen), np.shape(stack(point))))
+        return rows
 
     def _moved(self, slot: Slot, by: float) -> Effect | Bias:
         name = slot.parameter.name
@@ -282,8 +282,8 @@ class Model:
     ) -> Vec:
         """Eq. (5): the tip's motion under a change of twists, ``sum_i R_i (d_i + delta_i x p_i)``.
 
-        The change is taken about the twist that the station has now (exactly, also where
-        that is large, as for a base that stands elsewhere), the frames after it held.
+        The change is taken about the present twist of the station. This is exact also for a
+        large twist, as of a displaced base. The frames after it are kept.
         """
         shift: Vec = spatial.ZERO
         for station in {*raised, *lowered}:
@@ -330,7 +330,7 @@ class Model:
 
 
 def slots_of(arm: Arm, terms: Sequence[Effect | Bias]) -> tuple[Slot, ...]:
-    """The parameters of some terms that are not held."""
+    """The free parameters of some terms."""
     return tuple(
         Slot(t, term, p)
         for t, term in enumerate(terms)

@@ -1,7 +1,7 @@
-"""`model.yaml`: a calibrated model with units, intervals and where every value came from.
+"""`model.yaml`: a calibrated model with units, intervals and the origin of every value.
 
-A change is a new version; the file before it is kept beside it, and `undo` puts that
-back byte for byte.
+A change gives a new version. The previous file is kept beside it, and `undo` restores it byte for
+byte.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class StoredValue(Declared):
 
 
 class StoredTerm(Declared):
-    """One effect or bias: canonical name, where, its form, its values, where it came from."""
+    """One effect or bias: canonical name, place, form, values, origin."""
 
     effect: str
     where: str
@@ -51,7 +51,7 @@ class ArmReference(Declared):
 
 
 class StoredModel(Declared):
-    """The whole file; every key is there, so that a file cut short is seen."""
+    """The whole file. All keys are required, so that a truncated file is detected."""
 
     schema_: Literal["longarm/model/1"] = Field(alias="schema")
     version: int = Field(ge=1)
@@ -74,14 +74,14 @@ def store(
     origins: Mapping[int, str] | None = None,
     intervals: Mapping[tuple[int, str], tuple[float, float]] | None = None,
 ) -> StoredModel:
-    """A model as it is written.
+    """The stored form of a model.
 
     Args:
         model: the model.
         standard_errors: (p,) of its parameters, for normal intervals.
         version: version number of the file.
         provenance: session hash, date, verdict, seed, ...
-        origins: by term number, where that term came from.
+        origins: by term number, the origin of that term.
         intervals: by (term number, parameter), 95 % intervals that replace the normal ones.
     """
     half = {}
@@ -121,7 +121,7 @@ def store(
 
 
 def _sources(model: Model) -> dict[str, str]:
-    """Where effects of others came from: for people, who have to give it again."""
+    """Origins of effects from outside the package, which the user must provide again."""
     known = {term.name: origin(type(term)) for term in model.terms}
     return {_source_key(name): source for name, source in known.items() if source}
 
@@ -131,7 +131,7 @@ def _source_key(effect: str) -> str:
 
 
 def save_model(path: str | Path, stored: StoredModel) -> None:
-    """Write atomically; a file already there becomes the previous version.
+    """Write atomically. An existing file becomes the previous version.
 
     Raises:
         InputError: the folder cannot be written.
@@ -142,23 +142,23 @@ def save_model(path: str | Path, stored: StoredModel) -> None:
         + yaml.safe_dump(data, sort_keys=False, width=100)
     )
     path = Path(path)
-    if os.path.isfile(path):  # False where it cannot be looked into: then writing says so
+    if os.path.isfile(path):  # False in an unreadable folder; writing then raises
         with atomic_path(previous(path)) as partial:
             partial.write_bytes(path.read_bytes())
     write_text(path, text)
 
 
 def previous(path: str | Path) -> Path:
-    """Where the version before is kept."""
+    """Path of the previous version."""
     path = Path(path)
     return path.with_name(f"{path.stem}.previous{path.suffix}")
 
 
 def undo(path: str | Path) -> None:
-    """Put the version before back, byte for byte.
+    """Restore the previous version, byte for byte.
 
     Raises:
-        InputError: there is none.
+        InputError: there is no previous version.
     """
     kept = previous(path)
     if not kept.is_file():
@@ -180,7 +180,7 @@ def load_model(path: str | Path, arm: Arm) -> Model:
 
     Raises:
         InputError: as `read_stored`; the file belongs to another arm; an unknown place or
-            parameter; an effect that is not registered: says which file or package it is from.
+            parameter; an effect that is not registered, with the file or package it is from.
     """
     return restore(read_stored(path), arm, str(path))
 

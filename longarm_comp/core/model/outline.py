@@ -1,4 +1,4 @@
-"""The arm as a line in space, for pictures."""
+"""The arm as a polyline, for drawings."""
 
 from __future__ import annotations
 
@@ -16,6 +16,6 @@ def outline(model: Model, q: np.ndarray, context: Context | None = None) -> np.n
 
 
 def exaggerated(hanging: np.ndarray, declared: np.ndarray, factor: float) -> np.ndarray:
-    """Points (k, 3) of an arm whose sag is shown so many times larger."""
-    made: np.ndarray = declared + factor * (hanging - declared)
-    return made
+    """Points (k, 3) of an arm whose sag is enlarged by a factor."""
+    drawn: np.ndarray = declared + factor * (hanging - declared)
+    return drawn

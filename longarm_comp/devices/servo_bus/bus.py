@@ -1,4 +1,4 @@
-"""A bus of servos: ask, command, switch torque; every failure is a typed error."""
+"""A bus of servos: reads states, sends goals, switches torque. Failures are typed errors."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoSt
 
 
 class ServoBus(Protocol):
-    """What a driver needs of a bus; :class:`SerialServoBus` is the real one."""
+    """Interface of a servo bus to the driver. :class:`SerialServoBus` implements it."""
 
     counters: BusCounters
 
@@ -50,10 +50,10 @@ class SerialServoBus:
     Args:
         port: the open line.
         dialect: the protocol.
-        models: the kind of each servo, by id; only these ids may be asked.
-        retries: how often a servo without a usable answer is asked again.
+        models: model of each servo, by id. Only these ids may be read.
+        retries: how often a servo without a usable answer is read again.
 
-    Every method raises :class:`BusUnplugged` when the port goes away. Not for use from two threads.
+    Every method raises :class:`BusUnplugged` when the port goes away. Not thread-safe.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class SerialServoBus:
     def write_goal(
         self, goals: Mapping[int, int], speeds_ticks_s: Mapping[int, float] | None = None
     ) -> None:
-        """Send goal positions in one unacknowledged sync write (resend it: it may be lost)."""
+        """Send goal positions in one sync write. It is not acknowledged, so it can be lost."""
         speeds = speeds_ticks_s or {}
         values = {i: self._dialect.goal_bytes(t, speeds.get(i, 0.0)) for i, t in goals.items()}
         self._write(self._dialect.goal, values)
@@ -98,8 +98,8 @@ class SerialServoBus:
     def torque(self, ids: Sequence[int], on: bool) -> None:
         """Switch the drives of ``ids`` and read back that it happened.
 
-        Before switching on, each goal is set to the present position, so that nothing jumps.
-        Off is sent before anything is asked, so that a sick bus still gets it.
+        Before switching on, each goal is set to the present position, so that no servo jumps.
+        Off is sent before any read, so that it also reaches a disturbed bus.
 
         Raises:
             ServoTimeout, ServoChecksum: some servos did not confirm.
@@ -110,7 +110,7 @@ class SerialServoBus:
         self._write_checked(self._dialect.torque, {i: bytes((on,)) for i in ids}, harmless=not on)
 
     def driven(self, ids: Sequence[int]) -> dict[int, bool]:
-        """Whether each servo's drive is on: after an alarm or a loss of power it is not.
+        """Whether each servo's drive is on. It goes off after an alarm or a loss of power.
 
         Raises: ServoTimeout, ServoChecksum.
         """
@@ -118,7 +118,7 @@ class SerialServoBus:
         return {servo_id: reply.data == b"\1" for servo_id, reply in replies.items()}
 
     def set_turns(self, many: Mapping[int, bool]) -> list[int]:
-        """Let servos turn more than once, or not; kept by the servo when unpowered.
+        """Allow servos more than one turn, or not. The servos store it permanently.
 
         Only servos set otherwise are written (their memory wears); their torque goes off. Returns
         the ids that were changed.
@@ -178,7 +178,7 @@ class SerialServoBus:
         }
 
     def _alarms(self, replies: Mapping[int, Reply]) -> dict[int, ServoAlarm]:
-        """Alarms by id; where the status byte only says "some", the alarm register is read."""
+        """Alarms by id. If the status byte only flags that there is one, the register is read."""
         known = {i: self._dialect.alarms(reply.error) for i, reply in replies.items()}
         unread = [i for i, flags in known.items() if flags is None]
         block = self._dialect.alarm
@@ -195,7 +195,7 @@ class SerialServoBus:
     def _write_checked(
         self, block: Block, values: Mapping[int, bytes], harmless: bool = False
     ) -> None:
-        """Write, read back, and write again where it did not take."""
+        """Write and read back; write again to servos that did not accept it."""
         wanted = dict(values)
         for _ in range(self._retries + 1):
             self._write(block, wanted)

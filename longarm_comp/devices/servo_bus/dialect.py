@@ -1,10 +1,10 @@
-"""A wire protocol as pure bytes: frames, registers and units, with no port underneath.
+"""Interface of a wire protocol: frames, registers and units as bytes, without a port.
 
-Why own frames and not the vendors' client libraries: both poll the port in a busy loop until a
+The frames are our own for these faults of the vendors' libraries: both poll the port until a
 time-out of 34-50 ms on the wall clock, give up a sync read at the first silent servo and drop the
 status byte of the others (dynamixel-sdk), never empty the input so that a late answer is taken for
 the next one (scservo_sdk), and stay "busy" for ever after an exception from an unplugged port.
-The tests use them as independent judges of every byte instead.
+The tests use them as an independent reference for every byte.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoSt
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """A status frame off the wire; ``intact`` is False when its checksum failed."""
+    """A received status frame; ``intact`` is False when its checksum failed."""
 
     servo_id: int
     error: int
@@ -36,7 +36,7 @@ class Block:
 
 
 class Dialect(ABC):
-    """What one protocol says; stateless.
+    """Encoding and decoding of one protocol; stateless.
 
     Attributes:
         overhead: bytes of a status frame besides its data.
@@ -46,7 +46,7 @@ class Dialect(ABC):
         torque: one byte, 0 free, 1 driven.
         turns: what decides between one turn and many, kept by the servo when unpowered.
         turns_lock: write 0 here before and 1 after changing ``turns``; None: no lock.
-        alarm: where alarms are read when the status byte only says that there is one.
+        alarm: register of the alarms, for when the status byte only flags that there is one.
     """
 
     overhead: ClassVar[int]
@@ -72,7 +72,7 @@ class Dialect(ABC):
 
     @abstractmethod
     def refusal(self, error: int) -> int:
-        """The code in a status byte that says an instruction was refused; 0: it was not."""
+        """The refusal code in a status byte; 0 if the instruction was not refused."""
 
     @abstractmethod
     def alarms(self, error: int) -> ServoAlarm | None:

@@ -1,4 +1,4 @@
-"""What can go wrong on a servo bus, by type, with the facts needed to act on it."""
+"""Errors of a servo bus by type, each with the data needed to act on it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class IncompleteReply(ServoBusError):  # noqa: N818
     Attributes:
         silent: ids that sent nothing.
         corrupt: ids whose answer failed its checksum.
-        answered: what the others said, so that a partial answer is not lost.
+        answered: states of the servos that did answer.
     """
 
     reason_text = "no usable answer"

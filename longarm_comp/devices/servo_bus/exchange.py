@@ -1,4 +1,4 @@
-"""One question to several servos: ask, collect, re-ask those without a usable answer."""
+"""One request to several servos, repeated for those without a usable answer."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class BusCounters:
-    """What happened on the bus since it was opened, for diagnostics."""
+    """Counters of the bus since it was opened, for diagnostics."""
 
     requests: int = 0
     retries: int = 0
@@ -27,7 +27,7 @@ class BusCounters:
 
 @dataclass(slots=True)
 class Answers:
-    """Replies by id, and who is missing and why."""
+    """Replies by id, and the ids that sent none or a damaged one."""
 
     replies: dict[int, Reply] = field(default_factory=dict)
     silent: tuple[int, ...] = ()
@@ -46,7 +46,7 @@ def ask(
 ) -> Answers:
     """Send ``request(ids)`` and collect one intact reply of ``data_length`` bytes from each.
 
-    Those that did not answer, or whose answer was damaged, are asked again up to ``retries`` times.
+    The request is repeated up to ``retries`` times for servos with no answer or a damaged one.
 
     Raises:
         BusUnplugged: the port went away.
@@ -74,7 +74,7 @@ def _collect(
     replies: dict[int, Reply],
     counters: BusCounters,
 ) -> set[int]:
-    """Read until every id has answered or time is up; returns the ids seen with damage."""
+    """Read until every id has answered or time is up; returns ids with a damaged answer."""
     frame_length = dialect.overhead + data_length
     deadline = port.deadline(frame_length * len(ids))
     wanted = set(ids)

@@ -1,4 +1,4 @@
-"""The serial line under a servo bus: bytes out, bytes in, and one error when it is gone."""
+"""The serial port of a servo bus: sends and receives bytes, one error when it is gone."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class SerialPort:
             self._serial.set_low_latency_mode(True)
 
     def send(self, frame: bytes) -> int:
-        """Drop whatever stale bytes lie in the input, then send; returns the number dropped."""
+        """Discard stale input, then send a frame. Returns the number of bytes discarded."""
         try:
             stale = int(self._serial.in_waiting)
             if stale:
@@ -48,7 +48,7 @@ class SerialPort:
         return stale
 
     def receive(self, count: int) -> bytes:
-        """At most ``count`` bytes; fewer (or none) when the reply time-out passes first."""
+        """At most ``count`` bytes; fewer or none when the reply time-out passes first."""
         try:
             return bytes(self._serial.read(count))
         except OSError as error:

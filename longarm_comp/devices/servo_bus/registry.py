@@ -1,4 +1,4 @@
-"""The one list of protocols and servo models; a new protocol is one file and one line here."""
+"""List of the protocols and servo models. A new protocol is one file and one line here."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def open_bus(
     """Open a port and speak ``protocol`` on it.
 
     Raises:
-        InputError: unknown protocol, or a model of another one.
+        InputError: unknown protocol, or a servo model with another protocol.
         BusUnplugged: the port cannot be opened.
     """
     if protocol not in PROTOCOLS:

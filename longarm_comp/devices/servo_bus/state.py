@@ -1,4 +1,4 @@
-"""What a servo says about itself, the same for every protocol."""
+"""State of a servo and its model, the same for every protocol."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class ServoState:
         load: drive effort as a signed share of the servo's maximum, -1 to 1.
         voltage_v: supply voltage at the servo.
         temperature_c: inside the case.
-        moving: the servo's own opinion.
+        moving: whether the servo reports that it moves.
         error_flags: alarms it raises now.
     """
 

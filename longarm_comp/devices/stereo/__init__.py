@@ -1,4 +1,4 @@
-"""Stereo measurement of a marker, without ROS: pixels in, a point with covariance out."""
+"""Stereo measurement of a marker, without ROS: two images in, a point with covariance out."""
 
 from longarm_comp.devices.stereo.calibrate import StereoCalibration, calibrate_stereo
 from longarm_comp.devices.stereo.camera import Camera, CameraInfoLike, StereoRig

@@ -28,8 +28,8 @@ class StereoCalibration:
         rms_px: of the boards' reprojection, both cameras.
         epipolar_rms_px: of each pair's triangulation residuals, in the order given (NaN where a
             pair was not usable): large where the board moved between the two exposures.
-        used: indices of the pairs that the rig stands on.
-        rejected: indices left out: too few corners, or out of line with the others.
+        used: indices of the pairs that were fitted.
+        rejected: indices of pairs with too few corners or with outlying residuals.
     """
 
     rig: StereoRig
@@ -51,7 +51,7 @@ def calibrate_stereo(
     fitted again: hand-held boards move between exposures that are not simultaneous.
 
     Args:
-        board: what was photographed.
+        board: the photographed board.
         pairs: its corners in the left and the right image, at least four usable pairs.
         size: (width, height) px of the images.
 

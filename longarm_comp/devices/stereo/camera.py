@@ -24,7 +24,7 @@ _MODELS = {"": 8, "plumb_bob": 5, "rational_polynomial": 8}  # distortion model 
 
 
 class CameraInfoLike(Protocol):
-    """What is read of a sensor_msgs/CameraInfo (any object with these attributes will do)."""
+    """The fields that are used of a sensor_msgs/CameraInfo; any object with them will do."""
 
     @property
     def width(self) -> int: ...

@@ -1,4 +1,4 @@
-"""Tag corners to sub-pixel: every side of the black square as a line, neighbours intersected.
+"""Sub-pixel tag corners, by intersecting lines fitted to the sides of the black square.
 
 A corner found by looking at the corner itself moves inwards as the image blurs; the middle of a
 straight step edge does not move. So each side is located by the centre of gravity of the grey

@@ -1,4 +1,4 @@
-"""One stereo pair in, one sighting of the tip in the base frame out, or a refusal that says why."""
+"""Measures the tip in the base frame from a stereo pair, or refuses the pair with a reason."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _KEPT = 1.0 - 1.0 / 200.0  # of the residuals, from one sighting to the next
 
 @dataclass(frozen=True)
 class StereoSighting:
-    """The tip as one stereo pair saw it.
+    """The tip as measured from one stereo pair.
 
     Args:
         stamp_ns: stamp of the left image.
@@ -37,7 +37,7 @@ class StereoSighting:
         pose_covariance: (6, 6) of ``[tip; rotation]`` along the base axes, m and rad.
         corners: corners that both cameras saw.
         rms_px: root mean square reprojection error.
-        sigma_px: pixel noise that the covariances stand on.
+        sigma_px: pixel noise used for the covariances.
         scale: seen / declared marker size (with the declared size as a prior).
     """
 
@@ -63,8 +63,8 @@ class StereoEye:
         target: the printed marker.
         camera_in_base: (4, 4) pose of the left optical frame in the base frame (hand-eye).
         tip_in_marker: (3,) m, the tip in the marker frame.
-        limits: when to refuse.
-        noise: how well a corner is located, before the first sightings have told.
+        limits: limits beyond which a pair is refused.
+        noise: assumed noise of a corner, corrected by the residuals of sightings.
 
     Raises:
         InputError: if camera_in_base is not a rigid motion or tip_in_marker is not finite.
@@ -108,7 +108,7 @@ class StereoEye:
 
     @property
     def corner_sigma_px(self) -> float | None:
-        """How well corners were located over the last sightings (pooled residuals), px.
+        """Noise of corners over the last sightings (pooled residuals), px.
 
         None before the first sighting.
         """
@@ -116,7 +116,7 @@ class StereoEye:
 
     @property
     def expected_noise(self) -> PixelNoise:
-        """The assumed noise, corrected by what the residuals of the last sightings say.
+        """The assumed noise, corrected by the residuals of the last sightings.
 
         One tag leaves 10 degrees of freedom, too few to outweigh an assumption that is four times
         too large; hundreds of sightings do.

@@ -1,4 +1,4 @@
-"""Where the camera stands in the base frame, from tips predicted and tips seen.
+"""Pose of the camera in the base frame, from predicted and seen tips.
 
 Both the camera's pose Z and the marker's place p on the tip may be unknown: for every posture i
 ``base_T_tip_i p = Z m_i`` with m_i the marker seen by the camera. It is the translational half of
@@ -62,11 +62,11 @@ def hand_eye(
         covariances: (N, 3, 3) m^2 of `seen`, camera frame.
         marker_in_tip: (3,) m if known, else it is estimated too: the tip must then turn about
             two axes at least.
-        arm_sigma_m: how far a predicted tip is off, each axis, 1 sigma.
+        arm_sigma_m: error of a predicted tip, 1 sigma per axis.
 
     Raises:
         InputError: shapes that do not match; too few, not finite or collinear points.
-        JobError: the postures do not tell the unknowns apart.
+        JobError: the postures do not determine all unknowns.
     """
     base_T_tip, seen = np.asarray(base_T_tip, dtype=float), np.asarray(seen, dtype=float)
     count = len(seen)
@@ -116,11 +116,11 @@ def hand_eye(
 
 
 def _check_condition(normal: Array) -> None:
-    """Refuse a normal matrix that leaves some combination of the unknowns open."""
+    """Raise `JobError` for a normal matrix that leaves a combination of unknowns undetermined."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     eigenvalues = np.linalg.eigvalsh(normal * scale * scale[:, None])
     if eigenvalues[0] < 1e-7:
         raise JobError(
-            "hand-eye: the postures do not tell the unknowns apart; turn the tip more",
+            "hand-eye: the postures do not determine all unknowns; turn the tip more",
             smallest_eigenvalue=float(eigenvalues[0]),
         )

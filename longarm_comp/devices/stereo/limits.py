@@ -1,4 +1,4 @@
-"""When a stereo pair is refused, and how much its marker's printed size is trusted."""
+"""Limits beyond which a stereo pair is refused, and tolerances of the printed marker."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from longarm_comp.devices.stereo.camera import Array
 
 @dataclass(frozen=True)
 class Limits:
-    """When a pair is refused.
+    """Limits beyond which a pair is refused.
 
     Args:
         seen_share: share of the target's corners that both cameras must see (four at least).
@@ -22,10 +22,10 @@ class Limits:
         bright: grey level that 99 % of the pixels must not stay below, when no marker is found.
         dark: grey level that 1 % of the pixels must stay below, when no marker is found.
         size: largest relative difference of the seen from the declared marker size.
-        size_tolerance: how well the print's size is known (1 sigma, relative); it ties the depth
-            from the baseline to the depth from the size.
-        edge_bias_px: how far glare, gamma and saturation may move every dark edge the same way
-            (1 sigma); it makes small images of the marker tell less by their size.
+        size_tolerance: tolerance of the printed size (1 sigma, relative). It weighs the depth
+            from the size against the depth from the baseline.
+        edge_bias_px: common shift of all dark edges by glare, gamma and saturation (1 sigma). It
+            lowers the weight of the size of small marker images.
     """
 
     seen_share: float = 0.5
@@ -48,6 +48,6 @@ class Limits:
                 raise InputError("stereo limits", name, getattr(self, name), "more than 0")
 
     def tolerance(self, pixels: Array) -> float:
-        """1 sigma of what the size of an image with corners (N, 2) px says about size, relative."""
+        """Relative 1 sigma of the size measured from an image with corners (N, 2) px."""
         spread = np.sqrt(np.mean(np.sum((pixels - pixels.mean(axis=0)) ** 2, axis=1)))
         return float(np.hypot(self.size_tolerance, np.sqrt(2) * self.edge_bias_px / spread))

@@ -1,8 +1,8 @@
 """The pose of a marker board from its corners in two images.
 
 Unknown: the pose and, because printers stretch paper, one common scale with a prior around 1.
-Without the scale a print 0.5 % too large would pull every depth by up to 0.5 %; with it the two
-sources of depth, baseline and size, are weighed as they deserve, and the covariance says so.
+Without the scale, a print 0.5 % too large would change every depth by up to 0.5 %. With it, the two
+sources of depth, baseline and size, are weighed by their uncertainty, as is the covariance.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ def marker_pose(
     """Least squares on all corners in both images.
 
     Args:
-        corners: (N, 3) m where the board says its corners are, marker frame, N >= 3.
-        seen: the same corners triangulated one by one (the start).
+        corners: (N, 3) m declared corners of the board, marker frame, N >= 3.
+        seen: (N, 3) m the same corners, triangulated one by one; the initial guess.
         left_px, right_px: (N, 2) px.
         size_tolerance: prior standard deviation of the printed size, relative.
         noise: the assumed pixel noise.

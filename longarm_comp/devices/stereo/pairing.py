@@ -1,4 +1,4 @@
-"""Left and right images paired by their stamps: bounded, and every drop is counted."""
+"""Pairs left and right images by their stamps. Memory is bounded and drops are counted."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Image = TypeVar("Image")
 
 
 class Drop(str, Enum):
-    """Why an image was never part of a pair."""
+    """Reasons for dropping an image without a pair."""
 
     UNSYNCHRONISED = "no partner within the slop"
     OVERFLOW = "queue was full"
@@ -51,7 +51,7 @@ class StereoPairer(Generic[Image]):
     Args:
         slop_ns: largest difference of stamps within a pair, in nanoseconds.
         queue: images kept per side while they wait for a partner.
-        restart_ns: a stamp that lies back by more than this is a restarted clock, not a late image.
+        restart_ns: a stamp further back than this means a restarted clock, not a late image.
 
     Raises:
         InputError: if an argument is out of range.

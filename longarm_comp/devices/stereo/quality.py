@@ -1,4 +1,4 @@
-"""What an image can tell about why no marker was found in it."""
+"""Exposure and sharpness of an image, to explain why no marker was found."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Why a stereo pair gave no measurement: one enumerated reason, with the facts to act on."""
+"""Reasons for which a stereo pair gives no measurement."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from longarm_comp.core.errors import JobError
 
 
 class RefusalReason(str, enum.Enum):
-    """Everything that can be wrong with a pair of images, worst first."""
+    """Reasons to refuse a pair of images, worst first."""
 
     UNCALIBRATED = "camera is not calibrated"
     BAD_IMAGE = "image is not 8-bit grey or colour"
@@ -31,11 +31,11 @@ class RefusalReason(str, enum.Enum):
 
 
 class StereoRefusal(JobError):  # noqa: N818 - a refusal is an answer, not a fault
-    """A pair of images (or a camera) that cannot be measured with.
+    """A pair of images, or a camera, that cannot be used for a measurement.
 
     Args:
-        reason: which of the known reasons.
-        facts: numbers to act on, with their unit in the name (``rms_px=3.1``).
+        reason: one of the known reasons.
+        facts: values that explain it, with their unit in the name (``rms_px=3.1``).
     """
 
     reason: RefusalReason

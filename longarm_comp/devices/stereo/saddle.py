@@ -1,4 +1,4 @@
-"""Chessboard corners to sub-pixel by fitting what a corner looks like.
+"""Sub-pixel chessboard corners, by fitting a model of a corner's grey values.
 
 Around a corner the image is ``m + g (x - p) + c erf(d1 / s sqrt 2) erf(d2 / s sqrt 2)``: two
 blurred edges through p, with d1 and d2 the signed distances from them, s the blur, c the contrast

@@ -38,7 +38,7 @@ class Corners:
 
 
 class Target(Protocol):
-    """Something printed whose corners are known by number."""
+    """A printed target whose corners are known by id."""
 
     def detect(self, grey: Grey) -> Corners:
         """The target's corners in an image (H, W) uint8; none if it is not seen."""

@@ -20,14 +20,14 @@ _PASSES = 2  # Gauss-Newton from the linear start settles in two, to parts in 1e
 
 @dataclass(frozen=True)
 class PixelNoise:
-    """How well a corner is located: an assumed sigma that the residuals may correct.
+    """Noise of a corner: an assumed sigma, corrected by residuals.
 
     The estimate is ``(weight sigma^2 + sum r^2) / (weight + dof)``: the posterior mean of a
     scaled-inverse-chi-square prior, so that few residuals do not make sigma erratic.
 
     Args:
         sigma_px: assumed standard deviation of a corner in u and in v.
-        weight: how many residuals the assumption is worth.
+        weight: weight of the assumed sigma, as a number of residuals.
     """
 
     sigma_px: float = 0.04
@@ -40,7 +40,7 @@ class PixelNoise:
             raise InputError("stereo", "weight", self.weight, "0 or more")
 
     def estimate(self, residuals_px: Array, dof: int) -> float:
-        """Sigma (px) given the residuals that were left and their degrees of freedom."""
+        """Sigma (px) given residuals (px) and their degrees of freedom."""
         total = self.weight * self.sigma_px**2 + float(np.sum(np.square(residuals_px)))
         count = self.weight + dof
         return float(np.sqrt(total / count)) if count > 0.0 else self.sigma_px

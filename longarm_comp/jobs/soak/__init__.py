@@ -1,1 +1,1 @@
-"""Hours of targets at a steady rate, with random faults, and books of what came of each."""
+"""Soak test: hours of targets at a steady rate with random faults; every answer is checked."""

@@ -1,4 +1,4 @@
-"""What goes wrong in a soak, one class a fault: each breaks something and mends it."""
+"""Faults of a soak test, one class each: it breaks something and repairs it."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ _BROKEN_S = 1.5
 
 
 class Fault(Protocol):
-    """Something that breaks."""
+    """Interface of a fault."""
 
     @property
     def name(self) -> str:
         """In the report."""
 
     def strike(self, scene: Scene) -> None:
-        """Break it, and leave it so that it heals."""
+        """Cause the fault and end it, or leave a state that recovers by itself."""
 
 
 @dataclass(frozen=True)
 class Kill:
-    """SIGKILL of a node; the supervisor starts it again. ``quiet``: no target is under way then.
+    """SIGKILL of a node, which the supervisor restarts. With ``quiet`` no target is in work then.
 
-    A target inside a process that is killed cannot be answered, so that the kinematics node is
-    killed between targets, and the driver after its books are checked.
+    A killed process cannot answer the target that it works on. So the kinematics node is killed
+    between targets, and the driver after its counters were checked.
     """
 
     node: str
@@ -45,7 +45,7 @@ class Kill:
         return f"kill {self.node}"
 
     def strike(self, scene: Scene) -> None:
-        """Kill, and wait until it is back where it was quiet."""
+        """Kill the node; with ``quiet``, wait until it is back."""
         if self.quiet:
             scene.audit()
         before = scene.supervisor.pid(self.node)
@@ -57,7 +57,7 @@ class Kill:
 
 @dataclass(frozen=True)
 class BreakFile:
-    """A file is overwritten with rubbish, then put back."""
+    """Overwrites a file with invalid contents, then restores it."""
 
     path: Path
 
@@ -67,7 +67,7 @@ class BreakFile:
         return f"break {self.path.name}"
 
     def strike(self, scene: Scene) -> None:
-        """Targets go on meanwhile: the last good version is used."""
+        """Break and restore the file. Targets go on: the last good version is used."""
         good = self.path.read_bytes()
         write_text(self.path, "rubbish: [")
         scene.go_on(_BROKEN_S)
@@ -78,12 +78,12 @@ class BreakFile:
 
 @dataclass(frozen=True)
 class EmergencyStop:
-    """Pressed, and released; the driver refuses everything between, and says so."""
+    """Emergency stop, then release. The driver refuses and reports commands in between."""
 
     name: str = "emergency stop"
 
     def strike(self, scene: Scene) -> None:
-        """Targets go on meanwhile."""
+        """Stop and release. Targets go on meanwhile."""
         client = graph.ESTOP.client(scene.client.node, of="servo_driver")
         if not client.wait_for_service(timeout_sec=0.0):
             return

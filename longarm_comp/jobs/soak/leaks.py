@@ -1,4 +1,4 @@
-"""Memory and open handles of processes over time, and whether they grow (Linux's /proc)."""
+"""Detection of growing memory and open handles of processes, from Linux's /proc."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _FEWEST = 5
 
 @dataclass
 class Growth:
-    """One process: samples, first and last level after the warm-up."""
+    """Samples of one process, with first and last level after the warm-up."""
 
     name: str
     samples: int
@@ -37,10 +37,10 @@ class Growth:
 
 @dataclass
 class LeakWatch:
-    """Sampled now and then; processes by name and id, as a killed one comes back as another.
+    """Samples processes by name and id, since a restarted process has another id.
 
     Args:
-        least: samples of one process from which on its growth is judged.
+        least: fewest samples of a process for its growth to be judged.
     """
 
     least: int = 300
@@ -50,7 +50,7 @@ class LeakWatch:
     )
 
     def sample(self, name: str, pid: int) -> None:
-        """Look at one process; one that is gone is passed over."""
+        """Sample one process. A process that is gone is ignored."""
         try:
             pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
             handles = len(os.listdir(f"/proc/{pid}/fd"))
@@ -59,19 +59,19 @@ class LeakWatch:
         self._seen[name, pid].append((pages * os.sysconf("SC_PAGE_SIZE") / 1e6, handles))
 
     def growth(self) -> list[Growth]:
-        """Of the longest life of each process that was sampled often enough."""
-        made: dict[str, Growth] = {}
+        """Growth of each process with enough samples, over its longest life."""
+        by_name: dict[str, Growth] = {}
         for (name, _), rows in self._seen.items():
-            if len(rows) < _FEWEST or (name in made and made[name].samples > len(rows)):
+            if len(rows) < _FEWEST or (name in by_name and by_name[name].samples > len(rows)):
                 continue
             steady = np.array(rows[int(_WARM_UP * len(rows)) :])
             part = max(1, len(steady) // 5)
             first, last = np.median(steady[:part], axis=0), np.median(steady[-part:], axis=0)
-            made[name] = Growth(
+            by_name[name] = Growth(
                 name,
                 len(rows),
                 (float(first[0]), float(last[0])),
                 (int(first[1]), int(last[1])),
                 len(rows) >= self.least,
             )
-        return list(made.values())
+        return list(by_name.values())

@@ -1,4 +1,4 @@
-"""Double entry for targets: each one sent is answered once, each one executed is sent once."""
+"""Ledger of targets: each one is answered once, and each executed command is sent once."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ _REMEMBERED = 20_000  # answered targets, to notice a second answer
 
 
 @dataclass
-class Books:
-    """Times in s; targets are known by their stamp (ns).
+class Ledger:
+    """Record of sent targets, their answers and trajectories. Times are in s.
+
+    Targets are identified by their stamp (ns).
 
     Attributes:
-        answered: how many, by status.
-        wrong: what must never happen, by kind; empty after a good soak.
-        reasons: refusals by their reason up to its first number.
+        answered: number of answers by status.
+        wrong: number of violations by kind; empty after a good soak.
+        reasons: number of refusals by their reason up to its first number.
     """
 
     sent: int = 0
@@ -35,12 +37,12 @@ class Books:
         return len(self._open)
 
     def target(self, stamp: int, now: float, *, good: bool) -> None:
-        """A target is sent; one that is not good must be refused."""
+        """Enter a target that is sent. One that is not good must be refused."""
         self.sent += 1
         self._open[stamp] = now, good
 
     def answer(self, stamp: int, status: int, refused: bool, message: str, joints: Joints) -> None:
-        """`compensation` told of a target; ``joints`` were sent to the arm, if any."""
+        """Enter the answer on `compensation`; ``joints`` were sent to the arm, if any."""
         if stamp not in self._open:
             self.wrong["answered twice" if stamp in self._closed else "answer to no target"] += 1
             return
@@ -63,7 +65,7 @@ class Books:
             self._match(joints, 1)
 
     def trajectory(self, joints: Joints) -> None:
-        """`joint_trajectory` carried these joints."""
+        """Enter the joints of a message on `joint_trajectory`."""
         self.trajectories += 1
         self._match(joints, -1)
 
@@ -73,17 +75,17 @@ class Books:
             del self._unmatched[joints]
 
     def late(self, now: float, patience_s: float) -> int:
-        """Targets that were sent so long ago and have no answer."""
+        """Number of targets without an answer for longer than ``patience_s``."""
         return sum(now - sent > patience_s for sent, _ in self._open.values())
 
     def give_up(self) -> None:
-        """What has no answer by now is lost."""
+        """Count targets without an answer as lost."""
         if self._open:
             self.wrong["target without an answer"] += len(self._open)
         self._open.clear()
 
     def close(self) -> None:
-        """Everything is quiet: what is open now is lost."""
+        """Count all open entries as lost, when everything is at rest."""
         self.give_up()
         lost = sum(n for n in self._unmatched.values() if n > 0)
         doubled = -sum(n for n in self._unmatched.values() if n < 0)

@@ -1,4 +1,4 @@
-"""The soak itself: targets at a steady rate, faults at random moments, a report at the end."""
+"""Runs the soak test: targets at a steady rate, faults at random times, a report at the end."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.jobs.client import ArmClient
-from longarm_comp.jobs.dummy_predictor import train_stand_in
+from longarm_comp.jobs.dummy_predictor import train_dummy
 from longarm_comp.jobs.soak.faults import BreakFile, EmergencyStop, Fault, Kill
 from longarm_comp.jobs.soak.scene import Scene
 from longarm_comp.jobs.soak.setting import NAMESPACE, SoakSettings
@@ -25,7 +25,7 @@ Say = Callable[[str, float], None]
 
 
 def faults(setting: SoakSettings) -> list[Fault]:
-    """Everything that may break, equally often."""
+    """All faults, each equally likely."""
     return [
         Kill("error_predictor"),
         Kill("stereo_bridge"),
@@ -40,7 +40,7 @@ def faults(setting: SoakSettings) -> list[Fault]:
 def soak(
     setting: SoakSettings, stop: threading.Event, say: Say = lambda text, share: None
 ) -> dict[str, Any]:
-    """Run it; the report as plain data, with ``passed``.
+    """Run a soak test and return its report as plain data, with ``passed``.
 
     Raises:
         JobError: the graph did not come up.
@@ -49,7 +49,7 @@ def soak(
     setting.out.mkdir(parents=True, exist_ok=True)
     arm = Arm.load(setting.arm)
     save_model(setting.model, store(declared_model(arm)))
-    train_stand_in(arm, setting.predictor)
+    train_dummy(arm, setting.predictor)
     rng = np.random.default_rng(setting.seed)
     whole = 3600.0 * setting.hours
     begun = time.monotonic()
@@ -59,7 +59,7 @@ def soak(
         kinds = faults(setting)
         order: list[int] = []
         while (gone := time.monotonic() - begun) < whole:
-            say(f"{scene.books.sent} targets, {sum(scene.struck.values())} faults", gone / whole)
+            say(f"{scene.ledger.sent} targets, {sum(scene.struck.values())} faults", gone / whole)
             pause = float(rng.exponential(setting.fault_s))
             scene.go_on(min(pause, max(whole - gone, 0.1)))
             if time.monotonic() - begun >= whole:
@@ -69,7 +69,7 @@ def soak(
             scene.struck[fault.name] += 1
             fault.strike(scene)
         scene.audit()
-        scene.books.close()
+        scene.ledger.close()
         return _report(scene, time.monotonic() - begun)
 
 
@@ -91,22 +91,22 @@ def _scene(
 
 
 def _report(scene: Scene, seconds: float) -> dict[str, Any]:
-    books, growth = scene.books, scene.leaks.growth()
+    ledger, growth = scene.ledger, scene.leaks.growth()
     crashes = {
         name: scene.supervisor.deaths(name) - scene.expected_deaths[name]
         for name in scene.supervisor.commands
     }
     crashes = {name: n for name, n in crashes.items() if n > 0}
     return {
-        "passed": not books.wrong and not crashes and not any(g.leaks for g in growth),
+        "passed": not ledger.wrong and not crashes and not any(g.leaks for g in growth),
         "seconds": seconds,
-        "targets": books.sent,
+        "targets": ledger.sent,
         "held_back": scene.held_back,
-        "trajectories": books.trajectories,
-        "answers_by_status": dict(sorted(books.answered.items())),
-        "refusals": dict(books.reasons),
+        "trajectories": ledger.trajectories,
+        "answers_by_status": dict(sorted(ledger.answered.items())),
+        "refusals": dict(ledger.reasons),
         "faults": dict(scene.struck),
-        "wrong": dict(books.wrong),
+        "wrong": dict(ledger.wrong),
         "crashes": crashes,
         "growth": [{**vars(g), "leaks": g.leaks} for g in growth],
         "seed": scene.setting.seed,

@@ -1,4 +1,4 @@
-"""The graph under soak: a stream of targets into it, and the books of what came of them."""
+"""The graph under test: sends a stream of targets and enters the answers in the ledger."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.path import slow_path
 from longarm_comp.jobs.soak.leaks import LeakWatch
-from longarm_comp.jobs.soak.ledger import Books
+from longarm_comp.jobs.soak.ledger import Ledger
 from longarm_comp.jobs.soak.setting import NAMESPACE, SoakSettings
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.images import stamp_ns, stamp_of
@@ -33,20 +33,20 @@ _MOST_WAITING = 50
 
 @dataclass
 class Scene:
-    """The running graph, the stream of targets into it, and what is known of both."""
+    """The running graph, the stream of targets, and the records of both."""
 
     setting: SoakSettings
     arm: Arm
     supervisor: Supervisor
     client: ArmClient
     rng: np.random.Generator
-    books: Books = field(default_factory=Books)
+    ledger: Ledger = field(default_factory=Ledger)
     leaks: LeakWatch = field(default_factory=LeakWatch)
     expected_deaths: Counter[str] = field(default_factory=Counter)
     struck: Counter[str] = field(default_factory=Counter)
     held_back: int = 0
     _driver: int = 0
-    _driver_told: int = 0
+    _driver_reports: int = 0
     _driver_rose: bool = False
     _driver_at: tuple[int, int] | None = None
     _probing: bool = False
@@ -55,19 +55,19 @@ class Scene:
     _sampled: float = 0.0
 
     def __post_init__(self) -> None:
-        """Listen to everything that the books need."""
+        """Subscribe to all topics that the ledger needs."""
         node = self.client.node
         self._poses = [pose_message(m) for m in slow_path(self.arm, _PATH)]
         self._target = graph.TARGET_POSE.publisher(node)
-        graph.COMPENSATION.subscription(node, self._on_story)
+        graph.COMPENSATION.subscription(node, self._on_compensation)
         graph.JOINT_TRAJECTORY.subscription(node, self._on_trajectory)
         graph.DIAGNOSTICS.subscription(node, self._on_diagnostics)
 
-    def _on_story(self, message: Compensation) -> None:
+    def _on_compensation(self, message: Compensation) -> None:
         if self._probing:
             self._probed = stamp_ns(message.target.header.stamp)
             return
-        self.books.answer(
+        self.ledger.answer(
             stamp_ns(message.target.header.stamp),
             int(message.status),
             int(message.status) > Compensation.OUT_OF_DOMAIN,
@@ -78,7 +78,7 @@ class Scene:
     def _on_trajectory(self, message: JointTrajectory) -> None:
         if self._probing:
             return
-        self.books.trajectory(tuple(message.points[-1].positions))
+        self.ledger.trajectory(tuple(message.points[-1].positions))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -87,14 +87,14 @@ class Scene:
                 before = self._driver
                 self._driver = int(facts["trajectories"]) + int(facts["refused"])
                 self._driver_rose = self._driver_rose or self._driver > before
-                self._driver_told += 1
+                self._driver_reports += 1
 
     # ------------------------------------------------------------------ the stream
 
     def ready(self) -> None:
-        """Wait until every node does its part, by targets that are in no book.
+        """Wait until every node works, by sending targets that are not in the ledger.
 
-        A reader that was killed stays matched for a while, so that counting readers says nothing.
+        Counting subscribers is not enough: a killed one stays matched for a while.
         """
         client = self.client
         client.ready(_PATIENCE_S)
@@ -115,17 +115,17 @@ class Scene:
         self._mark()
 
     def _rested(self) -> None:
-        """The driver's report was made after everything came to rest."""
-        told = self._driver_told + 2
-        self.client.until(lambda: self._driver_told >= told, _PATIENCE_S, "no /diagnostics")
+        """Wait for a report of the driver from after everything came to rest."""
+        wanted = self._driver_reports + 2
+        self.client.until(lambda: self._driver_reports >= wanted, _PATIENCE_S, "no /diagnostics")
 
     def go_on(self, seconds: float) -> None:
-        """Targets at the rate for so long."""
+        """Send targets at the rate for a number of seconds."""
         end = time.monotonic() + seconds
         self._next = max(self._next, time.monotonic())
         while (now := time.monotonic()) < end:
             if now >= self._next:
-                if self.books.waiting < _MOST_WAITING:
+                if self.ledger.waiting < _MOST_WAITING:
                     self._send(now)
                 else:  # the machine does not keep up
                     self.held_back += 1
@@ -136,13 +136,13 @@ class Scene:
 
     def _send(self, now: float) -> None:
         good = bool(self.rng.random() >= self.setting.bad_share)
-        self.books.target(self._publish(good=good), now, good=good)
+        self.ledger.target(self._publish(good=good), now, good=good)
 
     def _publish(self, *, good: bool) -> int:
         stamp = int(self.client.node.get_clock().now().nanoseconds)
-        made = PoseStamped(pose=self._poses[self.books.sent % _PATH])
-        made.header.frame_id, made.header.stamp = "base", stamp_of(stamp)
-        self._target.publish(made if good else bad_target(made, self.rng))
+        message = PoseStamped(pose=self._poses[self.ledger.sent % _PATH])
+        message.header.frame_id, message.header.stamp = "base", stamp_of(stamp)
+        self._target.publish(message if good else bad_target(message, self.rng))
         return stamp
 
     def _sample(self, now: float) -> None:
@@ -151,52 +151,52 @@ class Scene:
             self.leaks.sample(name, self.supervisor.pid(name))
         self.leaks.sample("soak", os.getpid())
 
-    # ------------------------------------------------------------------ the books
+    # ------------------------------------------------------------------ the ledger
 
     def quiet(self) -> None:
-        """No target, and every one answered; one that never is goes into the books."""
+        """Wait until every target is answered; enter those that are not as lost."""
         end = time.monotonic() + _PATIENCE_S
         self.client.until(
-            lambda: not self.books.waiting or time.monotonic() > end, 2 * _PATIENCE_S, "answers"
+            lambda: not self.ledger.waiting or time.monotonic() > end, 2 * _PATIENCE_S, "answers"
         )
-        self.books.give_up()
+        self.ledger.give_up()
         self.client.spin(0.3)
 
     def audit(self) -> None:
-        """Let everything come to rest, and compare what was sent with what the driver got."""
+        """Wait for rest, then compare the trajectories sent and received by the driver."""
         self.quiet()
         self._rested()
         if self._driver_at is not None:
             sent, got = (
-                self.books.trajectories - self._driver_at[0], self._driver - self._driver_at[1],
+                self.ledger.trajectories - self._driver_at[0], self._driver - self._driver_at[1],
             )  # fmt: skip
             if sent != got:
-                self.books.wrong["trajectory that the driver did not get once"] += abs(sent - got)
+                self.ledger.wrong["trajectory that the driver did not get once"] += abs(sent - got)
         self._mark()
 
     def _mark(self) -> None:
-        self._driver_at = self.books.trajectories, self._driver
+        self._driver_at = self.ledger.trajectories, self._driver
 
     def wait_back(self, node: str, before: int) -> None:
-        """A node that was killed is running again and connected; its counters begin anew."""
+        """Wait until a killed node runs again and is connected. Its counters restart at 0."""
         back = lambda: self.supervisor.pid(node) != before  # noqa: E731
         self.client.until(back, _PATIENCE_S, f"{node} is away")
         self.ready()
 
 
 def bad_target(good: PoseStamped, rng: np.random.Generator) -> PoseStamped:
-    """A target that must be refused: one of five ways to be wrong."""
-    made = PoseStamped(header=good.header)
-    made.pose.position.x = good.pose.position.x
-    made.pose.position.y = good.pose.position.y
-    made.pose.position.z = good.pose.position.z
-    made.pose.orientation.w = 1.0
+    """A target that must be refused, with one of five faults."""
+    message = PoseStamped(header=good.header)
+    message.pose.position.x = good.pose.position.x
+    message.pose.position.y = good.pose.position.y
+    message.pose.position.z = good.pose.position.z
+    message.pose.orientation.w = 1.0
     ways = (
-        lambda: setattr(made.pose.position, "x", float("nan")),
-        lambda: setattr(made.pose.position, "z", float("inf")),
-        lambda: setattr(made.header, "frame_id", "kitchen"),
-        lambda: setattr(made.pose.orientation, "w", 2.0),
-        lambda: setattr(made.pose.position, "y", made.pose.position.y + 30.0),
+        lambda: setattr(message.pose.position, "x", float("nan")),
+        lambda: setattr(message.pose.position, "z", float("inf")),
+        lambda: setattr(message.header, "frame_id", "kitchen"),
+        lambda: setattr(message.pose.orientation, "w", 2.0),
+        lambda: setattr(message.pose.position, "y", message.pose.position.y + 30.0),
     )
     ways[int(rng.integers(len(ways)))]()
-    return made
+    return message

@@ -1,4 +1,4 @@
-"""How long, how fast, how often something breaks, on which graph."""
+"""Settings of a soak test: duration, rate, faults, graph."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ NAMESPACE = "longarm_soak"
 
 @dataclass(frozen=True)
 class SoakSettings:
-    """One soak.
+    """Settings of one soak test.
 
     Attributes:
         out: folder for the files that the nodes read.
-        hours, rate_hz: of targets.
+        hours, rate_hz: duration, and rate of the targets.
         fault_s: mean time between two faults of the graph.
-        bad_share: of targets that must be refused.
-        wire_faults_hz: damaged, lost and cut servo replies.
-        seed: of every chance.
+        bad_share: share of targets that must be refused.
+        wire_faults_hz: rate of damaged, lost and cut servo replies.
+        seed: seed of all random choices.
     """
 
     out: Path
@@ -47,16 +47,16 @@ class SoakSettings:
 
     @property
     def model(self) -> Path:
-        """Model file, broken and mended on the way."""
+        """Model file; it is broken and restored during the test."""
         return self.out / "model.yaml"
 
     @property
     def predictor(self) -> Path:
-        """Predictor file, broken and mended on the way."""
+        """Predictor file; it is broken and restored during the test."""
         return self.out / "predictor.npz"
 
     def graph(self) -> BringUp:
-        """The simulated arm with few images: they are not what is soaked."""
+        """Graph of the simulated arm with a low image rate, as images are not tested."""
         return BringUp(
             arm=self.arm,
             model=self.model,

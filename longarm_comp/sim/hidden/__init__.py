@@ -1,1 +1,1 @@
-"""Hidden effects: what is wrong with the true arm and its cameras, each with a dose."""
+"""Hidden effects: undeclared errors of the true arm and its cameras, each with a dose."""

@@ -1,4 +1,4 @@
-"""What a hidden effect may touch on the true arm."""
+"""Interface of a hidden effect on the true arm."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Dosed = TypeVar("Dosed", bound="HiddenEffect")
 
 @dataclass(frozen=True)
 class Place:
-    """A section where parts may give way.
+    """A section of the chain where parts may yield.
 
     Attributes:
         kind: `base` (foot), `bearing` (after Rz, before Tz of the row), `slide` (where a
@@ -39,27 +39,27 @@ class Place:
 
 
 class HiddenEffect:
-    """Something on the true arm that its maker did not declare; every hook does nothing here.
+    """An undeclared effect on the true arm. Every method of this class has no effect.
 
-    Subclasses are frozen dataclasses and override what they touch.
+    Subclasses are frozen dataclasses and override the methods that they need.
     """
 
     name: ClassVar[str]
     doses: ClassVar[tuple[str, ...]]
     gated: ClassVar[bool] = False
     of_command: ClassVar[bool] = False
-    """Whether it acts on what a joint is told, before everything that acts on the joint."""
+    """Whether it acts on the command of a joint, before all effects on the joint."""
 
     def scaled(self: Dosed, dose: float) -> Dosed:
         """The same effect `dose` times as large: the fields in `doses` times `dose`."""
         return replace(self, **{f: dose * getattr(self, f) for f in self.doses})  # type: ignore
 
     def joints(self, q: Array, state: State) -> Array:
-        """True joint values (N, n) from those that the effects before it leave (`TrueArm`)."""
+        """True joint values (N, n) from those after the effects before it (`TrueArm`)."""
         return q
 
     def held(self, torques: Array, state: State) -> Array | float:
-        """Joint offsets (N, n) that hang on the settled torques (N, n), N m or N; see `gated`."""
+        """Joint offsets (N, n) that depend on the settled torques (N, n), N m or N; see `gated`."""
         return 0.0
 
     def rows(self, rows: Array, state: State) -> Array:
@@ -83,7 +83,7 @@ class HiddenEffect:
         return []
 
     def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
-        """Rotation vector (3, B, N), rad, by which all beyond the place turns."""
+        """Rotation vector (3, B, N), rad, of everything beyond the place."""
         return None
 
     def readings(self, state: State) -> dict[str, Array]:

@@ -1,4 +1,4 @@
-"""The camera side: where the stereo head believes a point to be."""
+"""Hidden effects on the camera side: errors of the points reported by the stereo head."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class CameraEffect:
 
 @dataclass(frozen=True)
 class CameraPose(CameraEffect):
-    """The head stands elsewhere than declared by `delta` (6,): m and rad, in camera axes."""
+    """Pose error `delta` (6,) of the head: m and rad, in camera axes."""
 
     name: ClassVar[str] = "camera_pose"
     doses: ClassVar[tuple[str, ...]] = ("delta",)
@@ -42,7 +42,7 @@ class CameraPose(CameraEffect):
 
 @dataclass(frozen=True)
 class CameraScale(CameraEffect):
-    """A wrong baseline: seen distances are 1 + scale of the true ones."""
+    """Baseline error: seen distances are 1 + scale times the true ones."""
 
     name: ClassVar[str] = "camera_scale"
     doses: ClassVar[tuple[str, ...]] = ("scale",)
@@ -54,7 +54,7 @@ class CameraScale(CameraEffect):
 
 @dataclass(frozen=True)
 class CameraRadial(CameraEffect):
-    """Lens distortion left over: across the axis 1 + k1 (x^2 + y^2) / z^2 of the true place."""
+    """Remaining lens distortion: factor 1 + k1 (x^2 + y^2) / z^2 across the optical axis."""
 
     name: ClassVar[str] = "camera_radial"
     doses: ClassVar[tuple[str, ...]] = ("k1",)

@@ -1,4 +1,4 @@
-"""Every hidden effect by its canonical name, at a typical size, and scaled to a wanted one."""
+"""Hidden effects by canonical name, at a typical size or scaled to a given one."""
 
 from __future__ import annotations
 
@@ -152,10 +152,10 @@ OUTSIDE_EVERY_LIBRARY = ("cogging_bump", "cable_drag", "loose_screw")
 
 
 def hidden(name: str, arm: Arm, dose: float, rng: np.random.Generator) -> Hidden:
-    """An effect by name, `dose` times its typical size; where it sits is drawn.
+    """An effect by name, `dose` times its typical size, at a random place.
 
     Raises:
-        InputError: no effect has that name, or the arm cannot have it.
+        InputError: unknown name, or the arm cannot have this effect.
     """
     if name not in HIDDEN:
         raise InputError("hidden effect", "name", name, ", ".join(HIDDEN))
@@ -167,17 +167,17 @@ def draw(
 ) -> Hidden:
     """An effect by name, scaled so that it shifts the seen tip by about `size_mm` rms.
 
-    Servo steps come only in the sizes that are sold, so theirs is the nearest of those.
+    Servo steps exist only in a few sizes, so the nearest of them is taken.
 
     Args:
         name: canonical name.
         arm: the declared arm.
-        rng: draws where it sits.
+        rng: draws its place.
         size_mm: wanted rms shift over the poses (3-D), mm.
         poses: (N, n); 60 random ones by default.
 
     Raises:
-        InputError: no such effect, or no dose of it moves this arm.
+        InputError: unknown effect, or no dose of it moves this arm.
     """
     effect = HIDDEN[name](arm, rng) if name in HIDDEN else hidden(name, arm, 1.0, rng)
     poses = rng.uniform(arm.lower, arm.upper, (60, arm.n)) if poses is None else poses
@@ -196,13 +196,13 @@ def draw(
 
 
 def shift(effect: Hidden, arm: Arm, poses: Array, context: TrueContext) -> Array:
-    """By how much one effect moves the seen tip, (N, 3) m in the base frame."""
+    """Shift of the seen tip by one effect, (N, 3) m in the base frame."""
     sound = TrueArm(arm, steps=_STEPS).tip(poses, context)
     return _tip(effect, arm, poses, context, sound) - sound
 
 
 def _tip(effect: Hidden, arm: Arm, poses: Array, context: TrueContext, sound: Array) -> Array:
-    """Seen tip (N, 3) with one effect; `sound` is where the sound arm's is."""
+    """Seen tip (N, 3) with one effect; `sound` is the tip without it."""
     if isinstance(effect, CameraEffect):
         return TrueCamera.of(arm, [effect]).seen(sound, State.of(arm, poses, context).t_s)
     return TrueArm(arm, [effect], steps=_STEPS).tip(poses, context)

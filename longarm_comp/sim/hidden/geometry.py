@@ -1,4 +1,4 @@
-"""Parts that are not where the drawing has them."""
+"""Hidden geometry errors."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class DhError(HiddenEffect):
 
 @dataclass(frozen=True)
 class BasePose(HiddenEffect):
-    """The foot stands elsewhere by `delta` (6,): x, y, z, roll, pitch, yaw in m and rad."""
+    """Placement error `delta` (6,) of the foot: x, y, z, roll, pitch, yaw in m and rad."""
 
     name: ClassVar[str] = "base_pose"
     doses: ClassVar[tuple[str, ...]] = ("delta",)
@@ -51,7 +51,7 @@ class BasePose(HiddenEffect):
 
 @dataclass(frozen=True)
 class GravityDirection(HiddenEffect):
-    """Down is off by `tilt` (2,), rad about x and y of the base frame; the frame is not."""
+    """Gravity tilted by `tilt` (2,), rad about x and y of the base frame."""
 
     name: ClassVar[str] = "gravity_direction"
     doses: ClassVar[tuple[str, ...]] = ("tilt",)
@@ -81,7 +81,7 @@ class ThermalGrowth(HiddenEffect):
 
 @dataclass(frozen=True)
 class LooseScrew(HiddenEffect):
-    """Outside every library: row `row` snaps round by `jump` (rad) beyond an angle of a joint."""
+    """Not in the library: row `row` jumps by `jump` (rad) beyond an angle of a joint."""
 
     name: ClassVar[str] = "loose_screw"
     doses: ClassVar[tuple[str, ...]] = ("jump",)

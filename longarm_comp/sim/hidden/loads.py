@@ -1,4 +1,4 @@
-"""Parts that give way under the true load, and loads that nobody declared."""
+"""Hidden compliances under the true load, and undeclared loads."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ class TipPayload(HiddenEffect):
 
 @dataclass(frozen=True)
 class MeasuredTilt(HiddenEffect):
-    """The structure at frame `row` tilts as it likes, and an inclinometer there says by how much.
+    """The structure at frame `row` tilts, and an inclinometer there measures the tilt.
 
     The tilt, a rotation vector (x, y, 0) in that frame, sways with time and leans with the
     first joint; a session records it as `incl_<row>_x` and `incl_<row>_y`.

@@ -1,4 +1,4 @@
-"""Emulated servo buses on a pseudo-terminal, byte for byte; shares no code with the real driver."""
+"""Emulated servo buses on a pseudo-terminal. They share no code with the real driver."""
 
 from longarm_comp.sim.servo_emulator.emulator import WIRES, LoadOf, ServoEmulator
 from longarm_comp.sim.servo_emulator.faults import WireFaults

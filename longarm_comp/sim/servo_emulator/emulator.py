@@ -31,9 +31,9 @@ class ServoEmulator:
 
     Args:
         protocol: ``feetech`` or ``dynamixel``.
-        positions: where each servo stands at the start, ticks, by id.
+        positions: initial position of each servo, ticks, by id.
         spec: mechanics of all servos, or of each by id; none: an unloaded STS3215.
-        link: a symbolic link to the pseudo-terminal to make (and move along on ``replug``).
+        link: path of a symbolic link to the pseudo-terminal, updated by ``replug``.
         load_of: external load from positions; none: unloaded.
         baudrate: when given, replies take as long as their bytes take at this rate.
 
@@ -119,7 +119,7 @@ class ServoEmulator:
         self.stop()
 
     def positions(self) -> dict[int, float]:
-        """Where the servos really stand now, ticks, not rounded."""
+        """Present true positions, ticks, not rounded."""
         with self._lock:
             self._advance()
             return {i: d.motor.position for i, d in self._devices.items()}
@@ -131,13 +131,13 @@ class ServoEmulator:
             return {i: d.motor.approach for i, d in self._devices.items()}
 
     def windings(self) -> dict[int, float]:
-        """How far each gear train is wound up, -1 to +1 (`MotorSpec.wind_up_ticks`)."""
+        """Wind-up of each gear train, -1 to +1 (`MotorSpec.wind_up_ticks`)."""
         with self._lock:
             self._advance()
             return {i: d.motor.wound for i, d in self._devices.items()}
 
     def torques_on(self) -> dict[int, bool]:
-        """Which servos drive."""
+        """Whether the torque of each servo is on."""
         with self._lock:
             return {i: d.motor.torque_on for i, d in self._devices.items()}
 
@@ -218,13 +218,13 @@ class ServoEmulator:
 
 
 def _send(master: int, data: bytes) -> None:
-    """Put bytes on the line; when nobody takes them off, they are lost as on a real one."""
+    """Write bytes to the line. Bytes that nobody reads are lost, as on a real line."""
     with contextlib.suppress(BlockingIOError):
         os.write(master, data)
 
 
 def _point(link: Path, target: str) -> None:
-    """Make or move a symbolic link in one step, so that no reader sees it missing."""
+    """Create or replace a symbolic link atomically, so that it is never missing."""
     fresh = link.with_name(f".{link.name}.{os.getpid()}")
     fresh.symlink_to(target)
     fresh.replace(link)

@@ -1,4 +1,4 @@
-"""Faults on the wire of the emulated bus: what happens to a reply before it is sent."""
+"""Faults on the wire of the emulated bus, applied to replies before they are sent."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections import Counter
 
 
 class WireFaults:
-    """Which replies get lost, damaged, cut or late. Counts go down as replies are sent."""
+    """Replies to lose, damage, cut or delay. Counts go down as replies are sent."""
 
     def __init__(self) -> None:
         self.silent: set[int] = set()
@@ -47,7 +47,7 @@ class WireFaults:
         self.noise += junk
 
     def apply(self, servo_id: int, reply: bytes) -> tuple[float, bytes]:
-        """What is really sent for ``reply``: (seconds late, bytes)."""
+        """Delay (s) and bytes that are sent for ``reply``."""
         if servo_id in self.silent or _take(self.drops, servo_id):
             return 0.0, b""
         if _take(self.bad_checksums, servo_id):

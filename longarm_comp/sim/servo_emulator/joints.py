@@ -1,7 +1,7 @@
-"""The joints behind emulated servos: which servo, and how far the joint moves a tick.
+"""The joints of emulated servos: servo of each joint and travel per tick.
 
-Read from the driver's configuration file but with conversions of its own, so that an error in the
-driver's cannot hide: a wrong sign there moves the simulated arm the wrong way.
+They are read from the driver's configuration file, but converted by separate code. An error in the
+driver, such as a wrong sign, then moves the simulated arm the wrong way and is noticed.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class EmulatedJoint:
 
 @dataclass(frozen=True)
 class EmulatedArm:
-    """What the configuration says about the servos that the emulator needs to know."""
+    """The part of the configuration that the emulator needs."""
 
     protocol: str
     joints: tuple[EmulatedJoint, ...]

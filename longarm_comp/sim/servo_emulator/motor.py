@@ -82,7 +82,7 @@ class Motor:
         self.torque_on = on and not self.alarms
 
     def clear_alarms(self) -> None:
-        """What a reboot does; a servo that is still too hot keeps its alarm."""
+        """Clear the alarms as a reboot does. A servo that is still too hot keeps its alarm."""
         self.alarms = {OVERHEAT} & self.alarms if self._hot else set()
         self._overloaded_s = 0.0
 

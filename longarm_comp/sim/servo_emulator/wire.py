@@ -1,4 +1,4 @@
-"""What an emulated protocol is: instruction frames in, status frames out, a register image."""
+"""Interface of an emulated protocol: instruction frames in, status frames out, registers."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Wire(ABC):
         """A servo with this protocol's factory memory."""
 
     def power_cycle(self, device: Device) -> None:
-        """What loss and return of power leave: kept registers, torque off, no alarm."""
+        """State after a loss of power: kept registers, torque off, no alarm."""
         motor = device.motor
         fresh = self.device(device.servo_id, motor).memory
         device.memory[:] = device.kept[: self.kept_below] + fresh[self.kept_below :]

@@ -1,1 +1,1 @@
-"""Straight-line code from the package's own Python: Python text, NumPy, LLVM."""
+"""Generation of straight-line code from the package's own Python: Python, NumPy, LLVM."""

@@ -3,8 +3,8 @@
 Every program is ``void name(ptr s)`` over a block of columns: number k of lane l is
 ``s[k * width + l]``.  A flow of programs becomes a function of loops around calls, and for
 each ``many_name(blocks, count)`` runs it on blocks that follow each other in memory.
-A product and a sum may be fused, nothing may be reordered: the numbers are those of Python but
-for their last digits.
+A product and a sum may be fused, but nothing is reordered.  The results differ from those of Python
+only in the last digits.
 """
 
 from __future__ import annotations
@@ -50,19 +50,19 @@ def module(
 
 
 def lowered(graph: Graph, outputs: Outputs) -> tuple[Graph, Outputs]:
-    """The same with angles' functions as arithmetic, which lanes can do side by side."""
+    """The graph with trigonometric functions as arithmetic, which works on all lanes at once."""
     low = Graph()
-    made: dict[int, Any] = {}
+    nodes: dict[int, Any] = {}
     for node in graph.needed(list(outputs.values())):
         op, operands = graph.nodes[node]
-        args = [made[o] if type(o) is int else o for o in operands]
+        args = [nodes[o] if type(o) is int else o for o in operands]
         if op == "input":
-            made[node] = low.input(operands[0])
+            nodes[node] = low.input(operands[0])
         elif op in _IN_ARITHMETIC:
-            made[node] = _IN_ARITHMETIC[op](*args)
+            nodes[node] = _IN_ARITHMETIC[op](*args)
         else:
-            made[node] = low.apply(op, *args)
-    return low, {k: made[o.node] if isinstance(o, Symbol) else o for k, o in outputs.items()}
+            nodes[node] = low.apply(op, *args)
+    return low, {k: nodes[o.node] if isinstance(o, Symbol) else o for k, o in outputs.items()}
 
 
 class _Writer:
@@ -74,7 +74,7 @@ class _Writer:
         self.flag = f"<{width} x i1>"
 
     def outside(self) -> list[str]:
-        """What is called: intrinsics take all lanes, the library of C one at a time."""
+        """Declarations: intrinsics work on all lanes, functions of the C library on one."""
         width, kind = self.width, self.kind
         lines = [f"declare {kind} @llvm.{f}.v{width}f64({kind}) #1" for f in _INTRINSIC]
         for name, arguments in _LIBRARY.items():
@@ -105,7 +105,7 @@ class _Writer:
         return lines
 
     def flow(self, work: Flow, place: Mapping[str, range], number: Iterator[int]) -> list[str]:
-        """Calls, and loops for as long as a row holds anything but 0 in any lane."""
+        """Calls, and loops that run while a row is not 0 in any lane."""
         lines: list[str] = []
         for step in work:
             if isinstance(step, str):

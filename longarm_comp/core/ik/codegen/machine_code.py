@@ -1,4 +1,4 @@
-"""LLVM assembly to machine code, through llvmlite."""
+"""Compilation of LLVM assembly to machine code by llvmlite."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class Code:
         if name not in self._functions:
             arguments = [ctypes.c_void_p, ctypes.c_ssize_t][: 2 if name.startswith("many_") else 1]
             kind = ctypes.CFUNCTYPE(None, *arguments)
-            made: Any = kind(self._engine.get_function_address(name))
-            made.engine = self._engine  # the machine code lives as long as anything calls it
-            self._functions[name] = made
+            compiled: Any = kind(self._engine.get_function_address(name))
+            compiled.engine = self._engine  # keeps the machine code alive with the function
+            self._functions[name] = compiled
         return self._functions[name]
 
 
@@ -38,7 +38,7 @@ def _prepare() -> None:
 
 
 def lanes() -> int:
-    """Doubles that this machine's processor adds at once."""
+    """Number of doubles in a vector register of this processor."""
     features = llvm.get_host_cpu_features()
     return 8 if features.get("avx512f") else 4 if features.get("avx") else 2
 

@@ -42,10 +42,10 @@ ARRAYS: dict[str, Any] = {
 
 
 def python(name: str, graph: Graph, outputs: Outputs, arrays: bool = False) -> str:
-    """A Python function; what is used once is written where it is used.
+    """A Python function. An expression that is used once is inlined.
 
-    Names are used again as soon as what they held is no longer needed: arrays then stay in
-    the processor's cache, which makes the function three times faster.
+    Names are reused as soon as their value is no longer needed.  Arrays then stay in the
+    processor's cache, which makes the function three times faster.
     """
     live = graph.needed(list(outputs.values()))
     uses: Counter[int] = Counter()
@@ -63,7 +63,7 @@ def python(name: str, graph: Graph, outputs: Outputs, arrays: bool = False) -> s
             lines.append((f"v{node}", shown))
             shown, deep = f"v{node}", 0
         text[node], depth[node] = shown, deep
-    ends = []  # all is computed before anything is written
+    ends = []  # outputs are written after all computations
     for k, (place, out) in enumerate(outputs.items()):
         value = text[out.node] if isinstance(out, Symbol) else repr(float(out))
         if not _NAME.fullmatch(value):
@@ -77,7 +77,7 @@ def _renamed(lines: Sequence[tuple[str, str]]) -> list[str]:
     last = {int(v): k for k, (_, shown) in enumerate(lines) for v in _NAME.findall(shown)}
     held: dict[int, str] = {}
     spare: list[str] = []
-    made = []
+    names = []
     for k, (target, shown) in enumerate(lines):
         used = {int(v) for v in _NAME.findall(shown)}
         shown = _NAME.sub(lambda match: held[int(match[1])], shown)
@@ -85,8 +85,8 @@ def _renamed(lines: Sequence[tuple[str, str]]) -> list[str]:
         if target[0] == "v":
             held[int(target[1:])] = spare.pop() if spare else f"w{len(held)}"
             target = held[int(target[1:])]
-        made.append(f"    {target} = {shown}")
-    return made
+        names.append(f"    {target} = {shown}")
+    return names
 
 
 def _expression(op: str, operands: tuple[Operand, ...], text: dict[int, str], arrays: bool) -> str:

@@ -1,9 +1,10 @@
-"""Run the model's own Python once on symbols and keep what it computed, as straight-line code.
+"""Symbolic execution of the model's Python code, recorded as straight-line code.
 
-`Symbol` is one more kind of scalar: it records every operation on a `Graph`, folds constants
-(what is multiplied by zero never existed) and shares common subexpressions.  `emit` writes
-what is needed for given outputs as Python (for floats with `math`, for (N,) arrays with
-NumPy) or as LLVM's assembly.  No maths is written twice: change the model, trace again.
+`Symbol` is another kind of scalar.  It records every operation on a `Graph`, folds constants
+(products with zero are dropped) and shares common subexpressions.  The other modules of this
+folder write the operations that given outputs need as Python (for floats with `math`, for (N,)
+arrays with NumPy) or as LLVM's assembly.  No formula is written twice: a changed model is traced
+again.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ _UFUNCS = {
 
 
 class Graph:
-    """What was computed, in order: node k is ``(operation, operands)``, inputs first."""
+    """The operations in order: node k is ``(operation, operands)``, inputs first."""
 
     def __init__(self) -> None:
         self.nodes: list[tuple[str, tuple[Operand, ...]]] = []
@@ -57,7 +58,7 @@ class Graph:
         self._symbols: dict[int, Symbol] = {}
 
     def input(self, text: str) -> Symbol:
-        """A symbol for a given value; `text` is how the emitted function reads it."""
+        """A symbol for an input; `text` is the expression by which the function reads it."""
         return self._node("input", (text,))
 
     def apply(self, op: str, *args: Any) -> Any:
@@ -132,10 +133,10 @@ class Symbol:
 
     def __pow__(self, other: Any) -> Any:
         if isinstance(other, int) and 1 <= other <= 8:
-            made: Any = self
+            product: Any = self
             for _ in range(other - 1):
-                made = made * self
-            return made
+                product = product * self
+            return product
         return self.graph.apply("pow", self, other)
 
     def __neg__(self) -> Any:

@@ -1,8 +1,8 @@
-"""Bags as a robot records them, of any size, for the benchmarks of reading and writing.
+"""Synthetic robot recordings of any size, for the benchmarks of bags.
 
 An arm is sent to a pose every 4 s, moves for 1 s and rests.  Joints are measured at 100 Hz with
-speeds and efforts, the tip at 15 Hz while it rests; the messages are made once and only their
-numbers change, so that making a bag costs little beside writing it.
+speeds and efforts, the tip at 15 Hz while it rests.  The messages are serialised once and only
+their numbers are replaced, so that generating a bag costs little compared with writing it.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def _visit(
     tip: np.ndarray,
     rng: np.random.Generator,
 ) -> Iterator[Raw]:
-    """One command, the joints on their way and at rest, and what was seen of the tip."""
+    """Messages of one command: joints in motion and at rest, and sightings of the tip."""
     yield make.command(begin, q)
     count = int(PERIOD_S * STATES_HZ)
     share = np.minimum(np.arange(1, count + 1) / (MOVE_S * STATES_HZ), 1.0)[:, None]
@@ -69,7 +69,7 @@ def _visit(
 
 
 class _Messages:
-    """Serialised messages of one arm: a pattern each, in which stamp and numbers are replaced."""
+    """Serialised messages of one arm, from patterns whose stamp and numbers are replaced."""
 
     def __init__(self, arm: Arm) -> None:
         self._types, self._names, self._n = message_types(), list(arm.joint_names), arm.n
@@ -112,7 +112,7 @@ class _Messages:
         return self._types.types[kind](**fields)
 
     def _pattern(self, topic: str, marks: np.ndarray, **fields: Any) -> tuple[bytearray, int]:
-        """A message and where in it the marks are."""
+        """A serialised message and the offset of the marks in it."""
         stamp = self._make("builtin_interfaces/msg/Time", sec=0, nanosec=0)
         header = self._make("std_msgs/msg/Header", stamp=stamp, frame_id="base")
         kind = TYPES[topic]
@@ -128,7 +128,7 @@ class _Messages:
 
 
 def write_raw(path: Path, messages: Iterator[Raw], count: int | None = None) -> int:
-    """Write messages with the bare library (mcap); how many."""
+    """Write messages with the bare library (mcap). Returns their number."""
     connections: dict[str, Any] = {}
     done = 0
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:

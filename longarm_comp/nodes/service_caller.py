@@ -1,8 +1,8 @@
-"""A service asked and waited for in one thread, without an executor.
+"""A blocking service client: sends a request and waits for its response without an executor.
 
-rclpy has this for topics only (`rclpy.wait_for_message`), and this does it the same way.  Through
-an executor every answer costs several rounds of building wait sets in Python, and a future's
-callbacks another one before the next question.
+rclpy offers this only for topics (`rclpy.wait_for_message`); this works the same way.  Through an
+executor, every response costs several wait sets built in Python, and the callbacks of its future
+cost another one before the next request.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from rclpy.context import Context
 from rclpy.impl.implementation_singleton import rclpy_implementation
 
 
-class Asking:
-    """One thread's client.
+class ServiceCaller:
+    """A service client for one thread.
 
     Args:
-        client: of a node that is in no executor.
-        context: of that node.
+        client: client of a node that is in no executor.
+        context: context of that node.
     """
 
     def __init__(self, client: Client, context: Context) -> None:
@@ -30,13 +30,13 @@ class Asking:
             self._waiting = rclpy_implementation.WaitSet(*one_client, context.handle)
 
     def send(self, request: Any) -> int:
-        """Ask; the question's number."""
+        """Send a request and return its number."""
         handle = self._client.handle
         with handle:
             return int(handle.send_request(request))
 
     def answer(self, number: int, within_s: float) -> Any:
-        """What is answered to a question; None if nothing is in time. Earlier ones are dropped."""
+        """The response to a request, or None after ``within_s``. Earlier responses are dropped."""
         handle = self._client.handle
         end = time.monotonic() + within_s
         while True:

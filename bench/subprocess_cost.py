@@ -1,7 +1,7 @@
-"""Run a function in a process of its own: what it costs alone, in time and in memory.
+"""Measures time and memory of a function in a process of its own.
 
-The process answers one JSON object on its last line: the result, wall and processor seconds, and
-the memory that it held at most, over what it held when its modules were imported.
+The process prints one JSON object on its last line: the result, wall and processor seconds, and
+the peak memory, in total and above the memory after the imports.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ _ONE_THREAD = {f"{pool}_NUM_THREADS": "1" for pool in ("OMP", "OPENBLAS", "MKL")
 
 @dataclass(frozen=True)
 class Cost:
-    """What a call returned and took.
+    """Result, time and memory of a call.
 
     Attributes:
-        result: whatever JSON can hold.
-        wall_s, cpu_s: seconds of the call, imports not counted.
-        grown_mb: memory held at most, beyond what was held before the call.
-        peak_mb: memory held at most, all in all.
+        result: the returned value, as JSON can hold it.
+        wall_s, cpu_s: seconds of the call without imports.
+        grown_mb: peak memory above the memory before the call.
+        peak_mb: peak memory in total.
     """
 
     result: Any
@@ -46,9 +46,9 @@ def cost_of(module: str, function: str, *arguments: Any) -> Cost:
     """Call ``module.function(*arguments)`` in a new process with one BLAS thread.
 
     Raises:
-        JobError: it did not end well.
+        JobError: the process failed.
     """
-    command = [sys.executable, "-m", "bench.apart", module, function]
+    command = [sys.executable, "-m", "bench.subprocess_cost", module, function]
     done = subprocess.run(
         [*command, json.dumps(arguments)],
         capture_output=True,
@@ -76,11 +76,11 @@ def _memory_mb(kind: str) -> float:
 
 
 def main() -> None:
-    """The other side of `cost_of`."""
+    """Entry point of the process that `cost_of` starts."""
     module, name, arguments = sys.argv[1:]
     function = getattr(importlib.import_module(module), name)
     with contextlib.suppress(OSError):
-        _CLEAR.write_text("5")  # VmHWM begins anew
+        _CLEAR.write_text("5")  # resets VmHWM
     before, begin, used = _memory_mb("VmRSS"), time.perf_counter(), time.process_time()
     result = function(*json.loads(arguments))
     wall, cpu, peak = time.perf_counter() - begin, time.process_time() - used, _memory_mb("VmHWM")

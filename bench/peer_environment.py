@@ -1,6 +1,6 @@
-"""Peers whose requirements exclude ours, each in a virtual environment of its own.
+"""Virtual environments for peers whose requirements conflict with ours.
 
-Made on demand in the user's cache folder and kept between runs.
+They are created on demand in the user's cache folder and kept between runs.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from longarm_comp.core.errors import JobError
 
 
 def cache_folder(name: str) -> Path:
-    """Where the environment of a peer is kept."""
+    """Folder of the environment of a peer."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "longarm_comp" / f"{name}-py{sys.version_info[0]}{sys.version_info[1]}"
 
 
 def python_of(name: str, requirements: Sequence[str]) -> Path:
-    """The Python of a peer's environment, made on the first call.
+    """The Python of a peer's environment, which is created on the first call.
 
     Raises:
-        JobError: the peer cannot be installed (no network, none for this Python).
+        JobError: the peer cannot be installed (no network, or no version for this Python).
     """
     folder = cache_folder(name)
     python = folder / "bin" / "python"
