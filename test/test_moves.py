@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_arm import ARM, measured
 
-from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.arm.history import SAME_POSE, History
 from longarm_comp.core.arm.moves import plan_move, run_up_lengths, wanted_sides
 from longarm_comp.core.compensation.arrive import Arrival, CompensationOptions, compensate_move
@@ -203,3 +203,18 @@ def test_a_side_that_a_target_asks_for_is_kept(loose: Model) -> None:
         assert made.arrivals[0].move.side.tolist() == [side] * ARM.n
         truly = loose.tip(made[0].command, Context((side,) * ARM.n))
         np.testing.assert_allclose(truly, target, rtol=0, atol=1e-6)
+
+
+def test_the_history_of_a_file_is_carried_from_target_to_target(
+    loose: Model, rng: np.random.Generator
+) -> None:
+    session = measured(30, rng)
+    goals = ARM.mid + 0.3 * SPAN * (rng.random((8, ARM.n)) - 0.5)
+    made = compensate(loose, Model(ARM).tip(goals), history=session)
+    at = session.q[-1]
+    came = History(**{name: getattr(session, name)[-1] for name in PER_JOINT})
+    for arrival in made.arrivals:
+        came = came.after(arrival.move.points, at)
+        at = arrival.outcome.command
+        for name in PER_JOINT:
+            np.testing.assert_array_equal(getattr(arrival.history, name), getattr(came, name))
