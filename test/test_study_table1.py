@@ -17,10 +17,10 @@ from longarm_comp.studies import table1, table1_summary
 
 FEW = 100
 SHORT = (
-    table1.Setting("Original error", Method.NONE, paper=(17.7, 223.94)),
-    table1.Setting("Deflection only", Method.DEFLECTION, paper=(15.39, 215.97)),
-    table1.Setting("learned", Method.BOTH, FEW, table1.gaussian_process),
-    table1.Setting("network", Method.BOTH, FEW, table1.ssa_bp, single_pass=True),
+    table1.RowSetting("Original error", Method.NONE, paper=(17.7, 223.94)),
+    table1.RowSetting("Deflection only", Method.DEFLECTION, paper=(15.39, 215.97)),
+    table1.RowSetting("learned", Method.BOTH, FEW, table1.gaussian_process),
+    table1.RowSetting("network", Method.BOTH, FEW, table1.ssa_bp, single_pass=True),
 )
 
 
