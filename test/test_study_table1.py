@@ -60,7 +60,9 @@ def test_error_is_where_the_true_arm_went(arm: Arm) -> None:
     """A sound arm without hidden effects goes where the deflected model says."""
     bench = table1.Bench.draw(arm, 3, 0, 1)
     sound = table1.replace(
-        bench, true=table1.TrueArm(bench.declared.arm), camera=table1.Camera.of(bench.declared.arm)
+        bench,
+        true=table1.TrueArm(bench.declared.arm),
+        camera=table1.TrueCamera.of(bench.declared.arm),
     )
     stiff, sagging = (sound.run(s, 0) for s in SHORT[:2])
     assert sagging.tip.max < 1e-4
