@@ -17,10 +17,10 @@ from longarm_comp.studies import table1, table1_summary
 
 FEW = 100
 SHORT = (
-    table1.Setting("Original error", Method.NONE, paper=(17.7, 223.94)),
-    table1.Setting("Deflection only", Method.DEFLECTION, paper=(15.39, 215.97)),
-    table1.Setting("learned", Method.BOTH, FEW, table1.gaussian_process),
-    table1.Setting("network", Method.BOTH, FEW, table1.ssa_bp, single_pass=True),
+    table1.RowSetting("Original error", Method.NONE, paper=(17.7, 223.94)),
+    table1.RowSetting("Deflection only", Method.DEFLECTION, paper=(15.39, 215.97)),
+    table1.RowSetting("learned", Method.BOTH, FEW, table1.gaussian_process),
+    table1.RowSetting("network", Method.BOTH, FEW, table1.ssa_bp, single_pass=True),
 )
 
 
@@ -60,7 +60,9 @@ def test_error_is_where_the_true_arm_went(arm: Arm) -> None:
     """A sound arm without hidden effects goes where the deflected model says."""
     bench = table1.Bench.draw(arm, 3, 0, 1)
     sound = table1.replace(
-        bench, true=table1.TrueArm(bench.declared.arm), camera=table1.Camera.of(bench.declared.arm)
+        bench,
+        true=table1.TrueArm(bench.declared.arm),
+        camera=table1.TrueCamera.of(bench.declared.arm),
     )
     stiff, sagging = (sound.run(s, 0) for s in SHORT[:2])
     assert sagging.tip.max < 1e-4

@@ -63,9 +63,9 @@ def markdown(rows: list[dict[str, object]]) -> str:
     for row in rows:
         parameters: list[dict[str, object]] = row["parameters"]  # type: ignore[assignment]
         needs: list[str] = row["needs"]  # type: ignore[assignment]
-        told = "; ".join(map(_parameter, parameters)) or "none"
+        listed = "; ".join(map(_parameter, parameters)) or "none"
         source = "" if row["from"] == "longarm_comp" else f" ({row['from']})"
-        cells = (f"`{row['effect']}`", f"{row['meaning']}{source}", told, ", ".join(needs))
+        cells = (f"`{row['effect']}`", f"{row['meaning']}{source}", listed, ", ".join(needs))
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 

@@ -21,7 +21,7 @@ class Declared(BaseModel):
 
 
 class Misdeclared(ValueError):  # noqa: N818  (pydantic turns a ValueError into its own error)
-    """A fault of several keys together, told where a user must look.
+    """A fault of several keys together, reported at the key to correct.
 
     Args:
         field: path of the key below the validated mapping.

@@ -87,14 +87,14 @@ class PredictorClient:
             raise NoAnswer(f"its predictor was trained for method {fits.value!r}")
         self.file_hash = answer.message if answer.success else self.file_hash
         n, e = self._arm.n, answer.error
-        told = len(answer.jacobian) == 3 * n and len(answer.reach) == n
+        expanded = len(answer.jacobian) == 3 * n and len(answer.reach) == n
         return Expansion(
             error=np.array([e.x, e.y, e.z]),
             sigma=np.full(3, answer.sigma),
             in_domain=bool(answer.success and answer.in_domain),
             reason="" if answer.success else answer.message,
-            jacobian=np.reshape(answer.jacobian, (3, n)) if told else np.zeros((3, n)),
-            reach=np.array(answer.reach) if told else np.zeros(n),
+            jacobian=np.reshape(answer.jacobian, (3, n)) if expanded else np.zeros((3, n)),
+            reach=np.array(answer.reach) if expanded else np.zeros(n),
         )
 
     def _call(self, request: PredictError.Request) -> PredictError.Response:

@@ -42,7 +42,7 @@ class RunnerUp(_Record):
 
 
 class ReportFinding(_Record):
-    """An effect that was added, or the set that it cannot be told apart from."""
+    """An effect that was added, or the set of effects that it cannot be distinguished from."""
 
     effect: str
     set: list[str]

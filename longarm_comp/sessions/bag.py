@@ -98,8 +98,8 @@ def _read_messages(
     if not chosen:
         topics = ", ".join(sorted({c.topic for c in reader.connections})) or "no topic"
         raise InputError(where, "topics", topics, ", ".join(TYPES))
-    told = any(_name(c) == "session_row" and c.msgcount for c in chosen.values())
-    buffer = MessageBuffer(arm, where, reader.start_time, every_command=told)
+    has_rows = any(_name(c) == "session_row" and c.msgcount for c in chosen.values())
+    buffer = MessageBuffer(arm, where, reader.start_time, every_command=has_rows)
     rows = Rows(buffer)
     for name, stamp, message in _messages(reader, list(chosen.values()), arm, where):
         buffer.take(name, stamp, message)

@@ -194,7 +194,7 @@ class Bench:
             predictor = setting.learner(*training_rows(base, rows), seed=seed)
         arm = self.declared.arm
         payload = arm.payload.mass_kg if arm.payload else 0.0
-        told = Context(
+        known = Context(
             tuple(self.side for _ in range(arm.n)),
             {"temperature_c": self.temperature_c, "payload_kg": payload},
         )
@@ -202,7 +202,7 @@ class Bench:
             model,
             predictor,
             self.targets,
-            context=told,
+            context=known,
             seed=self.seed_q,
             method=setting.method,
             position_only=True,

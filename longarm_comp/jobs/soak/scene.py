@@ -28,7 +28,7 @@ _PATH = 2000
 _SAMPLE_S = 1.0
 _PATIENCE_S = 60.0
 _MOST_WAITING = 50
-"""Far below the depth of the topics: what is too much for a queue is lost where nobody answers."""
+"""Most open targets. It is far below the depth of the topics, beyond which messages are lost."""
 
 
 @dataclass
