@@ -152,7 +152,8 @@ def known(arm: Arm, hidden: tuple[HiddenEffect, ...]) -> Model:
                     gate, sag, half = e.friction / torque, e.yielding[j], e.deadband[j]
                     terms.append(ServoDroop(row, gate, sharp, sag=sag, deadband=half))
                 elif isinstance(e, drives.FrictionMemory):
-                    terms.append(FrictionHysteresis(row, reach, width=0.0, memory=2 * e.lag[j]))
+                    width = 2 * e.lag[j]  # all of it remembered, nothing by the side alone
+                    terms.append(FrictionHysteresis(row, far=reach, width=width, outer=width))
     return declared_model(arm).plus(*terms)
 
 
