@@ -124,7 +124,9 @@ class Plant:
         q, side, wound = self.joints(), self.side(), self.wound()
         known = np.concatenate([q, side, wound, [self.temperature_c(t_s)]])
         if self._last is None or np.abs(known - self._last[0]).max() > _SAME:
-            context = TrueContext(side, self.temperature_c(t_s), self.config.payload_kg, t_s, wound)
+            context = TrueContext(
+                side, self.temperature_c(t_s), self.config.payload_kg, t_s, wound=wound
+            )
             self._last = known, self._true.pose(q, context)
         return self._last[1]
 
