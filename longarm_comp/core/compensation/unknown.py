@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -62,10 +63,10 @@ def unknown_history(
         trials[name][2 * k : 2 * k + 2, joint] = extremes
     columns = {name: np.full(2 * len(open_), value) for name, value in context.columns.items()}
     history = {name: tuple(rows.reshape(len(rows), -1).T) for name, rows in trials.items()}
-    tip = model.tip(
-        np.tile(q, (2 * len(open_), 1)),
-        Context(**history, columns=columns, labels=context.labels),
-    )
+    supposed = Context(**history, columns=columns, labels=context.labels)
+    if not _matters(model, q, context, supposed):
+        return np.zeros(3), ""
+    tip = model.tip(np.tile(q, (2 * len(open_), 1)), supposed)
     half = 0.5 * (tip[0::2] - tip[1::2])
     size = np.linalg.norm(half, axis=1)
     if not (size > LEAST_M).any():
@@ -80,6 +81,22 @@ def unknown_history(
     sigma_mm = 1e3 * float(np.linalg.norm(spread))
     why = f"the tip depends on what is not known: {', '.join(parts)} (sigma {sigma_mm:.2f} mm)"
     return spread, why
+
+
+def _matters(model: Model, q: np.ndarray, context: Context, supposed: Context) -> bool:
+    """Whether any twist of an effect differs between supposed histories: cheap, and mostly not."""
+    reads = [e for e in model.effects if any(name in PER_JOINT for name in e.inputs)]
+    posture = model.posture(tuple(q.tolist()), context)
+    told = dataclasses.replace(posture, context=supposed)
+    return any(
+        np.ptp(part) > _SAME_TWIST
+        for effect in reads
+        for twist in effect.twists(told).values()
+        for part in twist
+    )
+
+
+_SAME_TWIST = 1e-9  # m, rad
 
 
 def _either_side(side: np.ndarray, unsure: bool) -> np.ndarray | None:
