@@ -26,7 +26,6 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import declared_model, errors
 from longarm_comp.jobs.measurement_schedule import Visit, visits
 from longarm_comp.nodes.bringup import BringUp, running
-from longarm_comp.nodes.messages import joints_message
 from longarm_comp.sessions.bag import open_bag
 from longarm_comp.sessions.bag_info import bag_info
 from longarm_comp.sessions.bag_segments import SegmentedBag
@@ -201,14 +200,17 @@ def begun(bag: Path) -> bool:
     return (bag / "metadata.yaml").exists() and (bag / ".recording").exists()
 
 
-def wait_for_a_visit(bag: Path, process: subprocess.Popen[str], but: int = 0) -> int:
-    """Until a visit is in the segment at hand: its number, which is not ``but``."""
+def wait_for_a_visit(bag: Path, process: subprocess.Popen[str], but: int | None = None) -> int:
+    """Until a visit is in the segment at hand: its folder, opened; it is not the folder ``but``.
+
+    A folder that is open keeps its inode, so that no later one gets the same.
+    """
     segment, end = bag / ".recording", time.monotonic() + 120.0
-    while not (begun(bag) and segment.stat().st_ino != but):
+    while not (begun(bag) and (but is None or not os.path.samestat(os.fstat(but), segment.stat()))):
         assert process.poll() is None, process.communicate()[0]
         assert time.monotonic() < end, f"nothing in {segment}"
         time.sleep(0.02)
-    return segment.stat().st_ino
+    return os.open(segment, os.O_RDONLY)
 
 
 def test_a_session_survives_interruptions_and_is_resumed(
@@ -227,7 +229,8 @@ def test_a_session_survives_interruptions_and_is_resumed(
         assert bag_info(bag).messages == 0
 
         second = longarm(*words)
-        wait_for_a_visit(bag, second, killed)
+        os.close(wait_for_a_visit(bag, second, killed))
+        os.close(killed)
         second.send_signal(signal.SIGINT)
         said = second.communicate(timeout=60)[0]
         assert "Traceback" not in said
@@ -260,20 +263,24 @@ def spin_for(stage: Bench, seconds: float) -> None:
     stage.spin(lambda: time.monotonic() > end)
 
 
-def test_record_keeps_every_message_and_resumes(ros_domain: int, arm: Arm, tmp_path: Path) -> None:
+def test_record_keeps_every_message_and_resumes(ros_domain: int, tmp_path: Path) -> None:
+    from geometry_msgs.msg import PoseStamped
+
     from longarm_comp.nodes import interfaces as graph
 
     bag, sent = tmp_path / "bag", 0
+    target = PoseStamped()
+    target.header.frame_id = "base"
     with bench() as stage:
         commands = graph.JOINT_TRAJECTORY.publisher(stage.node)
-        joints = graph.JOINT_STATES.publisher(stage.node)
+        targets = graph.TARGET_POSE.publisher(stage.node)
         for _ in range(2):
             process = longarm("record", "-o", bag, "--segment", 0.5, "--resume")
             stage.connected(commands)
-            stage.connected(joints)
+            stage.connected(targets)
             spin_for(stage, 0.5)
-            for _ in range(400):
-                joints.publish(joints_message(arm, arm.mid))
+            for _ in range(400):  # a topic that is reliable: best effort promises nothing
+                targets.publish(target)
                 time.sleep(0.001)
             sent += 400
             spin_for(stage, 1.0)
@@ -281,4 +288,28 @@ def test_record_keeps_every_message_and_resumes(ros_domain: int, arm: Arm, tmp_p
             said = process.communicate(timeout=30)[0]
             assert process.returncode == 0, said
             stage.spin(lambda: commands.get_subscription_count() == 0)
-    assert {t.topic: t.count for t in bag_info(bag).topics} == {"/joint_states": sent}
+    assert {t.topic: t.count for t in bag_info(bag).topics} == {"/target_pose": sent}
+
+
+def test_what_still_holds_is_not_dropped_between_visits(ros_domain: int, tmp_path: Path) -> None:
+    from rclpy.node import Node
+    from sensor_msgs.msg import Temperature
+
+    from longarm_comp.jobs.recorder import Recorder
+    from longarm_comp.nodes import interfaces as graph
+
+    with bench() as stage, SegmentedBag(tmp_path / "bag") as bag:
+        recorder = Recorder(stage.node, bag)
+        assert recorder.waits_for() == []
+        other = Node("sensor", context=stage.context)
+        sensor = graph.TEMPERATURE.publisher(other)
+        stage.spin(lambda: recorder.waits_for() == ["/temperature"])
+        stage.connected(sensor)
+        for celsius in (20.0, 21.0):
+            sensor.publish(Temperature(temperature=celsius))
+        stage.spin(lambda: recorder.waits_for() == [])
+        spin_for(stage, 0.2)
+        recorder.drop()  # a visit begins, and ends before the next temperature
+        recorder.keep(since_ns=time.time_ns(), finish=True)
+        assert recorder.counts == {"/temperature": 1}
+        other.destroy_node()

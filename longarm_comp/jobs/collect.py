@@ -32,6 +32,9 @@ COMMAND_TOPIC = "joint_trajectory"
 _READ = {ROW_TOPIC: ROW_TYPE, COMMAND_TOPIC: "trajectory_msgs/msg/JointTrajectory"}
 _FRESH_S = 0.05  # a sighting shall be taken this long after the joints came to rest
 
+_CIRCUMSTANCES_S = 5.0
+"""Patience with the first temperature, payload and tilt. They come about once a second."""
+
 
 @dataclass(frozen=True)
 class Pace:
@@ -90,6 +93,7 @@ def collect(
     with SegmentedBag(path, resume=resume) as bag:
         recorder = Recorder(client.node, bag)
         client.ready()
+        _hear_circumstances(client, recorder)
         left = [visit for visit in todo if visit.index not in done]
         for k, visit in enumerate(left):
             progress(f"pose {visit.index}", k / len(left))
@@ -104,6 +108,15 @@ def collect(
             if len(unseen) > max(5, len(left) // 2):
                 raise JobError("the marker is not seen at most poses", lost=len(unseen))
     return Collected(len(left), len(done), len(todo), tuple(unseen))
+
+
+def _hear_circumstances(client: ArmClient, recorder: Recorder) -> None:
+    """Wait a little for the first temperature, payload and tilt, where they are published."""
+    end = time.monotonic() + _CIRCUMSTANCES_S
+    client.until(
+        lambda: not recorder.waits_for() or time.monotonic() > end,
+        _CIRCUMSTANCES_S + 60.0, "circumstances",
+    )  # fmt: skip
 
 
 def _visit(client: ArmClient, visit: Visit, pace: Pace) -> int:

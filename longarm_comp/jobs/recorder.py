@@ -25,6 +25,9 @@ SESSION_TOPICS = (
 )  # fmt: skip
 """Topics of a session. Images would take a hundred times as much space."""
 
+HELD_TOPICS = (graph.TEMPERATURE, graph.PAYLOAD, graph.INCLINATION)
+"""Topics of which the last message holds until the next, which may come rarely."""
+
 IMAGE_TOPICS = (graph.LEFT_IMAGE, graph.RIGHT_IMAGE, graph.LEFT_INFO, graph.RIGHT_INFO)
 
 _DEPTH = 2000
@@ -35,7 +38,8 @@ _CLOCKS_APART_NS = 60 * 10**9
 class Recorder:
     """Subscribes to topics on a node and writes their messages to a bag.
 
-    Messages wait in memory until `keep` makes them part of the recording; `drop` forgets them.
+    Messages wait in memory until `keep` makes them part of the recording; `drop` forgets them,
+    but for the last one of each topic of `HELD_TOPICS`.
 
     Args:
         segment_s: length of a segment. A killed recorder loses at most one segment.
@@ -51,6 +55,7 @@ class Recorder:
         self._node, self._bag, self._segment_s = node, bag, segment_s
         self._waiting: list[tuple[str, str, int, bytes]] = []
         self._stamped: set[str] = set()
+        self._held = {node.resolve_topic_name(topic.name) for topic in HELD_TOPICS}
         self._since = time.monotonic()
         self.counts: dict[str, int] = {}
         for topic in topics:
@@ -75,11 +80,11 @@ class Recorder:
         """Write the waiting messages.
 
         Args:
-            since_ns: leave out messages about earlier times.
+            since_ns: leave out messages about earlier times, but for those that still hold.
             finish: finish the segment, so that they are in the readable bag at once.
         """
         for topic, kind, received, raw in self._waiting:
-            if self._moment(topic, received, raw) < since_ns:
+            if topic not in self._held and self._moment(topic, received, raw) < since_ns:
                 continue
             self._bag.write(topic, kind, received, raw)
             self.counts[topic] = self.counts.get(topic, 0) + 1
@@ -97,8 +102,21 @@ class Recorder:
         return stamp if abs(stamp - received) < _CLOCKS_APART_NS else received
 
     def drop(self) -> None:
-        """Drop the waiting messages."""
-        self._waiting.clear()
+        """Drop the waiting messages, but for those that still hold."""
+        last = {entry[0]: entry for entry in self._waiting if entry[0] in self._held}
+        self._waiting = list(last.values())
+
+    def waits_for(self) -> list[str]:
+        """Topics of `HELD_TOPICS` that another node publishes and that were not heard yet."""
+        heard = {topic for topic, *_ in self._waiting} | set(self.counts)
+        return [
+            name
+            for name in sorted(self._held - heard)
+            if any(
+                found.node_name != self._node.get_name()
+                for found in self._node.get_publishers_info_by_topic(name)
+            )
+        ]
 
 
 def _type_name(kind: type) -> str:
