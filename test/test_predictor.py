@@ -169,6 +169,32 @@ def test_variance_alone_can_refuse():
     assert lax.in_domain[0] and lax.reason[0] == ""
 
 
+def test_it_refuses_where_its_sigma_is_no_less_than_what_the_physics_alone_leaves(data, small):
+    predictor, context = small
+    found = predictor.predict(data.q, context)
+    assert found.in_domain.all()  # there is a lot to learn
+    left = float(np.linalg.norm(found.sigma[0]))
+    for share, trusted in ((0.99, False), (1.01, True)):
+        alone = np.full(3, share * left / 3**0.5)
+        judged = dataclasses.replace(predictor, alone=alone).predict(data.q, context)
+        assert judged.in_domain[0] == trusted
+        assert ("that the physics alone leaves" in judged.reason[0]) != trusted
+        np.testing.assert_array_equal(judged.error, found.error)
+
+
+def test_nothing_but_noise_is_mostly_refused():
+    """Few rows, nothing to learn: correcting for the prediction would only add to the error."""
+    rng = np.random.default_rng(4)
+    q = LOWER + rng.random((60, 7)) * (UPPER - LOWER)
+    noise, test = (
+        1e-3 * rng.standard_normal((60, 3)),
+        LOWER + rng.random((300, 7)) * (UPPER - LOWER),
+    )
+    predictor = train(q, noise, hidden=12, ensemble=3)
+    np.testing.assert_allclose(predictor.alone, 1e-3, rtol=0.3)
+    assert predictor.predict(test).in_domain.mean() < 0.3
+
+
 def test_one_row_and_many_rows_give_the_same_numbers(data, small):
     predictor, context = small
     many = predictor.predict(data.q, context)

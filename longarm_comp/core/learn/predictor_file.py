@@ -25,6 +25,7 @@ _ARRAYS = (
     "kept", "mean", "input_scale", "lower", "upper", "weights", "posterior", "offset", "noise",
     "widen",
 )  # fmt: skip
+_ALONE = "alone"  # files of earlier versions hold none: nothing is refused by it
 
 
 def save(predictor: Predictor, path: str | os.PathLike[str]) -> None:
@@ -57,6 +58,7 @@ def save(predictor: Predictor, path: str | os.PathLike[str]) -> None:
         offset=predictor.offset,
         noise=predictor.noise,
         widen=predictor.widen,
+        **({_ALONE: predictor.alone} if np.isfinite(predictor.alone).all() else {}),
     )
     with atomic_path(path) as partial:
         partial.write_bytes(buffer.getvalue())
@@ -92,6 +94,8 @@ def load(
         "weights": (members, size), "posterior": (rank, size), "offset": (3,),
         "noise": (3,), "widen": (3,),
     }  # fmt: skip
+    if _ALONE in arrays:
+        shapes[_ALONE] = (3,)
     for name, shape in shapes.items():
         value = arrays[name]
         if value.shape != shape or value.dtype.kind != "f":
@@ -117,6 +121,7 @@ def load(
         noise=arrays["noise"],
         widen=arrays["widen"],
         variance_limit=header["variance_limit"],
+        alone=arrays.get(_ALONE, np.full(3, np.inf)),
         provenance=Provenance(
             header["arm_hash"], header["session_hash"], names, header["settings"]
         ),
