@@ -212,6 +212,8 @@ def test_a_saved_predictor_comes_back_the_same(data, small, tmp_path):
     before, after = predictor.predict(data.test_q), back.predict(data.test_q)
     np.testing.assert_array_equal(before.error, after.error)
     np.testing.assert_array_equal(before.sigma, after.sigma)
+    np.testing.assert_array_equal(before.in_domain, after.in_domain)
+    np.testing.assert_array_equal(back.alone, predictor.alone)
     assert back.provenance.settings["samples"] == 300
     assert back.provenance.session_hash == "session-1"
     first = path.read_bytes()
@@ -282,6 +284,7 @@ def rewrite(path, change):
         (lambda h, a: a.update(mean=a["mean"] * np.nan), "mean"),
         (lambda h, a: a.update(kept=a["kept"] + 1000), "kept"),
         (lambda h, a: a.update(offset=np.array(["a", "b", "c"])), "offset"),
+        (lambda h, a: a.update(alone=np.array([1e-3, np.nan, 1e-3])), "alone"),
     ],
 )
 def test_a_wrong_field_is_named(small, tmp_path, change, field):
@@ -291,6 +294,14 @@ def test_a_wrong_field_is_named(small, tmp_path, change, field):
     with pytest.raises(InputError) as caught:
         load(path)
     assert caught.value.field == field
+
+
+def test_a_file_of_an_earlier_version_refuses_by_its_domain_alone(data, small, tmp_path):
+    path = tmp_path / "earlier.npz"
+    save(small[0], path)
+    rewrite(path, lambda header, arrays: arrays.pop("alone"))
+    assert np.isinf(load(path).alone).all()
+    assert load(path).predict(data.q, small[1]).in_domain.all()
 
 
 def test_a_pickle_is_never_loaded(tmp_path):

@@ -132,7 +132,9 @@ def test_summary_by_hand() -> None:
 def test_command_writes_table_and_figure(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """JSON on stdout, the same in the folder, and a picture."""
 
-    def measured(base: Arm, count: int, seed: int, jobs: int) -> list[list[table1.Outcome]]:
+    def measured(
+        base: Arm, count: int, seed: int, jobs: int, whole_poses: bool
+    ) -> list[list[table1.Outcome]]:
         blank = Errors.of(np.zeros((2, 3)))
         full = [_arm(10, 8, 3, 4), _arm(12, 9, 2, 4)][:count]
         rest = [table1.Outcome(s.row, blank, blank, 0) for s in table1.SETTINGS[4:]]

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
@@ -85,12 +86,15 @@ class Outcome:
         tip: of the true tip.
         seen: of the tip as the stereo head reports it without noise (the paper's way).
         fallbacks: targets where no correction was applied (outside the training data, ...).
+        turned: mean angle between the true tip frame and the target's, rad; NaN where positions
+            alone were asked for.
     """
 
     row: str
     tip: Errors
     seen: Errors
     fallbacks: int
+    turned: float = math.nan
 
 
 def ssa_bp(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:
@@ -187,10 +191,15 @@ class Bench:
     true: TrueArm
     camera: TrueCamera
     session: Session
-    targets: np.ndarray  # (M, 3) m
+    poses: np.ndarray  # (M, 4, 4) targets
     seed_q: np.ndarray  # (M, n) where the arm stands before
     side: np.ndarray  # (M,) side all joints arrive from
     temperature_c: float
+
+    @property
+    def targets(self) -> np.ndarray:
+        """(M, 3) m."""
+        return self.poses[:, :3, 3]
 
     @classmethod
     def draw(cls, base: Arm, seed: int, number: int, poses: int = max(SAMPLES)) -> Bench:
@@ -215,14 +224,17 @@ class Bench:
             true,
             camera,
             session,
-            rigid(declared).tip(postures),
+            rigid(declared).pose(postures),
             postures,
             rng.choice([-1.0, 1.0], TARGETS),
             float(measured["temperature_c"][-1]),
         )
 
-    def run(self, setting: RowSetting, seed: int) -> Outcome:
-        """Train a row, command the targets, evaluate the tip."""
+    def run(self, setting: RowSetting, seed: int, *, whole_poses: bool = False) -> Outcome:
+        """Train a row, command the targets (positions or whole poses), evaluate the tip.
+
+        Poses that cannot be reached are left out.
+        """
         rows = self.session.take(slice(0, setting.samples))
         model = setting.physics(self.declared, rows)
         predictor = None
@@ -238,28 +250,42 @@ class Bench:
         sent = compensate_many(
             model,
             predictor,
-            self.targets,
+            self.poses,
             context=known,
             seed=self.seed_q,
             method=setting.method,
-            position_only=True,
+            position_only=not whole_poses,
             single_pass=setting.single_pass,
             realisable=setting.realisable,
         )
         circumstances = sim_context.TrueContext(
             np.repeat(self.side[:, None], arm.n, axis=1), self.temperature_c, payload
         )
-        tip = self.true.tip(sent.command, circumstances)
+        judged = sent.success if whole_poses else slice(None)
+        pose, wanted = self.true.pose(sent.command, circumstances)[judged], self.poses[judged]
+        tip, targets = pose[:, :3, 3], wanted[:, :3, 3]
         return Outcome(
             setting.row,
-            Errors.of(tip - self.targets),
-            Errors.of(self.camera.seen(tip) - self.targets),
+            Errors.of(tip - targets),
+            Errors.of(self.camera.seen(tip) - targets),
             int((sent.status != 0).sum()),
+            float(_angle(pose, wanted).mean()) if whole_poses else math.nan,
         )
 
 
+def _angle(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """(N,) rad between the orientations of poses (N, 4, 4)."""
+    turn = Rotation.from_matrix(one[:, :3, :3]) * Rotation.from_matrix(other[:, :3, :3]).inv()
+    return np.asarray(turn.magnitude())
+
+
 def one_arm(
-    base: Arm, seed: int, number: int, settings: tuple[RowSetting, ...] = SETTINGS
+    base: Arm,
+    seed: int,
+    number: int,
+    settings: tuple[RowSetting, ...] = SETTINGS,
+    *,
+    whole_poses: bool = False,
 ) -> list[Outcome]:
     """All rows on one arm. A model that two rows share is fitted once."""
     bench = Bench.draw(base, seed, number, max(s.samples for s in settings) or 1)
@@ -271,7 +297,11 @@ def one_arm(
         return fitted[len(session)]
 
     return [
-        bench.run(replace(s, physics=once) if s.physics is with_effects else s, seed)
+        bench.run(
+            replace(s, physics=once) if s.physics is with_effects else s,
+            seed,
+            whole_poses=whole_poses,
+        )
         for s in settings
     ]
 
@@ -283,6 +313,7 @@ def study(
     *,
     jobs: int = -1,
     settings: tuple[RowSetting, ...] = SETTINGS,
+    whole_poses: bool = False,
 ) -> Iterator[list[Outcome]]:
     """Yield the outcomes of every arm as they are finished.
 
@@ -292,6 +323,7 @@ def study(
         seed: seed of all random choices; the same seed gives the same table.
         jobs: processes; -1 is one per core.
         settings: rows.
+        whole_poses: position and orientation are asked for, not positions alone.
 
     Raises:
         JobError: joblib is not installed.
@@ -299,5 +331,8 @@ def study(
     with extra():
         from joblib import Parallel, delayed
 
-    work = (delayed(one_arm)(base, seed, number, settings) for number in range(arms))
+    work = (
+        delayed(one_arm)(base, seed, number, settings, whole_poses=whole_poses)
+        for number in range(arms)
+    )
     yield from Parallel(n_jobs=jobs, return_as="generator")(work)

@@ -25,7 +25,6 @@ _ARRAYS = (
     "kept", "mean", "input_scale", "lower", "upper", "weights", "posterior", "offset", "noise",
     "widen",
 )  # fmt: skip
-_ALONE = "alone"  # files of earlier versions hold none: nothing is refused by it
 
 
 def save(predictor: Predictor, path: str | os.PathLike[str]) -> None:
@@ -58,7 +57,7 @@ def save(predictor: Predictor, path: str | os.PathLike[str]) -> None:
         offset=predictor.offset,
         noise=predictor.noise,
         widen=predictor.widen,
-        **({_ALONE: predictor.alone} if np.isfinite(predictor.alone).all() else {}),
+        alone=predictor.alone,
     )
     with atomic_path(path) as partial:
         partial.write_bytes(buffer.getvalue())
@@ -94,8 +93,6 @@ def load(
         "weights": (members, size), "posterior": (rank, size), "offset": (3,),
         "noise": (3,), "widen": (3,),
     }  # fmt: skip
-    if _ALONE in arrays:
-        shapes[_ALONE] = (3,)
     for name, shape in shapes.items():
         value = arrays[name]
         if value.shape != shape or value.dtype.kind != "f":
@@ -104,6 +101,9 @@ def load(
             raise InputError(path, name, "NaN or infinite", "finite numbers")
     if not (arrays["input_scale"] > 0).all():
         raise InputError(path, "input_scale", arrays["input_scale"].min(), "> 0")
+    alone = arrays.get("alone", np.full(3, np.inf))  # files of earlier versions hold none
+    if alone.shape != (3,) or alone.dtype.kind != "f" or not (alone >= 0).all():
+        raise InputError(path, "alone", alone.tolist(), "three lengths of 0 m or more")
     if arm_hash is not None and header["arm_hash"] != arm_hash:
         raise InputError(path, "arm_hash", header["arm_hash"], f"{arm_hash} (the arm in use)")
     names = tuple(header["joint_names"])
@@ -121,7 +121,7 @@ def load(
         noise=arrays["noise"],
         widen=arrays["widen"],
         variance_limit=header["variance_limit"],
-        alone=arrays.get(_ALONE, np.full(3, np.inf)),
+        alone=alone,
         provenance=Provenance(
             header["arm_hash"], header["session_hash"], names, header["settings"]
         ),
