@@ -40,5 +40,6 @@ class BaseCompliance(Effect):
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Rotation of the base frame."""
-        x, y, _ = posture.moment(0)
-        return {0: (0.0, 0.0, 0.0, self.compliance * x, self.compliance * y, 0.0)}
+        base = posture.frame(0)
+        x, y, _ = posture.moment(base)
+        return {base: (0.0, 0.0, 0.0, self.compliance * x, self.compliance * y, 0.0)}
