@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Any
 
@@ -26,6 +27,9 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.images import stamp_ns
 from longarm_comp.nodes.messages import joints_of, sighting_of
+
+_ASK_AGAIN_S = 2.0
+"""Without an answer for so long, a request that may be served twice is sent again."""
 
 
 class Interrupted(JobError):  # noqa: N818
@@ -106,6 +110,15 @@ class ArmClient:
             self.executor.spin_once(timeout_sec=0.01)
         return found
 
+    @contextmanager
+    def putting_back(self) -> Iterator[None]:
+        """``stop`` ends no wait meanwhile: for what must be put back after an interruption."""
+        stop, self.stop = self.stop, threading.Event()
+        try:
+            yield
+        finally:
+            self.stop = stop
+
     def spin(self, seconds: float) -> None:
         """Serve callbacks for a number of seconds. Raises Interrupted."""
         end = time.monotonic() + seconds
@@ -119,11 +132,39 @@ class ArmClient:
         if tip:
             self.until(lambda: self.sightings, within_s, "no tip_measured")
 
-    def call(self, client: Any, request: Any, within_s: float = 20.0) -> Any:
-        """Call a service and return its response. Raises as `until`."""
+    def call(
+        self, client: Any, request: Any, within_s: float = 20.0, *, again: bool = False
+    ) -> Any:
+        """Call a service and return its response.
+
+        The middleware drops an answer to a client that the server has not matched yet.
+
+        Args:
+            client: of the service.
+            request: what to ask.
+            within_s: patience.
+            again: ask again where no answer came for a while; for requests that may be served
+                twice.
+
+        Raises:
+            JobError: no answer in time. Interrupted: ``stop`` was set.
+        """
         self.until(client.service_is_ready, within_s, f"nobody offers {client.srv_name}")
-        future = client.call_async(request)
-        self.until(future.done, within_s, f"no answer of {client.srv_name}")
+        asked = [client.call_async(request)]
+        sent = time.monotonic()
+
+        def answered() -> Any:
+            nonlocal sent
+            if again and time.monotonic() - sent > _ASK_AGAIN_S:
+                asked.append(client.call_async(request))
+                sent = time.monotonic()
+            return next((future for future in asked if future.done()), None)
+
+        try:
+            future = self.until(answered, within_s, f"no answer of {client.srv_name}")
+        finally:
+            for waiting in asked:
+                client.remove_pending_request(waiting)
         return future.result()
 
     # ------------------------------------------------------------------ moving
