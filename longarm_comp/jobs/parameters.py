@@ -10,10 +10,10 @@ from rclpy.parameter import Parameter as NamedParameter
 from rclpy.parameter import parameter_value_to_python
 
 from longarm_comp.core.errors import JobError
-from longarm_comp.jobs.client import ArmClient
+from longarm_comp.jobs.client import GraphClient
 
 
-def read_parameters(client: ArmClient, node: str, *names: str) -> list[Any]:
+def read_parameters(client: GraphClient, node: str, *names: str) -> list[Any]:
     """Values of a node's parameters, in the order of the names; None where it has none.
 
     Raises:
@@ -27,7 +27,7 @@ def read_parameters(client: ArmClient, node: str, *names: str) -> list[Any]:
     return [parameter_value_to_python(value) for value in answer.values]
 
 
-def set_parameter(client: ArmClient, node: str, name: str, value: bool | float | str) -> None:
+def set_parameter(client: GraphClient, node: str, name: str, value: bool | float | str) -> None:
     """Set a parameter of a node.
 
     Raises:
