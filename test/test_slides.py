@@ -9,7 +9,9 @@ import pytest
 from column_arm import BENT, COLUMN, EI, arm
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.base_settling import BaseSettling
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.effects.column_bending import ColumnBending
 from longarm_comp.core.effects.effect import Effect
@@ -105,3 +107,19 @@ def test_a_declared_guide_has_its_own_effects(demo_arm_path) -> None:
         assert kind.rows(demo) == []
     assert TelescopeClearance.rows(arm()) == []
     assert GuideCurvature.rows(demo) == [3, 7]
+
+
+@pytest.mark.parametrize("in_order", [True, False])
+def test_time_that_runs_with_the_column_makes_a_set_and_is_named(in_order: bool) -> None:
+    """Rows sorted by the column's height: sinking, a camera that drifts and a wrong pitch."""
+    rng = np.random.default_rng(4)
+    q = poses(160)
+    q = q[np.argsort(q[:, 0])] if in_order else q
+    t = np.linspace(0.0, 7200.0, len(q))
+    model = Model(arm()).plus(BaseSettling(sink=-3e-3))
+    seen = model.measured(q, Context(columns={"t_s": t})) + rng.normal(0.0, 3e-4, (len(q), 3))
+    found = diagnose(arm(), Session.record(q, seen, columns={"t_s": t}), seed=1)
+    (finding,) = found.findings
+    assert {"camera_drift", "base_settling"} <= set(finding.names)
+    together = [note for note in found.confirmed.notes[finding.name] if "run together" in note]
+    assert [note.startswith("q1 and t_s") for note in together] == ([True] if in_order else [])
