@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from longarm_comp.core.arm.spatial import Frame, rpy_frame
-from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, read_yaml
+from longarm_comp.core.yaml_file import RANGES, Declared, Misdeclared, parse_declared, read_yaml
 
 Vec3 = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
@@ -234,6 +234,10 @@ class Beam(Declared):
             raise Misdeclared(
                 "body_length_m", "missing", "needed by a beam of length rest with mass"
             )
+        lowest, highest = RANGES["_nm2"]
+        if not all(lowest <= value <= highest for value in self.stiffness):
+            made = ", ".join(f"{value:.3g}" for value in self.stiffness)
+            raise Misdeclared("section", made, f"EI and GJ of {lowest:g} to {highest:g} N m^2")
         return self
 
     @cached_property
