@@ -24,8 +24,8 @@ from longarm_comp.core.arm.spatial import IDENTITY, ZERO, Frame, Scalar, Twist, 
 
 Twists = Mapping[int, Twist]
 LineLoads = dict[int, list[tuple[Scalar, Scalar]]]
-PLACEMENT, BASE = 0, 1
-"""First two stations: where the base stands (its twist may be of any size), and the base itself."""
+BASE, PLACEMENT = 0, 1
+"""Stations of the base and, before it in the chain, of where it stands: that twist may be large."""
 _UNIT: tuple[Vec, Vec, Vec] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 

@@ -6,14 +6,21 @@ in the frame that carries it, o its declared place and B that frame's axes, both
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-STEPS = 20
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.model.model import Model, unstack
+
+TURNS, STEPS = 6, 20
+"""Times that the rows are weighed again: with the markers still, and with all free."""
 ENOUGH = 3
 """Rows of a group, at least, to find its rotation from them alone."""
+SETTLED = 1e-3
+"""Share of the misfit that a step must take off for another to follow."""
 _RANK = 1e-7
 
 
@@ -34,6 +41,45 @@ class Sightings:
     seen: np.ndarray
     group: np.ndarray
     marker: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        session: Session,
+        groups: Sequence[str] | None = None,
+        markers: Sequence[str] | None = None,
+    ) -> Sightings:
+        """The seen rows against a model that places nothing itself.
+
+        Args:
+            model: the arm, sagged or rigid.
+            session: measured rows.
+            groups: names of the base placements; all of the session's by default.
+            markers: names of the markers, empty for the tip; all of the arm's by default.
+        """
+        seen, arm = session.take(session.seen), model.arm
+        blank = np.full(len(seen), "")
+        marked = "marker" in seen.labels and arm.markers
+        markers = markers or (list(arm.markers) if marked else [""])
+        group = seen.labels.get("group", blank)
+        groups = groups or sorted(set(group)) or [""]
+        marker = _numbers(seen.labels.get("marker", blank), markers)
+        posture = model.posture(unstack(seen.q), seen.context())
+        axes, point = np.empty((len(seen), 3, 3)), np.empty((len(seen), 3))
+        for k, name in enumerate(markers):
+            at = arm.markers[name] if name else arm.tip
+            frame = posture.frames[posture.frame(at.frame)].matrix()
+            matrix = np.broadcast_to(frame, (len(seen), 4, 4))[marker == k]
+            axes[marker == k] = matrix[:, :3, :3]
+            point[marker == k] = matrix[:, :3, :3] @ np.array(at.position_m) + matrix[:, :3, 3]
+        return cls(point, axes, seen.xyz, _numbers(group, groups), marker)
+
+
+def _numbers(labels: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """(N,) number of each label among the names; 0 for one that is not there."""
+    known = {name: k for k, name in enumerate(names)}
+    return np.array([known.get(str(label), 0) for label in labels], dtype=int)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +115,7 @@ def register(rows: Sightings, tips: bool = True) -> Registration:
         rows: N >= 3.
         tips: whether the markers are unknown as well.
     """
-    still = np.zeros((rows.marker.max() + 1, 3))
+    still = np.zeros((int(rows.marker.max()) + 1, 3))
     best = _refined(rows, still, tips)
     if tips:
         linear = _linear_tips(rows, _weights(best.residual))
@@ -97,7 +143,7 @@ def _weights(residual: np.ndarray) -> np.ndarray:
 
 def _refined(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
     """Alternate bases and weights at a given marker, then Gauss-Newton on everything."""
-    groups = rows.group.max() + 1
+    groups = int(rows.group.max()) + 1
     point = rows.point + np.einsum("nij,nj->ni", rows.axes, tip[rows.marker])
     rotation, offset = np.zeros((groups, 3, 3)), np.zeros((groups, 3))
     counts = np.bincount(rows.group, minlength=groups)
@@ -108,9 +154,12 @@ def _refined(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
     made = _look(rows, rotation, offset, tip)
     for _ in range(STEPS if tips else 0):
         following = _step(rows, made)
-        if following.misfit > made.misfit * (1 - 1e-9):
+        if following.misfit > made.misfit:
             break
+        settled = following.misfit > (1.0 - SETTLED) * made.misfit
         made = following
+        if settled:
+            break
     return made
 
 
@@ -119,7 +168,7 @@ def _base(point: np.ndarray, seen: np.ndarray, like: np.ndarray) -> tuple[np.nda
     if len(point) < ENOUGH:
         return like, np.median(seen - point @ like.T, axis=0)
     weights = np.ones(len(point))
-    for _ in range(STEPS):
+    for _ in range(TURNS):
         rotation, offset = kabsch(point, seen, weights)
         weights = _weights(seen - point @ rotation.T - offset)
     return rotation, offset

@@ -45,6 +45,5 @@ class BaseCompliance(Effect):
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Rotation of the base frame."""
-        base = posture.frame(0)
-        x, y, _ = posture.moment(base)
-        return {base: (0.0, 0.0, 0.0, self.about_x * x, self.about_y * y, 0.0)}
+        x, y, _ = posture.moment(0)
+        return {0: (0.0, 0.0, 0.0, self.about_x * x, self.about_y * y, 0.0)}

@@ -16,7 +16,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.base_pose import BasePose
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.tip_offset import TipOffset
-from longarm_comp.core.model.model import Model, slots_of, unstack
+from longarm_comp.core.model.model import Model, slots_of
 
 CLEARLY = 2.0
 """A placement that the model holds is kept unless the solved one fits so many times better."""
@@ -33,43 +33,21 @@ def placed(model: Model, session: Session) -> Model:
     held = [e for e in model.effects if isinstance(e, BasePose | TipOffset) and _unknown(model, e)]
     if len(seen) < 4 or not held:
         return model
-    sightings, names = sightings_of(model, seen, held)
-    found = register(sightings, tips=any(isinstance(e, TipOffset) for e in held))
+    bare = dataclasses.replace(
+        model, effects=tuple(e for e in model.effects if not any(e is h for h in held))
+    )
+    markers = sorted({e.marker for e in held if isinstance(e, TipOffset)}) or [""]
+    groups = sorted({e.group for e in held if isinstance(e, BasePose)}) or [""]
+    rows = Sightings.of(bare, seen, groups, markers)
+    found = register(rows, tips=any(isinstance(e, TipOffset) for e in held))
     now = np.linalg.norm(seen.xyz - model.measured(seen.q, seen.context()), axis=1)
     if np.median(now) <= CLEARLY * found.misfit:
         return model
     effects = [
-        _put(e, found, names, model) if any(e is h for h in held) else e for e in model.effects
+        _put(e, found, (groups, markers), model) if any(e is h for h in held) else e
+        for e in model.effects
     ]
     return dataclasses.replace(model, effects=tuple(effects))
-
-
-def sightings_of(
-    model: Model, seen: Session, held: list[BasePose | TipOffset]
-) -> tuple[Sightings, tuple[list[str], list[str]]]:
-    """The rows as they are registered, without the placements held; names of groups and markers."""
-    still: list[Effect] = [e for e in model.effects if not any(e is h for h in held)]
-    bare = dataclasses.replace(model, effects=tuple(still))
-    context = seen.context()
-    posture = bare.posture(unstack(seen.q), context)
-    count, arm = len(seen), model.arm
-    markers = sorted({e.marker for e in held if isinstance(e, TipOffset)}) or [""]
-    groups = sorted({e.group for e in held if isinstance(e, BasePose)}) or [""]
-    labels = {name: seen.labels.get(name, np.full(count, "")) for name in ("marker", "group")}
-    number = {
-        name: np.array([known.index(v) if v in known else 0 for v in labels[name]], dtype=int)
-        for name, known in (("marker", markers), ("group", groups))
-    }
-    axes, point = np.empty((count, 3, 3)), np.empty((count, 3))
-    for k, marker in enumerate(markers):
-        at = arm.markers[marker] if marker else arm.tip
-        frame = posture.frames[posture.frame(at.frame)]
-        mine = number["marker"] == k
-        matrix = np.broadcast_to(frame.matrix(), (count, 4, 4))[mine]
-        axes[mine] = matrix[:, :3, :3]
-        point[mine] = matrix[:, :3, :3] @ np.array(at.position_m) + matrix[:, :3, 3]
-    rows = Sightings(point, axes, seen.xyz, number["group"], number["marker"])
-    return rows, (groups, markers)
 
 
 def _unknown(model: Model, effect: Effect) -> bool:
