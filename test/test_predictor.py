@@ -162,6 +162,9 @@ def test_variance_alone_can_refuse():
     assert far.sigma.max() > np.median(known.sigma)
     corner = predictor.lower[:7] + 0.5 * (predictor.upper - predictor.lower)[:7]  # in every range
     assert predictor.predict(corner[None]).doubt[0] > np.median(known.doubt)
+    low, high = predictor.lower[:7], predictor.upper[:7]
+    anywhere = predictor.predict(low + rng.random((500, 7)) * (high - low)).doubt
+    assert 0.1 < np.quantile(anywhere, 0.99) < 1.0  # the limit is four times this quantile
     limit = predictor.variance_limit * float(predictor.predict(corner[None]).doubt[0])
     strict = dataclasses.replace(predictor, variance_limit=0.9 * limit).predict(corner[None])
     lax = dataclasses.replace(predictor, variance_limit=1.1 * limit).predict(corner[None])

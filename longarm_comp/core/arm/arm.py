@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from longarm_comp.core.arm.spatial import Frame, rpy_frame
-from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, read_yaml
+from longarm_comp.core.yaml_file import RANGES, Declared, Misdeclared, parse_declared, read_yaml
 
 Vec3 = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
@@ -234,6 +234,10 @@ class Beam(Declared):
             raise Misdeclared(
                 "body_length_m", "missing", "needed by a beam of length rest with mass"
             )
+        lowest, highest = RANGES["_nm2"]
+        if not all(lowest <= value <= highest for value in self.stiffness):
+            made = ", ".join(f"{value:.3g}" for value in self.stiffness)
+            raise Misdeclared("section", made, f"EI and GJ of {lowest:g} to {highest:g} N m^2")
         return self
 
     @cached_property
@@ -289,6 +293,36 @@ class Marker(Declared):
     position_m: Vec3 = (0.0, 0.0, 0.0)
 
 
+Spread = Positive | tuple[Positive, Positive, Positive]
+"""One standard deviation for all three components, or one each."""
+
+
+class PointTolerance(Declared):
+    """How well a point is known: standard deviation of its position (m)."""
+
+    xyz_m: Spread
+
+
+class PoseTolerance(Declared):
+    """How well a placement is known: standard deviations of position (m) and rotation (deg)."""
+
+    xyz_m: Spread
+    rpy_deg: Spread
+
+
+class Placements(Declared):
+    """Placements that are known to a tolerance. What is absent is unknown and solved from data."""
+
+    base: PoseTolerance | None = None
+    tip: PointTolerance | None = None
+    markers: dict[str, PointTolerance] = Field(default_factory=dict)
+
+
+def three(spread: Spread) -> Vec3:
+    """A standard deviation of each component."""
+    return spread if isinstance(spread, tuple) else (spread, spread, spread)
+
+
 class Arm(Declared):
     """The declared arm."""
 
@@ -304,6 +338,7 @@ class Arm(Declared):
     point_masses: tuple[PointMass, ...] = ()
     camera: CameraPlacement | None = None
     markers: dict[str, Marker] = Field(default_factory=dict)
+    tolerance: Placements = Placements()
 
     @model_validator(mode="after")
     def _chain(self) -> Arm:
@@ -318,6 +353,10 @@ class Arm(Declared):
         for owner, frame in carried:
             if not 0 <= frame <= rows:
                 raise Misdeclared(f"{owner}.frame", frame, f"0..{rows}")
+        for name in self.tolerance.markers:
+            if name not in self.markers:
+                declared = f"a declared marker: {', '.join(self.markers) or 'none'}"
+                raise Misdeclared(f"tolerance.markers.{name}", "unknown", declared)
         if len(set(self.joint_names)) != self.n:
             raise Misdeclared("joints.name", list(self.joint_names), "names that differ")
         for joint in self.joints:
