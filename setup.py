@@ -15,6 +15,7 @@ RUNTIME = [
     "llvmlite>=0.43",
     "matplotlib>=3.8",
     "numpy>=1.26",
+    "openpyxl>=3.1",
     "opencv-python-headless>=4.10",
     "plotly>=5.20",
     "pydantic>=2.6",

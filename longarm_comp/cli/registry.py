@@ -23,6 +23,7 @@ COMMANDS = (
     Entry("evaluate", "evaluate", "Error table on measured poses, as in the paper's Table I."),
     Entry("diagnose", "diagnose", "Find missing effects in the residual, add and prove them."),
     Entry("plan", "plan", "Poses to measure: grid, sobol, or those a diagnosis requests."),
+    Entry("import-data", "import_data", "Convert another program's CSV or XLSX to a session."),
     Entry("import-urdf", "import_urdf", "Write an arm.yaml from a URDF."),
     Entry("bag info", "bag_info", "Contents of a bag, and the topics a session is read from."),
     Entry("bag to-csv", "bag_to_csv", "Convert a bag to samples.csv."),
