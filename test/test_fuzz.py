@@ -215,4 +215,4 @@ def test_the_undamaged_files_work(
     for reading in READINGS:
         assert Shell(folder)(*reading.words) == 0, reading.words
     assert not nonsense(folder)
-    assert len(load_model(folder / MODEL, ARM).effects) > 0
+    assert load_model(folder / MODEL, Arm.load(folder / ARM_FILE)).effects
