@@ -21,6 +21,7 @@ from longarm_comp.core.data.alignment import (
     best_rotation,
     roll_pitch_yaw,
 )
+from longarm_comp.core.data.belonging import STRAYS, believe
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
@@ -64,6 +65,7 @@ class _Case:
     arm: Arm
     seen: Session
     predicted: np.ndarray  # (M, 3) of the seen rows
+    model: Model
 
     def refuse(self, field: str, value: object, allowed: str) -> InputError:
         return InputError(self.session.source, field, value, allowed)
@@ -84,7 +86,8 @@ def admit(
         InputError: the session does not fit the arm; the message names the likely mistake.
     """
     findings: list[AdmissionFinding] = []
-    case = _Case(session, arm, session, np.empty((0, 3)))
+    physics = model or Model(arm)
+    case = _Case(session, arm, session, np.empty((0, 3)), physics)
     for check in _BEFORE:
         findings += check(case) or ()
     seen = session.take(session.seen)
@@ -92,8 +95,8 @@ def admit(
     if poses < min_poses:
         field = "rows" if len(session) < 2 else "poses with a marker"
         raise case.refuse(field, poses, f"at least {min_poses} distinct poses")
-    predicted = (model or Model(arm)).measured(seen.q, seen.context())
-    case = _Case(session, arm, seen, predicted)
+    predicted = physics.measured(seen.q, seen.context())
+    case = _Case(session, arm, seen, predicted, physics)
     for check in _AFTER:
         findings += check(case) or ()
     return Admission(session, tuple(findings))
@@ -272,6 +275,21 @@ def _frame_of(
         yield AdmissionFinding("outliers", field, text)
 
 
+def _belongs(case: _Case) -> None:
+    """Whether the arm makes these rows, wherever it stands; with the likely mistake if not."""
+    belief = believe(case.model, case.session)
+    if belief is None or belief.belong:
+        return
+    ours = f"rows of arm {case.arm.name}; nothing was changed"
+    if belief.mistake:
+        size = f"{1e3 * belief.misfit:.3g} -> {1e3 * belief.undone:.3g} mm"
+        raise case.refuse("rows", f"{belief.mistake}: {size}", ours)
+    if belief.stray >= STRAYS:
+        raise case.refuse("x, y, z", f"{belief.stray:.0%} of the rows are far off the others", ours)
+    size = f"{1e3 * belief.misfit:.3g} mm off the arm, wherever it stands"
+    raise case.refuse("rows", f"{size}, as if shuffled", ours)
+
+
 def _base(arm: Arm, turned: Alignment) -> str:
     """The `base` entry of arm.yaml that would explain a turned frame."""
     matrix = np.eye(4)
@@ -296,4 +314,8 @@ _BEFORE: tuple[Callable[[_Case], Iterable[AdmissionFinding] | None], ...] = (
     _constant,
     _copies,
 )
-_AFTER: tuple[Callable[[_Case], Iterable[AdmissionFinding] | None], ...] = (_lengths, _frame)
+_AFTER: tuple[Callable[[_Case], Iterable[AdmissionFinding] | None], ...] = (
+    _lengths,
+    _frame,
+    _belongs,
+)

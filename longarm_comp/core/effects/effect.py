@@ -23,17 +23,32 @@ from longarm_comp.core.arm.posture import Lumped, Posture
 from longarm_comp.core.arm.spatial import Twist, Vec
 from longarm_comp.core.errors import InputError
 
+FLAT = 1000.0
+"""Width of a prior that knows nothing, in ordinary sizes: 50 m and 50 rad for a base."""
+
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect: unit, meaning, prior standard deviation and physical bounds."""
+    """One number of an effect: unit, meaning, prior standard deviation and physical bounds.
+
+    Attributes:
+        prior: standard deviation of plausible values; 0 means fixed at its value.
+        unknown: nothing is known beforehand: the prior is the size of an ordinary change only,
+            and the fit's prior is so much wider that it does not pull.
+    """
 
     name: str
     unit: str
     meaning: str
-    prior: float  # 0 means fixed at its value
+    prior: float
     lower: float = -math.inf
     upper: float = math.inf
+    unknown: bool = False
+
+    @property
+    def width(self) -> float:
+        """Standard deviation of the fit's prior."""
+        return FLAT * self.prior if self.unknown else self.prior
 
 
 _PARAMETER, _PLACE, _FORM = "parameter", "place", "form"
@@ -47,6 +62,7 @@ def parameter(
     lower: float = -math.inf,
     upper: float = math.inf,
     default: float = 0.0,
+    unknown: bool = False,
 ) -> Any:
     """Declare a field as a fitted parameter.
 
@@ -56,8 +72,10 @@ def parameter(
         prior: standard deviation of plausible values; 0 fixes the parameter at its value.
         lower, upper: physical bounds.
         default: value of an arm without this error.
+        unknown: whether nothing is known beforehand, so that the prior must not pull.
     """
     meta = {"unit": unit, "meaning": meaning, "prior": prior, "lower": lower, "upper": upper}
+    meta["unknown"] = unknown
     return dataclasses.field(default=default, metadata={_PARAMETER: meta})
 
 

@@ -11,7 +11,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.candidates import CandidateColumns
 from longarm_comp.core.identify.evidence import Score, key
-from longarm_comp.core.identify.fit import ModelFit
+from longarm_comp.core.identify.fit import ModelFit, priors
 from longarm_comp.core.identify.search import SearchResult
 
 POOL = 512
@@ -93,8 +93,7 @@ def _designs(
     posture = fit.model.posture([q[:, j] for j in range(q.shape[1])], context)
     places = set(map(key, found.terms))
     rest = [s for s in fit.slots if key(s.owner) not in places]
-    priors = np.array([s.parameter.prior for s in rest])
-    columns = fit.model.columns(posture, rest)[1] * priors
+    columns = fit.model.columns(posture, rest)[1] * priors(tuple(rest))
     built = CandidateColumns(fit.model, posture)
     a = np.concatenate([columns, built.of(other.candidate.terms)], axis=-1)
     own = [s for s in fit.slots if key(s.owner) in places]

@@ -20,12 +20,15 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.catalogue import effect_class, origin
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import atomic_path, write_text
+from longarm_comp.core.files import atomic_path
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, read_yaml
 
 MOST_PASSES, MOST_ELEMENTS = 50, 64
 """More load passes, or more elements a beam, change no digit and take minutes."""
+
+AS_DECLARED = 0
+"""Version of a file that holds the arm as declared, for a first change to be undone."""
 
 
 class StoredValue(Declared):
@@ -63,7 +66,7 @@ class StoredModel(Declared):
     """The whole file. All keys are required, so that a truncated file is detected."""
 
     schema_: Literal["longarm/model/1"] = Field(alias="schema")
-    version: int = Field(ge=1)
+    version: int = Field(ge=0)
     arm: ArmReference
     passes: int = Field(ge=1, le=MOST_PASSES)
     elements_per_beam: int = Field(ge=1, le=MOST_ELEMENTS)
@@ -88,7 +91,7 @@ def store(
     Args:
         model: the model.
         standard_errors: (p,) of its parameters, for normal intervals.
-        version: version number of the file.
+        version: version number of the file; 0 is the arm as declared (`AS_DECLARED`).
         provenance: session hash, date, verdict, seed, ...
         origins: by term number, the origin of that term.
         intervals: by (term number, parameter), 95 % intervals that replace the normal ones.
@@ -150,11 +153,21 @@ def save_model(path: str | Path, stored: StoredModel) -> None:
         "# Written by longarm; values in SI units. Geometry, effects and camera-side biases.\n"
         + yaml.safe_dump(data, sort_keys=False, width=100)
     )
+    put(path, text.encode())
+
+
+def put(path: str | Path, content: bytes) -> None:
+    """Write a model file's bytes atomically. An existing file becomes the previous version.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
     path = Path(path)
     if os.path.isfile(path):  # False in an unreadable folder; writing then raises
         with atomic_path(previous(path)) as partial:
             partial.write_bytes(path.read_bytes())
-    write_text(path, text)
+    with atomic_path(path) as partial:
+        partial.write_bytes(content)
 
 
 def previous(path: str | Path) -> Path:
