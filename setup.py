@@ -26,6 +26,7 @@ RUNTIME = [
     "scipy>=1.12",
     "torch>=2.2",
     "typing-extensions>=4.6",
+    "urdf-parser-py>=0.0.4",
 ]
 
 STUDIES = ["joblib>=1.4", "scikit-learn>=1.4"]

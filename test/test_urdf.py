@@ -136,7 +136,7 @@ def test_continuous_joints_get_half_a_turn_and_coinciding_limits_are_fixed(tmp_p
         ('value="1.5"', 'value="nan"', "link a mass: 'nan'"),
         ('<child link="c"/>', '<child link="d"/>', "joint jc: 'd'"),
         ('<link name="c"/>', '<link name="b"/>', "link: 'a name is missing or twice'"),
-        ('mimic joint="ja"', 'mimic joint="jz"', "joint jb mimic: 'jz'; allowed: a joint of"),
+        ('mimic joint="ja"', 'mimic joint="jz"', "joint jb mimic: 'jz'; allowed: a joint: ja, jc"),
     ],
 )
 def test_bad_urdf(old: str, new: str, words: str, tmp_path: Path) -> None:
