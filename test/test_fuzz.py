@@ -91,6 +91,7 @@ READINGS = (
     Reading(("bag", "from-csv", ARM_FILE, "few.csv", "-o", "made_bag"), ("few.csv",)),
     Reading(("bag", "info", "bag"), ("bag/metadata.yaml", "bag/bag.mcap")),
     Reading(("evaluate", ARM_FILE, "--test", "bag"), ("bag/metadata.yaml", "bag/bag.mcap")),
+    Reading(("export-urdf", ARM_FILE, "--model", MODEL), (ARM_FILE, MODEL)),
     Reading(("import-data", "log.csv", "-o", "s.csv"), ("log.csv",)),
     Reading(("import-data", "log.xlsx", "--units", "mm,deg", "-o", "s.csv"), ("log.xlsx",)),
     Reading(("undo", "kept.yaml"), ("kept.previous.yaml",)),

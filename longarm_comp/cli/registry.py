@@ -25,6 +25,7 @@ COMMANDS = (
     Entry("plan", "plan", "Poses to measure: grid, sobol, or those a diagnosis requests."),
     Entry("import-data", "import_data", "Convert another program's CSV or XLSX to a session."),
     Entry("import-urdf", "import_urdf", "Write an arm.yaml from a URDF."),
+    Entry("export-urdf", "export_urdf", "Write a calibrated arm as a URDF."),
     Entry("bag info", "bag_info", "Contents of a bag, and the topics a session is read from."),
     Entry("bag to-csv", "bag_to_csv", "Convert a bag to samples.csv."),
     Entry("bag from-csv", "bag_from_csv", "Convert a samples.csv to a bag."),
