@@ -289,6 +289,12 @@ class Marker(Declared):
     position_m: Vec3 = (0.0, 0.0, 0.0)
 
 
+class Anchor(Declared):
+    """A fixed point that distances are measured to, in the frame of the measurements."""
+
+    xyz_m: Vec3 | None = Field(default=None, description="absent: solved from the data")
+
+
 class Arm(Declared):
     """The declared arm."""
 
@@ -304,6 +310,7 @@ class Arm(Declared):
     point_masses: tuple[PointMass, ...] = ()
     camera: CameraPlacement | None = None
     markers: dict[str, Marker] = Field(default_factory=dict)
+    anchors: dict[str, Anchor] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _chain(self) -> Arm:
@@ -404,6 +411,11 @@ class Arm(Declared):
                 matrix[joint.id - 1, index[row]] += mimic.multiplier  # type: ignore[index]
                 offset[joint.id - 1] += mimic.offset
         return matrix, offset
+
+    def anchor(self, name: str) -> Vec3:
+        """Declared place of an anchor (m), the origin where it is to be solved."""
+        held = self.anchors.get(name)
+        return held.xyz_m if held is not None and held.xyz_m is not None else (0.0, 0.0, 0.0)
 
     @cached_property
     def hash(self) -> str:

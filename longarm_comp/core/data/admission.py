@@ -63,7 +63,7 @@ class _Case:
     session: Session
     arm: Arm
     seen: Session
-    predicted: np.ndarray  # (M, 3) of the seen rows
+    predicted: np.ndarray  # (M, 3) of the rows with a whole position
 
     def refuse(self, field: str, value: object, allowed: str) -> InputError:
         return InputError(self.session.source, field, value, allowed)
@@ -92,10 +92,12 @@ def admit(
     if poses < min_poses:
         field = "rows" if len(session) < 2 else "poses with a marker"
         raise case.refuse(field, poses, f"at least {min_poses} distinct poses")
-    predicted = (model or Model(arm)).measured(seen.q, seen.context())
-    case = _Case(session, arm, seen, predicted)
-    for check in _AFTER:
-        findings += check(case) or ()
+    located = session.take(session.located)
+    if len(located):
+        predicted = (model or Model(arm)).measured(located.q, located.context())
+        case = _Case(session, arm, located, predicted)
+        for check in _AFTER:
+            findings += check(case) or ()
     return Admission(session, tuple(findings))
 
 
@@ -109,6 +111,9 @@ def _same_arm(case: _Case) -> None:
     for marker in np.unique(case.session.labels.get("marker", np.array([], dtype=str))):
         if case.arm.markers and marker not in case.arm.markers:
             raise case.refuse("marker", str(marker), f"one of {', '.join(case.arm.markers)}")
+    for anchor in np.unique(case.session.labels.get("anchor", np.array([], dtype=str))):
+        if case.arm.anchors and anchor and anchor not in case.arm.anchors:
+            raise case.refuse("anchor", str(anchor), f"one of {', '.join(case.arm.anchors)}")
     for mass in case.arm.point_masses:
         for column in mass.position_columns or ():
             if column not in case.session.columns:
@@ -176,11 +181,14 @@ def _joint_units(case: _Case) -> Iterator[AdmissionFinding]:
 
 def _measured_at_all(case: _Case) -> Iterator[AdmissionFinding]:
     lost = int((~case.session.seen).sum())
+    field = ", ".join(cell for kind in case.session.kinds for cell in kind.cells)
     if lost == len(case.session):
-        raise case.refuse("x, y, z", f"blank in all {lost} rows", "measured tip positions (m)")
+        raise case.refuse(field, f"blank in all {lost} rows", "measured tip positions (m)")
+    if not case.session.placed.any():
+        raise case.refuse("x, y, z", "blank in all rows", "something that says where the tip is")
     if lost:
         share = lost / len(case.session)
-        yield AdmissionFinding("blanks", "x, y, z", f"marker lost in {lost} rows ({share:.0%})")
+        yield AdmissionFinding("blanks", field, f"marker lost in {lost} rows ({share:.0%})")
 
 
 def _constant(case: _Case) -> Iterator[AdmissionFinding]:
@@ -194,7 +202,7 @@ def _constant(case: _Case) -> Iterator[AdmissionFinding]:
 
 
 def _copies(case: _Case) -> Iterator[AdmissionFinding]:
-    seen = case.session.take(case.session.seen)
+    seen = case.session.take(case.session.located)
     first: dict[bytes, int] = {}
     copies = frozen = 0
     marker = seen.labels.get("marker", np.full(len(seen), ""))

@@ -18,6 +18,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TypeVar
 
+from longarm_comp.core.effects.anchor_place import AnchorPlace
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.base_compliance import BaseCompliance
 from longarm_comp.core.effects.base_pose import BasePose
@@ -44,6 +45,7 @@ from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
 from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.effects.tip_offset import TipOffset
+from longarm_comp.core.effects.tip_orientation import TipOrientation
 from longarm_comp.core.effects.tip_payload import TipPayload
 from longarm_comp.core.errors import InputError
 
@@ -58,6 +60,8 @@ _OURS: tuple[Kind, ...] = (
     DhError,
     BasePose,
     TipOffset,
+    TipOrientation,
+    AnchorPlace,
     CameraPose,
     LinkDeflection,
     JointCompliance,

@@ -21,6 +21,7 @@ from longarm_comp.core.identify.next_poses import NextPoses, next_poses
 from longarm_comp.core.identify.noise import from_repeats
 from longarm_comp.core.identify.proof import LearnedCorrection, Proof, prove
 from longarm_comp.core.identify.search import SearchResult, search
+from longarm_comp.core.identify.sensor_frames import started
 from longarm_comp.core.identify.structure import Structure, examine
 from longarm_comp.core.identify.wind_up import WindUp, as_fitted, refined, wind_up, with_run_ups
 from longarm_comp.core.model.model import Model
@@ -140,8 +141,8 @@ def diagnose(
     base = with_geometry(nominal, train)
     candidates = library(arm, train.context(), kinds, base.terms)
     say("frames")
-    placed = fit(align(with_frames(nominal, train), train), train)
-    start = align(base, train)
+    placed = fit(started(align(with_frames(nominal, train), train), train), train)
+    start = started(align(base, train), train)
     identified = _identify(
         start, train, lambda run_up: rows(run_up)[0], candidates.testable, rng, say
     )
@@ -319,7 +320,8 @@ def _roll_back(
 def _all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Structure:
     """The structure, also where other signs than the test of the fitted rows show some."""
     out = result.fit.weights == 0
-    rejected = float(np.sqrt((result.fit.residual[out] ** 2).sum() / len(out)))
+    lengths = result.fit.residual[:, np.array(result.fit.session.units) == "m"]
+    rejected = float(np.sqrt((lengths[out] ** 2).sum() / len(out)))
     for shows, size, where in (
         (out.mean() > MOST_OUTLIERS, rejected, "outliers"),
         (proof.off, proof.excess_m, "unseen poses"),

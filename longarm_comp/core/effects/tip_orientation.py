@@ -1,0 +1,52 @@
+"""How the measured body's axes stand against those of the tip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from typing_extensions import Self
+
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.spatial import Frame, Vec
+from longarm_comp.core.effects.effect import Bias, markers, parameter, place
+
+
+@dataclass(frozen=True)
+class TipOrientation(Bias):
+    """The axes of a tracked body (of one marker) are turned against those of the declared tip.
+
+    A tracker gives its bodies axes of their own, so the prior leaves any turn free.
+    """
+
+    name: ClassVar[str] = "tip_orientation"
+    geometry: ClassVar[bool] = True
+    sees: ClassVar[frozenset[str]] = frozenset({"orientation"})
+
+    marker: str = place(markers, default="")
+    rx: float = parameter("rad", "turn of the measured axes about the tip's", prior=3.0)
+    ry: float = parameter("rad", "turn of the measured axes about the tip's", prior=3.0)
+    rz: float = parameter("rad", "turn of the measured axes about the tip's", prior=3.0)
+
+    @property
+    def where(self) -> str:
+        """``tip`` or ``marker left``."""
+        return f"marker {self.marker}" if self.marker else "tip"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """Every declared marker, or the tip."""
+        return [tuple(cls(marker=name) for name in arm.markers) or (cls(),)]
+
+    def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
+        """The point as it is."""
+        return point
+
+    def seen_pose(self, tip: Frame, context: Context, arm: Arm) -> Frame:
+        """The tip with its axes turned, for the rows of its marker."""
+        mine = context.is_label("marker", self.marker) if self.marker else 1.0
+        turn = spatial.exp_large((0.0, 0.0, 0.0, mine * self.rx, mine * self.ry, mine * self.rz))
+        n, o, a = (tip.rotate(axis) for axis in turn[:3])
+        return Frame(n, o, a, tip.p)
