@@ -20,6 +20,11 @@ SIGMA, SIGMA_ROT = 2e-4, 4e-4
 BODY = Rotation.from_rotvec([1.2, -0.4, 2.0])
 """How the tracked body sits on the tip."""
 ANCHORS = {"left": (0.9, -0.6, 0.2), "right": (0.8, 0.9, 0.1), "top": (-0.2, 0.3, 1.4)}
+CAMERAS = {
+    "boom": ((0.3, -1.5, 0.4), (-80.0, 10.0, 5.0)),
+    "wall": ((1.6, 0.2, 0.9), (20.0, -60.0, 90.0)),
+}
+"""Place (m) and roll, pitch, yaw (deg) of calibrated cameras."""
 ZEROS = (geometry.JointZero(np.array([0.0, 0.006, 0.0, -0.004])),)
 GAIN = (drives.JointGain(np.array([0.0, 0.02, 0.0, 0.0])),)
 
@@ -50,6 +55,17 @@ class Sensed:
         places = np.array([ANCHORS[name] for name in names])
         length = np.linalg.norm(self.xyz - places, axis=1, keepdims=True)
         return np.asarray(length + sigma * self.rng.standard_normal((len(self), 1)))
+
+    def ray(self, names: np.ndarray, sigma: float = SIGMA_ROT) -> np.ndarray:
+        """(N, 3) direction in the axes of the camera of each row, of any length."""
+        made = np.empty((len(self), 3))
+        for name, (place, turn) in CAMERAS.items():
+            local = Rotation.from_euler("xyz", turn, degrees=True).inv().apply(self.xyz - place)
+            local /= np.linalg.norm(local, axis=1, keepdims=True)
+            made[names == name] = (
+                2.0 * (local + sigma * self.rng.standard_normal((len(self), 3)))[names == name]
+            )
+        return made
 
 
 def sensed(hidden: Sequence[HiddenEffect] = ZEROS, n: int = 100, seed: int = 1) -> Sensed:

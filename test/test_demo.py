@@ -18,7 +18,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.model_file import load_model
 from longarm_comp.jobs.demo import table
-from longarm_comp.jobs.demo.trial import Trial
+from longarm_comp.jobs.targets import Trial
 from longarm_comp.sessions.read import read_session
 
 SMALL = ("--poses", "100", "--targets", "6")

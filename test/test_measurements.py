@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from sensed_arm import (
     ANCHORS,
     BODY,
+    CAMERAS,
     GAIN,
     SIGMA,
     SIGMA_ROT,
@@ -29,6 +30,7 @@ from longarm_comp.core.effects.anchor_place import AnchorPlace
 from longarm_comp.core.effects.camera_pose import CameraPose
 from longarm_comp.core.effects.camera_scale import CameraScale
 from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.effects.sensor_place import SensorPlace
 from longarm_comp.core.effects.tip_orientation import TipOrientation
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import geometry
@@ -157,6 +159,55 @@ def test_distances_to_declared_anchors_calibrate_the_arm() -> None:
     assert miss(model) < 3 * GOOD
 
 
+def cameras() -> la.Arm:
+    sensors = {
+        name: {"kind": "camera", "xyz_m": place, "rpy_deg": turn}
+        for name, (place, turn) in CAMERAS.items()
+    }
+    return declared(sensors=sensors)
+
+
+def test_rays_of_calibrated_cameras_calibrate_the_arm(tmp_path: Path) -> None:
+    arm, rows = cameras(), sensed(n=200)
+    names = rows.rng.choice(list(CAMERAS), 200)
+    readings = {"ray": rows.ray(names)}
+    path = tmp_path / "samples.csv"
+    write_csv(read(rows, xyz=nowhere(200), readings=readings, labels={"sensor": names}), path)
+    session = read_csv(path, arm)
+    base = declared_model(arm).plus(*geometry(arm, session))
+    found = fit(started(base, session), session)
+    assert not found.model.biases
+    assert found.sigma == pytest.approx(np.full(4, SIGMA_ROT), rel=0.3)
+    assert miss(found.model) < 3 * GOOD
+    sideways = np.linalg.norm(errors(found.model, session), axis=1)
+    assert 0.5e-3 < np.sqrt((sideways**2).mean()) < 1.1e-3
+
+
+def test_several_sensors_have_a_place_and_a_noise_of_their_own() -> None:
+    """A tracker, and a coarse camera anywhere else, of which one sees poses."""
+    rows = sensed(n=160)
+    coarse = np.arange(160) % 3 == 1
+    away = Rotation.from_rotvec([0.4, -1.1, 2.0])
+    xyz = np.where(coarse[:, None], rows.position(1e-3), rows.position())
+    xyz[coarse] = away.apply(xyz[coarse]) + np.array([3.0, -2.0, 7.0])
+    turned = rows.quaternion(sigma=2e-3)
+    turned[coarse] = (away * Rotation.from_quat(turned[coarse])).as_quat()
+    names = np.where(coarse, "camera", "tracker")
+    readings = {"orientation": turned}
+    session = read(rows, xyz=xyz, readings=readings, labels={"sensor": names})
+    base = declared_model(ARM).plus(*geometry(ARM, session))
+    found = fit(started(base, session), session)
+    noise = dict(zip(session.channels, found.sigma, strict=True))
+    assert noise["tracker x"] == pytest.approx(SIGMA, rel=0.35)
+    assert noise["camera x"] == pytest.approx(1e-3, rel=0.35)
+    assert miss(found.model) < GOOD
+    place = next(t for t in found.model.biases if isinstance(t, SensorPlace))
+    turn = Rotation.from_rotvec([place.rx, place.ry, place.rz])
+    assert (turn * away.inv()).magnitude() < 3e-3
+    calibrated = la.calibrate(ARM, session)
+    assert miss(calibrated.model) < GOOD
+
+
 def test_a_row_counts_for_what_it_holds() -> None:
     """An equation that was not measured neither moves the fit nor its covariance."""
     rows = sensed(n=60)
@@ -222,3 +273,6 @@ def test_what_cannot_be_is_refused() -> None:
     wrong = read(rows, readings={"distance": np.ones((6, 1))}, labels={"anchor": names})
     with pytest.raises(InputError, match=r"lft.*left"):
         la.calibrate(arm, wrong)
+    rays = read(rows, readings={"ray": np.ones((6, 3))}, labels={"sensor": np.full(6, "hall")})
+    with pytest.raises(InputError, match=r"hall.*boom, wall"):
+        la.calibrate(cameras(), rays)

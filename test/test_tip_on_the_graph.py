@@ -83,7 +83,7 @@ class Stage:
         p.x, p.y, p.z = target[:3, 3].tolist()
         o.x, o.y, o.z, o.w = Rotation.from_matrix(target[:3, :3]).as_quat().tolist()
         request = Compensate.Request(target=pose, position_only=not whole, execute=execute)
-        return self.client.call(self.compensate, request)
+        return self.client.call(self.compensate, request, again=not execute)
 
     def ready(self) -> None:
         """Wait until kinematics knows the joints and hears the driver's commands."""

@@ -25,11 +25,9 @@ from longarm_comp.cli.output import note, print_json, progress
     "--repeats", default=0, show_default=True, help="Poses that are visited two more times."
 )
 @click.option("--in-order", is_flag=True, help="In the order of the file instead of a random one.")
-@click.option("--sightings", default=5, show_default=True, help="Sightings averaged at each pose.")
-@click.option("--dwell", default=0.3, show_default=True, help="Rest before the first sighting, s.")
-@click.option("--move", default=0.5, show_default=True, help="Least time of a move, s.")
+@options.pace
 @click.option("--resume", is_flag=True, help="Continue an interrupted recording.")
-@click.option("--namespace", default="", help="Namespace of the arm.")
+@options.namespace
 @options.seed
 @options.as_json
 def command(

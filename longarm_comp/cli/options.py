@@ -22,6 +22,24 @@ seed = click.option(
 as_json = click.option("--json", "as_json", is_flag=True, help="Print results as JSON.")
 
 
+namespace = click.option("--namespace", default="", help="Namespace of the arm.")
+
+
+def pace(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Options of a measurement: ``--sightings``, ``--dwell``, ``--move``."""
+    for option in (
+        click.option("--move", default=0.5, show_default=True, help="Least time of a move, s."),
+        click.option(
+            "--dwell", default=0.3, show_default=True, help="Rest before the first sighting, s."
+        ),
+        click.option(
+            "--sightings", default=5, show_default=True, help="Sightings averaged at each pose."
+        ),
+    ):
+        function = option(function)
+    return function
+
+
 def _load(_: click.Context, __: click.Parameter, files: tuple[Path, ...]) -> tuple[Path, ...]:
     if files:
         from longarm_comp.core.effects.catalogue import load_file

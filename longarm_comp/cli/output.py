@@ -7,6 +7,7 @@ import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -86,6 +87,8 @@ def _plain(data: Any) -> Any:
         return _plain(data.tolist())
     if isinstance(data, (list, tuple)):
         return [_plain(value) for value in data]
+    if isinstance(data, Path):
+        return str(data)
     if isinstance(data, np.generic):
         data = data.item()
     if isinstance(data, float) and not math.isfinite(data):

@@ -16,7 +16,7 @@ from longarm_comp.cli.output import note, print_json
 @click.option("--duration", type=float, help="Stop after this time, s.")
 @click.option("--resume", is_flag=True, help="Add to an existing bag.")
 @click.option("--segment", default=20.0, show_default=True, help="Length of a file, s.")
-@click.option("--namespace", default="", help="Namespace of the arm.")
+@options.namespace
 @options.as_json
 def command(
     output: Path,

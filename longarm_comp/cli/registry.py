@@ -39,6 +39,8 @@ COMMANDS = (
     Entry("bench", "bench", "Speed compared with peers, in one run."),
     Entry("demo", "demo", "The whole loop over the ROS graph on a simulated arm."),
     Entry("collect", "collect", "Drive a pose plan over ROS and record the session."),
+    Entry("verify", "verify", "Drive fresh targets over ROS, without and with compensation."),
+    Entry("apply", "apply", "Put a diagnosis to work on the running graph."),
     Entry("record", "record", "Record an arm's topics as a rosbag2."),
     Entry("soak", "soak", "Hours of targets on a simulated arm, with random faults."),
     Entry("effects", "effects", "The library of effects: parameters, units, priors, inputs."),

@@ -14,11 +14,16 @@ from longarm_comp.cli.output import note
 def command(model: Path) -> None:
     """Restore the version of MODEL before the last change, byte for byte.
 
+    The predictor beside it that belonged to that version comes back too. One that belongs to the
+    version taken back is set aside. Nodes that run with these files notice.
+
     \b
     Example:
       longarm undo model.yaml
     """
-    from longarm_comp.core.model.model_file import undo
+    from longarm_comp.workflows.apply import undo
 
-    undo(model)
+    back = undo(model)
     note(f"{model} is the previous version again")
+    if back is not None:
+        note(f"{back} is the predictor that belongs to it")

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import TracebackType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import rclpy
@@ -27,6 +28,12 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.images import stamp_ns
 from longarm_comp.nodes.messages import joints_of, sighting_of
 
+_ASK_AGAIN_S = 2.0
+"""Without an answer for so long, a request that may be served twice is sent again."""
+
+
+Client = TypeVar("Client", bound="GraphClient")
+
 
 class Interrupted(JobError):  # noqa: N818
     """The caller's stop event was set."""
@@ -34,21 +41,19 @@ class Interrupted(JobError):  # noqa: N818
     exit_code = 130
 
 
-class ArmClient:
-    """Use as a context manager.
+class GraphClient:
+    """A node on a graph: waits, services. Use as a context manager.
 
     Args:
-        arm: names and orders the joints.
         namespace: of the arm on the graph.
         stop: ends every wait with `Interrupted`.
         name: of the node.
     """
 
     def __init__(
-        self, arm: Arm, namespace: str = "", stop: threading.Event | None = None,
-        name: str = "longarm_client",
-    ) -> None:  # fmt: skip
-        self.arm, self.stop = arm, stop or threading.Event()
+        self, namespace: str = "", stop: threading.Event | None = None, name: str = "longarm_client"
+    ) -> None:
+        self.stop = stop or threading.Event()
         self.context = rclpy.Context()
         rclpy.init(context=self.context, signal_handler_options=SignalHandlerOptions.NO)
         self.executor = SingleThreadedExecutor(context=self.context)
@@ -56,14 +61,8 @@ class ArmClient:
             name, context=self.context, namespace=namespace, start_parameter_services=False
         )
         self.executor.add_node(self.node)
-        self.joints: np.ndarray | None = None
-        self.sightings: list[tuple[int, np.ndarray, np.ndarray]] = []
-        """(stamp ns, tip (3,) m or NaN, variance (3,)), newest last."""
-        self._trajectory = graph.JOINT_TRAJECTORY.publisher(self.node)
-        graph.JOINT_STATES.subscription(self.node, self._on_joints)
-        graph.TIP_MEASURED.subscription(self.node, self._on_tip)
 
-    def __enter__(self) -> ArmClient:
+    def __enter__(self: Client) -> Client:
         return self
 
     def __exit__(
@@ -75,20 +74,6 @@ class ArmClient:
         self.executor.shutdown(timeout_sec=1.0)
         self.node.destroy_node()
         self.context.try_shutdown()
-
-    def _on_joints(self, message: JointState) -> None:
-        try:
-            q = joints_of(message, self.arm, "joint_states")
-        except InputError:
-            return
-        self.joints = q
-
-    def _on_tip(self, message: PoseWithCovarianceStamped) -> None:
-        xyz, variance = sighting_of(message)
-        self.sightings.append((stamp_ns(message.header.stamp), xyz, variance))
-        del self.sightings[:-200]
-
-    # ------------------------------------------------------------------ waiting
 
     def until(self, condition: Callable[[], Any], within_s: float, what: str) -> Any:
         """Spin until a condition is truthy and return its value.
@@ -106,10 +91,88 @@ class ArmClient:
             self.executor.spin_once(timeout_sec=0.01)
         return found
 
+    @contextmanager
+    def putting_back(self) -> Iterator[None]:
+        """``stop`` ends no wait meanwhile: for what must be put back after an interruption."""
+        stop, self.stop = self.stop, threading.Event()
+        try:
+            yield
+        finally:
+            self.stop = stop
+
     def spin(self, seconds: float) -> None:
         """Serve callbacks for a number of seconds. Raises Interrupted."""
         end = time.monotonic() + seconds
         self.until(lambda: time.monotonic() >= end, seconds + 60.0, "waiting")
+
+    def call(
+        self, client: Any, request: Any, within_s: float = 20.0, *, again: bool = False
+    ) -> Any:
+        """Call a service and return its response.
+
+        The middleware drops an answer to a client that the server has not matched yet.
+
+        Args:
+            client: of the service.
+            request: what to ask.
+            within_s: patience.
+            again: ask again where no answer came for a while; for requests that may be served
+                twice.
+
+        Raises:
+            JobError: no answer in time. Interrupted: ``stop`` was set.
+        """
+        self.until(client.service_is_ready, within_s, f"nobody offers {client.srv_name}")
+        asked = [client.call_async(request)]
+        sent = time.monotonic()
+
+        def answered() -> Any:
+            nonlocal sent
+            if again and time.monotonic() - sent > _ASK_AGAIN_S:
+                asked.append(client.call_async(request))
+                sent = time.monotonic()
+            return next((future for future in asked if future.done()), None)
+
+        try:
+            future = self.until(answered, within_s, f"no answer of {client.srv_name}")
+        finally:
+            for waiting in asked:
+                client.remove_pending_request(waiting)
+        return future.result()
+
+
+class ArmClient(GraphClient):
+    """One arm on a graph: its joints, the sightings of its tip, moves.
+
+    Args:
+        arm: names and orders the joints.
+        namespace, stop, name: as for `GraphClient`.
+    """
+
+    def __init__(
+        self, arm: Arm, namespace: str = "", stop: threading.Event | None = None,
+        name: str = "longarm_client",
+    ) -> None:  # fmt: skip
+        super().__init__(namespace, stop, name)
+        self.arm = arm
+        self.joints: np.ndarray | None = None
+        self.sightings: list[tuple[int, np.ndarray, np.ndarray]] = []
+        """(stamp ns, tip (3,) m or NaN, variance (3,)), newest last."""
+        self._trajectory = graph.JOINT_TRAJECTORY.publisher(self.node)
+        graph.JOINT_STATES.subscription(self.node, self._on_joints)
+        graph.TIP_MEASURED.subscription(self.node, self._on_tip)
+
+    def _on_joints(self, message: JointState) -> None:
+        try:
+            q = joints_of(message, self.arm, "joint_states")
+        except InputError:
+            return
+        self.joints = q
+
+    def _on_tip(self, message: PoseWithCovarianceStamped) -> None:
+        xyz, variance = sighting_of(message)
+        self.sightings.append((stamp_ns(message.header.stamp), xyz, variance))
+        del self.sightings[:-200]
 
     def ready(self, within_s: float = 30.0, *, tip: bool = True) -> None:
         """Wait for joint states, a driver and, with ``tip``, a sighting of the tip."""
@@ -118,13 +181,6 @@ class ArmClient:
         self.until(lambda: heard() > 0, within_s, "nobody listens to joint_trajectory")
         if tip:
             self.until(lambda: self.sightings, within_s, "no tip_measured")
-
-    def call(self, client: Any, request: Any, within_s: float = 20.0) -> Any:
-        """Call a service and return its response. Raises as `until`."""
-        self.until(client.service_is_ready, within_s, f"nobody offers {client.srv_name}")
-        future = client.call_async(request)
-        self.until(future.done, within_s, f"no answer of {client.srv_name}")
-        return future.result()
 
     # ------------------------------------------------------------------ moving
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -146,6 +147,22 @@ def checked(report: dict[str, Any]) -> DiagnosisReport:
         fault = error.errors(include_url=False)[0]
         field = ".".join(str(part) for part in fault["loc"]) or "report"
         raise InputError("report.json", field, fault["input"], _allowed(fault)) from error
+
+
+def read_report(folder: str | Path) -> DiagnosisReport:
+    """The report.json in the folder of a diagnosis.
+
+    Raises:
+        InputError: there is none, or it is none.
+    """
+    path = Path(folder) / "report.json"
+    try:
+        return checked(json.loads(path.read_text(encoding="utf-8")))
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise InputError(path, "file", why, "a folder that longarm diagnose wrote") from error
+    except ValueError as error:
+        raise InputError(path, "json", str(error), "a report that longarm wrote") from error
 
 
 def text(report: DiagnosisReport) -> str:

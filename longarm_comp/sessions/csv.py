@@ -23,6 +23,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.yaml_file import RANGES
 from longarm_comp.sessions.csv_readings import (
     READ,
     XYZ,
@@ -32,7 +33,7 @@ from longarm_comp.sessions.csv_readings import (
     written_readings,
 )
 from longarm_comp.sessions.names import check_header, check_unknown
-from longarm_comp.sessions.table import Table, read_table, write_table
+from longarm_comp.sessions.table import LARGEST, Table, read_table, write_table
 
 SIGMA = ("sigma_x", "sigma_y", "sigma_z")
 VARIANCE = ("cov_xx", "cov_yy", "cov_zz")
@@ -66,7 +67,7 @@ def read_csv(path: str | Path, arm: Arm, joint_columns: Sequence[str] | None = N
     columns, labels = recorded_besides(table, set(known))
     readings, sigmas = read_readings(table)
     return Session.record(
-        q=np.stack([table.numbers(name, "rad or m") for name in joints], axis=-1),
+        q=np.stack([table.lengths(name, "rad or m") for name in joints], axis=-1),
         xyz=read_xyz(table),
         index=table.integers("index") if "index" in table.cells else None,
         approach=read_approach(table, arm.n),
@@ -117,12 +118,21 @@ def recorded_besides(
         if table.blank(name).all():
             continue
         if name in UNITS:
-            columns[name] = table.numbers(name, f"{UNITS[name]}, in every row or in none")
+            columns[name] = _circumstance(table, name)
         elif name in LABELS or (name not in known and not table.is_numeric(name)):
             labels[name] = np.array(table.cells[name])
         elif name not in known or name in ("cov_xy", "cov_xz", "cov_yz"):
             columns[name] = table.numbers(name, "in every row, or text")
     return columns, labels
+
+
+def _circumstance(table: Table, name: str) -> np.ndarray:
+    ends = next((held for end, held in RANGES.items() if name.endswith(end)), None)
+    lower, upper = ends or (-LARGEST, LARGEST)
+    unit = f"{UNITS[name]}" + (f" of {lower:g} to {upper:g}" if ends else "")
+    return table.numbers(
+        name, f"{unit}, in every row or in none", test=lambda v: lower <= v <= upper
+    )
 
 
 def approach_names(n: int) -> tuple[str, ...]:

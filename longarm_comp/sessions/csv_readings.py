@@ -37,9 +37,7 @@ def check_measured(table: Table) -> None:
 def read_xyz(table: Table) -> np.ndarray:
     """(N, 3) coordinates in m, NaN where blank."""
     made = [
-        table.numbers(name, "m", blanks=True)
-        if name in table.cells
-        else np.full(len(table), np.nan)
+        table.lengths(name, blanks=True) if name in table.cells else np.full(len(table), np.nan)
         for name in XYZ
     ]
     return np.stack(made, axis=-1)

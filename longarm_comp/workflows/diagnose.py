@@ -46,12 +46,14 @@ class DiagnosisResult:
         session_hash: hash of the diagnosed rows.
         facts: further provenance for the report's page.
         model_before: file of the given model, if it came from one.
+        session_file: file of the session, if it came from one.
     """
 
     diagnosis: core.Diagnosis
     session_hash: str
     facts: Mapping[str, str]
     model_before: Path | None = None
+    session_file: Path | None = None
 
     @property
     def verdict(self) -> str:
@@ -100,7 +102,7 @@ class DiagnosisResult:
         """
         target = Path(folder)
         write_report(*self._assembled, target)
-        write_model(self.diagnosis, self.session_hash, self.model_before, target)
+        write_model(self.diagnosis, self.session_hash, self.model_before, target, self.session_file)
         write_predictor(self.predictor, self.session_hash, target)
         write_next(self.diagnosis, target)
 
@@ -156,7 +158,8 @@ def diagnose(
         facts["model before"] = file_hash(before)
     kinds = {type(term) for term in found.model.terms}
     facts |= {f"effect {k.name}": origin(k) for k in kinds if origin(k)}
-    return DiagnosisResult(found, whole.hash, facts, before)
+    recorded = None if isinstance(session, Session) else Path(session)
+    return DiagnosisResult(found, whole.hash, facts, before, recorded)
 
 
 def diagnose_files(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +23,14 @@ from longarm_comp.version import __version__
 from longarm_comp.workflows.inputs import file_hash
 
 MODEL, PREDICTOR = "model.yaml", "predictor.npz"
+MODEL_BEFORE, SESSION = "model_before", "session"
+"""Keys in the model's provenance: SHA-256 of the model that was diagnosed, empty for the declared
+arm; path of the session, seen from the diagnosis, empty for a session in memory."""
 
 
-def write_model(found: Diagnosis, session_hash: str, before: Path | None, folder: Path) -> None:
+def write_model(
+    found: Diagnosis, session_hash: str, before: Path | None, folder: Path, session: Path | None
+) -> None:
     """Write the model. `undo` restores the version before, if one was given.
 
     Args:
@@ -32,8 +38,17 @@ def write_model(found: Diagnosis, session_hash: str, before: Path | None, folder
         session_hash: hash of the diagnosed session.
         before: file of the version that it replaces.
         folder: folder to write to.
+        session: file of the session, if it came from one.
     """
-    stored = _stored(found, session_hash, None if before is None else read_stored(before))
+    stored = _stored(
+        found,
+        session_hash,
+        None if before is None else read_stored(before),
+        {
+            MODEL_BEFORE: "" if before is None else file_hash(before),
+            SESSION: "" if session is None else os.path.relpath(session, folder),
+        },
+    )
     path = folder / MODEL
     if before is not None and before.resolve() != path.resolve():
         with atomic_path(path) as partial:
@@ -68,7 +83,9 @@ def write_next(found: Diagnosis, folder: Path) -> None:
     write_poses(Plan(q, side.astype(int), np.concatenate(loads) if loads else None), path)
 
 
-def _stored(found: Diagnosis, session_hash: str, before: StoredModel | None) -> StoredModel:
+def _stored(
+    found: Diagnosis, session_hash: str, before: StoredModel | None, sources: dict[str, str]
+) -> StoredModel:
     """The resulting model in its stored form."""
     model = found.model
     intervals: dict[tuple[int, str], tuple[float, float]] = {}
@@ -98,6 +115,7 @@ def _stored(found: Diagnosis, session_hash: str, before: StoredModel | None) -> 
             "verdict": found.verdict,
             "seed": found.seed,
             "longarm_comp": __version__,
+            **sources,
         },
         origins=origins,
         intervals=intervals,

@@ -17,8 +17,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from longarm_comp.core.arm.spatial import Frame, rpy_frame
-from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, read_yaml
+from longarm_comp.core.arm.spatial import IDENTITY, Frame, rpy_frame
+from longarm_comp.core.yaml_file import RANGES, Declared, Misdeclared, parse_declared, read_yaml
 
 Vec3 = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
@@ -234,6 +234,10 @@ class Beam(Declared):
             raise Misdeclared(
                 "body_length_m", "missing", "needed by a beam of length rest with mass"
             )
+        lowest, highest = RANGES["_nm2"]
+        if not all(lowest <= value <= highest for value in self.stiffness):
+            made = ", ".join(f"{value:.3g}" for value in self.stiffness)
+            raise Misdeclared("section", made, f"EI and GJ of {lowest:g} to {highest:g} N m^2")
         return self
 
     @cached_property
@@ -295,6 +299,12 @@ class Anchor(Declared):
     xyz_m: Vec3 | None = Field(default=None, description="absent: solved from the data")
 
 
+class CameraSensor(Pose):
+    """A calibrated camera in the base frame, whose rays a session holds in its own axes."""
+
+    kind: Literal["camera"]
+
+
 class Arm(Declared):
     """The declared arm."""
 
@@ -311,6 +321,7 @@ class Arm(Declared):
     camera: CameraPlacement | None = None
     markers: dict[str, Marker] = Field(default_factory=dict)
     anchors: dict[str, Anchor] = Field(default_factory=dict)
+    sensors: dict[str, CameraSensor] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _chain(self) -> Arm:
@@ -416,6 +427,11 @@ class Arm(Declared):
         """Declared place of an anchor (m), the origin where it is to be solved."""
         held = self.anchors.get(name)
         return held.xyz_m if held is not None and held.xyz_m is not None else (0.0, 0.0, 0.0)
+
+    def camera_frame(self, name: str) -> np.ndarray:
+        """Pose (3, 4) of a declared camera in the base frame; the base where there is none."""
+        held = self.sensors.get(name)
+        return (held.frame() if isinstance(held, CameraSensor) else IDENTITY).matrix()[:3]
 
     @cached_property
     def hash(self) -> str:

@@ -114,6 +114,13 @@ def _same_arm(case: _Case) -> None:
     for anchor in np.unique(case.session.labels.get("anchor", np.array([], dtype=str))):
         if case.arm.anchors and anchor and anchor not in case.arm.anchors:
             raise case.refuse("anchor", str(anchor), f"one of {', '.join(case.arm.anchors)}")
+    if "ray" in case.session.readings:
+        seen = np.isfinite(case.session.readings["ray"]).all(axis=1)
+        for sensor in np.unique(case.session.labels["sensor"][seen]):
+            if sensor not in case.arm.sensors:
+                known = ", ".join(case.arm.sensors) or "none"
+                allowed = f"a camera of arm.yaml's sensors (there are: {known})"
+                raise case.refuse("sensor", str(sensor), allowed)
     for mass in case.arm.point_masses:
         for column in mass.position_columns or ():
             if column not in case.session.columns:
@@ -248,6 +255,9 @@ def _lengths(case: _Case) -> None:
 
 def _frame(case: _Case) -> Iterator[AdmissionFinding]:
     groups = case.seen.labels.get("group", np.full(len(case.seen), ""))
+    if len({b.sensor for b in case.seen.blocks}) > 1:
+        joined = zip(groups, case.seen.labels["sensor"], strict=True)
+        groups = np.array([f"{group} sensor {sensor}".strip() for group, sensor in joined])
     for group in np.unique(groups):
         rows = groups == group
         if len(np.unique(case.seen.pose_id[rows])) < 2 * FEW_POSES:

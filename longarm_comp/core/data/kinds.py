@@ -138,8 +138,51 @@ class Distance(Kind):
         return Equations(values - length, pull @ columns, pull)
 
 
-KINDS: Mapping[str, Kind] = {k.name: k for k in (Position(), Orientation(), Distance())}
+class Ray(Kind):
+    """Direction in which a calibrated camera sees the tip, in its own axes; of any length.
+
+    The residual is the angle (rad) across the measured direction, along two axes.
+    """
+
+    name = "ray"
+    cells = ("ray_x", "ray_y", "ray_z")
+    scalars = ("ray_u", "ray_v")
+    unit = "rad"
+    label = "sensor"
+    sigma = "sigma_ray"
+
+    def wrong(self, values: np.ndarray) -> tuple[np.ndarray, str]:
+        return np.linalg.norm(values, axis=1) < 1e-6, "a direction, not zero"
+
+    def equations(
+        self, motion: TipMotion, values: np.ndarray, arm: Arm, labels: Labels
+    ) -> Equations:
+        point, columns = motion.point(self.name)
+        names, which = np.unique(labels[self.label], return_inverse=True)
+        frames = np.array([arm.camera_frame(str(name)) for name in names])[which]
+        local = np.einsum("nji,nj->ni", frames[:, :, :3], point - frames[:, :, 3])
+        length = np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-9)
+        seen = local / length
+        across = _across(values)
+        flat = np.eye(3) - seen[:, :, None] * seen[:, None, :]
+        turned = across @ flat / length[..., None]
+        pull = np.einsum("nki,nji->nkj", turned, frames[:, :, :3])
+        residual = -np.einsum("nki,ni->nk", across, seen)
+        return Equations(residual, pull @ columns, pull)
+
+
+KINDS: Mapping[str, Kind] = {k.name: k for k in (Position(), Orientation(), Distance(), Ray())}
 """Every kind by name; positions come first in the channels of a session."""
+
+
+def _across(directions: np.ndarray) -> np.ndarray:
+    """Two unit axes (N, 2, 3) across directions (N, 3), which NaN may stand for."""
+    known = np.where(np.isfinite(directions), directions, 1.0)
+    along = known / np.linalg.norm(known, axis=1, keepdims=True)
+    least = np.eye(3)[np.argmin(np.abs(along), axis=1)]
+    first = np.cross(along, least)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(along, first)], axis=1)
 
 
 def matrices(quaternions: np.ndarray) -> np.ndarray:

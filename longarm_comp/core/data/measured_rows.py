@@ -14,20 +14,20 @@ from longarm_comp.core.errors import InputError
 
 @dataclass(frozen=True)
 class ChannelBlock:
-    """Channels of one kind, of one sensor (of all where the name is empty).
+    """Channels of one kind, of one sensor.
 
     Attributes:
         kind: name of the kind of measurement.
-        sensor: value of the text column `sensor`.
+        sensor: value of the text column `sensor`; None where it is one sensor for all rows.
     """
 
     kind: str
-    sensor: str = ""
+    sensor: str | None = None
 
     @property
     def channels(self) -> tuple[str, ...]:
         """Names of its scalars: ``x``, or ``left x`` of a sensor."""
-        return tuple(f"{self.sensor} {name}".strip() for name in KINDS[self.kind].scalars)
+        return tuple(f"{self.sensor or ''} {name}".strip() for name in KINDS[self.kind].scalars)
 
 
 class MeasuredRows:
@@ -96,7 +96,7 @@ class MeasuredRows:
         made = []
         for block in self.blocks:
             held = KINDS[block.kind].measured(self.reading(KINDS[block.kind]))
-            if block.sensor:
+            if block.sensor is not None:
                 held = held & (self.labels["sensor"] == block.sensor)[:, None]
             made.append(held)
         return np.concatenate(made, axis=1)

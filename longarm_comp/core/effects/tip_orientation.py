@@ -16,7 +16,7 @@ from longarm_comp.core.effects.effect import Bias, markers, parameter, place
 
 @dataclass(frozen=True)
 class TipOrientation(Bias):
-    """The axes of a tracked body (of one marker) are turned against those of the declared tip.
+    """The axes of a tracked body (of one marker, to one sensor) are turned against the tip's.
 
     A tracker gives its bodies axes of their own, so the prior leaves any turn free.
     """
@@ -26,14 +26,16 @@ class TipOrientation(Bias):
     sees: ClassVar[frozenset[str]] = frozenset({"orientation"})
 
     marker: str = place(markers, default="")
+    sensor: str = place(default="")
     rx: float = parameter("rad", "turn of the measured axes about the tip's", prior=3.0)
     ry: float = parameter("rad", "turn of the measured axes about the tip's", prior=3.0)
     rz: float = parameter("rad", "turn of the measured axes about the tip's", prior=3.0)
 
     @property
     def where(self) -> str:
-        """``tip`` or ``marker left``."""
-        return f"marker {self.marker}" if self.marker else "tip"
+        """``tip`` or ``marker left``, ``tip seen by wall`` of one of several sensors."""
+        what = f"marker {self.marker}" if self.marker else "tip"
+        return f"{what} seen by {self.sensor}" if self.sensor else what
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
@@ -45,8 +47,10 @@ class TipOrientation(Bias):
         return point
 
     def seen_pose(self, tip: Frame, context: Context, arm: Arm) -> Frame:
-        """The tip with its axes turned, for the rows of its marker."""
-        mine = context.is_label("marker", self.marker) if self.marker else 1.0
+        """The tip with its axes turned, for the rows of its marker and sensor."""
+        mine = 1.0
+        for label, value in (("marker", self.marker), ("sensor", self.sensor)):
+            mine = mine * context.is_label(label, value) if value else mine
         turn = spatial.exp_large((0.0, 0.0, 0.0, mine * self.rx, mine * self.ry, mine * self.rz))
         n, o, a = (tip.rotate(axis) for axis in turn[:3])
         return Frame(n, o, a, tip.p)

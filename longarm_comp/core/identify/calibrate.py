@@ -19,7 +19,13 @@ from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.tip_offset import TipOffset
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.fit import ModelFit, fit
-from longarm_comp.core.identify.sensor_frames import framed, sensor_frames, started
+from longarm_comp.core.identify.sensor_frames import (
+    framed,
+    reference,
+    sensor_frames,
+    started,
+    twist_of,
+)
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 
@@ -121,22 +127,10 @@ def align(model: Model, session: Session, beyond: float = 0.1) -> Model:
         target = (rows.xyz - home[:3, 3]) @ home[:3, :3]
         turn, _ = Rotation.align_vectors(target - target.mean(0), local - local.mean(0))
         shift = target.mean(0) - turn.apply(local.mean(0))
-        d, w = _log(turn, shift)
+        d, w = twist_of(turn, shift)
         names = ("x", "y", "z", "rx", "ry", "rz")
         effects[k] = effect.with_values(dict(zip(names, (*d, *w), strict=True)))
     return dataclasses.replace(model, effects=tuple(effects))
-
-
-def _log(turn: Rotation, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Twist of a finite motion: the inverse of `spatial.exp_large`."""
-    w = turn.as_rotvec()
-    angle = np.linalg.norm(w)
-    hat = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
-    if angle < 1e-9:
-        return shift, w
-    b = (1 - np.cos(angle)) / angle**2
-    c = (angle - np.sin(angle)) / angle**3
-    return np.linalg.solve(np.eye(3) + b * hat + c * hat @ hat, shift), w
 
 
 def ladder(
@@ -174,7 +168,7 @@ def ladder(
     for name, terms in effects:
         steps.append((name, (*steps[-1][1], *terms)))
     rungs = [_rung("nominal", base, None, train, held_out)]
-    start = started(align(base.plus(*placed), train), train)
+    start = started(align(base.plus(*placed), reference(train)), train)
     for name, terms in steps:
         if progress is not None:
             progress(name)

@@ -21,7 +21,7 @@ from longarm_comp.core.identify.next_poses import NextPoses, next_poses
 from longarm_comp.core.identify.noise import from_repeats
 from longarm_comp.core.identify.proof import LearnedCorrection, Proof, prove
 from longarm_comp.core.identify.search import SearchResult, search
-from longarm_comp.core.identify.sensor_frames import started
+from longarm_comp.core.identify.sensor_frames import reference, started
 from longarm_comp.core.identify.structure import Structure, examine
 from longarm_comp.core.identify.wind_up import WindUp, as_fitted, refined, wind_up, with_run_ups
 from longarm_comp.core.model.model import Model
@@ -141,8 +141,8 @@ def diagnose(
     base = with_geometry(nominal, train)
     candidates = library(arm, train.context(), kinds, base.terms)
     say("frames")
-    placed = fit(started(align(with_frames(nominal, train), train), train), train)
-    start = started(align(base, train), train)
+    placed = fit(started(align(with_frames(nominal, train), reference(train)), train), train)
+    start = started(align(base, reference(train)), train)
     identified = _identify(
         start, train, lambda run_up: rows(run_up)[0], candidates.testable, rng, say
     )

@@ -14,9 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.kinds import matrices
+from longarm_comp.core.data.measurement import posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.anchor_place import AnchorPlace
 from longarm_comp.core.effects.effect import Bias
+from longarm_comp.core.effects.sensor_place import SensorPlace
 from longarm_comp.core.effects.tip_orientation import TipOrientation
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.linear import MAD, OUTLIER
@@ -28,17 +30,39 @@ _ROUNDS = 4
 def sensor_frames(arm: Arm, session: Session) -> tuple[Bias, ...]:
     """The terms that a session's measurements need besides base and tip."""
     made: list[Bias] = []
-    if session.turned.any():
-        marked = "marker" in session.labels and bool(arm.markers)
-        names = sorted(set(session.labels["marker"][session.turned])) if marked else [""]
-        made += [TipOrientation(marker=str(name)) for name in names]
+    made += [TipOrientation(marker=m, sensor=s) for m, s in _bodies(arm, session)]
     if "distance" in session.readings:
         measured = np.isfinite(session.readings["distance"][:, 0])
         for name in sorted(set(session.labels["anchor"][measured])):
             held = arm.anchors.get(name)
             if held is None or held.xyz_m is None:
                 made.append(AnchorPlace(anchor=str(name)))
+    made += [SensorPlace(sensor=name) for name in _sensors(session)[1:]]
     return tuple(made)
+
+
+def _bodies(arm: Arm, session: Session) -> list[tuple[str, str]]:
+    """Marker and sensor of every tracked body; empty where there is one."""
+    nothing = np.full(len(session), "")
+    several = len({b.sensor for b in session.blocks if b.kind == "orientation"}) > 1
+    marker = session.labels.get("marker", nothing) if arm.markers else nothing
+    sensor = session.labels["sensor"] if several else nothing
+    seen = session.turned
+    return sorted({(str(m), str(s)) for m, s in zip(marker[seen], sensor[seen], strict=True)})
+
+
+def reference(session: Session) -> Session:
+    """The rows in whose frame the base is placed: those of the first sensor of positions."""
+    names = _sensors(session)
+    return session if len(names) < 2 else session.where("sensor", names[0])
+
+
+def _sensors(session: Session) -> list[str]:
+    """Sensors of positions and poses, the one of most whole positions first."""
+    framed = {b.sensor for b in session.blocks if b.kind in ("position", "orientation")}
+    names = sorted(name for name in framed if name is not None)
+    labels = session.labels.get("sensor", np.array([]))
+    return sorted(names, key=lambda name: -int((session.located & (labels == name)).sum()))
 
 
 def framed(arm: Arm, session: Session) -> bool:
@@ -57,22 +81,47 @@ def started(model: Model, session: Session) -> Model:
     Raises:
         InputError: fewer rows than an anchor's place has unknowns.
     """
-    biases = list(model.biases)
-    for k, term in enumerate(biases):
-        if isinstance(term, TipOrientation):
-            biases[k] = _turned(term, model, session)
-        elif isinstance(term, AnchorPlace):
-            biases[k] = _placed(term, model, session)
-    return dataclasses.replace(model, biases=tuple(biases))
+
+    def put(term: Bias) -> Bias:
+        if isinstance(term, AnchorPlace):
+            return _placed(term, model, session)
+        return _moved(term, model, session) if isinstance(term, SensorPlace) else term
+
+    model = dataclasses.replace(model, biases=tuple(put(term) for term in model.biases))
+    bodies = (
+        _turned(t, model, session) if isinstance(t, TipOrientation) else t for t in model.biases
+    )
+    return dataclasses.replace(model, biases=tuple(bodies))
+
+
+def _moved(term: SensorPlace, model: Model, session: Session) -> SensorPlace:
+    """Rigid registration of the predicted tips to what the sensor sees."""
+    rows = session.take(session.located & (session.labels["sensor"] == term.sensor))
+    if len(rows) < 4:
+        return term
+    tips = model.tip(rows.q, rows.context())
+
+    def solved(kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        to, at = rows.xyz[kept].mean(axis=0), tips[kept].mean(axis=0)
+        turn, _ = Rotation.align_vectors(rows.xyz[kept] - to, tips[kept] - at)
+        shift = to - turn.apply(at)
+        left = rows.xyz - turn.apply(tips) - shift
+        return np.concatenate([*twist_of(turn, shift)]), np.linalg.norm(left, axis=1)
+
+    names = ("x", "y", "z", "rx", "ry", "rz")
+    return term.with_values(dict(zip(names, _robust(len(rows), solved), strict=True)))
 
 
 def _turned(term: TipOrientation, model: Model, session: Session) -> TipOrientation:
     """Mean rotation from the predicted to the measured axes, in the tip's frame."""
     mine = session.turned.copy()
-    if term.marker:
-        mine &= session.labels["marker"] == term.marker
+    for label, value in (("marker", term.marker), ("sensor", term.sensor)):
+        if value:
+            mine &= session.labels[label] == value
     rows = session.take(mine)
-    axes = model.pose(rows.q, rows.context())[:, :3, :3]
+    others = tuple(t for t in model.biases if not isinstance(t, TipOrientation))
+    bare = dataclasses.replace(model, biases=others)
+    axes = bare.motion(posture(bare, rows), (), turns=True).axes()[0]
     seen = matrices(rows.readings["orientation"])
     between = Rotation.from_matrix(np.swapaxes(axes, 1, 2) @ seen)
 
@@ -122,3 +171,15 @@ def _robust(rows: int, solved: Callable[[np.ndarray], tuple[np.ndarray, np.ndarr
         kept = misfit <= max(OUTLIER * MAD * float(np.median(misfit)), 1e-9)
         answer, misfit = solved(kept)
     return answer
+
+
+def twist_of(turn: Rotation, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Twist of a finite motion: the inverse of `spatial.exp_large`."""
+    w = turn.as_rotvec()
+    angle = np.linalg.norm(w)
+    hat = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
+    if angle < 1e-9:
+        return shift, w
+    b = (1 - np.cos(angle)) / angle**2
+    c = (angle - np.sin(angle)) / angle**3
+    return np.linalg.solve(np.eye(3) + b * hat + c * hat @ hat, shift), w

@@ -24,8 +24,9 @@ from longarm_comp.jobs.collect import collect
 from longarm_comp.jobs.demo import table
 from longarm_comp.jobs.demo.learn import find_effects, train_network
 from longarm_comp.jobs.demo.settings import NAMESPACE, PACE, DemoSettings
-from longarm_comp.jobs.demo.trial import TargetRunner, Trial
+from longarm_comp.jobs.demo.witness import TrueTip
 from longarm_comp.jobs.measurement_schedule import visits
+from longarm_comp.jobs.targets import TargetRunner, Trial
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import running
 from longarm_comp.nodes.simulated_arm import sizes
@@ -92,7 +93,7 @@ def demonstrate(
         client = stack.enter_context(ArmClient(arm, NAMESPACE, stop, "demo"))
         say("bring up", 0.0)
         client.ready(_READY_S)
-        runner = TargetRunner(client, PACE)
+        runner = TargetRunner(client, PACE, TrueTip(client))
         fresh = random_targets(declared_model(arm), settings.targets, settings.seed + 1)
         runner.ready(fresh[0], _READY_S)
         clock.done("bring_up")
@@ -140,7 +141,7 @@ def _reload(client: ArmClient) -> None:
     """Both nodes take up what was learned."""
     for node in ("kinematics", "error_predictor"):
         service = graph.RELOAD.client(client.node, of=node)
-        answer = client.call(service, Trigger.Request())
+        answer = client.call(service, Trigger.Request(), again=True)
         if not answer.success:
             raise JobError(f"{node} did not take up its file: {answer.message}")
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from longarm_comp.core.identify.calibrate import Errors
-from longarm_comp.jobs.demo.trial import Trial
+from longarm_comp.jobs.targets import Trial
 
 ORIGINAL, DECLARED, FOUND, LEARNED = (
     "original", "declared", "effect found", "effect found + network",

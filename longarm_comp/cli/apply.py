@@ -1,0 +1,65 @@
+"""``longarm apply``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from longarm_comp.cli import options
+from longarm_comp.cli.output import note, print_json, progress
+
+
+@click.command()
+@click.argument("diagnosis", type=click.Path(path_type=Path), metavar="DIAGNOSIS")
+@options.path_option("--session", "The session diagnosed; default: the one DIAGNOSIS names.")
+@click.option("--no-network", is_flag=True, help="Train no predictor.")
+@options.namespace
+@options.seed
+@options.effects
+@options.as_json
+def command(
+    diagnosis: Path,
+    session: Path | None,
+    no_network: bool,
+    namespace: str,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Put DIAGNOSIS, a folder of `longarm diagnose`, to work on the running graph.
+
+    Replaces the model file that kinematics was started with and trains the predictor again on
+    the same session. Both nodes read their files again. A predictor that does not fit the new
+    model is set aside. `longarm undo MODEL` restores both files in one step.
+
+    A diagnosis is refused if it is of another arm, adds nothing, or was not made with the model
+    that is at work.
+
+    \b
+    Example:
+      longarm apply diagnosis
+    """
+    from dataclasses import asdict
+
+    from longarm_comp.cli.signals import stop_on_signals
+    from longarm_comp.jobs.apply import apply_on_graph
+    from longarm_comp.jobs.client import GraphClient
+
+    with (
+        stop_on_signals() as stop,
+        GraphClient(namespace, stop, "apply") as client,
+        progress("apply") as show,
+    ):
+        done = apply_on_graph(
+            client, diagnosis, session=session, network=not no_network, seed=seed, note=note,
+            progress=show,
+        )  # fmt: skip
+    if as_json:
+        print_json({**asdict(done), "undo": done.undo})
+        return
+    for change in done.changes:
+        click.echo(str(change))
+    note(f"{done.model} is version {done.version}; predictor: {done.predictor or 'none'}")
+    if done.set_aside is not None:
+        note(f"the predictor before is kept as {done.set_aside}")
+    note(f"to take it back: {done.undo}")

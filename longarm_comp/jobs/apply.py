@@ -1,0 +1,105 @@
+"""Puts a diagnosis to work on a running graph: files, then a reload of the nodes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from std_srvs.srv import Trigger
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.errors import JobError
+from longarm_comp.jobs.client import GraphClient
+from longarm_comp.jobs.parameters import read_parameters
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.workflows.apply import Applied, apply, undo
+from longarm_comp.workflows.inputs import Note, Progress, log_note, silent
+
+_PATIENCE_S = 60.0
+
+
+@dataclass(frozen=True)
+class FilesAtWork:
+    """Files that a running graph reads.
+
+    Attributes:
+        arm: declared arm.
+        model: calibrated model; it need not exist.
+        predictor: None where no `error_predictor` runs, or it has no file.
+    """
+
+    arm: Path
+    model: Path
+    predictor: Path | None
+
+
+def files_at_work(client: GraphClient) -> FilesAtWork:
+    """The files of the graph's nodes.
+
+    Raises:
+        JobError: no kinematics node, or it was started without a model file.
+    """
+    arm, model = read_parameters(client, "kinematics", "arm", "model")
+    if not model:
+        reason = "kinematics runs without a model file: start it with --model FILE"
+        raise JobError(f"{reason} (the file need not exist yet)")
+    predictor = ""
+    service = client.node.resolve_service_name("error_predictor/get_parameters")
+    if service in dict(client.node.get_service_names_and_types()):
+        (predictor,) = read_parameters(client, "error_predictor", "predictor")
+    return FilesAtWork(Path(arm), Path(model), Path(predictor) if predictor else None)
+
+
+def apply_on_graph(
+    client: GraphClient,
+    diagnosis: Path,
+    *,
+    session: Path | None = None,
+    network: bool = True,
+    seed: int = 0,
+    note: Note = log_note,
+    progress: Progress = silent,
+) -> Applied:
+    """Apply a diagnosis to the files of a running graph and have its nodes read them.
+
+    Args:
+        client: on the graph.
+        diagnosis, session, network, seed, note, progress: as for `workflows.apply.apply`. No
+            predictor is trained where the graph has no file for it.
+
+    Raises:
+        InputError, JobError: as there; nothing was changed. JobError: kinematics did not take up
+            the model, which was taken back.
+    """
+    files = files_at_work(client)
+    if network and files.predictor is None:
+        note("no predictor is trained: error_predictor is not there or was started without a file")
+    done = apply(
+        diagnosis, Arm.load(files.arm), files.model, files.predictor, session=session,
+        network=network and files.predictor is not None, seed=seed, note=note, progress=progress,
+    )  # fmt: skip
+    try:
+        reload(client, "kinematics")
+        if done.predictor is not None:
+            reload(client, "error_predictor")
+    except JobError:
+        undo(files.model)
+        raise
+    if files.predictor is not None and files.predictor.parent != files.model.parent:
+        note(f"{done.undo} leaves {files.predictor} alone: it is in another folder than the model")
+    return done
+
+
+def reload(client: GraphClient, node: str) -> None:
+    """Have a node read its files again.
+
+    Raises:
+        JobError: it did not take them up.
+    """
+    service = graph.RELOAD.client(client.node, of=node)
+    try:
+        answer = client.call(service, Trigger.Request(), _PATIENCE_S, again=True)
+    finally:
+        client.node.destroy_client(service)
+    if not answer.success:
+        raise JobError(f"{node} did not take up its file: {answer.message}")

@@ -1,0 +1,164 @@
+"""Targets through the `compensate` service, executed, and where the tip came to rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+
+from longarm_comp.core.compensation.compensate import Method
+from longarm_comp.core.errors import JobError
+from longarm_comp.jobs.client import ArmClient
+from longarm_comp.jobs.collect import Pace
+from longarm_comp.jobs.parameters import read_parameters, set_parameter
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.messages import joints_of
+from longarm_interfaces.srv import Compensate
+
+Witness = Callable[[int], np.ndarray]
+"""Gives the tip (3,), m, as another instrument sees it after a time (ns) at which it rests."""
+Say = Callable[[str, float], None]
+
+_FRESH_NS = 50_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """Targets that were driven one after another, and where the tip came to rest.
+
+    Attributes:
+        name: what was compensated, in words.
+        target: (N, 3) m.
+        seen: (N, 3) mean sighting of the cameras, m; NaN where the marker was lost.
+        true: (N, 3) what another instrument saw, m; NaN without one.
+        status: (N,) of the service.
+    """
+
+    name: str
+    target: np.ndarray
+    seen: np.ndarray
+    true: np.ndarray
+    status: np.ndarray
+
+    @property
+    def off(self) -> np.ndarray:
+        """(N, 3) measured - target, m; NaN where the marker was lost."""
+        return self.seen - self.target
+
+    @property
+    def error(self) -> np.ndarray:
+        """(M, 3) measured - target where the marker was seen, m."""
+        return self.off[np.isfinite(self.off).all(axis=1)]
+
+    @property
+    def true_error(self) -> np.ndarray:
+        """(N, 3) true - target, m."""
+        return self.true - self.target
+
+    def count(self, status: int) -> int:
+        """How many targets ended with a status of the service."""
+        return int((self.status == status).sum())
+
+
+class TargetRunner:
+    """Drives targets on a graph.
+
+    Args:
+        client: of the arm.
+        pace: of the measurements.
+        witness: another instrument that sees the tip, where there is one.
+    """
+
+    def __init__(self, client: ArmClient, pace: Pace, witness: Witness | None = None) -> None:
+        self._client, self._pace, self._witness = client, pace, witness
+        self._compensate = graph.COMPENSATE.client(client.node)
+        self._frame = "base"
+
+    def ready(self, target: np.ndarray, within_s: float) -> None:
+        """Wait until kinematics knows the joints, so that it can answer for a target (3,), m.
+
+        Raises:
+            JobError: not within the time. Interrupted: the client was stopped.
+        """
+        client = self._client
+        topic = client.node.resolve_topic_name(graph.JOINT_STATES.name)
+
+        def listens() -> bool:
+            ends = client.node.get_subscriptions_info_by_topic(topic)
+            return any(end.node_name == "kinematics" for end in ends)
+
+        def knows() -> bool:
+            answer = self.ask(target, execute=False)
+            return bool(answer.status != Compensate.Response.NOT_READY)
+
+        client.until(listens, within_s, "kinematics does not listen to joint_states")
+        (self._frame,) = read_parameters(client, "kinematics", "base_frame")
+        client.until(knows, within_s, "kinematics has no joint_states")
+
+    @contextmanager
+    def method(self, method: Method) -> Iterator[None]:
+        """What the kinematics node compensates meanwhile; afterwards as before."""
+        (before,) = read_parameters(self._client, "kinematics", "method")
+        set_parameter(self._client, "kinematics", "method", method.value)
+        try:
+            yield
+        finally:
+            with self._client.putting_back():
+                set_parameter(self._client, "kinematics", "method", before)
+
+    def refusals(self, targets: np.ndarray, methods: Sequence[Method]) -> list[str]:
+        """Why each of (N, 3) targets, m, would be refused with one of the methods; "" if not."""
+        why = [""] * len(targets)
+        for method in methods:
+            with self.method(method):
+                for k, target in enumerate(targets):
+                    answer = self.ask(target, execute=False)
+                    if not answer.success:
+                        why[k] = why[k] or f"{method.value}: {answer.message}"
+        return why
+
+    def run(
+        self,
+        name: str,
+        targets: np.ndarray,
+        method: Method,
+        progress: Say = lambda text, share: None,
+    ) -> Trial:
+        """Send every target (N, 3), m, and measure where the tip comes to rest.
+
+        Raises:
+            JobError: a target was refused, or the arm did not arrive.
+        """
+        rows = []
+        with self.method(method):
+            for k, target in enumerate(targets):
+                progress(name, k / len(targets))
+                rows.append(self._one(k, target))
+        seen, true, status = (np.array(column) for column in zip(*rows, strict=True))
+        return Trial(name, targets, seen, true, status)
+
+    def ask(self, target: np.ndarray, *, execute: bool) -> Compensate.Response:
+        """The answer for a target (3,), m. A request that moves the arm is sent once."""
+        pose = PoseStamped()
+        pose.header.frame_id = self._frame
+        pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = target.tolist()
+        request = Compensate.Request(target=pose, position_only=True, execute=execute)
+        return self._client.call(self._compensate, request, again=not execute)
+
+    def _one(self, k: int, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+        client, pace = self._client, self._pace
+        answer = self.ask(target, execute=True)
+        if not answer.success:
+            raise JobError(f"target {k} was refused: {answer.message}", status=answer.status)
+        stops = (answer.run_up, answer.command) if answer.run_up.name else (answer.command,)
+        path = np.array([joints_of(stop, client.arm, "compensate") for stop in stops])
+        client.spin(0.05)
+        tolerance = np.full(client.arm.n, pace.tolerance)
+        rest = client.arrive(path, tolerance, pace.dwell_s, pace.arrive_s) + _FRESH_NS
+        looks = client.look(rest, pace.sightings, pace.look_s)
+        seen = np.mean(looks, axis=0) if looks else np.full(3, np.nan)
+        true = np.full(3, np.nan) if self._witness is None else self._witness(rest)
+        return seen, true, int(answer.status)

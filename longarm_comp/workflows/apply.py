@@ -1,0 +1,207 @@
+"""A diagnosis put to work: model.yaml replaced by its version, the predictor trained again.
+
+`undo` restores both. A predictor belongs to one version of the model; one that does not fit the
+version at work is set aside beside it and comes back with its version.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.learn import predictor_file
+from longarm_comp.core.model import model_file
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model_file import AS_DECLARED, read_stored, restore, save_model, store
+from longarm_comp.report.record import DiagnosisReport, read_report
+from longarm_comp.workflows.changes import Change, changes
+from longarm_comp.workflows.diagnosis_files import MODEL, MODEL_BEFORE, PREDICTOR, SESSION
+from longarm_comp.workflows.inputs import Note, Progress, admitted, file_hash, log_note, silent
+from longarm_comp.workflows.train import train
+
+WORTH = 0.9
+"""Without an effect or a network, a calibration is worth applying where the held-out mean error
+falls below this share of what it was."""
+
+
+@dataclass(frozen=True)
+class Applied:
+    """What `apply` did.
+
+    Attributes:
+        model: file of the model at work.
+        version: of it.
+        changes: largest at the tip first.
+        predictor: file of the predictor that was trained; None: none, so physics only.
+        set_aside: file of the predictor that no longer fits; None: there was none.
+    """
+
+    model: Path
+    version: int
+    changes: tuple[Change, ...]
+    predictor: Path | None
+    set_aside: Path | None
+
+    @property
+    def undo(self) -> str:
+        """The command that takes it back."""
+        return f"longarm undo {self.model}"
+
+
+def apply(
+    diagnosis: Path,
+    arm: Arm,
+    model: Path,
+    predictor: Path | None = None,
+    *,
+    session: Path | None = None,
+    network: bool = True,
+    seed: int = 0,
+    note: Note = log_note,
+    progress: Progress = silent,
+) -> Applied:
+    """Put a diagnosis to work.
+
+    Args:
+        diagnosis: folder that a diagnosis wrote.
+        arm: as declared, of the graph.
+        model: file at work; it may not exist yet, then the declared arm is at work.
+        predictor: file at work; ``predictor.npz`` beside the model by default.
+        session: that was diagnosed; by default the one that the diagnosis names.
+        network: train a predictor on what the model leaves of the session.
+        seed: of the training.
+        note, progress: as for `train`.
+
+    Raises:
+        InputError: no diagnosis; of another arm; not made with the model at work; the session is
+            missing or another one.
+        JobError: the diagnosis adds nothing.
+    """
+    report, made = read_report(diagnosis), diagnosis / MODEL
+    _worth(diagnosis, report)
+    stored = read_stored(made)
+    after = restore(stored, arm, str(made))
+    before = _before(stored.provenance, made, model, arm)
+    rows = _session(stored.provenance, diagnosis, session, before, arm, note)
+    target = predictor or model.parent / PREDICTOR
+    trained = train(arm, rows, model=made, seed=seed, note=note, progress=progress) if (
+        network
+    ) else None  # fmt: skip
+    seen = rows.take(rows.seen)
+    changed = changes(before, after, seen.q, seen.context())
+    if not model.is_file():
+        save_model(model, store(declared_model(arm), version=AS_DECLARED))
+    aside = _set_aside(target)
+    model_file.put(model, made.read_bytes())
+    if trained is not None:
+        trained.save(target)
+    return Applied(
+        model, stored.version, tuple(changed), target if trained is not None else None, aside
+    )
+
+
+def undo(model: Path) -> Path | None:
+    """Restore the version of a model before, byte for byte, and the predictor that belonged to it.
+
+    Predictors are looked for beside the model. One that belonged to the version taken back is
+    set aside.
+
+    Returns:
+        The predictor that came back; None where there is none.
+
+    Raises:
+        InputError: there is no previous version.
+    """
+    discarded = file_hash(model) if model.is_file() else ""
+    model_file.undo(model)
+    restored = file_hash(model)
+    for file in sorted(model.parent.glob("*.npz")):
+        if _trained_with(file) == discarded:
+            os.replace(file, file.with_name(f"{file.stem}.undone.npz"))
+    for kept in sorted(model.parent.glob("*.previous.npz")):
+        if _trained_with(kept) == restored:
+            back = kept.with_name(kept.name.replace(".previous.npz", ".npz"))
+            os.replace(kept, back)
+            return back
+    return None
+
+
+def _worth(diagnosis: Path, report: DiagnosisReport) -> None:
+    if report.verdict == "bad_data":
+        raise JobError(f"{diagnosis} has nothing to apply: {report.summary}")
+    if report.findings or (diagnosis / PREDICTOR).is_file():
+        return
+    mean = {row.model: row.mean_mm for row in report.held_out.rows}
+    if mean["with_effects"] < WORTH * mean["nominal"]:
+        return
+    raise JobError(
+        f"{diagnosis} has nothing to apply: {report.summary}", verdict=report.verdict,
+        held_out_mm_before=round(mean["nominal"], 3), after=round(mean["with_effects"], 3),
+    )  # fmt: skip
+
+
+def _before(provenance: dict[str, str | int | float], made: Path, model: Path, arm: Arm) -> Model:
+    """The model at work, which must be the one that was diagnosed."""
+    diagnosed = provenance.get(MODEL_BEFORE)
+    if diagnosed is None:
+        raise InputError(made, f"provenance.{MODEL_BEFORE}", "missing", "diagnose again")
+    at_work, now = declared_model(arm), ""
+    if model.is_file():
+        stored = read_stored(model)
+        at_work = restore(stored, arm, str(model))
+        now = file_hash(model)
+        if now == file_hash(made):
+            raise InputError(made, "model", "at work already", "a diagnosis that is not")
+        if stored.version == AS_DECLARED and not diagnosed:
+            return at_work
+    if diagnosed != now:
+        raise InputError(
+            made, f"provenance.{MODEL_BEFORE}", str(diagnosed)[:12] or "the declared arm",
+            f"the model at work, {now[:12] or 'the declared arm'}: diagnose with --model {model}",
+        )  # fmt: skip
+    return at_work
+
+
+def _session(
+    provenance: dict[str, str | int | float],
+    diagnosis: Path,
+    given: Path | None,
+    before: Model,
+    arm: Arm,
+    note: Note,
+) -> Session:
+    """The session that was diagnosed."""
+    named = str(provenance.get(SESSION, ""))
+    path = given or diagnosis / named
+    if (given is None and not named) or not path.exists():
+        raise InputError(
+            diagnosis, "session", named or "none named", "--session, the session diagnosed"
+        )
+    known = before if provenance[MODEL_BEFORE] else None
+    rows = admitted(path, arm, known, note=note)
+    if rows.hash != provenance.get("session_hash"):
+        wanted = f"the session diagnosed, {str(provenance.get('session_hash'))[:12]}"
+        raise InputError(path, "sha256 of the rows", rows.hash[:12], wanted)
+    return rows
+
+
+def _set_aside(predictor: Path) -> Path | None:
+    if not predictor.is_file():
+        return None
+    kept = predictor.with_name(f"{predictor.stem}.previous{predictor.suffix}")
+    os.replace(predictor, kept)
+    return kept
+
+
+def _trained_with(path: Path) -> str | None:
+    """SHA-256 of the model that a predictor was trained with; None: another kind of file."""
+    try:
+        settings = predictor_file.load(path).provenance.settings
+    except InputError:
+        return None
+    return str(settings.get("model_hash", ""))

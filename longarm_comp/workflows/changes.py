@@ -1,0 +1,136 @@
+"""What a new version of a model changed: which values, and what each means at the tip."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.model.model import Model
+
+Term = Effect | Bias
+GEOMETRY, CAMERA = "geometry", "camera"
+
+_SAME = 1e-9
+"""Relative difference of two values that counts as none."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """One effect of the new version that the old one lacks, or has with other values.
+
+    Attributes:
+        what: canonical name of the effect; `geometry` and `camera` stand for all of their terms.
+        where: its place; empty for these two.
+        kind: ``added``, ``changed`` or ``removed``.
+        values: (parameter, unit, before, after), NaN where it was or is not there.
+        tip_mm: RMS of what it moves the seen tip by, 3-D, over the poses given.
+    """
+
+    what: str
+    where: str
+    kind: str
+    values: tuple[tuple[str, str, float, float], ...]
+    tip_mm: float
+
+    def __str__(self) -> str:
+        """In one line."""
+        place = f" at {self.where}" if self.where else ""
+        shown = [
+            f"{name} {_number(before)} -> {_number(after)} {unit}".rstrip()
+            for name, unit, before, after in self.values
+        ]
+        listed = f" ({', '.join(shown)})" if shown else ""
+        return f"{self.what}{place} {self.kind}: {self.tip_mm:.3f} mm at the tip{listed}"
+
+
+def changes(before: Model, after: Model, q: np.ndarray, context: Context | None) -> list[Change]:
+    """What changed from one model to another of the same arm, largest at the tip first.
+
+    Each change is judged by itself: the new model against the new model without this change.
+
+    Args:
+        before, after: the models.
+        q: (N, n) joints to judge them at, rad and m.
+        context: circumstances of these poses.
+    """
+    old, new = ({_key(t): t for t in model.terms} for model in (before, after))
+    seen = after.measured(q, context)
+    found = []
+    for group in _groups(old, new):
+        terms = {key: new[key] for key in new if key not in group}
+        terms |= {key: old[key] for key in group if key in old}
+        moved = _with(after, list(terms.values())).measured(q, context) - seen
+        first = new.get(group[0]) or old[group[0]]
+        single = len(group) == 1 and _name(first) == first.name
+        found.append(
+            Change(
+                what=_name(first),
+                where=first.where if single else "",
+                kind="changed" if not single else _kind(group[0], old, new),
+                values=_values(old.get(group[0]), new.get(group[0]), after) if single else (),
+                tip_mm=1e3 * float(np.sqrt((moved**2).sum(axis=1).mean())),
+            )
+        )
+    return sorted(found, key=lambda change: -change.tip_mm)
+
+
+def _groups(
+    old: dict[tuple[str, str], Term], new: dict[tuple[str, str], Term]
+) -> list[list[tuple[str, str]]]:
+    """Keys of the terms that differ; geometry and camera together, every effect by itself."""
+    together: dict[str, list[tuple[str, str]]] = {}
+    for key in dict.fromkeys((*new, *old)):
+        if old.get(key) != new.get(key):
+            name = _name(new.get(key) or old[key])
+            whole = name in (GEOMETRY, CAMERA)
+            together.setdefault(name if whole else "/".join(key), []).append(key)
+    return list(together.values())
+
+
+def _key(term: Term) -> tuple[str, str]:
+    return term.name, term.place
+
+
+def _name(term: Term) -> str:
+    if isinstance(term, Bias):
+        return CAMERA
+    return GEOMETRY if term.geometry else term.name
+
+
+def _kind(
+    key: tuple[str, str], old: dict[tuple[str, str], Term], new: dict[tuple[str, str], Term]
+) -> str:
+    if key not in old:
+        return "added"
+    return "changed" if key in new else "removed"
+
+
+def _values(
+    old: Term | None, new: Term | None, model: Model
+) -> tuple[tuple[str, str, float, float], ...]:
+    held = new or old
+    if held is None:
+        return ()
+    rows = []
+    for p in held.parameters(model.arm):
+        was, now = (np.nan if t is None else float(getattr(t, p.name)) for t in (old, new))
+        if not np.isclose(was, now, rtol=_SAME, atol=0.0):
+            rows.append((p.name, p.unit, was, now))
+    return tuple(rows)
+
+
+def _with(model: Model, terms: Sequence[Term]) -> Model:
+    return dataclasses.replace(
+        model,
+        effects=tuple(t for t in terms if isinstance(t, Effect)),
+        biases=tuple(t for t in terms if isinstance(t, Bias)),
+    )
+
+
+def _number(value: float) -> str:
+    return "none" if np.isnan(value) else f"{value:.4g}"

@@ -1,0 +1,122 @@
+"""Does compensation help at the tip? The same targets, driven without and with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import bootstrap
+
+from longarm_comp.core.errors import JobError
+from longarm_comp.core.files import atomic_path
+from longarm_comp.core.identify.calibrate import Errors
+from longarm_comp.report.at_the_tip import at_the_tip
+from longarm_comp.report.style import rc, save
+
+LEAST = 2
+"""Fewer targets seen in both runs give no interval."""
+RESAMPLES = 5000
+_MM = 1e3
+
+
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """Two runs over the same targets, paired.
+
+    Attributes:
+        names: of the run without and of the run with compensation.
+        without: (N, 3) tip - target, m, where the marker was seen in both runs.
+        compensated: (N, 3) the same with compensation.
+        gain_m: mean |tip - target| without minus with compensation.
+        gain_ci95_m: its 95 % bootstrap interval over the targets.
+    """
+
+    names: tuple[str, str]
+    without: np.ndarray
+    compensated: np.ndarray
+    gain_m: float
+    gain_ci95_m: tuple[float, float]
+
+    @property
+    def helps(self) -> bool:
+        """Whether compensation brings the tip nearer, beyond chance: the interval is above 0."""
+        return self.gain_ci95_m[0] > 0.0
+
+    @property
+    def runs(self) -> Mapping[str, np.ndarray]:
+        """Errors (N, 3) by name, m."""
+        return dict(zip(self.names, (self.without, self.compensated), strict=True))
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """The table: one row a run."""
+        return [error_row(name, error) for name, error in self.runs.items()]
+
+    @property
+    def summary(self) -> str:
+        """The result in one sentence."""
+        low, high = (_MM * g for g in self.gain_ci95_m)
+        said = "helps" if self.helps else "does not help beyond chance"
+        return (
+            f"compensation {said}: the mean error falls by {_MM * self.gain_m:.3f} mm "
+            f"[{low:.3f}, {high:.3f}] over {len(self.without)} targets"
+        )
+
+    def picture(self, path: Path) -> None:
+        """Write the two runs as a picture, by the file's ending.
+
+        Raises:
+            InputError: the folder cannot be written.
+        """
+        with rc(), atomic_path(path) as partial:
+            save(at_the_tip(self.runs), partial)
+
+
+def verification(
+    names: tuple[str, str], without: np.ndarray, compensated: np.ndarray, seed: int = 0
+) -> Verification:
+    """Pair two runs over the same targets.
+
+    Args:
+        names: of the runs.
+        without, compensated: (N, 3) tip - target, m; NaN where the marker was lost.
+        seed: of the resampling.
+
+    Raises:
+        JobError: the marker was seen in both runs at fewer than two targets.
+    """
+    both = np.isfinite(without).all(axis=1) & np.isfinite(compensated).all(axis=1)
+    if both.sum() < LEAST:
+        raise JobError(
+            "the marker was not seen in both runs at enough targets", seen=int(both.sum()),
+            targets=len(without), needed=LEAST,
+        )  # fmt: skip
+    before, after = without[both], compensated[both]
+    gain = np.linalg.norm(before, axis=1) - np.linalg.norm(after, axis=1)
+    drawn = bootstrap(
+        (gain,), np.mean, n_resamples=RESAMPLES, method="percentile",
+        rng=np.random.default_rng(seed),
+    ).confidence_interval  # fmt: skip
+    return Verification(
+        names, before, after, float(gain.mean()), (float(drawn.low), float(drawn.high))
+    )
+
+
+def error_row(name: str, error: np.ndarray) -> dict[str, Any]:
+    """Figures of (N, 3) tip - target, m, in mm; ``mean_x_mm`` and so on are signed means."""
+    figures = Errors.of(error)
+    row = {
+        "run": name,
+        "n": figures.n,
+        "mean_mm": _MM * figures.mean,
+        "rms_mm": _MM * figures.rms,
+        "p95_mm": _MM * figures.p95,
+        "max_mm": _MM * figures.max,
+        "mean_abs_z_mm": _MM * figures.mean_abs_z,
+    }
+    for axis, mean in zip("xyz", error.mean(axis=0), strict=True):
+        row[f"mean_{axis}_mm"] = _MM * float(mean)
+    return row
