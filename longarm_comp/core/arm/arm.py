@@ -305,6 +305,36 @@ class CameraSensor(Pose):
     kind: Literal["camera"]
 
 
+Spread = Positive | tuple[Positive, Positive, Positive]
+"""One standard deviation for all three components, or one each."""
+
+
+class PointTolerance(Declared):
+    """How well a point is known: standard deviation of its position (m)."""
+
+    xyz_m: Spread
+
+
+class PoseTolerance(Declared):
+    """How well a placement is known: standard deviations of position (m) and rotation (deg)."""
+
+    xyz_m: Spread
+    rpy_deg: Spread
+
+
+class Placements(Declared):
+    """Placements that are known to a tolerance. What is absent is unknown and solved from data."""
+
+    base: PoseTolerance | None = None
+    tip: PointTolerance | None = None
+    markers: dict[str, PointTolerance] = Field(default_factory=dict)
+
+
+def three(spread: Spread) -> Vec3:
+    """A standard deviation of each component."""
+    return spread if isinstance(spread, tuple) else (spread, spread, spread)
+
+
 class Arm(Declared):
     """The declared arm."""
 
@@ -322,6 +352,7 @@ class Arm(Declared):
     markers: dict[str, Marker] = Field(default_factory=dict)
     anchors: dict[str, Anchor] = Field(default_factory=dict)
     sensors: dict[str, CameraSensor] = Field(default_factory=dict)
+    tolerance: Placements = Placements()
 
     @model_validator(mode="after")
     def _chain(self) -> Arm:
@@ -336,6 +367,10 @@ class Arm(Declared):
         for owner, frame in carried:
             if not 0 <= frame <= rows:
                 raise Misdeclared(f"{owner}.frame", frame, f"0..{rows}")
+        for name in self.tolerance.markers:
+            if name not in self.markers:
+                declared = f"a declared marker: {', '.join(self.markers) or 'none'}"
+                raise Misdeclared(f"tolerance.markers.{name}", "unknown", declared)
         if len(set(self.joint_names)) != self.n:
             raise Misdeclared("joints.name", list(self.joint_names), "names that differ")
         for joint in self.joints:

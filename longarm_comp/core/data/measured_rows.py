@@ -101,6 +101,15 @@ class MeasuredRows:
             made.append(held)
         return np.concatenate(made, axis=1)
 
+    @cached_property
+    def frames(self) -> np.ndarray:
+        """(N,) name of the frame that each row is measured in: its group, and sensor of several."""
+        group = self.labels.get("group", np.full(len(self.xyz), ""))
+        if len({block.sensor for block in self.blocks}) < 2:
+            return group
+        pairs = zip(group, self.labels["sensor"], strict=True)
+        return np.array([f"{g} seen by {s}".strip() for g, s in pairs])
+
     @property
     def mask(self) -> np.ndarray | None:
         """`measured`; None where every row that was seen holds a whole position and no more."""

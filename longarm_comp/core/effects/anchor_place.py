@@ -26,9 +26,9 @@ class AnchorPlace(Bias):
     sees: ClassVar[frozenset[str]] = frozenset({"distance"})
 
     anchor: str = place(lambda arm: list(arm.anchors), default="")
-    x: float = parameter("m", "place of the anchor", prior=10.0)
-    y: float = parameter("m", "place of the anchor", prior=10.0)
-    z: float = parameter("m", "place of the anchor", prior=10.0)
+    x: float = parameter("m", "place of the anchor", 0.05, unknown=True)
+    y: float = parameter("m", "place of the anchor", 0.05, unknown=True)
+    z: float = parameter("m", "place of the anchor", 0.05, unknown=True)
 
     @property
     def where(self) -> str:

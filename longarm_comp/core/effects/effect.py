@@ -24,17 +24,32 @@ from longarm_comp.core.arm.posture import Lumped, Posture
 from longarm_comp.core.arm.spatial import Frame, Twist, Vec
 from longarm_comp.core.errors import InputError
 
+FLAT = 1000.0
+"""Width of a prior that knows nothing, in ordinary sizes: 50 m and 50 rad for a base."""
+
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect: unit, meaning, prior standard deviation and physical bounds."""
+    """One number of an effect: unit, meaning, prior standard deviation and physical bounds.
+
+    Attributes:
+        prior: standard deviation of plausible values; 0 means fixed at its value.
+        unknown: nothing is known beforehand: the prior is the size of an ordinary change only,
+            and the fit's prior is so much wider that it does not pull.
+    """
 
     name: str
     unit: str
     meaning: str
-    prior: float  # 0 means fixed at its value
+    prior: float
     lower: float = -math.inf
     upper: float = math.inf
+    unknown: bool = False
+
+    @property
+    def width(self) -> float:
+        """Standard deviation of the fit's prior."""
+        return FLAT * self.prior if self.unknown else self.prior
 
 
 _PARAMETER, _PLACE, _FORM = "parameter", "place", "form"
@@ -48,6 +63,7 @@ def parameter(
     lower: float = -math.inf,
     upper: float = math.inf,
     default: float = 0.0,
+    unknown: bool = False,
 ) -> Any:
     """Declare a field as a fitted parameter.
 
@@ -57,8 +73,10 @@ def parameter(
         prior: standard deviation of plausible values; 0 fixes the parameter at its value.
         lower, upper: physical bounds.
         default: value of an arm without this error.
+        unknown: whether nothing is known beforehand, so that the prior must not pull.
     """
     meta = {"unit": unit, "meaning": meaning, "prior": prior, "lower": lower, "upper": upper}
+    meta["unknown"] = unknown
     return dataclasses.field(default=default, metadata={_PARAMETER: meta})
 
 
@@ -272,6 +290,10 @@ class Effect(_Term, ABC):
     def gravity(self, gravity: Vec) -> Vec:
         """Gravity in the base frame with this effect (m/s^2)."""
         return gravity
+
+    def base(self, arm: Arm) -> Frame | None:
+        """Where the base stands in the frame of the measurements, for an effect that says so."""
+        return None
 
     @property
     def changes_loads(self) -> bool:

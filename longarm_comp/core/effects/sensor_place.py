@@ -22,12 +22,12 @@ class SensorPlace(Bias):
     geometry: ClassVar[bool] = True
 
     sensor: str = place(default="")
-    x: float = parameter("m", "shift of the points that it sees", prior=20.0)
-    y: float = parameter("m", "shift of the points that it sees", prior=20.0)
-    z: float = parameter("m", "shift of the points that it sees", prior=20.0)
-    rx: float = parameter("rad", "turn of the points that it sees", prior=6.0)
-    ry: float = parameter("rad", "turn of the points that it sees", prior=6.0)
-    rz: float = parameter("rad", "turn of the points that it sees", prior=6.0)
+    x: float = parameter("m", "shift of the points that it sees", 0.05, unknown=True)
+    y: float = parameter("m", "shift of the points that it sees", 0.05, unknown=True)
+    z: float = parameter("m", "shift of the points that it sees", 0.05, unknown=True)
+    rx: float = parameter("rad", "turn of the points that it sees", 0.05, unknown=True)
+    ry: float = parameter("rad", "turn of the points that it sees", 0.05, unknown=True)
+    rz: float = parameter("rad", "turn of the points that it sees", 0.05, unknown=True)
 
     @property
     def where(self) -> str:

@@ -27,9 +27,9 @@ class TipOrientation(Bias):
 
     marker: str = place(markers, default="")
     sensor: str = place(default="")
-    rx: float = parameter("rad", "turn of the measured axes about the tip's", prior=3.0)
-    ry: float = parameter("rad", "turn of the measured axes about the tip's", prior=3.0)
-    rz: float = parameter("rad", "turn of the measured axes about the tip's", prior=3.0)
+    rx: float = parameter("rad", "turn of the measured axes about the tip's", 0.05, unknown=True)
+    ry: float = parameter("rad", "turn of the measured axes about the tip's", 0.05, unknown=True)
+    rz: float = parameter("rad", "turn of the measured axes about the tip's", 0.05, unknown=True)
 
     @property
     def where(self) -> str:

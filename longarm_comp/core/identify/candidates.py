@@ -143,7 +143,7 @@ class CandidateColumns:
         if new:
             columns = self.unscaled(list(new.values()))
             for n, (key, slot) in enumerate(new.items()):
-                self._known[key] = columns[..., n] * slot.parameter.prior
+                self._known[key] = columns[..., n] * slot.parameter.width
         if not keys:
             return np.zeros((*self.shape, 0))
         return np.stack([self._known[key] for key in keys], axis=-1)

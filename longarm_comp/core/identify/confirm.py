@@ -14,7 +14,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
 from longarm_comp.core.identify.evidence import columns_at, key, neighbours
-from longarm_comp.core.identify.fit import ModelFit
+from longarm_comp.core.identify.fit import ModelFit, priors
 from longarm_comp.core.identify.search import SearchResult
 
 RESAMPLES = 300
@@ -115,7 +115,7 @@ def _intervals(
     )
     inverse = np.linalg.inv(gram.sum(0) + prior_gram)
     kept = slice(len(fit.slots))
-    scale = np.array([s.parameter.prior for s in fit.slots]) * wider
+    scale = priors(fit.slots) * wider
     centre = (inverse @ right.sum(0))[kept] * scale
     sd = np.maximum(draws.std(axis=0), np.sqrt(np.diag(inverse)))[kept] * scale
     half = norm.ppf(0.975) * sd

@@ -93,7 +93,7 @@ class ModelFit:
 
 def priors(slots: tuple[Slot, ...]) -> np.ndarray:
     """(p,) prior standard deviations."""
-    return np.array([s.parameter.prior for s in slots], dtype=float)
+    return np.array([s.parameter.width for s in slots], dtype=float)
 
 
 def fit(

@@ -11,7 +11,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.candidates import CandidateColumns
 from longarm_comp.core.identify.evidence import Score, key
-from longarm_comp.core.identify.fit import ModelFit
+from longarm_comp.core.identify.fit import ModelFit, priors
 from longarm_comp.core.identify.search import SearchResult
 
 POOL = 512
@@ -102,8 +102,7 @@ def _designs(
     built = CandidateColumns(fit.model, posture, fit.session if own_rows else None)
     places = set(map(key, found.terms))
     rest = [s for s in fit.slots if key(s.owner) not in places]
-    priors = np.array([s.parameter.prior for s in rest])
-    columns = built.unscaled(rest) * priors
+    columns = built.unscaled(rest) * priors(tuple(rest))
     a = np.concatenate([columns, built.of(other.candidate.terms)], axis=-1)
     own = [s for s in fit.slots if key(s.owner) in places]
     values = np.array([getattr(s.owner, s.parameter.name) for s in own])

@@ -22,6 +22,7 @@ from longarm_comp.core.effects.sensor_place import SensorPlace
 from longarm_comp.core.effects.tip_orientation import TipOrientation
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.linear import MAD, OUTLIER
+from longarm_comp.core.identify.placement import twist_of
 from longarm_comp.core.model.model import Model
 
 _ROUNDS = 4
@@ -106,7 +107,9 @@ def _moved(term: SensorPlace, model: Model, session: Session) -> SensorPlace:
         turn, _ = Rotation.align_vectors(rows.xyz[kept] - to, tips[kept] - at)
         shift = to - turn.apply(at)
         left = rows.xyz - turn.apply(tips) - shift
-        return np.concatenate([*twist_of(turn, shift)]), np.linalg.norm(left, axis=1)
+        motion = np.eye(4)
+        motion[:3, :3], motion[:3, 3] = turn.as_matrix(), shift
+        return np.concatenate(twist_of(motion)), np.linalg.norm(left, axis=1)
 
     names = ("x", "y", "z", "rx", "ry", "rz")
     return term.with_values(dict(zip(names, _robust(len(rows), solved), strict=True)))
@@ -171,15 +174,3 @@ def _robust(rows: int, solved: Callable[[np.ndarray], tuple[np.ndarray, np.ndarr
         kept = misfit <= max(OUTLIER * MAD * float(np.median(misfit)), 1e-9)
         answer, misfit = solved(kept)
     return answer
-
-
-def twist_of(turn: Rotation, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Twist of a finite motion: the inverse of `spatial.exp_large`."""
-    w = turn.as_rotvec()
-    angle = np.linalg.norm(w)
-    hat = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
-    if angle < 1e-9:
-        return shift, w
-    b = (1 - np.cos(angle)) / angle**2
-    c = (angle - np.sin(angle)) / angle**3
-    return np.linalg.solve(np.eye(3) + b * hat + c * hat @ hat, shift), w

@@ -19,7 +19,7 @@ import numpy as np
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.posture import Chain, Lumped, Posture, Twists
+from longarm_comp.core.arm.posture import PLACEMENT, Chain, Lumped, Posture, Twists
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter
 from longarm_comp.core.model.tip_motion import Moved, Reseen, TipMotion, stack
@@ -154,7 +154,7 @@ class Model:
         home = self.arm.base.frame()
         for effect in self.effects:
             if effect.seen_only:
-                turn = spatial.exp_large(effect.twists(bare)[0])
+                turn = spatial.exp_large(effect.twists(bare)[PLACEMENT])
                 gravity = home.rotate(turn.rotate(home.unrotate(gravity)))
         return gravity
 
@@ -313,7 +313,7 @@ class Model:
             if all(type(c) is float and c == 0.0 for c in change):
                 continue
             now = total.get(station, spatial.ZERO_TWIST)
-            exp = spatial.exp if station else spatial.exp_large
+            exp = spatial.exp_large if station == PLACEMENT else spatial.exp
             frame = posture.frames[station]
             here = frame.unrotate(spatial.sub(tip, frame.p))
             ends = [exp(tuple(n + s * c for n, c in zip(now, change, strict=True))) for s in _BOTH]  # type: ignore[arg-type]

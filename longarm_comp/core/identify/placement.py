@@ -1,0 +1,86 @@
+"""Placement: where bases and markers are, solved from the sightings and not from what is declared.
+
+A placement is never a finding.  It is started in closed form here, and fitted jointly with all
+else by `fit`, with priors that do not pull (`Parameter.unknown`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from longarm_comp.core.data.registration import Registration, Sightings, register
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.base_pose import BasePose
+from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.effects.tip_offset import TipOffset
+from longarm_comp.core.model.model import Model, slots_of
+
+CLEARLY = 2.0
+"""A placement that the model holds is kept unless the solved one fits so many times better."""
+
+
+def placed(model: Model, session: Session) -> Model:
+    """The model with its unknown bases and markers put where the sightings say.
+
+    Args:
+        model: holds a `base_pose` per group and the markers' `tip_offset`.
+        session: measured rows; those without a full position do not count.
+    """
+    seen = session.take(session.located)
+    held = [e for e in model.effects if isinstance(e, BasePose | TipOffset) and _unknown(model, e)]
+    if len(seen) < 4 or not held:
+        return model
+    bare = dataclasses.replace(
+        model, effects=tuple(e for e in model.effects if not any(e is h for h in held))
+    )
+    markers = sorted({e.marker for e in held if isinstance(e, TipOffset)}) or [""]
+    groups = sorted({e.group for e in held if isinstance(e, BasePose)}) or [""]
+    rows = Sightings.of(bare, seen, groups, markers)
+    found = register(rows, tips=any(isinstance(e, TipOffset) for e in held))
+    now = np.linalg.norm(seen.xyz - model.measured(seen.q, seen.context()), axis=1)
+    alike = [rows.group + len(groups) * rows.marker == k for k in range(len(groups) * len(markers))]
+    if all(np.median(now[mine]) <= CLEARLY * found.misfit for mine in alike if mine.any()):
+        return model
+    names = groups, markers
+    free = [any(e is h for h in held) for e in model.effects]
+    effects = [
+        _put(e, found, names, model) if mine else e
+        for e, mine in zip(model.effects, free, strict=True)
+    ]
+    return dataclasses.replace(model, effects=tuple(effects))
+
+
+def _unknown(model: Model, effect: Effect) -> bool:
+    return any(s.parameter.unknown for s in slots_of(model.arm, [effect]))
+
+
+def _put(
+    effect: Effect, found: Registration, names: tuple[list[str], list[str]], model: Model
+) -> Effect:
+    groups, markers = names
+    if isinstance(effect, TipOffset):
+        return effect.with_values(
+            dict(zip("xyz", found.tip[markers.index(effect.marker)], strict=True))
+        )
+    assert isinstance(effect, BasePose)
+    g = groups.index(effect.group)
+    home = model.arm.base.frame().matrix()
+    moved = np.eye(4)
+    moved[:3, :3], moved[:3, 3] = found.rotation[g], found.offset[g]
+    d, w = twist_of(np.linalg.inv(home) @ moved @ home)
+    return effect.with_values(dict(zip(("x", "y", "z", "rx", "ry", "rz"), (*d, *w), strict=True)))
+
+
+def twist_of(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Twist of a finite motion (4, 4): the inverse of `spatial.exp_large`."""
+    w, shift = Rotation.from_matrix(motion[:3, :3]).as_rotvec(), motion[:3, 3]
+    angle = np.linalg.norm(w)
+    hat = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
+    if angle < 1e-9:
+        return shift, w
+    b = (1 - np.cos(angle)) / angle**2
+    c = (angle - np.sin(angle)) / angle**3
+    return np.linalg.solve(np.eye(3) + b * hat + c * hat @ hat, shift), w
