@@ -55,14 +55,14 @@ class Sightings:
         Args:
             model: the arm, sagged or rigid.
             session: measured rows.
-            groups: names of the base placements; all of the session's by default.
+            groups: names of the base placements; by default one per frame of the session.
             markers: names of the markers, empty for the tip; all of the arm's by default.
         """
-        seen, arm = session.take(session.seen), model.arm
+        seen, arm = session.take(session.located), model.arm
         blank = np.full(len(seen), "")
         marked = "marker" in seen.labels and arm.markers
         markers = markers or (list(arm.markers) if marked else [""])
-        group = seen.labels.get("group", blank)
+        group = seen.frames if groups is None else seen.labels.get("group", blank)
         groups = groups or sorted(set(group)) or [""]
         marker = _numbers(seen.labels.get("marker", blank), markers)
         posture = model.posture(unstack(seen.q), seen.context())

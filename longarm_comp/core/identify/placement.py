@@ -29,7 +29,7 @@ def placed(model: Model, session: Session) -> Model:
         model: holds a `base_pose` per group and the markers' `tip_offset`.
         session: measured rows; those without a full position do not count.
     """
-    seen = session.take(session.seen)
+    seen = session.take(session.located)
     held = [e for e in model.effects if isinstance(e, BasePose | TipOffset) and _unknown(model, e)]
     if len(seen) < 4 or not held:
         return model
@@ -70,11 +70,11 @@ def _put(
     home = model.arm.base.frame().matrix()
     moved = np.eye(4)
     moved[:3, :3], moved[:3, 3] = found.rotation[g], found.offset[g]
-    d, w = _log(np.linalg.inv(home) @ moved @ home)
+    d, w = twist_of(np.linalg.inv(home) @ moved @ home)
     return effect.with_values(dict(zip(("x", "y", "z", "rx", "ry", "rz"), (*d, *w), strict=True)))
 
 
-def _log(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def twist_of(motion: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Twist of a finite motion (4, 4): the inverse of `spatial.exp_large`."""
     w, shift = Rotation.from_matrix(motion[:3, :3]).as_rotvec(), motion[:3, 3]
     angle = np.linalg.norm(w)

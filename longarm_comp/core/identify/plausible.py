@@ -64,14 +64,18 @@ def check_noise(sigma: np.ndarray, session: Session) -> None:
     """What is left is not called noise where no instrument is that bad.
 
     Args:
-        sigma: (3,) noise per axis, m.
+        sigma: (d,) noise per channel; that of positions is looked at, m.
         session: the rows, with what was seen.
 
     Raises:
         JobError: the noise is too large for this arm.
     """
-    seen = session.xyz[session.seen]
-    spread, size = _median(seen - np.median(seen, axis=0)), float(np.linalg.norm(sigma))
+    if session.blocks[0].kind != "position" or not np.isfinite(sigma[:3]).all():
+        return
+    seen = session.take(session.located & (session.frames == session.frames[0])).xyz
+    if len(seen) < 2:
+        return
+    spread, size = _median(seen - np.median(seen, axis=0)), float(np.linalg.norm(sigma[:3]))
     if size > NO_NOISE * spread:
         raise JobError(
             f"{1e3 * size:.3g} mm is left, which is no noise: the sightings spread over "
