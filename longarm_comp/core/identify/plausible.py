@@ -16,7 +16,7 @@ ENOUGH = 15
 """Held-out rows, at least, that such a comparison takes."""
 NO_NOISE = 0.05
 """Noise, as a share of the sightings' spread, that no instrument has."""
-INCREDIBLE = 50.0
+INCREDIBLE = 15.0
 """Size of an effect, in its prior standard deviations, that no arm has."""
 
 
