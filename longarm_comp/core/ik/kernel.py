@@ -10,6 +10,7 @@ code, which is compiled in about a second.
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
@@ -134,6 +135,10 @@ class Kernel:
         return machine_code.compile_module(text, width)
 
 
+_BEYOND = {"inf": math.inf, "nan": math.nan}
+"""Constants of an absurd arm, as Python prints them."""
+
+
 class _Python(dict[str, Any]):
     """Programs as Python functions, each generated on its first use."""
 
@@ -142,7 +147,7 @@ class _Python(dict[str, Any]):
         self.programs, self.arrays = programs, arrays
 
     def __missing__(self, name: str) -> Any:
-        space = dict(emit.ARRAYS if self.arrays else emit.FLOATS)
+        space = dict(emit.ARRAYS if self.arrays else emit.FLOATS) | _BEYOND
         text = emit.python(name, *self.programs[name], self.arrays)
         exec(compile(text, f"<traced {name}>", "exec"), space)
         self[name] = space[name]
