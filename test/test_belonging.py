@@ -153,5 +153,5 @@ def test_joints_beyond_their_limits_are_told_what_fits(rng: np.random.Generator)
         admit(joint(1, np.negative)(rows), SMALL)
     with pytest.raises(InputError, match="q2 and q3 look swapped"):
         admit(swap(1, 2)(rows), SMALL)
-    with pytest.raises(InputError, match="q4.*looks like degrees"):
+    with pytest.raises(InputError, match=r"q4.*looks like degrees"):
         admit(joint(3, np.degrees)(rows), SMALL)
