@@ -36,6 +36,7 @@ COMMANDS = (
         "study_realisable",
         "Choice among the servos' steps, compared with rounding.",
     ),
+    Entry("study day", "study_day", "A day of work: wear, warmth, changing payloads."),
     Entry("up", "up", "Bring up an arm's ROS graph, real or simulated."),
     Entry("study loop", "study_loop", "Benchmark the diagnosis on simulated arms."),
     Entry("bench", "bench", "Speed compared with peers, in one run."),
@@ -54,6 +55,6 @@ COMMANDS = (
 
 GROUPS = {
     "bag": "Sessions as rosbag2.",
-    "study": "Studies: Table I, real arms, realisable joints, closing the loop.",
+    "study": "Studies: Table I, real arms, realisable joints, a day of work, closing the loop.",
 }
 """One line of help for each first word of a two-word name."""

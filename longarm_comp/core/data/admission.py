@@ -29,6 +29,7 @@ from longarm_comp.core.model.model import Model
 FEW_POSES = 4
 _OUTLIER = 8.0  # robust standard deviations, before any fit
 _FAR = 0.5  # of a joint's range beyond its limits
+_MANY = 5.0  # times a joint's largest value, and more, are another unit
 _TILTED = np.radians(20.0)
 
 
@@ -168,13 +169,36 @@ def _joint_units(case: _Case) -> Iterator[AdmissionFinding]:
         within = (scaled > arm.lower[kind] - slack) & (scaled < arm.upper[kind] + slack)
         row, j = np.unravel_index(np.argmax(np.where(far, beyond / reach, 0)), q.shape)
         limits = f"{arm.lower[j]:.6g} to {arm.upper[j]:.6g} of {arm.joint_names[j]}"
-        allowed = f"{hint}: {limits}" if within.mean() > 0.95 else limits
-        raise case.refuse(f"row {row + 1}, q{j + 1}", float(q[row, j]), allowed)
+        many = abs(q[row, j]) > _MANY * max(abs(arm.lower[j]), abs(arm.upper[j]))
+        if many and within.mean() > 0.95:
+            limits = f"{hint}: {limits}"
+        elif other := _exchanged(arm, q, int(j)):
+            limits = f"{limits} ({other})"
+        raise case.refuse(f"row {row + 1}, q{j + 1}", float(q[row, j]), limits)
     for j in np.flatnonzero((beyond > 1e-6).any(0)):
         count, worst = int((beyond[:, j] > 1e-6).sum()), beyond[:, j].max()
         yield AdmissionFinding(
             "limits", f"q{j + 1}", f"{count} rows up to {worst:.3g} beyond its limits"
         )
+
+
+def _exchanged(arm: Arm, q: np.ndarray, j: int) -> str:
+    """What brings joint j, beyond its limits, and every other within them; else empty."""
+    slack = 0.05 * (arm.upper - arm.lower)
+
+    def within(changed: np.ndarray) -> bool:
+        return bool(((changed > arm.lower - slack) & (changed < arm.upper + slack)).all())
+
+    negated = q.copy()
+    negated[:, j] *= -1
+    if within(negated):
+        return f"q{j + 1} looks negated"
+    for k in range(arm.n):
+        order = np.arange(arm.n)
+        order[[j, k]] = k, j
+        if within(q[:, order]):
+            return f"q{min(j, k) + 1} and q{max(j, k) + 1} look swapped"
+    return ""
 
 
 def _measured_at_all(case: _Case) -> Iterator[AdmissionFinding]:

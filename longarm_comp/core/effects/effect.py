@@ -20,7 +20,7 @@ from typing_extensions import Self
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Lumped, Posture
-from longarm_comp.core.arm.spatial import Twist, Vec
+from longarm_comp.core.arm.spatial import Frame, Twist, Vec
 from longarm_comp.core.errors import InputError
 
 FLAT = 1000.0
@@ -289,6 +289,10 @@ class Effect(_Term, ABC):
     def gravity(self, gravity: Vec) -> Vec:
         """Gravity in the base frame with this effect (m/s^2)."""
         return gravity
+
+    def base(self, arm: Arm) -> Frame | None:
+        """Where the base stands in the frame of the measurements, for an effect that says so."""
+        return None
 
     @property
     def changes_loads(self) -> bool:

@@ -41,11 +41,14 @@ def placed(model: Model, session: Session) -> Model:
     rows = Sightings.of(bare, seen, groups, markers)
     found = register(rows, tips=any(isinstance(e, TipOffset) for e in held))
     now = np.linalg.norm(seen.xyz - model.measured(seen.q, seen.context()), axis=1)
-    if np.median(now) <= CLEARLY * found.misfit:
+    alike = [rows.group + len(groups) * rows.marker == k for k in range(len(groups) * len(markers))]
+    if all(np.median(now[mine]) <= CLEARLY * found.misfit for mine in alike if mine.any()):
         return model
+    names = groups, markers
+    free = [any(e is h for h in held) for e in model.effects]
     effects = [
-        _put(e, found, (groups, markers), model) if any(e is h for h in held) else e
-        for e in model.effects
+        _put(e, found, names, model) if mine else e
+        for e, mine in zip(model.effects, free, strict=True)
     ]
     return dataclasses.replace(model, effects=tuple(effects))
 
