@@ -23,10 +23,11 @@ from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.effects.tip_offset import TipOffset
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify import linear
-from longarm_comp.core.identify.calibrate import align, frames, geometry
+from longarm_comp.core.identify.calibrate import frames, geometry
 from longarm_comp.core.identify.fit import fit, fit_together
 from longarm_comp.core.identify.linear import whiten
 from longarm_comp.core.identify.noise import from_repeats, lag_correlation
+from longarm_comp.core.identify.placement import placed
 from longarm_comp.core.model.model import Model
 
 SIGMA = 4e-4
@@ -169,7 +170,7 @@ def test_a_base_that_stands_elsewhere_is_found(arm: Arm, rng: np.random.Generato
         base = BasePose(x=2.0, y=-1.5, z=0.4, rx=0.1, rz=turn)
         truth = Model(arm, (LinkDeflection(), base))
         session = measured(truth, box(arm, 40, rng), rng)
-        start = align(Model(arm, (LinkDeflection(), *frames(arm, session))), session)
+        start = placed(Model(arm, (LinkDeflection(), *frames(arm, session))), session)
         left = np.linalg.norm(start.tip(session.q) - session.xyz, axis=1)
         assert np.median(left) < 0.05  # sag in the wrong direction of gravity is not seen here
         found = fit(start, session)
@@ -177,8 +178,8 @@ def test_a_base_that_stands_elsewhere_is_found(arm: Arm, rng: np.random.Generato
         apart = np.linalg.norm(found.model.tip(q) - truth.tip(q), axis=1)
         assert apart.max() < 1e-3
         near = measured(Model(arm, (LinkDeflection(),)), session.q, rng)
-        kept = Model(arm, (BasePose(),))
-        assert align(kept, near) == kept  # a base that is nearly right is left to the fit
+        kept = Model(arm, (LinkDeflection(), BasePose()))
+        assert placed(kept, near) == kept  # a base that is right stays
 
 
 def test_arms_on_one_torso_share_it(rng: np.random.Generator) -> None:

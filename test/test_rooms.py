@@ -23,7 +23,7 @@ ROS = (
 # Imports point only upward in this list; modules of the core that it does not name are checked
 # through whatever they import.
 CORE_ORDER = (
-    *("errors", "files", "yaml_file", "arm", "effects", "model"),
+    *("errors", "files", "strict_yaml", "yaml_file", "arm", "effects", "model"),
     *("ik", "data", "compensation", "learn", "identify"),
 )
 
@@ -43,8 +43,8 @@ class Room:
 
 ROOMS = {
     "core": Room((*ROS, "cv2", "serial", "click", "rich", "matplotlib", "plotly"), only=()),
-    "devices": Room(ROS, only=("core.errors", "core.files")),
-    "sim": Room(ROS, only=("core.arm", "core.errors", "core.files", "devices")),
+    "devices": Room(ROS, only=("core.errors", "core.files", "core.strict_yaml")),
+    "sim": Room(ROS, only=("core.arm", "core.errors", "core.files", "core.strict_yaml", "devices")),
     "sessions": Room((*ROS, "nodes", "devices", "sim", "report", "workflows", "cli")),
     "report": Room((*ROS, "nodes", "devices", "sim", "workflows", "cli")),
     "workflows": Room((*ROS, "click", "rich"), only=("core", "sessions", "report", "version")),

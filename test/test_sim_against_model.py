@@ -19,6 +19,7 @@ from longarm_comp.core.arm.context import Context as ModelContext
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.base_compliance import BaseCompliance
 from longarm_comp.core.effects.base_pose import BasePose
+from longarm_comp.core.effects.base_settling import BaseSettling
 from longarm_comp.core.effects.bearing_tilt import BearingTilt
 from longarm_comp.core.effects.camera_radial import CameraRadial
 from longarm_comp.core.effects.camera_scale import CameraScale
@@ -38,6 +39,7 @@ from longarm_comp.core.effects.servo_droop import ServoDroop
 from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
 from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.effects.thermal_softening import ThermalSoftening
 from longarm_comp.core.effects.tip_payload import TipPayload
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
@@ -105,15 +107,23 @@ SAME: dict[str, tuple[Callable[[Any], list[Any]], float]] = {
         lambda e: _each(ALL, BearingTilt, about_x=e.compliance, about_y=e.compliance),
         0.01,
     ),
-    "base_compliance": (lambda e: [BaseCompliance(compliance=e.compliance)], 0.01),
+    "base_compliance": (
+        lambda e: [BaseCompliance(about_x=e.compliance[0], about_y=e.compliance[1])],
+        0.01,
+    ),
+    "base_settling": (
+        lambda e: [BaseSettling(sink=e.sink, about_x=e.lean[0], about_y=e.lean[1])],
+        0.01,
+    ),
     "telescope_clearance": (
-        lambda e: _each(SLIDING, TelescopeClearance, clearance=e.clearance),
+        lambda e: _each(SLIDING, TelescopeClearance, clearance=e.clearance, give=e.pads),
         0.02,
     ),
     "link_stiffness": (
         lambda e: [LinkStiffness(beam=b, softness=e.dose * s) for b, s in e.softer.items()],
         0.02,
     ),
+    "thermal_softening": (lambda e: [ThermalSoftening(softening=e.rate)], 0.02),
     "creep": (lambda e: [Creep(time=e.time_s, amount=e.more)], 0.02),
     "tip_payload": (lambda e: [TipPayload(mass=e.mass_kg)], 0.02),
     "measured_tilt": (lambda e: [MeasuredTilt(frame=e.row)], 0.01),

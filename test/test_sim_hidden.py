@@ -32,7 +32,9 @@ LIBRARY = (
     *("gear_eccentricity", "joint_gain", "prismatic_pitch", "servo_droop", "servo_quantisation"),
     *(
         "friction_memory",
+        "base_settling",
         "thermal_growth",
+        "thermal_softening",
         "creep",
         "camera_scale",
         "camera_radial",
@@ -127,7 +129,7 @@ def test_joint_compliance_yields_under_the_true_torque() -> None:
 
 
 def test_base_compliance_tilts_the_same_lever() -> None:
-    same = angle(lever(), loads.BaseCompliance(0.02))
+    same = angle(lever(), loads.BaseCompliance(np.full(2, 0.02)))
     assert same == pytest.approx(angle(lever(), loads.JointCompliance(np.array([0.02]))), abs=1e-9)
 
 

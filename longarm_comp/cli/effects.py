@@ -47,6 +47,7 @@ def catalogue() -> list[dict[str, object]]:
                     "name": p.name,
                     "unit": p.unit,
                     "prior": p.prior,
+                    "unknown": p.unknown,
                     "lower": p.lower if math.isfinite(p.lower) else None,
                     "upper": p.upper if math.isfinite(p.upper) else None,
                 }
@@ -76,5 +77,5 @@ def _parameter(p: dict[str, object]) -> str:
         for end, sign in (("lower", ">="), ("upper", "<="))
         if p[end] is not None
     ]
-    facts = [str(p["unit"]), f"{p['prior']:g}", *bounds]
+    facts = [str(p["unit"]), "unknown" if p["unknown"] else f"{p['prior']:g}", *bounds]
     return f"{p['name']} ({', '.join(facts)})"

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import importlib
 import os
+import sys
 from collections.abc import Sequence
 
 import click
 
 from longarm_comp.cli.registry import COMMANDS, GROUPS, Entry
-from longarm_comp.core.errors import LongarmError
+from longarm_comp.core.errors import JobError, LongarmError
 from longarm_comp.version import __version__
 
 
@@ -70,10 +71,21 @@ def root() -> click.Group:
     return click.version_option(__version__, prog_name="longarm")(group)
 
 
+def _of_the_machine(error: OSError | MemoryError | RecursionError) -> str:
+    """One line for an error that neither the user nor this program caused."""
+    if isinstance(error, OSError):
+        named = [str(name) for name in (error.filename, error.filename2) if name is not None]
+        return ": ".join([*named, error.strerror or str(error)])
+    if isinstance(error, MemoryError):
+        return "not enough memory for this input"
+    return "the input is nested too deeply"
+
+
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command line and return the exit code.
 
-    Errors of the package are printed as one line. Any other exception is a bug and is raised.
+    Errors of the package are printed as one line, and so are those of the machine: a file that
+    cannot be opened, a full disk, no memory. Any other exception is a bug and is raised.
     """
     for pool in _POOLS:
         os.environ.setdefault(pool, "1")
@@ -86,6 +98,12 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except LongarmError as error:
         click.echo(f"longarm: {error}", err=True)
         return error.exit_code
+    except BrokenPipeError:  # `longarm ... | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return JobError.exit_code
+    except (OSError, MemoryError, RecursionError) as error:
+        click.echo(f"longarm: {_of_the_machine(error)}", err=True)
+        return JobError.exit_code
     except click.ClickException as error:
         error.show()
         return error.exit_code

@@ -21,6 +21,9 @@ from longarm_comp.cli.output import note, print_json, print_rows, progress
 @click.option(
     *("--jobs",), type=int, default=-1, show_default=True, help="Processes; -1 is one per core."
 )
+@click.option(
+    *("--poses",), is_flag=True, help="Command whole poses, and print the angle that is left."
+)
 @options.seed
 @options.as_json
 @click.option(
@@ -28,7 +31,13 @@ from longarm_comp.cli.output import note, print_json, print_rows, progress
     help="Folder for table1.json and table1.png.",
 )  # fmt: skip
 def command(
-    arm: Path | None, count: int, jobs: int, seed: int, as_json: bool, output: Path | None
+    arm: Path | None,
+    count: int,
+    jobs: int,
+    poses: bool,
+    seed: int,
+    as_json: bool,
+    output: Path | None,
 ) -> None:
     """Repeat the paper's Table I on simulated arms that execute the commands.
 
@@ -54,7 +63,7 @@ def command(
     began = time.monotonic()
     outcomes = []
     with progress("study table1") as show:
-        for finished in study(base, count, seed, jobs=jobs):
+        for finished in study(base, count, seed, jobs=jobs, whole_poses=poses):
             outcomes.append(finished)
             show(f"{len(outcomes)} of {count} arms", len(outcomes) / count)
     table = summary.rows(outcomes)
@@ -87,7 +96,8 @@ def command(
     if as_json:
         print_json(facts)
         return
-    shown = [{k: v for k, v in row.items() if k != "arms_mm"} for row in table]
+    hidden = {"arms_mm"} if poses else {"arms_mm", "orientation_mrad"}
+    shown = [{k: v for k, v in row.items() if k not in hidden} for row in table]
     print_rows(f"Table I: {count} arms, {summary.TARGETS} targets each", shown)
     print_rows(
         "Differences of mean |z| on the same arms",

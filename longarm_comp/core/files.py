@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from longarm_comp.core.errors import InputError
+from longarm_comp.core.errors import InputError, JobError
+
+_STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 @contextmanager
@@ -20,6 +23,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     Raises:
         InputError: the folder cannot be made or written to, or ``path`` is a folder.
+        JobError: the disk is full or fails.
     """
     target = Path(path)
     try:
@@ -33,6 +37,10 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         yield partial
         _sync(partial)
         _publish(partial, target)
+    except OSError as error:
+        if error.errno not in _STORAGE:
+            raise
+        raise JobError(f"{target} was not written: {error.strerror}") from error
     finally:
         with suppress(FileNotFoundError):
             partial.unlink()

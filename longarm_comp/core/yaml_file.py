@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Iterator, Mapping
 from typing import Any, TypeVar
 
-import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.strict_yaml import read_yaml
+
+__all__ = ["RANGES", "Declared", "Misdeclared", "parse_declared", "read_yaml"]
 
 T = TypeVar("T", bound=BaseModel)
-
-
-class Declared(BaseModel):
-    """Frozen; unknown keys and non-finite numbers are errors."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Misdeclared(ValueError):  # noqa: N818  (pydantic turns a ValueError into its own error)
@@ -34,14 +29,54 @@ class Misdeclared(ValueError):  # noqa: N818  (pydantic turns a ValueError into 
         self.field, self.value, self.allowed = field, value, str(allowed)
 
 
-def read_yaml(path: str | Path) -> Any:
-    """Parsed YAML of a file; `InputError` where it cannot be read."""
-    try:
-        return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(str(path), "file", type(error).__name__, "a readable file") from error
-    except yaml.YAMLError as error:
-        raise InputError(str(path), "YAML", " ".join(str(error).split()), "valid YAML") from error
+RANGES: Mapping[str, tuple[float, float]] = {
+    "_m": (-1e6, 1e6),
+    "_deg": (-36e3, 36e3),
+    "_kg": (0.0, 1e6),
+    "_pa": (1e6, 1e14),
+    "_nm2": (1e-9, 1e18),
+    "_mps2": (-50.0, 50.0),
+    "_c": (-273.15, 2000.0),
+}
+"""What any machine's quantity of a unit lies within, by the end of its key. Beyond it the unit is
+wrong (gravity in mm/s^2), and powers of it leave the range of numbers."""
+
+
+class Declared(BaseModel):
+    """Frozen. Unknown keys, non-finite numbers, true or false for a number, and numbers beyond
+    `RANGES` are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_booleans(cls, data: Any) -> Any:
+        for key, given in data.items() if isinstance(data, dict) else ():
+            field = cls.model_fields.get(key)
+            if field is None or "bool" in str(field.annotation):
+                continue
+            for path, value in _leaves(key, given):
+                if isinstance(value, bool):
+                    raise Misdeclared(path, value, "a number, or text in quotes")
+        return data
+
+    @model_validator(mode="after")
+    def _in_range(self) -> Any:
+        for key in type(self).model_fields:
+            limits = next((r for end, r in RANGES.items() if key.endswith(end)), None)
+            for path, value in _leaves(key, getattr(self, key)) if limits else ():
+                if isinstance(value, (int, float)) and not limits[0] <= value <= limits[1]:
+                    raise Misdeclared(path, value, f"{limits[0]:g} to {limits[1]:g}")
+        return self
+
+
+def _leaves(path: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Values of a field without those of the records in it, which check their own."""
+    if isinstance(value, (list, tuple)):
+        for k, part in enumerate(value):
+            yield from _leaves(f"{path}.{k}", part)
+    else:
+        yield path, value
 
 
 def parse_declared(cls: type[T], data: Any, where: str) -> T:

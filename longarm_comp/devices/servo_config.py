@@ -11,10 +11,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import BaseModel, Field, ValidationError, field_validator, model_validator
 
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.devices.servo_bus import MODELS, PROTOCOLS, SerialServoBus, ServoModel, open_bus
 from longarm_comp.devices.servo_joint import JointConfig, Positive, ServoSettings
 
@@ -132,13 +132,7 @@ class ServoConfig(ServoSettings):
     @classmethod
     def load(cls, path: str | Path) -> ServoConfig:
         """Read a YAML file, plain or as ROS parameters. Raises InputError naming the field."""
-        try:
-            data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(path, "file", type(error).__name__, "a readable file") from error
-        except yaml.YAMLError as error:
-            raise InputError(path, "YAML", error, "valid YAML") from error
-        return cls.parse(_without_ros(data), str(path))
+        return cls.parse(_without_ros(read_yaml(path)), str(path))
 
     @classmethod
     def parse(cls, data: Any, where: str) -> ServoConfig:

@@ -20,9 +20,9 @@ STEP_KNOWN_TO = 0.15
 
 
 class ServoSettings(BaseModel):
-    """Base of the configuration records. They are frozen; unknown keys are errors."""
+    """Base of the configuration records: frozen. Unknown keys and true for 1 are errors."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class JointConfig(ServoSettings):

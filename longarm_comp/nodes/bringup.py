@@ -17,8 +17,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from longarm_comp.core.arm.arm import read_yaml
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.nodes.supervisor import Supervisor
 from longarm_comp.share import PACKAGE, folder
 

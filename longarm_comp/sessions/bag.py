@@ -24,6 +24,7 @@ from rosbags.rosbag2 import Reader
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.sessions.joint_states import JointStates
 from longarm_comp.sessions.message_buffer import TYPES, MessageBuffer
 from longarm_comp.sessions.message_types import message_types
@@ -63,6 +64,8 @@ def open_bag(path: str | Path) -> Iterator[Reader]:
     if Path(path).is_dir() and not (Path(path) / "metadata.yaml").is_file():
         allowed = "a bag folder with metadata.yaml (a recording that was killed has none)"
         raise InputError(where, "metadata.yaml", "missing", allowed)
+    if Path(path).is_dir():
+        read_yaml(Path(path) / "metadata.yaml")  # the decoder itself has no bounds
     try:
         reader = Reader(Path(path))
         reader.open()

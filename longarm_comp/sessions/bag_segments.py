@@ -17,6 +17,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_text
+from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.sessions.message_types import message_types
 
 _PARTIAL = ".recording"
@@ -61,8 +62,8 @@ class SegmentedBag:
         if not metadata.is_file():
             return None
         try:
-            found = yaml.safe_load(metadata.read_text(encoding="utf-8"))[_KEY]
-        except (yaml.YAMLError, KeyError, TypeError) as error:
+            found = read_yaml(metadata)[_KEY]
+        except (KeyError, TypeError) as error:
             raise InputError(metadata, _KEY, str(error), "metadata of a rosbag2") from error
         if found.get("storage_identifier") != "mcap":
             raise InputError(metadata, "storage", found.get("storage_identifier"), "mcap")
@@ -111,7 +112,7 @@ class SegmentedBag:
         segment = self._segment
         self._writer.close()
         self._writer, self._connections, self.messages = None, {}, 0
-        metadata = yaml.safe_load((segment / "metadata.yaml").read_text(encoding="utf-8"))[_KEY]
+        metadata = read_yaml(segment / "metadata.yaml")[_KEY]
         for name in metadata["relative_file_paths"]:
             (segment / name).replace(self._path / name)
         self._information = _joined(self._information, metadata)

@@ -21,7 +21,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.errors import InputError
+from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.sessions.message_types import message_types
 
 STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
@@ -48,6 +48,7 @@ def write_bag(
 
     Raises:
         InputError: the folder exists or cannot be written, the arm has other joints.
+        JobError: it came to exist meanwhile, or the disk is full.
     """
     if session.n != arm.n:
         raise InputError(str(path), "joints", session.n, f"{arm.n} joints of arm {arm.name}")
@@ -75,6 +76,8 @@ def _whole_folder(path: Path) -> Iterator[Path]:
     try:
         yield partial / path.name
         (partial / path.name).replace(path)
+    except OSError as error:  # another writer was quicker, the disk is full
+        raise JobError(f"{path} was not written: {error.strerror}") from error
     finally:
         shutil.rmtree(partial, ignore_errors=True)
 

@@ -13,6 +13,11 @@ import numpy as np
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path
 
+LARGEST = 1e30
+"""Larger numbers are no measurement; their squares leave the range of numbers."""
+FARTHEST = 1e6
+"""Largest joint (rad, m) and coordinate (m)."""
+
 
 @dataclass(frozen=True)
 class Table:
@@ -67,13 +72,23 @@ class Table:
                 values[row] = float(cell)
             except ValueError:
                 raise self.error(row, column, allowed) from None
-            if not math.isfinite(values[row]) or (test is not None and not test(values[row])):
+            if not abs(values[row]) <= LARGEST or (test is not None and not test(values[row])):
                 raise self.error(row, column, allowed)
         return values
 
+    def lengths(self, column: str, unit: str = "m", blanks: bool = False) -> np.ndarray:
+        """(N,) coordinates or joints, as `numbers`, up to `FARTHEST`."""
+        return self.numbers(
+            column, f"{unit}, up to {FARTHEST:g}", blanks, lambda v: abs(v) <= FARTHEST
+        )
+
     def integers(self, column: str, blank: int | None = None) -> np.ndarray:
         """(N,) whole numbers; an empty cell becomes `blank` where that is given."""
-        values = self.numbers(column, "whole", blank is not None, float.is_integer)
+
+        def whole(value: float) -> bool:
+            return value.is_integer() and abs(value) < 2**53
+
+        values = self.numbers(column, "whole", blank is not None, whole)
         return np.where(np.isnan(values), -1 if blank is None else blank, values).astype(np.int64)
 
     def is_numeric(self, column: str) -> bool:
@@ -106,7 +121,8 @@ def read_table(path: str | Path) -> Table:
         raise InputError(where, "file", "empty", "a header and at least one row")
     header, body = rows[0][1], rows[1:]
     if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
-        raise InputError(where, "header", header[0], "columns separated by commas")
+        allowed = f"columns separated by commas; to convert it: longarm import-data {where}"
+        raise InputError(where, "header", header[0], f"{allowed} -o samples.csv --units mm,deg")
     if not body:
         raise InputError(where, "rows", 0, "at least one row below the header")
     for line, row in body:

@@ -13,7 +13,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import UNITS, XYZ, joint_names, recorded_besides
 from longarm_comp.sessions.names import check_header, check_unknown
-from longarm_comp.sessions.table import read_table, write_table
+from longarm_comp.sessions.table import FARTHEST, read_table, write_table
 
 QUATERNION = ("qx", "qy", "qz", "qw")
 _UNIT_LENGTH = 1e-3  # a quaternion printed with few digits is this far from length 1
@@ -61,8 +61,8 @@ class Targets:
             InputError: another count, a number that is not finite, no unit quaternion.
         """
         values = np.asarray(numbers, dtype=float)
-        if values.shape not in ((3,), (7,)) or not np.isfinite(values).all():
-            allowed = "x y z or x y z qx qy qz qw, finite"
+        if values.shape not in ((3,), (7,)) or not (np.abs(values) <= FARTHEST).all():
+            allowed = f"x y z or x y z qx qy qz qw, up to {FARTHEST:g}"
             raise InputError("target", "numbers", list(numbers), allowed)
         free = np.full((1, 4), np.nan)
         single = cls(np.zeros(1, int), values[None, :3], free, np.zeros(1), source="target")
@@ -120,10 +120,10 @@ def read_targets(path: str | Path) -> Targets:
     known = (*XYZ, *QUATERNION, *UNITS, "approach", "index")
     check_header(table.where, table.header, required)
     check_unknown(table.where, table.header, known)
-    xyz = np.stack([table.numbers(name, "m") for name in XYZ], axis=-1)
+    xyz = np.stack([table.lengths(name) for name in XYZ], axis=-1)
     quaternion = np.full((len(table), 4), np.nan)
     if len(required) > len(XYZ):
-        turns = [table.numbers(name, "unit quaternion", blanks=True) for name in QUATERNION]
+        turns = [table.lengths(name, "unit quaternion", blanks=True) for name in QUATERNION]
         quaternion = np.stack(turns, axis=-1)
         length = np.linalg.norm(quaternion, axis=1)
         for row in range(len(table)):

@@ -127,6 +127,8 @@ class Walk:
             if row > 0:
                 self._row(walker, row, torques)
         self._give(walker, Place("base", 0))
+        for effect in self._hidden:
+            walker.shift(np.broadcast_to(effect.foot(self._state), (3, len(self._state.q))))
         walker.rotate(rpy_matrix(self._base[3:]))
         walker.shift(self._base[:3])
         return walker, marks, torques

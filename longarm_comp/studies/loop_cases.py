@@ -12,9 +12,10 @@ import numpy as np
 
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.errors import InputError
-from longarm_comp.sim.hidden.catalogue import OUTSIDE_EVERY_LIBRARY
+from longarm_comp.sim.hidden.catalogue import HIDDEN, OUTSIDE_EVERY_LIBRARY
 
-NAMES = tuple(kind.name for kind in LIBRARY)
+NAMES = tuple(kind.name for kind in LIBRARY if kind.name in HIDDEN)
+"""Effects that the study's arm can have. Slides without a declared guide are on other arms."""
 GROUPS = ("none", "single", "pair", "removed", "outside")
 
 

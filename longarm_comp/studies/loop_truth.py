@@ -53,8 +53,13 @@ _READERS: dict[str, Callable[[Hidden, Arm], Values]] = {
     "servo_droop": _both(_joints("yielding", "sag"), _joints("deadband", "deadband")),
     "link_stiffness": _softness,
     "tip_payload": _arm(mass="mass_kg"),
-    "base_compliance": _arm(compliance="compliance"),
+    "base_compliance": lambda e, arm: {
+        ("arm", f"about_{axis}"): float(c)
+        for axis, c in zip("xy", e.compliance, strict=True)  # type: ignore[union-attr]
+    },
+    "base_settling": _arm(sink="sink"),
     "thermal_growth": _arm(expansion="rate"),
+    "thermal_softening": _arm(softening="rate"),
 }
 
 

@@ -21,7 +21,6 @@ from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.tip_offset import TipOffset
 from longarm_comp.core.identify.calibrate import (
     Errors,
-    align,
     declared_model,
     errors,
     frames,
@@ -29,6 +28,7 @@ from longarm_comp.core.identify.calibrate import (
     warm,
 )
 from longarm_comp.core.identify.fit import ModelFit, fit_together
+from longarm_comp.core.identify.placement import placed
 from longarm_comp.core.model.model import Slot
 from longarm_comp.studies.real_sessions import Measured, justin, laser_tracked
 from longarm_comp.studies.selection import select
@@ -84,13 +84,13 @@ def judged(parts: Sequence[Measured], progress: Progress | None = None) -> list[
     def every(make: Callable[[Measured], Terms]) -> list[Terms]:
         return [make(part) for part in parts]
 
-    placed = every(lambda p: frames(p.arm, p.train))
+    framed = every(lambda p: frames(p.arm, p.train))
     zeros = every(lambda p: (*frames(p.arm, p.train), *JointZero.for_arm(p.arm)))
     rigid = every(lambda p: geometry(p.arm, p.train))
     torsion = every(lambda p: (*geometry(p.arm, p.train), *JointCompliance.for_arm(p.arm)))
     lateral = [(*t, *BearingTilt.for_arm(p.arm)) for t, p in zip(torsion, parts, strict=True)]
     rungs = {
-        "frames_only": placed,
+        "frames_only": framed,
         "joint_zeros": zeros,
         "rigid": rigid,
         "joint_compliance": torsion,
@@ -119,7 +119,7 @@ def _fitted(
     models = []
     for k, (part, added) in enumerate(zip(parts, terms, strict=True)):
         model = declared_model(part.arm, deflection=False).plus(*added)
-        held = align(model, part.train) if start is None else start[k].model
+        held = placed(model, part.train) if start is None else start[k].model
         models.append(warm(model, held))
     pairs = [(m, p.train) for m, p in zip(models, parts, strict=True)]
     return fit_together(pairs, _own)

@@ -17,8 +17,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from longarm_comp.core.arm.spatial import Frame, rpy_frame
-from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, read_yaml
+from longarm_comp.core.arm.spatial import IDENTITY, Frame, rpy_frame
+from longarm_comp.core.yaml_file import RANGES, Declared, Misdeclared, parse_declared, read_yaml
 
 Vec3 = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
@@ -86,6 +86,10 @@ class Joint(Declared):
     mimic: Mimic | list[Mimic] | None = Field(
         default=None, description="a passive joint; several terms are summed"
     )
+    moves: bool = Field(
+        default=True,
+        description="false: a commanded joint beside the chain, which other rows mimic",
+    )
     pose: Pose | None = Field(default=None, description="fixed rows: the whole transform")
     tolerance: Tolerance = Tolerance()
 
@@ -95,6 +99,8 @@ class Joint(Declared):
         key = {"revolute": "limits_deg", "prismatic": "limits_m"}.get(self.type)
         if self.type == "fixed" and self.mimic:
             raise Misdeclared("mimic", self.mimic, "none in a fixed row")
+        if not self.moves and not self.commanded:
+            raise Misdeclared("moves", False, "true, but in the row of a commanded joint")
         if self.pose is not None and self.type != "fixed":
             allowed = "in fixed rows only; use a_m, alpha_deg, d_m, theta_offset_deg"
             raise Misdeclared("pose", f"given in a {self.type} row", allowed)
@@ -234,6 +240,10 @@ class Beam(Declared):
             raise Misdeclared(
                 "body_length_m", "missing", "needed by a beam of length rest with mass"
             )
+        lowest, highest = RANGES["_nm2"]
+        if not all(lowest <= value <= highest for value in self.stiffness):
+            made = ", ".join(f"{value:.3g}" for value in self.stiffness)
+            raise Misdeclared("section", made, f"EI and GJ of {lowest:g} to {highest:g} N m^2")
         return self
 
     @cached_property
@@ -289,6 +299,48 @@ class Marker(Declared):
     position_m: Vec3 = (0.0, 0.0, 0.0)
 
 
+class Anchor(Declared):
+    """A fixed point that distances are measured to, in the frame of the measurements."""
+
+    xyz_m: Vec3 | None = Field(default=None, description="absent: solved from the data")
+
+
+class CameraSensor(Pose):
+    """A calibrated camera in the base frame, whose rays a session holds in its own axes."""
+
+    kind: Literal["camera"]
+
+
+Spread = Positive | tuple[Positive, Positive, Positive]
+"""One standard deviation for all three components, or one each."""
+
+
+class PointTolerance(Declared):
+    """How well a point is known: standard deviation of its position (m)."""
+
+    xyz_m: Spread
+
+
+class PoseTolerance(Declared):
+    """How well a placement is known: standard deviations of position (m) and rotation (deg)."""
+
+    xyz_m: Spread
+    rpy_deg: Spread
+
+
+class Placements(Declared):
+    """Placements that are known to a tolerance. What is absent is unknown and solved from data."""
+
+    base: PoseTolerance | None = None
+    tip: PointTolerance | None = None
+    markers: dict[str, PointTolerance] = Field(default_factory=dict)
+
+
+def three(spread: Spread) -> Vec3:
+    """A standard deviation of each component."""
+    return spread if isinstance(spread, tuple) else (spread, spread, spread)
+
+
 class Arm(Declared):
     """The declared arm."""
 
@@ -304,6 +356,9 @@ class Arm(Declared):
     point_masses: tuple[PointMass, ...] = ()
     camera: CameraPlacement | None = None
     markers: dict[str, Marker] = Field(default_factory=dict)
+    anchors: dict[str, Anchor] = Field(default_factory=dict)
+    sensors: dict[str, CameraSensor] = Field(default_factory=dict)
+    tolerance: Placements = Placements()
 
     @model_validator(mode="after")
     def _chain(self) -> Arm:
@@ -318,6 +373,10 @@ class Arm(Declared):
         for owner, frame in carried:
             if not 0 <= frame <= rows:
                 raise Misdeclared(f"{owner}.frame", frame, f"0..{rows}")
+        for name in self.tolerance.markers:
+            if name not in self.markers:
+                declared = f"a declared marker: {', '.join(self.markers) or 'none'}"
+                raise Misdeclared(f"tolerance.markers.{name}", "unknown", declared)
         if len(set(self.joint_names)) != self.n:
             raise Misdeclared("joints.name", list(self.joint_names), "names that differ")
         for joint in self.joints:
@@ -397,13 +456,23 @@ class Arm(Declared):
         index = {row: k for k, row in enumerate(self.commanded)}
         names = dict(zip(self.joint_names, self.commanded, strict=True))
         for joint in self.joints:
-            if joint.commanded:
+            if joint.commanded and joint.moves:
                 matrix[joint.id - 1, index[joint.id]] = 1.0
             for mimic in joint.mimics:
                 row = names.get(mimic.joint, mimic.joint)  # type: ignore[arg-type]
                 matrix[joint.id - 1, index[row]] += mimic.multiplier  # type: ignore[index]
                 offset[joint.id - 1] += mimic.offset
         return matrix, offset
+
+    def anchor(self, name: str) -> Vec3:
+        """Declared place of an anchor (m), the origin where it is to be solved."""
+        held = self.anchors.get(name)
+        return held.xyz_m if held is not None and held.xyz_m is not None else (0.0, 0.0, 0.0)
+
+    def camera_frame(self, name: str) -> np.ndarray:
+        """Pose (3, 4) of a declared camera in the base frame; the base where there is none."""
+        held = self.sensors.get(name)
+        return (held.frame() if isinstance(held, CameraSensor) else IDENTITY).matrix()[:3]
 
     @cached_property
     def hash(self) -> str:

@@ -1,9 +1,9 @@
 """The arm at one q, already computed: stations along the chain, and the weight they carry.
 
-An arm is a chain of *stations*: the base, a bearing and a frame per row, and one
-station at the far end of every beam element.  `Chain` knows their order; `Posture`
-holds where they are (deflected) and what hangs on them.  Whoever holds a `Posture`
-knows that the geometry is current.
+An arm is a chain of *stations*: where the base is placed, the base, a bearing and a frame per
+row, one at the far end of every beam element, and one for the tip and each marker.  `Chain`
+knows their order; `Posture` holds where they are (deflected) and what hangs on them.  Whoever
+holds a `Posture` knows that the geometry is current.
 
 Only weight loads the arm, so all a station has to carry is the mass beyond it and
 its first moment: ``force = m g`` and ``moment about p = (S - m p) x g``.
@@ -24,6 +24,8 @@ from longarm_comp.core.arm.spatial import IDENTITY, ZERO, Frame, Scalar, Twist, 
 
 Twists = Mapping[int, Twist]
 LineLoads = dict[int, list[tuple[Scalar, Scalar]]]
+BASE, PLACEMENT = 0, 1
+"""Stations of the base and, before it in the chain, of where it stands: that twist may be large."""
 _UNIT: tuple[Vec, Vec, Vec] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -69,7 +71,7 @@ class Chain:
     def __init__(self, arm: Arm, elements_per_beam: int = 2) -> None:
         self.arm = arm
         self.rows: list[ChainRow] = []
-        count = 1
+        count = 2
         for joint in arm.joints:
             made: dict[str, tuple[Element, ...]] = {}
             bearing = 0
@@ -88,12 +90,15 @@ class Chain:
                 made[role] = tuple(elements)
             self.rows.append(ChainRow(bearing, count, made["a"], made["d"]))
             count += 1
-        self.stations = count
+        carriers = {"": arm.tip.frame, **{name: m.frame for name, m in arm.markers.items()}}
+        self.spots = {name: count + k for k, name in enumerate(carriers)}
+        self.carriers = {self.spots[name]: self.frame_station(f) for name, f in carriers.items()}
+        self.stations = count + len(carriers)
         self.mixing, self.offset = arm.mixing
 
     def frame_station(self, row: int) -> int:
         """Station of row `row`'s frame; row 0 is the base."""
-        return 0 if row == 0 else self.rows[row - 1].frame
+        return BASE if row == 0 else self.rows[row - 1].frame
 
     def values(self, q: Sequence[Scalar]) -> list[Scalar]:
         """Joint value of every row (rad or m) from the commanded q (passive joints follow)."""
@@ -123,7 +128,7 @@ class Chain:
 
         def deflect(frame: Frame, station: int) -> Frame:
             twist = twists.get(station)
-            exp = spatial.exp if station else spatial.exp_large  # a base may stand anywhere
+            exp = spatial.exp_large if station == PLACEMENT else spatial.exp
             frame = frame if twist is None else frame @ exp(twist)
             frames[station] = frame
             return frame
@@ -142,7 +147,7 @@ class Chain:
                 return frame
             return frame if type(left) is float and left == 0.0 else frame.along(axis, left)
 
-        frame = deflect(arm.base.frame(), 0)
+        frame = deflect(deflect(arm.base.frame(), PLACEMENT), BASE)
         for joint, row, value in zip(arm.joints, self.rows, self.values(q), strict=True):
             if joint.type == "fixed" and joint.pose is not None:
                 frame = deflect(frame @ joint.pose.frame(), row.bearing)
@@ -158,6 +163,8 @@ class Chain:
                 frame = deflect(frame.turned_z(theta), row.bearing)
                 frame = run(frame, row.elements_d, 2, d)
             frame = deflect(frame, row.frame)
+        for spot, carrier in self.carriers.items():
+            deflect(frames[carrier], spot)
         return frames, lengths
 
 
@@ -324,6 +331,10 @@ class Posture:
     def frame(self, row: int) -> int:
         """Station of a row's frame; row 0 is the base."""
         return self.chain.frame_station(row)
+
+    def spot(self, marker: str = "") -> int:
+        """Station of the tip, or of a marker, on the frame that carries it; no mass hangs there."""
+        return self.chain.spots[marker]
 
 
 def abs_(x: Scalar) -> Scalar:

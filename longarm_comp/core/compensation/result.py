@@ -244,8 +244,14 @@ def outside(reason: str) -> str:
     return f"{text}: {reason}" if reason else text
 
 
+_BEYOND_M = 1e7
+"""No declared length reaches so far; only a linear deflection of an arm far too weak does."""
+
+
 def missed(what: str, found: Solution) -> str:
     """How far a target or pseudo-target is missed, and why."""
+    if not found.position_residual_m < _BEYOND_M:
+        return f"{what} missed: the arm as declared bends without bound (loads, masses, stiffness)"
     return (
         f"{what} missed by {1e3 * found.position_residual_m:.3f} mm, "
         f"{np.degrees(found.angle_residual_rad):.4f} deg: {found.reason.value}"

@@ -17,12 +17,17 @@ from longarm_comp.core.effects.joint_term import typical_loads, with_prior
 
 @dataclass(frozen=True)
 class BaseCompliance(Effect):
-    """Soft ground, floor or carrier: tilt about x and y per moment about them."""
+    """Soft ground, floor or carrier: tilt about x and y per moment about them.
+
+    A carrier is rarely as soft along as across, so that each axis has its own compliance.  With
+    both, it equals a bearing tilt of the first joint where the two have the same pivot.
+    """
 
     name: ClassVar[str] = "base_compliance"
     loaded: ClassVar[bool] = True
 
-    compliance: float = parameter("rad/(N m)", "tilt per overturning moment", prior=2e-3, lower=0.0)
+    about_x: float = parameter("rad/(N m)", "tilt about x per moment", prior=2e-3, lower=0.0)
+    about_y: float = parameter("rad/(N m)", "tilt about y per moment", prior=2e-3, lower=0.0)
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
@@ -41,4 +46,4 @@ class BaseCompliance(Effect):
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Rotation of the base frame."""
         x, y, _ = posture.moment(0)
-        return {0: (0.0, 0.0, 0.0, self.compliance * x, self.compliance * y, 0.0)}
+        return {0: (0.0, 0.0, 0.0, self.about_x * x, self.about_y * y, 0.0)}

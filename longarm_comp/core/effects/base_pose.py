@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 from typing_extensions import Self
 
-from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import Effect, parameter, place
+from longarm_comp.core.arm.arm import Arm, three
+from longarm_comp.core.arm.posture import PLACEMENT, Posture
+from longarm_comp.core.arm.spatial import Frame, Twist, exp_large
+from longarm_comp.core.effects.effect import Effect, Parameter, parameter, place
 
 
 @dataclass(frozen=True)
 class BasePose(Effect):
-    """Placement error of the base frame; one per `group` where the base was moved.
+    """Placement of the base beyond the declared one; one per `group` where the base was moved.
 
     It says where the tracker's frame lies, so gravity turns with it and keeps its declared
     direction in the arm's base; a base that leans against gravity is `gravity_direction`.
+    The base may stand anywhere, unless arm.yaml gives a tolerance.
     """
 
     name: ClassVar[str] = "base_pose"
@@ -27,12 +30,12 @@ class BasePose(Effect):
     seen_only: ClassVar[bool] = True
 
     group: str = place(default="")
-    x: float = parameter("m", "base position error", prior=0.05)
-    y: float = parameter("m", "base position error", prior=0.05)
-    z: float = parameter("m", "base position error", prior=0.05)
-    rx: float = parameter("rad", "base orientation error", prior=0.05)
-    ry: float = parameter("rad", "base orientation error", prior=0.05)
-    rz: float = parameter("rad", "base orientation error", prior=0.05)
+    x: float = parameter("m", "base position error", prior=0.05, unknown=True)
+    y: float = parameter("m", "base position error", prior=0.05, unknown=True)
+    z: float = parameter("m", "base position error", prior=0.05, unknown=True)
+    rx: float = parameter("rad", "base orientation error", prior=0.05, unknown=True)
+    ry: float = parameter("rad", "base orientation error", prior=0.05, unknown=True)
+    rz: float = parameter("rad", "base orientation error", prior=0.05, unknown=True)
 
     @property
     def where(self) -> str:
@@ -44,10 +47,25 @@ class BasePose(Effect):
         """One placement."""
         return [(cls(),)]
 
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Unknown, or with the priors of the declared tolerance."""
+        known = arm.tolerance.base
+        if known is None:
+            return self.declared()
+        turn = (math.radians(v) for v in three(known.rpy_deg))
+        priors = (*three(known.xyz_m), *turn)
+        pairs = zip(self.declared(), priors, strict=True)
+        return tuple(dataclasses.replace(p, prior=prior, unknown=False) for p, prior in pairs)
+
+    def base(self, arm: Arm) -> Frame:
+        """The declared base, moved."""
+        moved = exp_large((self.x, self.y, self.z, self.rx, self.ry, self.rz))
+        return arm.base.frame() @ moved
+
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """The placement's twist at the base, for the rows of its group."""
         twist: Twist = (self.x, self.y, self.z, self.rx, self.ry, self.rz)
         if self.group:
             mine = posture.context.is_label("group", self.group)
             twist = tuple(mine * t for t in twist)  # type: ignore[assignment]
-        return {0: twist}
+        return {PLACEMENT: twist}

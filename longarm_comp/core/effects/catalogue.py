@@ -18,20 +18,24 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TypeVar
 
+from longarm_comp.core.effects.anchor_place import AnchorPlace
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.base_compliance import BaseCompliance
 from longarm_comp.core.effects.base_pose import BasePose
+from longarm_comp.core.effects.base_settling import BaseSettling
 from longarm_comp.core.effects.bearing_tilt import BearingTilt
 from longarm_comp.core.effects.camera_drift import CameraDrift
 from longarm_comp.core.effects.camera_pose import CameraPose
 from longarm_comp.core.effects.camera_radial import CameraRadial
 from longarm_comp.core.effects.camera_scale import CameraScale
+from longarm_comp.core.effects.column_bending import ColumnBending
 from longarm_comp.core.effects.creep import Creep
 from longarm_comp.core.effects.dh_error import DhError
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.gravity_direction import GravityDirection
+from longarm_comp.core.effects.guide_curvature import GuideCurvature
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.joint_zero import JointZero
@@ -39,11 +43,15 @@ from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.link_stiffness import LinkStiffness
 from longarm_comp.core.effects.measured_tilt import MeasuredTilt
 from longarm_comp.core.effects.prismatic_pitch import PrismaticPitch
+from longarm_comp.core.effects.sensor_place import SensorPlace
 from longarm_comp.core.effects.servo_droop import ServoDroop
 from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
+from longarm_comp.core.effects.slide_play import SlidePlay
 from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.effects.thermal_softening import ThermalSoftening
 from longarm_comp.core.effects.tip_offset import TipOffset
+from longarm_comp.core.effects.tip_orientation import TipOrientation
 from longarm_comp.core.effects.tip_payload import TipPayload
 from longarm_comp.core.errors import InputError
 
@@ -58,6 +66,9 @@ _OURS: tuple[Kind, ...] = (
     DhError,
     BasePose,
     TipOffset,
+    TipOrientation,
+    AnchorPlace,
+    SensorPlace,
     CameraPose,
     LinkDeflection,
     JointCompliance,
@@ -65,7 +76,11 @@ _OURS: tuple[Kind, ...] = (
     LinkStiffness,
     TipPayload,
     TelescopeClearance,
+    ColumnBending,
+    SlidePlay,
+    GuideCurvature,
     BaseCompliance,
+    BaseSettling,
     MeasuredTilt,
     GravityDirection,
     Backlash,
@@ -76,6 +91,7 @@ _OURS: tuple[Kind, ...] = (
     ServoDroop,
     ServoQuantisation,
     ThermalGrowth,
+    ThermalSoftening,
     Creep,
     CameraScale,
     CameraRadial,

@@ -17,23 +17,39 @@ from typing import Any, ClassVar
 
 from typing_extensions import Self
 
+from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Lumped, Posture
-from longarm_comp.core.arm.spatial import Twist, Vec
+from longarm_comp.core.arm.spatial import Frame, Twist, Vec
 from longarm_comp.core.errors import InputError
+
+FLAT = 1000.0
+"""Width of a prior that knows nothing, in ordinary sizes: 50 m and 50 rad for a base."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect: unit, meaning, prior standard deviation and physical bounds."""
+    """One number of an effect: unit, meaning, prior standard deviation and physical bounds.
+
+    Attributes:
+        prior: standard deviation of plausible values; 0 means fixed at its value.
+        unknown: nothing is known beforehand: the prior is the size of an ordinary change only,
+            and the fit's prior is so much wider that it does not pull.
+    """
 
     name: str
     unit: str
     meaning: str
-    prior: float  # 0 means fixed at its value
+    prior: float
     lower: float = -math.inf
     upper: float = math.inf
+    unknown: bool = False
+
+    @property
+    def width(self) -> float:
+        """Standard deviation of the fit's prior."""
+        return FLAT * self.prior if self.unknown else self.prior
 
 
 _PARAMETER, _PLACE, _FORM = "parameter", "place", "form"
@@ -47,6 +63,7 @@ def parameter(
     lower: float = -math.inf,
     upper: float = math.inf,
     default: float = 0.0,
+    unknown: bool = False,
 ) -> Any:
     """Declare a field as a fitted parameter.
 
@@ -56,8 +73,10 @@ def parameter(
         prior: standard deviation of plausible values; 0 fixes the parameter at its value.
         lower, upper: physical bounds.
         default: value of an arm without this error.
+        unknown: whether nothing is known beforehand, so that the prior must not pull.
     """
     meta = {"unit": unit, "meaning": meaning, "prior": prior, "lower": lower, "upper": upper}
+    meta["unknown"] = unknown
     return dataclasses.field(default=default, metadata={_PARAMETER: meta})
 
 
@@ -272,6 +291,10 @@ class Effect(_Term, ABC):
         """Gravity in the base frame with this effect (m/s^2)."""
         return gravity
 
+    def base(self, arm: Arm) -> Frame | None:
+        """Where the base stands in the frame of the measurements, for an effect that says so."""
+        return None
+
     @property
     def changes_loads(self) -> bool:
         """Whether the effect acts through the loads on other effects instead of by a twist."""
@@ -281,8 +304,32 @@ class Effect(_Term, ABC):
 
 @dataclass(frozen=True)
 class Bias(_Term, ABC):
-    """A camera-side cause. It moves the *seen* point, not the arm, and is never compensated."""
+    """A camera-side cause. It moves the *seen* point, not the arm, and is never compensated.
+
+    Attributes:
+        sees: kinds of measurement (`core/data/measurement.py`) that it acts on.
+    """
+
+    sees: ClassVar[frozenset[str]] = frozenset({"position", "orientation"})
 
     @abstractmethod
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
         """Point reported by the camera for a tip at `point` (m, base frame)."""
+
+    def seen_pose(self, tip: Frame, context: Context, arm: Arm) -> Frame:
+        """Pose reported for a tip; by default its axes move with the points around it.
+
+        The axes need not be of unit length or perpendicular: a scale stretches them.
+        """
+
+        def axis(direction: Vec) -> Vec:
+            half = spatial.scale(_AROUND, direction)
+            ahead = self.seen(spatial.add(tip.p, half), context, arm)
+            behind = self.seen(spatial.sub(tip.p, half), context, arm)
+            return spatial.scale(0.5 / _AROUND, spatial.sub(ahead, behind))
+
+        return Frame(axis(tip.n), axis(tip.o), axis(tip.a), self.seen(tip.p, context, arm))
+
+
+_AROUND = 0.01
+"""Distance from the tip (m) of the points that show how a camera turns what it sees."""

@@ -10,28 +10,38 @@ from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm, Beam
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import parameter
-from longarm_comp.core.effects.joint_term import JointTerm
+from longarm_comp.core.effects.effect import Parameter, parameter
+from longarm_comp.core.effects.joint_term import JointTerm, typical_loads, with_prior
 
 
 @dataclass(frozen=True)
 class TelescopeClearance(JointTerm):
-    """Tilt ``clearance / overlap(q)`` in the direction of the moment at the guide.
+    """Tilt ``clearance / overlap + give * moment / overlap^2`` towards the moment at the guide.
 
     The overlap is what is left of the sliding body inside the beam before it; the tilt
-    acts at the mouth of that beam.  A moment decides only the direction, so the tilt is
-    the same under any load.
+    acts at the mouth of that beam.  For the clearance a moment decides only the direction.
+    The pads at both ends of the overlap also give under load: forces of moment / overlap,
+    each with an arm of the overlap.
     """
 
     name: ClassVar[str] = "telescope_clearance"
     loaded: ClassVar[bool] = True
 
     clearance: float = parameter("m", "play of the body in its guide", prior=3e-4, lower=0.0)
+    give: float = parameter("m/N", "compression of both pads together per force", 1e-5, lower=0.0)
 
     @classmethod
     def fits(cls, arm: Arm, row: int) -> bool:
         """Prismatic joints with a beam of length rest that slides in another."""
         return arm.joints[row - 1].type == "prismatic" and _slider(arm, row) is not None
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Prior of the give: 3 mrad under the arm's typical torque at half the body's length."""
+        slider = _slider(arm, self.joint)
+        body = slider.body_length_m if slider and slider.body_length_m else 1.0
+        clearance, give = self.declared()
+        (give,) = with_prior((give,), prior=3e-3 * (body / 2) ** 2 / typical_loads(arm)[1])
+        return clearance, give
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Rotation about the lateral moment's direction at the mouth of the outer beam."""
@@ -45,10 +55,11 @@ class TelescopeClearance(JointTerm):
                 out = out + posture.lengths[e.station]
             else:
                 mouth = e.station
-        tilt = self.clearance / (slider.body_length_m - out)
+        overlap = slider.body_length_m - out
         x, y, _ = posture.moment(mouth)
         size = spatial.sqrt(x * x + y * y + 1e-12)
-        return {mouth: (0.0, 0.0, 0.0, tilt * x / size, tilt * y / size, 0.0)}
+        tilt = self.clearance / (overlap * size) + self.give / (overlap * overlap)
+        return {mouth: (0.0, 0.0, 0.0, tilt * x, tilt * y, 0.0)}
 
 
 def _slider(arm: Arm, row: int) -> Beam | None:

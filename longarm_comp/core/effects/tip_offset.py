@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 from typing_extensions import Self
 
-from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.arm import Arm, three
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import Effect, markers, parameter, place
+from longarm_comp.core.effects.effect import Effect, Parameter, markers, parameter, place
 
 
 @dataclass(frozen=True)
 class TipOffset(Effect):
-    """Position error of the tip (of one marker, where a session has several) in its frame."""
+    """Position error of the tip (of one marker, where a session has several) in its frame.
+
+    The tip may be anywhere in its frame, unless arm.yaml gives a tolerance.
+    """
 
     name: ClassVar[str] = "tip_offset"
     geometry: ClassVar[bool] = True
 
     marker: str = place(markers, default="")
-    x: float = parameter("m", "tip position error along x", prior=3e-3)
-    y: float = parameter("m", "tip position error along y", prior=3e-3)
-    z: float = parameter("m", "tip position error along z", prior=3e-3)
+    x: float = parameter("m", "tip position error along x", prior=3e-3, unknown=True)
+    y: float = parameter("m", "tip position error along y", prior=3e-3, unknown=True)
+    z: float = parameter("m", "tip position error along z", prior=3e-3, unknown=True)
 
     @property
     def where(self) -> str:
@@ -36,12 +40,19 @@ class TipOffset(Effect):
         """Every declared marker, or the tip."""
         return [tuple(cls(marker=name) for name in arm.markers) or (cls(),)]
 
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Unknown, or with the priors of the declared tolerance."""
+        tolerance = arm.tolerance
+        known = tolerance.markers.get(self.marker) if self.marker else tolerance.tip
+        if known is None:
+            return self.declared()
+        pairs = zip(self.declared(), three(known.xyz_m), strict=True)
+        return tuple(dataclasses.replace(p, prior=prior, unknown=False) for p, prior in pairs)
+
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """Translation in the carrying frame."""
-        arm = posture.arm
+        """Translation in the carrying frame, of the marker alone: what hangs there stays."""
+        spot = posture.spot(self.marker)
         if not self.marker:
-            station = posture.frame(arm.tip.frame)
-            return {station: (self.x, self.y, self.z, 0.0, 0.0, 0.0)}
+            return {spot: (self.x, self.y, self.z, 0.0, 0.0, 0.0)}
         mine = posture.context.is_label("marker", self.marker)
-        station = posture.frame(arm.markers[self.marker].frame)
-        return {station: (mine * self.x, mine * self.y, mine * self.z, 0.0, 0.0, 0.0)}
+        return {spot: (mine * self.x, mine * self.y, mine * self.z, 0.0, 0.0, 0.0)}

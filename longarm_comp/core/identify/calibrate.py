@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.base_pose import BasePose
 from longarm_comp.core.effects.dh_error import DhError
@@ -18,6 +17,8 @@ from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.tip_offset import TipOffset
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.fit import ModelFit, fit
+from longarm_comp.core.identify.placement import placed
+from longarm_comp.core.identify.sensor_frames import framed, reference, sensor_frames, started
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 
@@ -64,27 +65,17 @@ class Rung:
     held_out: Errors
 
 
-def errors(model: Model, session: Session) -> np.ndarray:
-    """(N, 3) measured - predicted over the seen rows, m."""
-    seen = session.take(session.seen)
-    return seen.xyz - model.measured(seen.q, seen.context())
-
-
-def geometry(arm: Arm, session: Session) -> tuple[Effect, ...]:
+def geometry(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
     """What is always fitted: base placements, markers, every joint zero and DH row."""
     return (*frames(arm, session), *JointZero.for_arm(arm), *DhError.for_arm(arm))
 
 
-def frames(arm: Arm, session: Session) -> tuple[Effect, ...]:
-    """Base placement(s) and markers only: what any measurement needs."""
+def frames(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
+    """Base placement(s), markers and what the sensors leave open: what any measurement needs."""
     groups = sorted(set(session.labels["group"])) if "group" in session.labels else []
     bases = tuple(BasePose(group=str(g)) for g in groups) if len(groups) > 1 else (BasePose(),)
-    return (*bases, *TipOffset.for_arm(arm))
-
-
-def with_frames(model: Model, session: Session) -> Model:
-    """The model with its frames free to move, where it does not hold them already."""
-    return _with_missing(model, frames(model.arm, session))
+    placed = bases if framed(arm, session) else ()
+    return (*placed, *TipOffset.for_arm(arm), *sensor_frames(arm, session))
 
 
 def with_geometry(model: Model, session: Session) -> Model:
@@ -92,54 +83,40 @@ def with_geometry(model: Model, session: Session) -> Model:
     return _with_missing(model, geometry(model.arm, session))
 
 
-def _with_missing(model: Model, terms: Sequence[Effect]) -> Model:
+def _with_missing(model: Model, terms: Sequence[Effect | Bias]) -> Model:
     known = {(t.name, t.where) for t in model.terms}
     return model.plus(*(t for t in terms if (t.name, t.where) not in known))
 
 
-def align(model: Model, session: Session, beyond: float = 0.1) -> Model:
-    """Put the base placements roughly where the data say, when they are far off (Kabsch).
+def stages(
+    model: Model, session: Session, progress: Callable[[str], None] | None = None
+) -> Iterator[tuple[str, ModelFit]]:
+    """Frames only, joint zeros, full geometry on top of a model, each started from the last.
+
+    The frames are placed in closed form first.  The last fit is what every command calls
+    calibrated.
 
     Args:
-        model: holds one `base_pose` per group.
-        session: measured rows.
-        beyond: median misfit (m) above which the placement is replaced.
+        model: what is known already.
+        session: rows to fit.
+        progress: called with each name before it is fitted.
+
+    Raises:
+        InputError, JobError: as `fit`.
     """
-    seen = session.take(session.seen)
-    effects = list(model.effects)
-    for k, effect in enumerate(effects):
-        if not isinstance(effect, BasePose):
-            continue
-        mine = np.ones(len(seen), bool)
-        if effect.group and "group" in seen.labels:
-            mine = seen.labels["group"] == effect.group
-        rows = seen.take(mine)
-        if len(rows) < 4:
-            continue
-        predicted = model.tip(rows.q, rows.context())
-        if np.median(np.linalg.norm(rows.xyz - predicted, axis=1)) <= beyond:
-            continue
-        home = model.arm.base.frame().matrix()
-        local = (predicted - home[:3, 3]) @ home[:3, :3]
-        target = (rows.xyz - home[:3, 3]) @ home[:3, :3]
-        turn, _ = Rotation.align_vectors(target - target.mean(0), local - local.mean(0))
-        shift = target.mean(0) - turn.apply(local.mean(0))
-        d, w = _log(turn, shift)
-        names = ("x", "y", "z", "rx", "ry", "rz")
-        effects[k] = effect.with_values(dict(zip(names, (*d, *w), strict=True)))
-    return dataclasses.replace(model, effects=tuple(effects))
-
-
-def _log(turn: Rotation, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Twist of a finite motion: the inverse of `spatial.exp_large`."""
-    w = turn.as_rotvec()
-    angle = np.linalg.norm(w)
-    hat = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
-    if angle < 1e-9:
-        return shift, w
-    b = (1 - np.cos(angle)) / angle**2
-    c = (angle - np.sin(angle)) / angle**3
-    return np.linalg.solve(np.eye(3) + b * hat + c * hat @ hat, shift), w
+    base = frames(model.arm, session)
+    start = placed(_with_missing(model, base), reference(session))
+    start = started(start, session)
+    for name, terms in (
+        ("frames_only", base),
+        ("joint_zeros", (*base, *JointZero.for_arm(model.arm))),
+        ("geometry", geometry(model.arm, session)),
+    ):
+        if progress is not None:
+            progress(name)
+        fitted = fit(warm(_with_missing(model, terms), start), session)
+        start = fitted.model
+        yield name, fitted
 
 
 def ladder(
@@ -164,25 +141,17 @@ def ladder(
     Raises:
         InputError: too few rows, or an input that an effect needs is missing.
     """
-    if not train.seen.any() or not held_out.seen.any():
-        raise InputError(train.source, "xyz", "no seen rows", "seen rows to train and to hold out")
+    if not train.placed.any() or not held_out.placed.any():
+        allowed = "rows that say where the tip is, to train and to hold out"
+        raise InputError(train.source, "xyz", "no seen rows", allowed)
     base = declared_model(arm, deflection=deflection)
-    placed = frames(arm, train)
-    steps: list[tuple[str, tuple[Effect | Bias, ...]]] = [
-        ("frames_only", placed),
-        ("joint_zeros", (*placed, *JointZero.for_arm(arm))),
-        ("geometry", geometry(arm, train)),
-    ]
-    for name, terms in effects:
-        steps.append((name, (*steps[-1][1], *terms)))
     rungs = [_rung("nominal", base, None, train, held_out)]
-    start = align(base.plus(*placed), train)
-    for name, terms in steps:
+    for name, fitted in stages(base, train, progress):
+        rungs.append(_rung(name, fitted.model, fitted, train, held_out))
+    for name, terms in effects:
         if progress is not None:
             progress(name)
-        model = warm(base.plus(*terms), start)
-        fitted = fit(model, train)
-        start = fitted.model
+        fitted = fit(rungs[-1].model.plus(*terms), train)
         rungs.append(_rung(name, fitted.model, fitted, train, held_out))
     return rungs
 

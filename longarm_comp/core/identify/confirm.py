@@ -10,10 +10,11 @@ from itertools import combinations, pairwise
 import numpy as np
 from scipy.stats import norm
 
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
 from longarm_comp.core.identify.evidence import columns_at, key, neighbours
-from longarm_comp.core.identify.fit import ModelFit
+from longarm_comp.core.identify.fit import ModelFit, priors
 from longarm_comp.core.identify.search import SearchResult
 
 RESAMPLES = 300
@@ -22,6 +23,8 @@ LOOSE = 3.0
 """Times a found value that its prior must reach, so that it hardly pulls at the interval."""
 HOLDS = 3.0
 """Log Bayes factor above which the evidence of a resample holds."""
+TOGETHER = 0.95
+"""Two recorded quantities that correlate more than this are confounded."""
 SHARED = 0.5
 """Two findings that lose more of their evidence beside each other than this overlap."""
 
@@ -73,7 +76,7 @@ def confirm(
 ) -> Confirmed:
     """Block bootstrap of the final linear problem, and its stability under doubt."""
     fit = result.fit
-    blocks = len(_block_rows(len(fit.design) // 3))
+    blocks = len(_block_rows(len(fit.design), fit.width))
     counts = rng.multinomial(blocks, np.full(blocks, 1 / blocks), size=RESAMPLES)
     index = {
         f.name: np.array(
@@ -102,7 +105,7 @@ def _intervals(
     """
     wider = _wider(fit, found)
     design = np.concatenate([fit.design * wider, nuisance_columns(fit, found, candidates)], axis=1)
-    gram, right = _blocks(design, fit.data)
+    gram, right = _blocks(design, fit.data, fit.width)
     prior_gram = np.eye(design.shape[1])
     draws = np.array(
         [
@@ -112,7 +115,7 @@ def _intervals(
     )
     inverse = np.linalg.inv(gram.sum(0) + prior_gram)
     kept = slice(len(fit.slots))
-    scale = np.array([s.parameter.prior for s in fit.slots]) * wider
+    scale = priors(fit.slots) * wider
     centre = (inverse @ right.sum(0))[kept] * scale
     sd = np.maximum(draws.std(axis=0), np.sqrt(np.diag(inverse)))[kept] * scale
     half = norm.ppf(0.975) * sd
@@ -130,7 +133,7 @@ def _stability(
     fit: ModelFit, found: Sequence[EffectFinding], index: dict[str, np.ndarray], counts: np.ndarray
 ) -> dict[str, float]:
     """By effect, share of the resamples in which its evidence stays."""
-    gram, right = _blocks(fit.design, fit.data)
+    gram, right = _blocks(fit.design, fit.data, fit.width)
     whole = {f.name: _block_gains(fit, f) for f in found if not len(index[f.name])}
     tests: dict[str, list[float]] = {f.name: [] for f in found}
     for count in counts:
@@ -169,9 +172,9 @@ def _overlaps(fit: ModelFit, index: dict[str, np.ndarray]) -> tuple[Overlap, ...
     return tuple(made)
 
 
-def _blocks(a: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normal equations of successive blocks of rows: (B, p, p), (B, p)."""
-    parts = _block_rows(len(a) // 3)
+def _blocks(a: np.ndarray, y: np.ndarray, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Normal equations of successive blocks of rows of so many channels: (B, p, p), (B, p)."""
+    parts = _block_rows(len(a), width)
     return np.stack([a[s].T @ a[s] for s in parts]), np.stack([a[s].T @ y[s] for s in parts])
 
 
@@ -181,11 +184,12 @@ def _block_gains(fit: ModelFit, found: EffectFinding) -> np.ndarray:
     white = fit.whitened(shift[..., None])[:, 0]
     left = fit.whitened(fit.residual[..., None])[:, 0]
     gain = left * white + 0.5 * white * white
-    return np.array([gain[s].sum() for s in _block_rows(len(gain) // 3)])
+    return np.array([gain[s].sum() for s in _block_rows(len(gain), fit.width)])
 
 
-def _block_rows(rows: int) -> list[slice]:
-    cuts = np.linspace(0, rows, min(BLOCKS, rows) + 1).astype(int) * 3
+def _block_rows(equations: int, width: int) -> list[slice]:
+    rows = equations // width
+    cuts = np.linspace(0, rows, min(BLOCKS, rows) + 1).astype(int) * width
     return [slice(lo, hi) for lo, hi in pairwise(cuts)]
 
 
@@ -205,6 +209,7 @@ def _evidence(gram: np.ndarray, right: np.ndarray, own: np.ndarray) -> float:
 def _doubts(fit: ModelFit, found: EffectFinding, own: np.ndarray, stable: float) -> tuple[str, ...]:
     """What a sceptic would say."""
     said = [f"{part.name} could stand for its {part.part}" for part in found.partial_aliases]
+    said += _confounded(fit, found)
     if stable < 0.95:
         said.append(f"its evidence holds in {100 * stable:.0f} % of resampled sessions only")
     if not len(own):
@@ -225,6 +230,31 @@ def _doubts(fit: ModelFit, found: EffectFinding, own: np.ndarray, stable: float)
     return tuple(said)
 
 
+def _confounded(fit: ModelFit, found: EffectFinding) -> list[str]:
+    """Inputs of an effect that run together with another recorded quantity, in words."""
+    session, arm = fit.session, fit.model.arm
+    joints = {f"q{k + 1}": session.q[:, k] for k in range(arm.n)}
+    recorded = {**joints, **session.columns}
+    varied = {name: v for name, v in recorded.items() if np.ptp(v) > 0.0}
+    own = {name for t in found.terms for name in t.inputs}
+    own |= {f"q{arm.commanded.index(j) + 1}" for t in found.terms for j in _commanded(t, arm)}
+    said = []
+    for one, two in combinations(varied, 2):
+        if not {one, two} & own or {one, two} <= set(joints):
+            continue
+        together = float(np.corrcoef(varied[one], varied[two])[0, 1])
+        if abs(together) > TOGETHER:
+            said.append(
+                f"{one} and {two} run together in these rows (correlation {together:.2f}): "
+                "measure poses in random order, or at other times"
+            )
+    return said
+
+
+def _commanded(term: Term, arm: Arm) -> list[int]:
+    return [joint for joint in term.joints if joint in arm.commanded]
+
+
 STEP = 0.05
 """Of the width between the neighbouring tried values: step of a form's slope."""
 
@@ -232,7 +262,7 @@ STEP = 0.05
 def nuisance_columns(
     fit: ModelFit, found: Sequence[EffectFinding], candidates: Sequence[Candidate]
 ) -> np.ndarray:
-    """(3M, k) whitened, prior-scaled columns."""
+    """(dM, k) whitened, prior-scaled columns."""
     columns = columns_at(fit)
     other = {**_dropped(fit, found, candidates), **_standing_in(found)}
     made = [columns.of(tuple(other.values()))]
@@ -263,7 +293,7 @@ def _standing_in(found: Sequence[EffectFinding]) -> dict[tuple[str, str], Term]:
 def _slopes(
     fit: ModelFit, columns: CandidateColumns, terms: Sequence[Term], candidates: Sequence[Candidate]
 ) -> list[np.ndarray]:
-    """(N, 3, 1) shift of the tip as each scale moves half way to the next tried value."""
+    """(N, d, 1) change of the rows as each scale moves half way to the next tried value."""
     ways: list[tuple[Term, Term, float]] = []
     for term in terms:
         for field in term.scales():

@@ -13,12 +13,13 @@ from longarm_comp.core.data.holdout import Sealed, blocked_split
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.aliasing import MOST_NAMES, EffectFinding, findings, on_few_levels
-from longarm_comp.core.identify.calibrate import align, declared_model, with_frames, with_geometry
+from longarm_comp.core.identify.calibrate import declared_model, stages
 from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.confirm import Confirmed, confirm
 from longarm_comp.core.identify.fit import ModelFit, fit
 from longarm_comp.core.identify.next_poses import NextPoses, next_poses
 from longarm_comp.core.identify.noise import from_repeats
+from longarm_comp.core.identify.plausible import check_noise, check_sizes, check_worth
 from longarm_comp.core.identify.proof import LearnedCorrection, Proof, prove
 from longarm_comp.core.identify.search import SearchResult, search
 from longarm_comp.core.identify.structure import Structure, examine
@@ -123,7 +124,7 @@ def diagnose(
 
     Raises:
         InputError: too few rows.
-        JobError: a fit did not stay finite.
+        JobError: a fit did not stay finite, or the outcome may not be believed.
     """
     say = progress or (lambda _: None)
     rng = np.random.default_rng(seed)
@@ -137,13 +138,11 @@ def diagnose(
     session = as_fitted(session, nominal)
     test = None if test is None else as_fitted(test, nominal)
     train, rest = _split(session, test, seed)
-    base = with_geometry(nominal, train)
-    candidates = library(arm, train.context(), kinds, base.terms)
-    say("frames")
-    placed = fit(align(with_frames(nominal, train), train), train)
-    start = align(base, train)
+    staged = dict(stages(nominal, train, say))
+    calibrated = staged["geometry"].model
+    candidates = library(arm, train.context(), kinds, calibrated.terms)
     identified = _identify(
-        start, train, lambda run_up: rows(run_up)[0], candidates.testable, rng, say
+        calibrated, train, lambda run_up: rows(run_up)[0], candidates.testable, rng, say
     )
     memory = identified.memory
     train, rest = (train, rest) if memory is None else rows(memory.run_up)
@@ -155,19 +154,19 @@ def diagnose(
     held_out = opened.take(opened.seen)
     models = {
         "nominal": nominal,
-        "frames_only": placed.model,
-        "calibrated": identified.calibrated.model,
+        "frames_only": staged["frames_only"].model,
+        "calibrated": calibrated,
         "with_effects": identified.search.fit.model,
     }
     proof = prove(models, identified.calibrated, identified.search.fit, held_out, rng)
-    outcome = _judge(identified, proof, network, learn, held_out, rng)
+    outcome = _judge(identified, calibrated, proof, network, learn, held_out, rng)
     looked_at = np.concatenate([train.q, held_out.q])
     found = tuple(
         on_few_levels(identified.search, identified.candidates, f, looked_at)
         for f in outcome.findings
     )
     say("next poses")
-    return Diagnosis(
+    diagnosis = Diagnosis(
         arm=arm,
         search=identified.search,
         findings=found,
@@ -188,6 +187,18 @@ def diagnose(
         holdout_uses=sealed.uses,
         seed=seed,
     )
+    _check(diagnosis)
+    return diagnosis
+
+
+def _check(found: Diagnosis) -> None:
+    """Refuse an outcome that may not be believed."""
+    final = "calibrated" if found.rolled_back else "with_effects"
+    left, source = found.proof.errors, found.train.source
+    check_worth(left[final], left["frames_only"], source)
+    check_sizes(found.model, source)
+    if found.verdict == "noise":
+        check_noise(found.search.noise.sigma, found.train)
 
 
 # ------------------------------------------------------------------ the training rows
@@ -281,6 +292,7 @@ class _Outcome:
 
 def _judge(
     identified: _Identified,
+    calibrated: Model,
     proof: Proof,
     network: LearnedCorrection | None,
     learn: _Learner,
@@ -295,20 +307,20 @@ def _judge(
     minor = (structure.flag or proof.off) and proof.share < LEAST_SHARE
     tested = proof.with_network(model, network, held_out)
     if identified.findings and (minor or not proof.better):
-        return _roll_back(identified, tested, learn, held_out, rng)
+        return _roll_back(identified, calibrated, tested, learn, held_out, rng)
     kept = network if tested.network_helps("with_effects") else None
     return _Outcome(model, identified.findings, structure, kept, tested, False)
 
 
 def _roll_back(
     identified: _Identified,
+    model: Model,
     proof: Proof,
     learn: _Learner,
     held_out: Session,
     rng: np.random.Generator,
 ) -> _Outcome:
     """The calibrated model, with a network trained on what that one leaves."""
-    model = identified.calibrated.model
     structure = examine(identified.calibrated, identified.calibrated, rng)
     network = learn.on(model, structure)
     tested = proof.with_network(model, network, held_out)
@@ -319,7 +331,8 @@ def _roll_back(
 def _all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Structure:
     """The structure, also where other signs than the test of the fitted rows show some."""
     out = result.fit.weights == 0
-    rejected = float(np.sqrt((result.fit.residual[out] ** 2).sum() / len(out)))
+    lengths = result.fit.residual[:, np.array(result.fit.session.units) == "m"]
+    rejected = float(np.sqrt((lengths[out] ** 2).sum() / len(out)))
     for shows, size, where in (
         (out.mean() > MOST_OUTLIERS, rejected, "outliers"),
         (proof.off, proof.excess_m, "unseen poses"),

@@ -7,6 +7,7 @@ residual (rad), iterations, starts.
 from __future__ import annotations
 
 import importlib.util
+import math
 from collections import ChainMap
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -237,7 +238,11 @@ def _python(model: Model, context: Context, p: Problem, given: Given, count: int
     results = []
     for s in _filled(given, kernel, count).T.tolist():
         column = Column(kernel.floats, kernel.place, s)
-        newton.run(kernel.flows[f"search{p.m}"], column.call, column.repeat)
+        try:
+            newton.run(kernel.flows[f"search{p.m}"], column.call, column.repeat)
+        except ArithmeticError:  # beyond the range of numbers, where the other engines give NaN
+            for at in kernel.place["size"]:
+                s[at] = math.inf
         results.append(s)
     return _read(np.array(results).T, kernel)
 

@@ -21,6 +21,9 @@ from longarm_comp.core.learn.predictor import Predictor, Provenance
 FORMAT = "longarm/predictor"
 VERSION = 1
 
+_MOST_BYTES = 256_000_000
+"""An ensemble of the widest networks is a tenth of this."""
+
 _ARRAYS = (
     "kept", "mean", "input_scale", "lower", "upper", "weights", "posterior", "offset", "noise",
     "widen",
@@ -57,6 +60,7 @@ def save(predictor: Predictor, path: str | os.PathLike[str]) -> None:
         offset=predictor.offset,
         noise=predictor.noise,
         widen=predictor.widen,
+        alone=predictor.alone,
     )
     with atomic_path(path) as partial:
         partial.write_bytes(buffer.getvalue())
@@ -100,6 +104,9 @@ def load(
             raise InputError(path, name, "NaN or infinite", "finite numbers")
     if not (arrays["input_scale"] > 0).all():
         raise InputError(path, "input_scale", arrays["input_scale"].min(), "> 0")
+    alone = arrays.get("alone", np.full(3, np.inf))  # files of earlier versions hold none
+    if alone.shape != (3,) or alone.dtype.kind != "f" or not (alone >= 0).all():
+        raise InputError(path, "alone", alone.tolist(), "three lengths of 0 m or more")
     if arm_hash is not None and header["arm_hash"] != arm_hash:
         raise InputError(path, "arm_hash", header["arm_hash"], f"{arm_hash} (the arm in use)")
     names = tuple(header["joint_names"])
@@ -117,6 +124,7 @@ def load(
         noise=arrays["noise"],
         widen=arrays["widen"],
         variance_limit=header["variance_limit"],
+        alone=alone,
         provenance=Provenance(
             header["arm_hash"], header["session_hash"], names, header["settings"]
         ),
@@ -144,6 +152,7 @@ def belongs(predictor: Predictor, path: str | os.PathLike[str], model_hash: str,
 def _arrays(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
     try:
         with zipfile.ZipFile(Path(path)) as probe:
+            _check_size(path, probe)
             broken = probe.testzip()
             if broken is not None:
                 raise InputError(path, broken, "checksum does not match", "an undamaged file")
@@ -153,13 +162,22 @@ def _arrays(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
         raise InputError(path, "predictor file", "not found", "an existing file") from error
     except OSError as error:
         raise InputError(path, "predictor file", str(error), "a readable file") from error
-    except (zipfile.BadZipFile, ValueError, EOFError, KeyError, NotImplementedError) as error:
+    except InputError:
+        raise
+    except Exception as error:  # whatever zipfile, zlib and numpy raise on damaged bytes
         found = f"corrupt or truncated ({error})"
         raise InputError(path, "predictor file", found, "an npz that longarm wrote") from error
     for name in ("header", *_ARRAYS):
-        if name not in arrays:
+        if not isinstance(arrays.get(name), np.ndarray):
             raise InputError(path, name, "missing", f"the arrays {['header', *_ARRAYS]}")
     return arrays
+
+
+def _check_size(path: str | os.PathLike[str], archive: zipfile.ZipFile) -> None:
+    """Refuse what would unpack to more than a predictor can hold, before it is unpacked."""
+    size = sum(entry.file_size for entry in archive.infolist())
+    if size > _MOST_BYTES:
+        raise InputError(path, "unpacked size", f"{size} bytes", f"at most {_MOST_BYTES} bytes")
 
 
 _HEADER_TYPES: dict[str, type | tuple[type, ...]] = {
@@ -171,7 +189,7 @@ _HEADER_TYPES: dict[str, type | tuple[type, ...]] = {
 def _header(path: str | os.PathLike[str], arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
     try:
         header = json.loads(arrays["header"].tobytes().decode())
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(path, "header", "not JSON", "a JSON object") from error
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         found = header.get("format") if isinstance(header, dict) else type(header).__name__

@@ -10,11 +10,12 @@ import dataclasses
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_type_hints
 
 import numpy as np
 import yaml
-from pydantic import Field
+from pydantic import Field, model_validator
+from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.catalogue import effect_class, origin
@@ -22,7 +23,10 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.yaml_file import Declared, parse_declared, read_yaml
+from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, read_yaml
+
+MOST_PASSES, MOST_ELEMENTS = 50, 64
+"""More load passes, or more elements a beam, change no digit and take minutes."""
 
 AS_DECLARED = 0
 """Version of a file that holds the arm as declared, for a first change to be undone."""
@@ -34,6 +38,12 @@ class StoredValue(Declared):
     value: float
     unit: str
     ci95: tuple[float, float] | None = None
+
+    @model_validator(mode="after")
+    def _ordered(self) -> StoredValue:
+        if self.ci95 is not None and not self.ci95[0] <= self.ci95[1]:
+            raise Misdeclared("ci95", list(self.ci95), "[lower, upper] with lower <= upper")
+        return self
 
 
 class StoredTerm(Declared):
@@ -53,19 +63,29 @@ class ArmReference(Declared):
     hash: str
 
 
+class StoredBase(Declared):
+    """Where a base stands in the frame of the measurements (m; fixed-axis roll, pitch, yaw)."""
+
+    xyz_m: tuple[float, float, float]
+    rpy_deg: tuple[float, float, float]
+
+
 class StoredModel(Declared):
     """The whole file. All keys are required, so that a truncated file is detected."""
 
     schema_: Literal["longarm/model/1"] = Field(alias="schema")
     version: int = Field(ge=0)
     arm: ArmReference
-    passes: int = Field(ge=1)
-    elements_per_beam: int = Field(ge=1)
+    passes: int = Field(ge=1, le=MOST_PASSES)
+    elements_per_beam: int = Field(ge=1, le=MOST_ELEMENTS)
     geometry: list[StoredTerm]
     effects: list[StoredTerm]
     camera: list[StoredTerm]
     provenance: dict[str, str | int | float]
     arrivals: tuple[tuple[int, int], ...] = ()
+    placement: dict[str, StoredBase] = Field(
+        default_factory=dict, description="for people and other programs; `geometry` is what counts"
+    )
 
 
 def store(
@@ -119,8 +139,23 @@ def store(
         elements_per_beam=model.elements_per_beam,
         provenance={**(provenance or {}), **_sources(model)},
         arrivals=model.arrivals,
+        placement=_bases(model),
         **sides,
     )
+
+
+def _bases(model: Model) -> dict[str, StoredBase]:
+    """Where every base stands, as `base` of arm.yaml would say it."""
+    made = {}
+    for effect in model.effects:
+        frame = effect.base(model.arm)
+        if frame is not None:
+            matrix = frame.matrix()
+            rpy = Rotation.from_matrix(matrix[:3, :3]).as_euler("xyz", degrees=True)
+            x, y, z = (round(float(v), 7) for v in matrix[:3, 3])
+            roll, pitch, yaw = (round(float(v), 6) for v in rpy)
+            made[effect.where] = StoredBase(xyz_m=(x, y, z), rpy_deg=(roll, pitch, yaw))
+    return made
 
 
 def _sources(model: Model) -> dict[str, str]:
@@ -171,12 +206,18 @@ def undo(path: str | Path) -> None:
     """Restore the previous version, byte for byte.
 
     Raises:
-        InputError: there is no previous version.
+        InputError: there is no previous version, it is no model, or it cannot be moved.
     """
     kept = previous(path)
     if not kept.is_file():
         raise InputError(str(path), "previous version", "missing", f"a file {kept.name}")
-    os.replace(kept, path)
+    read_stored(kept)
+    try:
+        os.replace(kept, path)
+    except OSError as error:
+        raise InputError(
+            str(path), "file", error.strerror, "a file that may be replaced"
+        ) from error
 
 
 def read_stored(path: str | Path) -> StoredModel:
@@ -208,6 +249,7 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
             f"the arm given: {arm.name} {arm.hash[:12]} (calibrate again after editing arm.yaml)",
         )
     terms: list[Effect | Bias] = []
+    held: set[tuple[str, ...]] = set()
     for entry in (*stored.geometry, *stored.effects, *stored.camera):
         known_from = str(stored.provenance.get(_source_key(entry.effect), ""))
         kind = effect_class(entry.effect, where, known_from)
@@ -222,7 +264,12 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
             term = kind(**entry.form, **values)
         except TypeError as error:
             raise InputError(where, entry.effect, entry.form, str(error)) from error
+        _check_form(term, where)
         _check_place(term, arm, where)
+        same = (term.name, *map(str, term.placement.items()))
+        if same in held:
+            raise InputError(where, f"{term.name}, {term.where}", "twice", "each effect once")
+        held.add(same)
         for p in term.parameters(arm):
             field, value = f"{entry.effect}.{p.name}", getattr(term, p.name)
             if p.name in values and entry.parameters[p.name].unit != p.unit:
@@ -245,6 +292,20 @@ def _arrivals(stored: StoredModel, arm: Arm, where: str) -> tuple[tuple[int, int
         allowed = f"two numbers for each of {arm.n} joints, or none"
         raise InputError(where, "arrivals", f"of {len(stored.arrivals)} joints", allowed)
     return stored.arrivals
+
+
+def _check_form(term: Effect | Bias, where: str) -> None:
+    """Check that places and forms are of the declared kind, and forms on their scale."""
+    kinds = get_type_hints(type(term))
+    for name, value in term.placement.items():
+        kind = kinds[name]
+        fits = type(value) is kind or (kind is float and type(value) is int)
+        if kind in (int, float, str) and not fits:
+            allowed = {int: "a whole number", float: "a number", str: "text"}[kind]
+            raise InputError(where, f"{term.name}.{name}", value, allowed)
+    for name, (lower, upper) in term.scales().items():
+        if not lower <= getattr(term, name) <= upper:
+            raise InputError(where, f"{term.name}.{name}", getattr(term, name), f"{lower}..{upper}")
 
 
 def _check_place(term: Effect | Bias, arm: Arm, where: str) -> None:

@@ -70,6 +70,10 @@ class HiddenEffect:
         """True placement of the foot: x, y, z, roll, pitch, yaw, (6,) m and rad."""
         return pose
 
+    def foot(self, state: State) -> Array | float:
+        """Motion of the foot along the axes of the base frame, (3, N) m."""
+        return 0.0
+
     def gravity(self, gravity: Array) -> Array:
         """True gravity in the base frame, (3,) m/s^2."""
         return gravity

@@ -112,6 +112,7 @@ HIDDEN: dict[str, Maker] = {
     "base_pose": _base_pose,
     "gravity_direction": lambda arm, rng: geometry.GravityDirection(0.05 * _signs(rng, 2)),
     "thermal_growth": _thermal,
+    "thermal_softening": lambda arm, rng: loads.ThermalSoftening(rng.uniform(5e-3, 2e-2)),
     "joint_gain": lambda arm, rng: drives.JointGain(
         _turning(arm, rng, 0.01, 0.03) * _signs(rng, arm.n)
     ),
@@ -130,8 +131,13 @@ HIDDEN: dict[str, Maker] = {
     "friction_memory": lambda arm, rng: drives.FrictionMemory(_turning(arm, rng, 1e-3, 3e-3)),
     "joint_compliance": lambda arm, rng: loads.JointCompliance(_turning(arm, rng, 1e-3, 5e-3)),
     "bearing_tilt": lambda arm, rng: loads.BearingTilt(_turning(arm, rng, 5e-4, 2e-3)),
-    "base_compliance": lambda arm, rng: loads.BaseCompliance(rng.uniform(5e-4, 1.5e-3)),
-    "telescope_clearance": lambda arm, rng: loads.TelescopeClearance(rng.uniform(3e-4, 8e-4)),
+    "base_compliance": lambda arm, rng: loads.BaseCompliance(rng.uniform(5e-4, 1.5e-3, 2)),
+    "base_settling": lambda arm, rng: loads.BaseSettling(
+        -rng.uniform(5e-4, 1.5e-3), rng.uniform(1e-3, 3e-3, 2) * _signs(rng, 2)
+    ),
+    "telescope_clearance": lambda arm, rng: loads.TelescopeClearance(
+        rng.uniform(3e-4, 8e-4), pads=rng.uniform(2e-6, 1e-5)
+    ),
     "link_stiffness": _link_stiffness,
     "creep": lambda arm, rng: loads.Creep(rng.uniform(0.1, 0.3), rng.uniform(1500, 6000)),
     "tip_payload": lambda arm, rng: loads.TipPayload(rng.uniform(0.05, 0.15)),

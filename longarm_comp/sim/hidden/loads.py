@@ -49,33 +49,59 @@ class BearingTilt(HiddenEffect):
 
 @dataclass(frozen=True)
 class BaseCompliance(HiddenEffect):
-    """The foot tilts: `compliance` rad/(N m) times the overturning moment."""
+    """The foot tilts: `compliance` (2,) rad/(N m) times the moments about x and y."""
 
     name: ClassVar[str] = "base_compliance"
     doses: ClassVar[tuple[str, ...]] = ("compliance",)
-    compliance: float
+    compliance: Array
 
     def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
         if place.kind != "base":
             return None
-        turn = self.compliance * beyond.moment
-        turn[2] = 0.0
+        turn = np.zeros_like(beyond.moment)
+        turn[0], turn[1] = (
+            self.compliance[0] * beyond.moment[0],
+            self.compliance[1] * beyond.moment[1],
+        )
+        return turn
+
+
+@dataclass(frozen=True)
+class BaseSettling(HiddenEffect):
+    """The foot sinks by `sink` m/h and leans by `lean` (2,) rad/h about x and y."""
+
+    name: ClassVar[str] = "base_settling"
+    doses: ClassVar[tuple[str, ...]] = ("sink", "lean")
+    sink: float
+    lean: Array
+
+    def foot(self, state: State) -> Array:
+        sunk = self.sink * state.t_s / 3600.0
+        return np.stack([0 * sunk, 0 * sunk, sunk])
+
+    def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
+        if place.kind != "base":
+            return None
+        turn = np.zeros_like(beyond.moment)
+        turn[:2] = np.reshape(self.lean, (2, 1, 1)) * (state.t_s / 3600.0)
         return turn
 
 
 @dataclass(frozen=True)
 class TelescopeClearance(HiddenEffect):
-    """Sliding beams droop in their guides by clearance / overlap, towards the load.
+    """Sliding beams droop in their guides by clearance / overlap, towards the load, and give.
 
     Attributes:
         clearance: across the guide, m.
         firm: moment at which the play is taken up (tanh), N m.
+        pads: compression per force of the two pads of a guide, an overlap apart, m/N.
     """
 
     name: ClassVar[str] = "telescope_clearance"
-    doses: ClassVar[tuple[str, ...]] = ("clearance",)
+    doses: ClassVar[tuple[str, ...]] = ("clearance", "pads")
     clearance: float
     firm: float = 0.02
+    pads: float = 0.0
 
     def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
         if place.kind != "slide" or place.overlap is None:
@@ -84,7 +110,9 @@ class TelescopeClearance(HiddenEffect):
         along = 0 if place.beam is not None and place.beam.role == "a" else 2
         across[along] = 0.0
         size = np.sqrt(np.sum(across**2, axis=0))
-        tilt = self.clearance / np.maximum(place.overlap, 0.01) * np.tanh(size / self.firm)
+        overlap = np.maximum(place.overlap, 0.01)
+        pressed = self.pads * size / overlap  # by the force on each pad
+        tilt = (self.clearance * np.tanh(size / self.firm) + pressed) / overlap
         return tilt * across / np.maximum(size, 1e-12)
 
 
@@ -112,6 +140,35 @@ class Creep(HiddenEffect):
 
     def softness(self, beam: Beam, state: State) -> Array | float:
         return 1 + self.more * -np.expm1(-state.t_s / self.time_s)
+
+
+@dataclass(frozen=True)
+class ThermalSoftening(HiddenEffect):
+    """The print softens as it warms: compliance times 1 + `rate` (T - reference), 1/K."""
+
+    name: ClassVar[str] = "thermal_softening"
+    doses: ClassVar[tuple[str, ...]] = ("rate",)
+    rate: float
+
+    def softness(self, beam: Beam, state: State) -> Array | float:
+        return 1 + self.rate * (state.temperature_c - state.arm.reference_temperature_c)
+
+
+@dataclass(frozen=True)
+class SlidePlay(HiddenEffect):
+    """What the slide of row `row` carries rocks by `angle` (rad) to its heavy side."""
+
+    name: ClassVar[str] = "slide_play"
+    doses: ClassVar[tuple[str, ...]] = ("angle",)
+    row: int
+    angle: float
+
+    def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
+        if place.kind != "frame" or place.row != self.row:
+            return None
+        across = beyond.moment.copy()
+        across[2] = 0.0
+        return self.angle * across / np.maximum(np.sqrt(np.sum(across**2, axis=0)), 1e-12)
 
 
 @dataclass(frozen=True)

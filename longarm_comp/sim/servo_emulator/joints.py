@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.strict_yaml import read_yaml
 
 TICKS_PER_TURN = 4096.0
 
@@ -65,10 +64,7 @@ def read_arm(path: str | Path) -> EmulatedArm:
     Raises:
         InputError: the file cannot be read, or a value that the emulator needs is missing.
     """
-    try:
-        data = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise InputError(path, "file", error, "readable YAML") from error
+    data = read_yaml(path)
     if isinstance(data, dict) and len(data) == 1:
         (only,) = data.values()
         data = only.get("ros__parameters", data) if isinstance(only, dict) else data

@@ -1,0 +1,234 @@
+"""Rigid registration of an arm to its sightings: where its bases stand, and where its markers sit.
+
+A row's sighting is ``R_g (o + B t_k) + p_g``: group g's base at (R_g, p_g), marker k moved by t_k
+in the frame that carries it, o its declared place and B that frame's axes, both in the base.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.model.model import Model, unstack
+
+TURNS, STEPS = 6, 20
+"""Times that the rows are weighed again: with the markers still, and with all free."""
+ENOUGH = 3
+"""Rows of a group, at least, to find its rotation from them alone."""
+SETTLED = 1e-3
+"""Share of the misfit that a step must take off for another to follow."""
+_RANK = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """What is registered.
+
+    Attributes:
+        point: (N, 3) declared place of the row's marker, m, in the base frame.
+        axes: (N, 3, 3) axes of the frame that carries it, in columns, in the base frame.
+        seen: (N, 3) m.
+        group: (N,) number of the base placement, 0..G-1.
+        marker: (N,) number of the marker, 0..K-1.
+    """
+
+    point: np.ndarray
+    axes: np.ndarray
+    seen: np.ndarray
+    group: np.ndarray
+    marker: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        session: Session,
+        groups: Sequence[str] | None = None,
+        markers: Sequence[str] | None = None,
+    ) -> Sightings:
+        """The seen rows against a model that places nothing itself.
+
+        Args:
+            model: the arm, sagged or rigid.
+            session: measured rows.
+            groups: names of the base placements; by default one per frame of the session.
+            markers: names of the markers, empty for the tip; all of the arm's by default.
+        """
+        seen, arm = session.take(session.located), model.arm
+        blank = np.full(len(seen), "")
+        marked = "marker" in seen.labels and arm.markers
+        markers = markers or (list(arm.markers) if marked else [""])
+        group = seen.frames if groups is None else seen.labels.get("group", blank)
+        groups = groups or sorted(set(group)) or [""]
+        marker = _numbers(seen.labels.get("marker", blank), markers)
+        posture = model.posture(unstack(seen.q), seen.context())
+        axes, point = np.empty((len(seen), 3, 3)), np.empty((len(seen), 3))
+        for k, name in enumerate(markers):
+            at = arm.markers[name] if name else arm.tip
+            frame = posture.frames[posture.spot(name)].matrix()
+            matrix = np.broadcast_to(frame, (len(seen), 4, 4))[marker == k]
+            axes[marker == k] = matrix[:, :3, :3]
+            point[marker == k] = matrix[:, :3, :3] @ np.array(at.position_m) + matrix[:, :3, 3]
+        return cls(point, axes, seen.xyz, _numbers(group, groups), marker)
+
+
+def _numbers(labels: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """(N,) number of each label among the names; 0 for one that is not there."""
+    known = {name: k for k, name in enumerate(names)}
+    return np.array([known.get(str(label), 0) for label in labels], dtype=int)
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """Where everything is.
+
+    Attributes:
+        rotation: (G, 3, 3) of each base in the frame of the measurements.
+        offset: (G, 3) m.
+        tip: (K, 3) m beyond each marker's declared place, in the frame that carries it.
+        residual: (N, 3) seen - registered, m.
+    """
+
+    rotation: np.ndarray
+    offset: np.ndarray
+    tip: np.ndarray
+    residual: np.ndarray
+
+    @property
+    def misfit(self) -> float:
+        """Median distance of a row, m."""
+        return float(np.median(np.linalg.norm(self.residual, axis=1)))
+
+
+def register(rows: Sightings, tips: bool = True) -> Registration:
+    """Bases and markers that bring the arm's points closest to the sightings, outliers apart.
+
+    The better of two starts is refined by Gauss-Newton on the distances: the marker where it is
+    declared, and the linear solution with rotation, marker and their product as unknowns of
+    their own.  Directions that the rows do not determine are left as declared.
+
+    Args:
+        rows: N >= 3.
+        tips: whether the markers are unknown as well.
+    """
+    still = np.zeros((int(rows.marker.max()) + 1, 3))
+    best = _refined(rows, still, tips)
+    if tips:
+        linear = _linear_tips(rows, _weights(best.residual))
+        other = best if linear is None else _refined(rows, linear, tips)
+        best = min(best, other, key=lambda r: r.misfit)
+    return best
+
+
+def kabsch(
+    points: np.ndarray, seen: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation (3, 3) and offset (3,) of (N, 3) points to sightings, weighted (Kabsch 1976)."""
+    share = (weights / weights.sum())[:, None]
+    a, b = (share * points).sum(0), (share * seen).sum(0)
+    u, _, vt = np.linalg.svd((share * (seen - b)).T @ (points - a))
+    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return rotation, b - rotation @ a
+
+
+def _weights(residual: np.ndarray) -> np.ndarray:
+    """(N,) 1 for the closer half of the rows, falling with the square of the distance beyond."""
+    distance = np.linalg.norm(residual, axis=1)
+    return 1.0 / np.maximum(1.0, distance / max(float(np.median(distance)), 1e-12)) ** 2
+
+
+def _refined(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
+    """Alternate bases and weights at a given marker, then Gauss-Newton on everything."""
+    groups = int(rows.group.max()) + 1
+    point = rows.point + np.einsum("nij,nj->ni", rows.axes, tip[rows.marker])
+    rotation, offset = np.zeros((groups, 3, 3)), np.zeros((groups, 3))
+    counts = np.bincount(rows.group, minlength=groups)
+    for g in sorted(range(groups), key=lambda g: -counts[g]):
+        mine = rows.group == g
+        like = rotation[np.argmax(counts)]
+        rotation[g], offset[g] = _base(point[mine], rows.seen[mine], like)
+    made = _look(rows, rotation, offset, tip)
+    for _ in range(STEPS if tips else 0):
+        following = _step(rows, made)
+        if following.misfit > made.misfit:
+            break
+        settled = following.misfit > (1.0 - SETTLED) * made.misfit
+        made = following
+        if settled:
+            break
+    return made
+
+
+def _base(point: np.ndarray, seen: np.ndarray, like: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """One base, its worst rows counted less; with too few rows it is turned `like` another."""
+    if len(point) < ENOUGH:
+        return like, np.median(seen - point @ like.T, axis=0)
+    weights = np.ones(len(point))
+    for _ in range(TURNS):
+        rotation, offset = kabsch(point, seen, weights)
+        weights = _weights(seen - point @ rotation.T - offset)
+    return rotation, offset
+
+
+def _look(
+    rows: Sightings, rotation: np.ndarray, offset: np.ndarray, tip: np.ndarray
+) -> Registration:
+    local = rows.point + np.einsum("nij,nj->ni", rows.axes, tip[rows.marker])
+    predicted = np.einsum("nij,nj->ni", rotation[rows.group], local) + offset[rows.group]
+    return Registration(rotation, offset, tip, rows.seen - predicted)
+
+
+def _step(rows: Sightings, now: Registration) -> Registration:
+    """One weighted Gauss-Newton step in turn and shift of every base and place of every marker."""
+    n, groups, kinds = len(rows.seen), len(now.offset), len(now.tip)
+    turned = rows.seen - now.residual
+    centre = np.stack([turned[rows.group == g].mean(0) for g in range(groups)])
+    arm = turned - centre[rows.group]
+    design = np.zeros((n, 3, 6 * groups + 3 * kinds))
+    every = np.arange(n)
+    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        design[every, j, 6 * rows.group + k] = arm[:, i]
+        design[every, i, 6 * rows.group + k] = -arm[:, j]
+        design[every, k, 6 * rows.group + 3 + k] = 1.0
+    moved = np.einsum("nij,njk->nik", now.rotation[rows.group], rows.axes)
+    for k in range(3):
+        design[every, :, 6 * groups + 3 * rows.marker + k] = moved[:, :, k]
+    root = np.sqrt(_weights(now.residual))[:, None]
+    a = (design * root[..., None]).reshape(3 * n, -1)
+    x = np.linalg.lstsq(a, (now.residual * root).reshape(-1), rcond=_RANK)[0]
+    change = x[: 6 * groups].reshape(groups, 6)
+    turn = Rotation.from_rotvec(change[:, :3]).as_matrix()
+    rotation = turn @ now.rotation
+    offset = np.einsum("gij,gj->gi", turn, now.offset - centre) + centre + change[:, 3:]
+    return _look(rows, rotation, offset, now.tip + x[6 * groups :].reshape(kinds, 3))
+
+
+def _linear_tips(rows: Sightings, weights: np.ndarray) -> np.ndarray | None:
+    """(K, 3) marker places from the linear problem; None where the rows do not determine it.
+
+    With X = R and Y_j = R t_j as free numbers, a sighting is linear: ``X o + sum_j Y_j B_j + p``.
+    Only the largest group is used, and only its markers move.
+    """
+    g = int(np.argmax(np.bincount(rows.group)))
+    tip = np.zeros((rows.marker.max() + 1, 3))
+    for marker in range(len(tip)):
+        mine = (rows.group == g) & (rows.marker == marker)
+        count = int(mine.sum())
+        if count < 4 * 13:
+            continue
+        point, axes = rows.point[mine], rows.axes[mine].reshape(count, 9)
+        known = np.column_stack([point, axes, np.ones(count)])
+        root = np.sqrt(weights[mine])[:, None]
+        x, _, rank, _ = np.linalg.lstsq(known * root, rows.seen[mine] * root, rcond=1e-6)
+        if rank < 13:
+            continue
+        u, _, vt = np.linalg.svd(x[:3].T)
+        rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+        products = x[3:12].reshape(3, 3, 3)  # row i of B, column j of B, axis of the sighting
+        local = np.einsum("ijk,kl->ijl", products, rotation)
+        tip[marker] = np.einsum("iji->j", local) / 3
+    return tip if tip.any() else None

@@ -1,0 +1,46 @@
+"""A base that settles: ground, floor or clamps yield while the arm works."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from typing_extensions import Self
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.effects.effect import Effect, parameter
+
+
+@dataclass(frozen=True)
+class BaseSettling(Effect):
+    """The base sinks and leans at a constant rate.
+
+    It moves the arm, so it is compensated.  A camera that drifts only seems to move it
+    (`CameraDrift`): sinking alone cannot be told from that, leaning can.
+    """
+
+    name: ClassVar[str] = "base_settling"
+    needs: ClassVar[tuple[str, ...]] = ("t_s",)
+
+    sink: float = parameter("m/h", "motion along z of the base frame", prior=1e-3)
+    about_x: float = parameter("rad/h", "lean about x of the base frame", prior=2e-3)
+    about_y: float = parameter("rad/h", "lean about y of the base frame", prior=2e-3)
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """One base."""
+        return [(cls(),)]
+
+    @property
+    def where(self) -> str:
+        """``base``."""
+        return "base"
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """Motion of the base frame since the session began."""
+        hours = posture.context.column("t_s", 0.0) / 3600.0
+        sunk, x, y = self.sink * hours, self.about_x * hours, self.about_y * hours
+        return {0: (0.0, 0.0, sunk, x, y, 0.0)}

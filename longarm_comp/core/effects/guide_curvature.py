@@ -1,0 +1,37 @@
+"""A guide that is not straight: what it carries leans more the further it extends."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.effects.effect import parameter
+from longarm_comp.core.effects.joint_term import JointTerm
+
+
+@dataclass(frozen=True)
+class GuideCurvature(JointTerm):
+    """Constant curvature: the slide turns by ``curvature * q`` and moves by its integral.
+
+    These are the pitch and yaw of a linear axis in ISO 230-1, to first order in its travel.
+    """
+
+    name: ClassVar[str] = "guide_curvature"
+
+    about_x: float = parameter("rad/m", "turn about x per travel", prior=5e-3)
+    about_y: float = parameter("rad/m", "turn about y per travel", prior=5e-3)
+
+    @classmethod
+    def fits(cls, arm: Arm, row: int) -> bool:
+        """Prismatic joints."""
+        return arm.joints[row - 1].type == "prismatic"
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """Turn and lateral motion of the row's frame."""
+        q = posture.q[posture.arm.commanded.index(self.joint)]
+        x, y = self.about_x * q, self.about_y * q
+        return {posture.frame(self.joint): (0.5 * q * y, -0.5 * q * x, 0.0, x, y, 0.0)}

@@ -1,0 +1,41 @@
+"""Beams that soften as they warm: the modulus of plastics falls by about one percent per kelvin."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from typing_extensions import Self
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.effects.effect import Effect, parameter
+from longarm_comp.core.effects.link_deflection import cantilever
+
+
+@dataclass(frozen=True)
+class ThermalSoftening(Effect):
+    """The declared sag grows by ``softening (T - T_ref)``."""
+
+    name: ClassVar[str] = "thermal_softening"
+    needs: ClassVar[tuple[str, ...]] = ("temperature_c",)
+    loaded: ClassVar[bool] = True
+
+    softening: float = parameter("1/K", "extra sag over the declared one, per kelvin", prior=0.01)
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """All beams together."""
+        return [(cls(),)] if arm.links else []
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """The declared cantilever twist times the extra share."""
+        reference = posture.arm.reference_temperature_c
+        share = self.softening * (posture.context.column("temperature_c", reference) - reference)
+        elements = (e for row in posture.chain.rows for e in row.elements_a + row.elements_d)
+        return {
+            e.station: tuple(share * t for t in cantilever(posture, e))  # type: ignore[misc]
+            for e in elements
+        }

@@ -1,0 +1,125 @@
+"""Slides without a declared guide: a column that bends, leans with its extension, or rocks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from column_arm import BENT, COLUMN, EI, arm
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.base_settling import BaseSettling
+from longarm_comp.core.effects.catalogue import LIBRARY
+from longarm_comp.core.effects.column_bending import ColumnBending
+from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.effects.guide_curvature import GuideCurvature
+from longarm_comp.core.effects.slide_play import SlidePlay
+from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
+from longarm_comp.core.identify.diagnosis import diagnose
+from longarm_comp.core.model.model import Model
+from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.hidden import loads
+
+
+def poses(n: int) -> np.ndarray:
+    declared = arm()
+    return np.random.default_rng(3).uniform(declared.lower, declared.upper, (n, declared.n))
+
+
+def bent(q: np.ndarray) -> np.ndarray:
+    """The same column, with its beam declared, as an exact rod."""
+    return TrueArm(arm(BENT)).tip(q)
+
+
+def leaning(q: np.ndarray, about_x: float = 4e-3, about_y: float = -3e-3) -> np.ndarray:
+    """Along the arc of constant curvature, in small steps of the guide; then the rigid arm."""
+    beyond = Arm.parse(
+        COLUMN
+        | {
+            "joints": [
+                {"id": 1, "type": "prismatic", "limits_m": [0.0, 1.2]},
+                *COLUMN["joints"][1:],
+            ]
+        },
+        "test",
+    )
+    out = []
+    for one in q:
+        steps = 400
+        step = one[0] / steps
+        turn = np.eye(3)
+        at = np.array([0.0, 0.0, 0.4])
+        w = np.array([about_x, about_y, 0.0]) * step
+        small = np.eye(3) + np.array([[0, 0, w[1]], [0, 0, -w[0]], [-w[1], w[0], 0]])
+        for _ in range(steps):
+            at = at + turn @ np.array([0.0, 0.0, step])
+            turn = turn @ small
+        rest = TrueArm(beyond).tip(np.array([0.0, *one[1:]]))
+        out.append(at + turn @ rest)
+    return np.array(out)
+
+
+def rocking(q: np.ndarray) -> np.ndarray:
+    return TrueArm(arm(), [loads.SlidePlay(1, 6e-3)]).tip(q)
+
+
+SLIDES: dict[str, tuple[Any, Effect]] = {
+    "column_bending": (bent, ColumnBending(joint=1, flexibility=1 / EI)),
+    "guide_curvature": (leaning, GuideCurvature(joint=1, about_x=4e-3, about_y=-3e-3)),
+    "slide_play": (rocking, SlidePlay(joint=1, tilt=6e-3)),
+}
+
+
+@pytest.mark.parametrize("name", SLIDES)
+def test_the_effect_is_what_the_true_column_does(name: str) -> None:
+    truth, effect = SLIDES[name]
+    q = poses(40)
+    straight = TrueArm(arm()).tip(q)
+    moved = truth(q) - straight
+    assert np.linalg.norm(moved, axis=1).mean() > 1e-3
+    said = Model(arm(), (effect,)).tip(q) - Model(arm()).tip(q)
+    assert np.abs(said - moved).max() < 0.02 * np.linalg.norm(moved, axis=1).max()
+
+
+@pytest.mark.parametrize("name", SLIDES)
+def test_a_diagnosis_names_it_and_its_size(name: str) -> None:
+    truth, effect = SLIDES[name]
+    q = poses(140)
+    seen = truth(q) + np.random.default_rng(4).normal(0.0, 3e-4, (len(q), 3))
+    found = diagnose(arm(), Session.record(q, seen), seed=1)
+    (finding,) = found.findings
+    assert finding.name == name
+    assert finding.where == ("joint 1",)
+    (term,) = finding.terms
+    for parameter in effect.declared():
+        true = getattr(effect, parameter.name)
+        assert getattr(term, parameter.name) == pytest.approx(true, rel=0.25)
+
+
+def test_a_declared_guide_has_its_own_effects(demo_arm_path) -> None:
+    demo = Arm.load(demo_arm_path)
+    for kind in (ColumnBending, SlidePlay):
+        assert kind in LIBRARY
+        assert kind.rows(arm()) == [1]
+        assert kind.rows(demo) == []
+    assert TelescopeClearance.rows(arm()) == []
+    assert GuideCurvature.rows(demo) == [3, 7]
+
+
+@pytest.mark.parametrize("in_order", [True, False])
+def test_time_that_runs_with_the_column_makes_a_set_and_is_named(in_order: bool) -> None:
+    """Rows sorted by the column's height: sinking, a camera that drifts and a wrong pitch."""
+    rng = np.random.default_rng(4)
+    q = poses(160)
+    q = q[np.argsort(q[:, 0])] if in_order else q
+    t = np.linspace(0.0, 7200.0, len(q))
+    model = Model(arm()).plus(BaseSettling(sink=-3e-3))
+    seen = model.measured(q, Context(columns={"t_s": t})) + rng.normal(0.0, 3e-4, (len(q), 3))
+    found = diagnose(arm(), Session.record(q, seen, columns={"t_s": t}), seed=1)
+    (finding,) = found.findings
+    assert {"camera_drift", "base_settling"} <= set(finding.names)
+    together = [note for note in found.confirmed.notes[finding.name] if "run together" in note]
+    assert [note.startswith("q1 and t_s") for note in together] == ([True] if in_order else [])
