@@ -120,6 +120,14 @@ def test_setting_of_the_paper(arm: Arm) -> None:
     np.testing.assert_array_equal(mixed.rows(10).q, mixed.session.q[:10])
 
 
+def test_the_network_of_the_paper_never_refuses(arm: Arm) -> None:
+    bench = table1.Bench.draw(arm, 3, 0, 40)
+    q, residual, context = table1.training_rows(bench.declared, bench.session)
+    predictor = table1.ssa_bp(q, residual, context, 0)
+    far = predictor.predict(np.stack([q[0], q[0] + 100.0]))
+    assert far.in_domain.all() and np.isfinite(far.error).all()
+
+
 def test_same_seed_same_arm_and_other_number_other_arm(arm: Arm) -> None:
     """Everything follows from the seed."""
     one, again, other = (table1.Bench.draw(arm, 3, k, 5) for k in (0, 0, 1))

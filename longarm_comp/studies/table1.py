@@ -98,8 +98,10 @@ class Outcome:
 
 
 def ssa_bp(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:
-    """The paper's network: joints in, one member."""
-    return train(q, residual, None, inputs=_JOINTS_ONLY, hidden=HIDDEN, ensemble=1, seed=seed)
+    """The paper's network: joints in, one member, and it never refuses."""
+    made = train(q, residual, None, inputs=_JOINTS_ONLY, hidden=HIDDEN, ensemble=1, seed=seed)
+    far = np.full_like(made.lower, np.inf)
+    return replace(made, lower=-far, upper=far, variance_limit=np.inf, alone=np.full(3, np.inf))
 
 
 def ssa_bp_best(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:
