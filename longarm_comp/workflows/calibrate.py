@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.holdout import blocked_split
+from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import effect_class
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import Rung, ladder
 from longarm_comp.core.identify.fit import ModelFit, fit
+from longarm_comp.core.identify.plausible import check_carries_over, check_sizes, check_worth
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.version import __version__
@@ -167,7 +169,8 @@ def calibrate(
     Raises:
         InputError: the session was refused; an effect has no place on this arm or needs an input
             that was not recorded.
-        JobError: a fit diverged.
+        JobError: a fit diverged, or may not be believed: worse on unseen rows than placed
+            frames alone, not carried over to them, or an effect of a size that no arm has.
     """
     chosen = [_named(effect, arm) for effect in effects]
     whole = admitted(session, arm, note=note)
@@ -182,8 +185,12 @@ def calibrate(
         deflection=deflection,
         progress=lambda name: progress(name, next(done) / steps),
     )
+    last, held = rungs[-1].model, errors(rungs[-1].model, held_out)
+    check_worth(held, errors(rungs[1].model, held_out), whole.source)
+    check_carries_over(errors(last, train), held, whole.source)
     progress("all rows", (steps - 1) / steps)
-    final = fit(rungs[-1].model, whole)
+    final = fit(last, whole)
+    check_sizes(final.model, whole.source)
     return Calibration(tuple(rungs), len(chosen), len(held_out), final, whole, seed)
 
 

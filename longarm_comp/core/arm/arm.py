@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from longarm_comp.core.arm.spatial import Frame, rpy_frame
+from longarm_comp.core.arm.spatial import IDENTITY, Frame, rpy_frame
 from longarm_comp.core.yaml_file import RANGES, Declared, Misdeclared, parse_declared, read_yaml
 
 Vec3 = tuple[float, float, float]
@@ -86,6 +86,10 @@ class Joint(Declared):
     mimic: Mimic | list[Mimic] | None = Field(
         default=None, description="a passive joint; several terms are summed"
     )
+    moves: bool = Field(
+        default=True,
+        description="false: a commanded joint beside the chain, which other rows mimic",
+    )
     pose: Pose | None = Field(default=None, description="fixed rows: the whole transform")
     tolerance: Tolerance = Tolerance()
 
@@ -95,6 +99,8 @@ class Joint(Declared):
         key = {"revolute": "limits_deg", "prismatic": "limits_m"}.get(self.type)
         if self.type == "fixed" and self.mimic:
             raise Misdeclared("mimic", self.mimic, "none in a fixed row")
+        if not self.moves and not self.commanded:
+            raise Misdeclared("moves", False, "true, but in the row of a commanded joint")
         if self.pose is not None and self.type != "fixed":
             allowed = "in fixed rows only; use a_m, alpha_deg, d_m, theta_offset_deg"
             raise Misdeclared("pose", f"given in a {self.type} row", allowed)
@@ -293,6 +299,18 @@ class Marker(Declared):
     position_m: Vec3 = (0.0, 0.0, 0.0)
 
 
+class Anchor(Declared):
+    """A fixed point that distances are measured to, in the frame of the measurements."""
+
+    xyz_m: Vec3 | None = Field(default=None, description="absent: solved from the data")
+
+
+class CameraSensor(Pose):
+    """A calibrated camera in the base frame, whose rays a session holds in its own axes."""
+
+    kind: Literal["camera"]
+
+
 Spread = Positive | tuple[Positive, Positive, Positive]
 """One standard deviation for all three components, or one each."""
 
@@ -338,6 +356,8 @@ class Arm(Declared):
     point_masses: tuple[PointMass, ...] = ()
     camera: CameraPlacement | None = None
     markers: dict[str, Marker] = Field(default_factory=dict)
+    anchors: dict[str, Anchor] = Field(default_factory=dict)
+    sensors: dict[str, CameraSensor] = Field(default_factory=dict)
     tolerance: Placements = Placements()
 
     @model_validator(mode="after")
@@ -436,13 +456,23 @@ class Arm(Declared):
         index = {row: k for k, row in enumerate(self.commanded)}
         names = dict(zip(self.joint_names, self.commanded, strict=True))
         for joint in self.joints:
-            if joint.commanded:
+            if joint.commanded and joint.moves:
                 matrix[joint.id - 1, index[joint.id]] = 1.0
             for mimic in joint.mimics:
                 row = names.get(mimic.joint, mimic.joint)  # type: ignore[arg-type]
                 matrix[joint.id - 1, index[row]] += mimic.multiplier  # type: ignore[index]
                 offset[joint.id - 1] += mimic.offset
         return matrix, offset
+
+    def anchor(self, name: str) -> Vec3:
+        """Declared place of an anchor (m), the origin where it is to be solved."""
+        held = self.anchors.get(name)
+        return held.xyz_m if held is not None and held.xyz_m is not None else (0.0, 0.0, 0.0)
+
+    def camera_frame(self, name: str) -> np.ndarray:
+        """Pose (3, 4) of a declared camera in the base frame; the base where there is none."""
+        held = self.sensors.get(name)
+        return (held.frame() if isinstance(held, CameraSensor) else IDENTITY).matrix()[:3]
 
     @cached_property
     def hash(self) -> str:

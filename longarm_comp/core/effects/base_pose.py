@@ -12,7 +12,7 @@ from typing_extensions import Self
 
 from longarm_comp.core.arm.arm import Arm, three
 from longarm_comp.core.arm.posture import PLACEMENT, Posture
-from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.arm.spatial import Frame, Twist, exp_large
 from longarm_comp.core.effects.effect import Effect, Parameter, parameter, place
 
 
@@ -56,6 +56,11 @@ class BasePose(Effect):
         priors = (*three(known.xyz_m), *turn)
         pairs = zip(self.declared(), priors, strict=True)
         return tuple(dataclasses.replace(p, prior=prior, unknown=False) for p, prior in pairs)
+
+    def base(self, arm: Arm) -> Frame:
+        """The declared base, moved."""
+        moved = exp_large((self.x, self.y, self.z, self.rx, self.ry, self.rz))
+        return arm.base.frame() @ moved
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """The placement's twist at the base, for the rows of its group."""

@@ -19,6 +19,7 @@ from longarm_comp.core.identify.confirm import Confirmed, confirm
 from longarm_comp.core.identify.fit import ModelFit, fit
 from longarm_comp.core.identify.next_poses import NextPoses, next_poses
 from longarm_comp.core.identify.noise import from_repeats
+from longarm_comp.core.identify.plausible import check_noise, check_sizes, check_worth
 from longarm_comp.core.identify.proof import LearnedCorrection, Proof, prove
 from longarm_comp.core.identify.search import SearchResult, search
 from longarm_comp.core.identify.structure import Structure, examine
@@ -123,7 +124,7 @@ def diagnose(
 
     Raises:
         InputError: too few rows.
-        JobError: a fit did not stay finite.
+        JobError: a fit did not stay finite, or the outcome may not be believed.
     """
     say = progress or (lambda _: None)
     rng = np.random.default_rng(seed)
@@ -165,7 +166,7 @@ def diagnose(
         for f in outcome.findings
     )
     say("next poses")
-    return Diagnosis(
+    diagnosis = Diagnosis(
         arm=arm,
         search=identified.search,
         findings=found,
@@ -186,6 +187,18 @@ def diagnose(
         holdout_uses=sealed.uses,
         seed=seed,
     )
+    _check(diagnosis)
+    return diagnosis
+
+
+def _check(found: Diagnosis) -> None:
+    """Refuse an outcome that may not be believed."""
+    final = "calibrated" if found.rolled_back else "with_effects"
+    left, source = found.proof.errors, found.train.source
+    check_worth(left[final], left["frames_only"], source)
+    check_sizes(found.model, source)
+    if found.verdict == "noise":
+        check_noise(found.search.noise.sigma, found.train)
 
 
 # ------------------------------------------------------------------ the training rows
@@ -318,7 +331,8 @@ def _roll_back(
 def _all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Structure:
     """The structure, also where other signs than the test of the fitted rows show some."""
     out = result.fit.weights == 0
-    rejected = float(np.sqrt((result.fit.residual[out] ** 2).sum() / len(out)))
+    lengths = result.fit.residual[:, np.array(result.fit.session.units) == "m"]
+    rejected = float(np.sqrt((lengths[out] ** 2).sum() / len(out)))
     for shows, size, where in (
         (out.mean() > MOST_OUTLIERS, rejected, "outliers"),
         (proof.off, proof.excess_m, "unseen poses"),

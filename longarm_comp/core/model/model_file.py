@@ -15,6 +15,7 @@ from typing import Literal, get_type_hints
 import numpy as np
 import yaml
 from pydantic import Field, model_validator
+from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.catalogue import effect_class, origin
@@ -62,6 +63,13 @@ class ArmReference(Declared):
     hash: str
 
 
+class StoredBase(Declared):
+    """Where a base stands in the frame of the measurements (m; fixed-axis roll, pitch, yaw)."""
+
+    xyz_m: tuple[float, float, float]
+    rpy_deg: tuple[float, float, float]
+
+
 class StoredModel(Declared):
     """The whole file. All keys are required, so that a truncated file is detected."""
 
@@ -75,6 +83,9 @@ class StoredModel(Declared):
     camera: list[StoredTerm]
     provenance: dict[str, str | int | float]
     arrivals: tuple[tuple[int, int], ...] = ()
+    placement: dict[str, StoredBase] = Field(
+        default_factory=dict, description="for people and other programs; `geometry` is what counts"
+    )
 
 
 def store(
@@ -128,8 +139,23 @@ def store(
         elements_per_beam=model.elements_per_beam,
         provenance={**(provenance or {}), **_sources(model)},
         arrivals=model.arrivals,
+        placement=_bases(model),
         **sides,
     )
+
+
+def _bases(model: Model) -> dict[str, StoredBase]:
+    """Where every base stands, as `base` of arm.yaml would say it."""
+    made = {}
+    for effect in model.effects:
+        frame = effect.base(model.arm)
+        if frame is not None:
+            matrix = frame.matrix()
+            rpy = Rotation.from_matrix(matrix[:3, :3]).as_euler("xyz", degrees=True)
+            x, y, z = (round(float(v), 7) for v in matrix[:3, 3])
+            roll, pitch, yaw = (round(float(v), 6) for v in rpy)
+            made[effect.where] = StoredBase(xyz_m=(x, y, z), rpy_deg=(roll, pitch, yaw))
+    return made
 
 
 def _sources(model: Model) -> dict[str, str]:

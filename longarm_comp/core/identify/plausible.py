@@ -1,0 +1,128 @@
+"""Whether a finished fit may be believed; a model that may not be is never written."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.errors import JobError
+from longarm_comp.core.model.model import Model
+
+WORSE = 1.5
+"""Held-out error of a model, in that of placed frames alone, from which it is worse."""
+RISES = 4.0
+"""Held-out error, in that of the fitted rows, from which the fit does not carry over."""
+ENOUGH = 15
+"""Held-out rows, at least, that such a comparison takes."""
+NO_NOISE = 0.05
+"""Noise, as a share of the sightings' spread, that no instrument has."""
+MISPLACED = 0.25
+"""Error, as a share of the sightings' spread, of an arm that stands somewhere else."""
+INCREDIBLE = 15.0
+"""Size of an effect, in its prior standard deviations, that no arm has."""
+
+
+def check_worth(held_out: np.ndarray, frames_only: np.ndarray, source: str) -> None:
+    """A model must not be worse on unseen rows than placed frames alone.
+
+    Args:
+        held_out: (M, 3) its errors there, m.
+        frames_only: (M, 3) errors of the placed frames, m.
+        source: file of the rows, for the message.
+
+    Raises:
+        JobError: it is worse.
+    """
+    there, plain = 1e3 * _median(held_out), 1e3 * _median(frames_only)
+    if len(held_out) >= ENOUGH and there > WORSE * plain:
+        raise JobError(
+            f"calibration is worse on unseen rows than placed frames alone: {plain:.3g} -> "
+            f"{there:.3g} mm; the rows do not determine the geometry, or are not this arm's",
+            session=source,
+        )
+
+
+def check_carries_over(fitted: np.ndarray, held_out: np.ndarray, source: str) -> None:
+    """A model must do on unseen rows what it does on those that it was fitted to.
+
+    Args:
+        fitted: (N, 3) its errors on the fitted rows, m.
+        held_out: (M, 3) its errors on the others, m.
+        source: file of the rows, for the message.
+
+    Raises:
+        JobError: its error rises.
+    """
+    here, there = 1e3 * _median(fitted), 1e3 * _median(held_out)
+    if len(held_out) >= ENOUGH and there > RISES * here:
+        raise JobError(
+            f"calibration does not carry over to unseen rows: {here:.3g} -> {there:.3g} mm; "
+            "the rows are too few, or something changed between them",
+            session=source,
+        )
+
+
+def check_placed(error: np.ndarray, session: Session) -> None:
+    """What a model leaves is learned only where the arm is where the model says.
+
+    Args:
+        error: (N, 3) measured - predicted of the seen rows, m.
+        session: the rows.
+
+    Raises:
+        JobError: the base, or the tip, is somewhere else.
+    """
+    seen = session.xyz[session.seen]
+    size, spread = _median(error), _median(seen - np.median(seen, axis=0))
+    if len(error) >= ENOUGH and size > MISPLACED * spread:
+        raise JobError(
+            f"the arm is {1e3 * size:.3g} mm from where the model puts it; calibrate first, which "
+            "solves where base and tip are, and use that model",
+            session=session.source,
+        )
+
+
+def check_noise(sigma: np.ndarray, session: Session) -> None:
+    """What is left is not called noise where no instrument is that bad.
+
+    Args:
+        sigma: (d,) noise per channel; that of positions is looked at, m.
+        session: the rows, with what was seen.
+
+    Raises:
+        JobError: the noise is too large for this arm.
+    """
+    if session.blocks[0].kind != "position" or not np.isfinite(sigma[:3]).all():
+        return
+    seen = session.take(session.located & (session.frames == session.frames[0])).xyz
+    if len(seen) < 2:
+        return
+    spread, size = _median(seen - np.median(seen, axis=0)), float(np.linalg.norm(sigma[:3]))
+    if size > NO_NOISE * spread:
+        raise JobError(
+            f"{1e3 * size:.3g} mm is left, which is no noise: the sightings spread over "
+            f"{1e3 * spread:.3g} mm only; look at the placement, the units and the order of the "
+            "rows",
+            session=session.source,
+        )
+
+
+def check_sizes(model: Model, source: str) -> None:
+    """No effect may be of a size that no arm has (a tip mass of 89 kg).
+
+    Raises:
+        JobError: one is.
+    """
+    for slot in model.slots:
+        value, p = getattr(slot.owner, slot.parameter.name), slot.parameter
+        if not slot.owner.geometry and abs(value) > INCREDIBLE * p.prior:
+            raise JobError(
+                f"{slot.owner.name} at {slot.owner.where}: {p.name} {value:.3g} {p.unit} is not "
+                f"credible (typical {p.prior:.2g}); the rows do not belong to this arm, or "
+                "something else is missing",
+                session=source,
+            )
+
+
+def _median(error: np.ndarray) -> float:
+    return float(np.median(np.linalg.norm(error, axis=1)))
