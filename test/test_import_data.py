@@ -16,7 +16,7 @@ from small_arm import ARM
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import read_csv
 from longarm_comp.sessions.foreign.rotation import Rotation
-from longarm_comp.sessions.foreign.units import split_name
+from longarm_comp.sessions.foreign.units import UNITS, split_name
 
 GERMAN = """Tracker export 3.1
 Date: 2024-01-02
@@ -178,6 +178,21 @@ def test_tables_that_are_refused(
     Path("log.csv").write_text(text)
     assert said in shell.refused("import-data", "log.csv", *words)
     assert not Path("samples.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("unit", "value", "si"),
+    [
+        *(("mm", 1.0, 1e-3), ("cm", 1.0, 1e-2), ("um", 1.0, 1e-6), ("in", 1.0, 0.0254)),
+        *(("deg", 180.0, np.pi), ("mrad", 1.0, 1e-3), ("arcmin", 60 * 180.0, np.pi)),
+        *(("arcsec", 3600 * 180.0, np.pi), ("ms", 1.0, 1e-3), ("us", 1.0, 1e-6)),
+        *(("ns", 1.0, 1e-9), ("min", 1.0, 60.0), ("k", 273.15, 0.0), ("f", 212.0, 100.0)),
+        *(("g", 1.0, 1e-3), ("lb", 1.0, 0.45359237), ("m", 2.0, 2.0), ("rad", 1.0, 1.0)),
+    ],
+)
+def test_units(unit: str, value: float, si: float) -> None:
+    held = UNITS[unit]
+    assert held.factor * value + held.offset == pytest.approx(si, abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,9 @@ def check_header(where: str, header: Sequence[str], required: Collection[str]) -
         if name not in header:
             near = nearest(name, header)
             hint = f" (is it {near}?)" if near else ""
-            allowed = " ".join(required) + conversion(where, header)
+            allowed = " ".join(required)
+            if "q1" in required:
+                allowed += conversion(where, header)
             raise InputError(where, f"column {name}", f"missing{hint}", allowed)
 
 
