@@ -21,9 +21,10 @@ from nodes_bench import Bench, bench
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.moves import run_up_lengths
+from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.plan import Plan, from_both_sides, sobol
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.calibrate import declared_model, errors
+from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.jobs.measurement_schedule import Visit, visits
 from longarm_comp.nodes.bringup import BringUp, running
 from longarm_comp.sessions.bag import open_bag

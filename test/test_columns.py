@@ -95,7 +95,8 @@ def test_every_effect_moves_the_tip(arm):
         if not term.declared():
             continue
         slots = model.plus(term).slots
-        columns = model.plus(term).columns(posture, slots)[1]
+        motion = model.plus(term).motion(posture, slots, turns=True)
+        columns = np.concatenate([motion.point()[1], motion.axes()[1]], axis=1)
         if not np.abs(columns).max(axis=(0, 1)).any():
             still.append(f"{term.name} {term.where}")
     assert set(still) <= {"joint_compliance joint 1", "servo_droop joint 1", "backlash joint 1"}

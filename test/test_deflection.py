@@ -214,7 +214,9 @@ def test_what_passes_and_elements_leave(arm: Arm, softer: float) -> None:
     soft = stiffened(arm, 1 / softer)
     q = postures(arm, 30)
     rigid = Model(soft)
-    held = rigid.shifts(rigid.posture(unstack(q)), [LinkDeflection()])[0]  # Eq. (5), frames held
+    held = rigid.added(rigid.posture(unstack(q)), [LinkDeflection()]).point()[1][
+        ..., 0
+    ]  # Eq. (5), frames held
     converged = Model(soft, (LinkDeflection(),), passes=8).tip(q)
     by_pass = [far(rigid.tip(q) + held, converged)] + [
         far(Model(soft, (LinkDeflection(),), passes=n).tip(q), converged) for n in (1, 2, 3)

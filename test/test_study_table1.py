@@ -96,6 +96,38 @@ def test_steps_that_the_arm_declares_are_chosen_among(arm: Arm) -> None:
     assert chosen.mean < 0.15 * rounded.mean
 
 
+def test_whole_poses_are_turned_as_far_as_the_physics_knows(arm: Arm) -> None:
+    """A sound arm: the sag turns the tip of the stiff model's command, and of no other."""
+    bench = table1.Bench.draw(arm, 3, 0, 1)
+    sound = table1.replace(bench, true=table1.TrueArm(bench.declared.arm))
+    stiff, sagging = (sound.run(s, 0, whole_poses=True) for s in SHORT[:2])
+    assert 0 < sagging.tip.n <= table1.TARGETS  # what cannot be reached is left out
+    assert stiff.turned > 10e-3
+    assert sagging.turned < 0.05 * stiff.turned
+    assert np.isnan(sound.run(SHORT[0], 0).turned)
+
+
+def test_setting_of_the_paper(arm: Arm) -> None:
+    """All from below, the grid in its order, few samples are its last."""
+    bench = table1.Bench.draw(arm, 3, 0, 30, as_paper=True)
+    assert (bench.side == 1).all()
+    assert (np.stack(bench.session.context().approach) == 1).all()
+    first = bench.session.q[:, 0]
+    assert (np.diff(first) >= 0).all() and np.ptp(first) > 0
+    np.testing.assert_array_equal(bench.rows(10).q, bench.session.q[20:])
+    mixed = table1.Bench.draw(arm, 3, 0, 30)
+    assert set(np.unique(mixed.side)) == {-1.0, 1.0}
+    np.testing.assert_array_equal(mixed.rows(10).q, mixed.session.q[:10])
+
+
+def test_the_network_of_the_paper_never_refuses(arm: Arm) -> None:
+    bench = table1.Bench.draw(arm, 3, 0, 40)
+    q, residual, context = table1.training_rows(bench.declared, bench.session)
+    predictor = table1.ssa_bp(q, residual, context, 0)
+    far = predictor.predict(np.stack([q[0], q[0] + 100.0]))
+    assert far.in_domain.all() and np.isfinite(far.error).all()
+
+
 def test_same_seed_same_arm_and_other_number_other_arm(arm: Arm) -> None:
     """Everything follows from the seed."""
     one, again, other = (table1.Bench.draw(arm, 3, k, 5) for k in (0, 0, 1))
@@ -133,7 +165,7 @@ def test_command_writes_table_and_figure(monkeypatch: pytest.MonkeyPatch, tmp_pa
     """JSON on stdout, the same in the folder, and a picture."""
 
     def measured(
-        base: Arm, count: int, seed: int, jobs: int, whole_poses: bool
+        base: Arm, count: int, seed: int, jobs: int, **_: object
     ) -> list[list[table1.Outcome]]:
         blank = Errors.of(np.zeros((2, 3)))
         full = [_arm(10, 8, 3, 4), _arm(12, 9, 2, 4)][:count]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.camera_radial import CameraRadial
@@ -19,7 +20,7 @@ from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.prismatic_pitch import PrismaticPitch
 from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
 from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
-from longarm_comp.core.identify.calibrate import declared_model, errors, geometry, ladder
+from longarm_comp.core.identify.calibrate import declared_model, geometry, ladder
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.wind_up import with_run_ups
 from longarm_comp.core.learn.ensemble import train

@@ -22,7 +22,15 @@ from longarm_comp.cli.output import note, print_json, print_rows, progress
     *("--jobs",), type=int, default=-1, show_default=True, help="Processes; -1 is one per core."
 )
 @click.option(
-    *("--poses",), is_flag=True, help="Command whole poses, and print the angle that is left."
+    *("--poses",),
+    is_flag=True,
+    help="Command whole poses and print the angle that is left; rows of up to 300 samples.",
+)
+@click.option(
+    *("--paper-setting", "as_paper"),
+    is_flag=True,
+    help="The paper's rows alone; every joint arrives from below, 300 samples are the last of "
+    "the grid in its order.",
 )
 @options.seed
 @options.as_json
@@ -35,6 +43,7 @@ def command(
     count: int,
     jobs: int,
     poses: bool,
+    as_paper: bool,
     seed: int,
     as_json: bool,
     output: Path | None,
@@ -57,16 +66,21 @@ def command(
     from longarm_comp.core.files import write_text
     from longarm_comp.share import folder
     from longarm_comp.studies import table1_summary as summary
-    from longarm_comp.studies.table1 import study
+    from longarm_comp.studies.table1 import PRINTED, SAMPLES, SETTINGS, study
 
     base = Arm.load(arm or folder("config") / "arm_demo.yaml")
     began = time.monotonic()
     outcomes = []
+    settings = PRINTED if as_paper else SETTINGS
+    if poses:
+        settings = tuple(s for s in settings if s.samples <= min(SAMPLES))
     with progress("study table1") as show:
-        for finished in study(base, count, seed, jobs=jobs, whole_poses=poses):
+        for finished in study(
+            base, count, seed, jobs=jobs, settings=settings, whole_poses=poses, as_paper=as_paper
+        ):
             outcomes.append(finished)
             show(f"{len(outcomes)} of {count} arms", len(outcomes) / count)
-    table = summary.rows(outcomes)
+    table = summary.rows(outcomes, settings)
     facts: dict[str, Any] = {
         "arms": count,
         "seed": seed,

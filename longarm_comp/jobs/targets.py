@@ -157,6 +157,7 @@ class TargetRunner:
 
     def _one(self, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
         client, pace = self._client, self._pace
+        start = client.joints
         answer = self.ask(target, execute=True)
         if not answer.success:
             return np.full(3, np.nan), np.full(3, np.nan), int(answer.status)
@@ -164,7 +165,7 @@ class TargetRunner:
         path = np.array([joints_of(stop, client.arm, "compensate") for stop in stops])
         client.spin(0.05)
         tolerance = np.full(client.arm.n, pace.tolerance)
-        rest = client.arrive(path, tolerance, pace.dwell_s, pace.arrive_s) + _FRESH_NS
+        rest = client.arrive(path, tolerance, pace.dwell_s, pace.arrive_s, start) + _FRESH_NS
         looks = client.look(rest, pace.sightings, pace.look_s)
         seen = np.mean(looks, axis=0) if looks else np.full(3, np.nan)
         true = np.full(3, np.nan) if self._witness is None else self._witness(rest)

@@ -40,6 +40,7 @@ def assemble(
     """
     tried = sizes(diagnosis)
     structure, noise = diagnosis.structure, diagnosis.search.noise
+    sigma = _position_noise(diagnosis)
     report = {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict,
@@ -54,14 +55,14 @@ def assemble(
             "size_mm": 1e3 * structure.size_m,
         },
         "noise": {
-            "sigma_mm": [1e3 * float(s) for s in noise.sigma],
+            "sigma_mm": None if sigma is None else [1e3 * float(s) for s in sigma],
             "source": noise.source,
             "rho": float(noise.rho),
         },
         "held_out": {
             "n": len(diagnosis.held_out),
             "rows": [
-                _error_row(name, errors, noise.sigma)
+                _error_row(name, errors, sigma)
                 for name, errors in diagnosis.proof.rows.items()
                 if name != "with_network" or diagnosis.network is not None
             ],
@@ -139,8 +140,15 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding) -> dict[str, Any]:
     }
 
 
-def _error_row(name: str, errors: Errors, sigma: np.ndarray) -> dict[str, Any]:
-    floor = float((sigma**2).sum())
+def _position_noise(diagnosis: Diagnosis) -> np.ndarray | None:
+    """(3,) noise of the first sensor that measures positions, m; None where none measures all."""
+    sigma = diagnosis.search.noise.sigma[:3]
+    first = diagnosis.train.blocks[0].kind
+    return sigma if first == "position" and np.isfinite(sigma).all() else None
+
+
+def _error_row(name: str, errors: Errors, sigma: np.ndarray | None) -> dict[str, Any]:
+    floor = 0.0 if sigma is None else float((sigma**2).sum())
     return {
         "model": name,
         "mean_mm": 1e3 * errors.mean,
@@ -155,9 +163,10 @@ def _error_row(name: str, errors: Errors, sigma: np.ndarray) -> dict[str, Any]:
 
 def _outliers(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     fit = diagnosis.fit
+    lengths = np.array(fit.session.units) == "m"
     rows = []
     for row in fit.outliers:
-        length = float(np.linalg.norm(fit.residual[row]))
+        length = float(np.linalg.norm(fit.residual[row, lengths]))
         ratio = float(np.max(np.abs(fit.residual[row]) / fit.sigma))
         why = f"{1e3 * length:.1f} mm off, {ratio:.0f} standard deviations on its worst axis"
         rows.append({"index": int(fit.session.index[row]), "why": why})

@@ -55,7 +55,10 @@ def detail(diagnosis: Diagnosis, tried: Sequence[Smallest], facts: Mapping[str, 
 
 
 def _rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
-    held = diagnosis.held_out
+    held = diagnosis.held_out.take(diagnosis.held_out.placed)
+    predicted = diagnosis.model.measured(held.q, held.context())
+    near = predicted + diagnosis.proof.errors["with_effects"]
+    seen = np.where(held.located[:, None], held.xyz, near)
     shown = np.unique(np.linspace(0, len(held) - 1, min(ARMS, len(held))).astype(int))
     context = held.context()
     model = diagnosis.model
@@ -64,7 +67,7 @@ def _rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
         stages.pop("with_network", None)
     return SeenRows(
         held.index,
-        held.xyz,
+        seen,
         stages,
         inputs(held, units),
         tuple(outline(model, held.q[k], context.take(int(k))) for k in shown),

@@ -1,7 +1,8 @@
 """A session as a CSV file (samples.csv, test.csv).
 
-Required: ``q1..qn`` (rad, m, the commanded joints in the order of the arm) and ``x,y,z`` (m; all
-three blank: the marker was lost).  Known besides: ``index, t_s, temperature_c, payload_kg,
+Required: ``q1..qn`` (rad, m, the commanded joints in the order of the arm) and something
+measured: ``x,y,z`` (m), ``qx,qy,qz,qw``, ``distance`` (m, with ``anchor``); blank is not measured
+(`sessions/csv_readings.py`).  Known besides: ``index, t_s, temperature_c, payload_kg,
 approach, repeat_id, sigma_x..z, cov_xx..zz, role, group, marker, incl_<frame>_x/_y`` and
 ``approach_q1..qn`` (the direction per joint, where one for all joints does not do),
 ``run_up_q1..qn`` (where each joint came from last).
@@ -24,14 +25,21 @@ from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.yaml_file import range_of
+from longarm_comp.sessions.csv_readings import (
+    READ,
+    XYZ,
+    check_measured,
+    read_readings,
+    read_xyz,
+    written_readings,
+)
 from longarm_comp.sessions.names import check_header, check_unknown
 from longarm_comp.sessions.table import Table, read_table, write_table
 
-XYZ = ("x", "y", "z")
 SIGMA = ("sigma_x", "sigma_y", "sigma_z")
 VARIANCE = ("cov_xx", "cov_yy", "cov_zz")
 UNITS = {"t_s": "s", "temperature_c": "degrees Celsius", "payload_kg": "kg"}
-LABELS = ("role", "group", "marker")
+LABELS = ("role", "group", "marker", "anchor", "sensor")
 _INDEX = ("index", "approach", "repeat_id")
 _COVARIANCE = (*VARIANCE, "cov_xy", "cov_xz", "cov_yz")
 _INCLINATION = re.compile(r"incl_\w+_[xy]")
@@ -52,14 +60,16 @@ def read_csv(path: str | Path, arm: Arm, joint_columns: Sequence[str] | None = N
     table = read_table(path)
     joints = tuple(joint_columns or joint_names(arm.n))
     known = (*joints, *_known(arm.n))
-    check_header(table.where, table.header, (*joints, *XYZ))
+    check_header(table.where, table.header, joints)
+    check_measured(table)
     if joint_columns is None:
         _refuse_further_joints(table, arm)
     check_unknown(table.where, table.header, known, kept=_free(table.header, joint_columns))
     columns, labels = recorded_besides(table, set(known))
+    readings, sigmas = read_readings(table)
     return Session.record(
         q=np.stack([table.lengths(name, "rad or m") for name in joints], axis=-1),
-        xyz=_measured(table),
+        xyz=read_xyz(table),
         index=table.integers("index") if "index" in table.cells else None,
         approach=read_approach(table, arm.n),
         run_up=_run_up(table, arm.n),
@@ -68,6 +78,8 @@ def read_csv(path: str | Path, arm: Arm, joint_columns: Sequence[str] | None = N
         columns=columns,
         labels=labels,
         source=table.where,
+        readings=readings,
+        sigmas=sigmas,
     )
 
 
@@ -83,6 +95,7 @@ def write_csv(session: Session, path: str | Path) -> None:
     columns.update(_written_approach(session))
     columns.update({name: session.q[:, j] for j, name in enumerate(joints)})
     columns.update({name: session.xyz[:, j] for j, name in enumerate(XYZ)})
+    columns.update(written_readings(session))
     columns["repeat_id"] = [None if r < 0 else r for r in session.repeat_id]
     if session.sigma is not None:
         columns.update({name: session.sigma[:, j] for j, name in enumerate(SIGMA)})
@@ -129,7 +142,7 @@ def approach_names(n: int) -> tuple[str, ...]:
 
 def _known(n: int) -> tuple[str, ...]:
     per_joint = [f"{what}_{name}" for what in ("approach", "run_up") for name in joint_names(n)]
-    return (*XYZ, *_INDEX, *UNITS, *SIGMA, *_COVARIANCE, *LABELS, *per_joint)
+    return (*XYZ, *READ, *_INDEX, *UNITS, *SIGMA, *_COVARIANCE, *LABELS, *per_joint)
 
 
 def _free(header: Sequence[str], joint_columns: Sequence[str] | None) -> set[str]:
@@ -146,14 +159,6 @@ def _refuse_further_joints(table: Table, arm: Arm) -> None:
             raise InputError(
                 table.where, f"column {name}", "unknown", f"q1..q{arm.n} of arm {arm.name}"
             )
-
-
-def _measured(table: Table) -> np.ndarray:
-    lost = np.all([table.blank(name) for name in XYZ], axis=0)
-    for name in XYZ:
-        for row in np.flatnonzero(table.blank(name) & ~lost):
-            raise table.error(row, name, "a number (m); x, y and z all blank for a lost marker")
-    return np.stack([table.lengths(name, blanks=True) for name in XYZ], axis=-1)
 
 
 def read_approach(table: Table, n: int) -> np.ndarray | None:

@@ -31,7 +31,7 @@ from longarm_comp.core.compensation.compensate import (
     compensate_many,
     rigid,
 )
-from longarm_comp.core.data.plan import grid, random_joints
+from longarm_comp.core.data.plan import grid, paper_grid, random_joints
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.calibrate import Errors, declared_model, geometry
 from longarm_comp.core.identify.candidates import library
@@ -98,8 +98,10 @@ class Outcome:
 
 
 def ssa_bp(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:
-    """The paper's network: joints in, one member."""
-    return train(q, residual, None, inputs=_JOINTS_ONLY, hidden=HIDDEN, ensemble=1, seed=seed)
+    """The paper's network: joints in, one member, and it never refuses."""
+    made = train(q, residual, None, inputs=_JOINTS_ONLY, hidden=HIDDEN, ensemble=1, seed=seed)
+    far = np.full_like(made.lower, np.inf)
+    return replace(made, lower=-far, upper=far, variance_limit=np.inf, alone=np.full(3, np.inf))
 
 
 def ssa_bp_best(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:
@@ -155,6 +157,9 @@ SETTINGS = (
     RowSetting("Best: effects + SSA-BP, 300", Method.BOTH, 300, ssa_bp_best, with_effects),
 )  # fmt: skip
 
+PRINTED = tuple(s for s in SETTINGS if s.paper)
+"""The paper's own rows."""
+
 COMPARISONS = (
     ("Deflection only", "Original error"),
     ("Deflection + SSA-BP, 300", "SSA-BP only, 300"),
@@ -195,6 +200,7 @@ class Bench:
     seed_q: np.ndarray  # (M, n) where the arm stands before
     side: np.ndarray  # (M,) side all joints arrive from
     temperature_c: float
+    as_paper: bool = False
 
     @property
     def targets(self) -> np.ndarray:
@@ -202,14 +208,30 @@ class Bench:
         return self.poses[:, :3, 3]
 
     @classmethod
-    def draw(cls, base: Arm, seed: int, number: int, poses: int = max(SAMPLES)) -> Bench:
-        """Arm number `number` of a study: geometry, hidden effects, session, targets."""
+    def draw(
+        cls,
+        base: Arm,
+        seed: int,
+        number: int,
+        poses: int = max(SAMPLES),
+        *,
+        as_paper: bool = False,
+    ) -> Bench:
+        """Arm number `number` of a study: geometry, hidden effects, session, targets.
+
+        Args:
+            as_paper: every joint arrives from below, always; the grid is measured in its order, so
+                that few samples, the last ones, are a corner of it.
+        """
         rng = np.random.default_rng([seed, number])
         arm = random_arm(rng, base)
         mix = paper_mix(rng, arm)
         arm = with_steps(arm, mix)
         true, camera = TrueArm(arm, mix.arm_side), TrueCamera.of(arm, mix.camera_side)
-        measured = measure_session(true, camera, grid(arm, poses, rng).q, rng=rng).columns
+        plan = _in_order(arm, poses, rng) if as_paper else grid(arm, poses, rng).q
+        measured = measure_session(
+            true, camera, plan, rng=rng, approach="below" if as_paper else "random"
+        ).columns
         session = Session.record(
             np.stack([measured[f"q{j + 1}"] for j in range(arm.n)], axis=1),
             np.stack([measured[c] for c in "xyz"], axis=1),
@@ -226,8 +248,16 @@ class Bench:
             session,
             rigid(declared).pose(postures),
             postures,
-            rng.choice([-1.0, 1.0], TARGETS),
+            np.ones(TARGETS) if as_paper else rng.choice([-1.0, 1.0], TARGETS),
             float(measured["temperature_c"][-1]),
+            as_paper,
+        )
+
+    def rows(self, samples: int) -> Session:
+        """So many training rows: the first, or the last of a grid in its order."""
+        total = len(self.session)
+        return self.session.take(
+            slice(total - samples, total) if self.as_paper else slice(0, samples)
         )
 
     def run(self, setting: RowSetting, seed: int, *, whole_poses: bool = False) -> Outcome:
@@ -235,7 +265,7 @@ class Bench:
 
         Poses that cannot be reached are left out.
         """
-        rows = self.session.take(slice(0, setting.samples))
+        rows = self.rows(setting.samples)
         model = setting.physics(self.declared, rows)
         predictor = None
         if setting.learner is not None:
@@ -273,6 +303,11 @@ class Bench:
         )
 
 
+def _in_order(arm: Arm, poses: int, rng: np.random.Generator) -> np.ndarray:
+    whole = paper_grid(arm)
+    return np.asarray(whole[np.sort(rng.permutation(len(whole))[:poses])])
+
+
 def _angle(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """(N,) rad between the orientations of poses (N, 4, 4)."""
     turn = Rotation.from_matrix(one[:, :3, :3]) * Rotation.from_matrix(other[:, :3, :3]).inv()
@@ -286,9 +321,11 @@ def one_arm(
     settings: tuple[RowSetting, ...] = SETTINGS,
     *,
     whole_poses: bool = False,
+    as_paper: bool = False,
 ) -> list[Outcome]:
     """All rows on one arm. A model that two rows share is fitted once."""
-    bench = Bench.draw(base, seed, number, max(s.samples for s in settings) or 1)
+    poses = max(s.samples for s in settings) or 1
+    bench = Bench.draw(base, seed, number, poses, as_paper=as_paper)
     fitted: dict[int, Model] = {}
 
     def once(declared: Model, session: Session) -> Model:
@@ -314,6 +351,7 @@ def study(
     jobs: int = -1,
     settings: tuple[RowSetting, ...] = SETTINGS,
     whole_poses: bool = False,
+    as_paper: bool = False,
 ) -> Iterator[list[Outcome]]:
     """Yield the outcomes of every arm as they are finished.
 
@@ -324,6 +362,7 @@ def study(
         jobs: processes; -1 is one per core.
         settings: rows.
         whole_poses: position and orientation are asked for, not positions alone.
+        as_paper: as in `Bench.draw`.
 
     Raises:
         JobError: joblib is not installed.
@@ -332,7 +371,7 @@ def study(
         from joblib import Parallel, delayed
 
     work = (
-        delayed(one_arm)(base, seed, number, settings, whole_poses=whole_poses)
+        delayed(one_arm)(base, seed, number, settings, whole_poses=whole_poses, as_paper=as_paper)
         for number in range(arms)
     )
     yield from Parallel(n_jobs=jobs, return_as="generator")(work)

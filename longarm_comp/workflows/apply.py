@@ -119,7 +119,9 @@ def nothing_to_apply(diagnosis: Path, report: DiagnosisReport) -> str:
     if report.findings or (diagnosis / PREDICTOR).is_file():
         return ""
     mean = {row.model: row.mean_mm for row in report.held_out.rows}
-    before, after = mean["nominal"], mean["with_effects"]
+    before, after = mean.get("nominal"), mean.get("with_effects")
+    if before is None or after is None:
+        return report.summary
     if after < WORTH * before:
         return ""
     return f"{report.summary} Held-out mean error {before:.3f} -> {after:.3f} mm"

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.holdout import blocked_split
+from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import effect_class
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.calibrate import Rung, errors, ladder
+from longarm_comp.core.identify.calibrate import Rung, ladder
 from longarm_comp.core.identify.fit import ModelFit, fit
 from longarm_comp.core.identify.plausible import check_carries_over, check_sizes, check_worth
 from longarm_comp.core.model.model import Model

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.identify.calibrate import Errors, errors
+from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.training_rows import fitted_to
 from longarm_comp.workflows.error_table import ErrorTable
@@ -83,6 +84,7 @@ def evaluate(
         found = expected(learned, session)
         inside = np.asarray(found.in_domain)
         outside = int((~inside).sum())
+        inside = inside & session.located[session.placed]
         taken_off = np.where(inside[:, None], found.error, 0.0)
         stages["network"] = errors(physics(arm, model, beside), session) - taken_off
     file = None if model is None or isinstance(model, Model) else Path(model)

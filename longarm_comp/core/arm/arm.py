@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from longarm_comp.core.arm.spatial import Frame, rpy_frame
+from longarm_comp.core.arm.spatial import IDENTITY, Frame, rpy_frame
 from longarm_comp.core.yaml_file import RANGES, Declared, Misdeclared, parse_declared, read_yaml
 
 Vec3 = tuple[float, float, float]
@@ -299,6 +299,18 @@ class Marker(Declared):
     position_m: Vec3 = (0.0, 0.0, 0.0)
 
 
+class Anchor(Declared):
+    """A fixed point that distances are measured to, in the frame of the measurements."""
+
+    xyz_m: Vec3 | None = Field(default=None, description="absent: solved from the data")
+
+
+class CameraSensor(Pose):
+    """A calibrated camera in the base frame, whose rays a session holds in its own axes."""
+
+    kind: Literal["camera"]
+
+
 Spread = Positive | tuple[Positive, Positive, Positive]
 """One standard deviation for all three components, or one each."""
 
@@ -344,6 +356,8 @@ class Arm(Declared):
     point_masses: tuple[PointMass, ...] = ()
     camera: CameraPlacement | None = None
     markers: dict[str, Marker] = Field(default_factory=dict)
+    anchors: dict[str, Anchor] = Field(default_factory=dict)
+    sensors: dict[str, CameraSensor] = Field(default_factory=dict)
     tolerance: Placements = Placements()
 
     @model_validator(mode="after")
@@ -449,6 +463,16 @@ class Arm(Declared):
                 matrix[joint.id - 1, index[row]] += mimic.multiplier  # type: ignore[index]
                 offset[joint.id - 1] += mimic.offset
         return matrix, offset
+
+    def anchor(self, name: str) -> Vec3:
+        """Declared place of an anchor (m), the origin where it is to be solved."""
+        held = self.anchors.get(name)
+        return held.xyz_m if held is not None and held.xyz_m is not None else (0.0, 0.0, 0.0)
+
+    def camera_frame(self, name: str) -> np.ndarray:
+        """Pose (3, 4) of a declared camera in the base frame; the base where there is none."""
+        held = self.sensors.get(name)
+        return (held.frame() if isinstance(held, CameraSensor) else IDENTITY).matrix()[:3]
 
     @cached_property
     def hash(self) -> str:

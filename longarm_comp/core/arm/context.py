@@ -128,13 +128,11 @@ class Context:
 
 def stacked(contexts: Sequence[Context]) -> Context:
     """The circumstances of M postures from one each, alike but for the history of the joints."""
-    return dataclasses.replace(
-        contexts[0],
-        **{
-            name: tuple(np.array([getattr(each, name) for each in contexts], dtype=float).T)
-            for name in PER_JOINT
-        },
-    )
+    history: dict[str, Any] = {
+        name: tuple(np.array([getattr(each, name) for each in contexts], dtype=float).T)
+        for name in PER_JOINT
+    }
+    return dataclasses.replace(contexts[0], **history)
 
 
 def _of_kind(kind: str) -> tuple[str, ...]:

@@ -256,6 +256,17 @@ def _exp(d: Vec, w: Vec, a: Scalar, b: Scalar, c: Scalar, t: Scalar) -> Frame:
     )
 
 
+def turned(a: Frame, b: Frame) -> Vec:
+    """Small rotation (rad) from the axes of b to those of a, in their parent; to second order.
+
+    With ``a = (1 + w^) b`` the cross products of the axes, b's with a's, sum up to ``2 w``.
+    """
+    total = ZERO
+    for before, after in zip(b[:3], a[:3], strict=True):
+        total = add(total, cross(before, after))
+    return scale(0.5, total)
+
+
 def add_twists(a: Twist, b: Twist) -> Twist:
     """Sum of two small twists in one frame."""
     return tuple(x + y for x, y in zip(a, b, strict=True))  # type: ignore[return-value]

@@ -65,7 +65,7 @@ class _Case:
     session: Session
     arm: Arm
     seen: Session
-    predicted: np.ndarray  # (M, 3) of the seen rows
+    predicted: np.ndarray  # (M, 3) of the rows with a whole position
     model: Model
 
     def refuse(self, field: str, value: object, allowed: str) -> InputError:
@@ -96,10 +96,12 @@ def admit(
     if poses < min_poses:
         field = "rows" if len(session) < 2 else "poses with a marker"
         raise case.refuse(field, poses, f"at least {min_poses} distinct poses")
-    predicted = physics.measured(seen.q, seen.context())
-    case = _Case(session, arm, seen, predicted, physics)
-    for check in _AFTER:
-        findings += check(case) or ()
+    located = session.take(session.located)
+    if len(located):
+        predicted = physics.measured(located.q, located.context())
+        case = _Case(session, arm, located, predicted, physics)
+        for check in _AFTER:
+            findings += check(case) or ()
     return Admission(session, tuple(findings))
 
 
@@ -113,6 +115,16 @@ def _same_arm(case: _Case) -> None:
     for marker in np.unique(case.session.labels.get("marker", np.array([], dtype=str))):
         if case.arm.markers and marker not in case.arm.markers:
             raise case.refuse("marker", str(marker), f"one of {', '.join(case.arm.markers)}")
+    for anchor in np.unique(case.session.labels.get("anchor", np.array([], dtype=str))):
+        if case.arm.anchors and anchor and anchor not in case.arm.anchors:
+            raise case.refuse("anchor", str(anchor), f"one of {', '.join(case.arm.anchors)}")
+    if "ray" in case.session.readings:
+        seen = np.isfinite(case.session.readings["ray"]).all(axis=1)
+        for sensor in np.unique(case.session.labels["sensor"][seen]):
+            if sensor not in case.arm.sensors:
+                known = ", ".join(case.arm.sensors) or "none"
+                allowed = f"a camera of arm.yaml's sensors (there are: {known})"
+                raise case.refuse("sensor", str(sensor), allowed)
     for mass in case.arm.point_masses:
         for column in mass.position_columns or ():
             if column not in case.session.columns:
@@ -164,16 +176,15 @@ def _joint_units(case: _Case) -> Iterator[AdmissionFinding]:
         far = (beyond > _FAR * reach) & kind
         if not far.any():
             continue
-        scaled = q[:, kind] * factor
-        slack = 0.05 * reach[kind]
-        within = (scaled > arm.lower[kind] - slack) & (scaled < arm.upper[kind] + slack)
         row, j = np.unravel_index(np.argmax(np.where(far, beyond / reach, 0)), q.shape)
         limits = f"{arm.lower[j]:.6g} to {arm.upper[j]:.6g} of {arm.joint_names[j]}"
+        scaled, slack = q[:, j] * factor, 0.05 * reach[j]
+        within = (scaled > arm.lower[j] - slack) & (scaled < arm.upper[j] + slack)
         many = abs(q[row, j]) > _MANY * max(abs(arm.lower[j]), abs(arm.upper[j]))
-        if many and within.mean() > 0.95:
-            limits = f"{hint}: {limits}"
-        elif other := _exchanged(arm, q, int(j)):
+        if other := _exchanged(arm, q, int(j)):
             limits = f"{limits} ({other})"
+        elif many and within.mean() > 0.95:
+            limits = f"{hint}: {limits}"
         raise case.refuse(f"row {row + 1}, q{j + 1}", float(q[row, j]), limits)
     for j in np.flatnonzero((beyond > 1e-6).any(0)):
         count, worst = int((beyond[:, j] > 1e-6).sum()), beyond[:, j].max()
@@ -203,11 +214,14 @@ def _exchanged(arm: Arm, q: np.ndarray, j: int) -> str:
 
 def _measured_at_all(case: _Case) -> Iterator[AdmissionFinding]:
     lost = int((~case.session.seen).sum())
+    field = ", ".join(cell for kind in case.session.kinds for cell in kind.cells)
     if lost == len(case.session):
-        raise case.refuse("x, y, z", f"blank in all {lost} rows", "measured tip positions (m)")
+        raise case.refuse(field, f"blank in all {lost} rows", "measured tip positions (m)")
+    if not case.session.placed.any():
+        raise case.refuse("x, y, z", "blank in all rows", "something that says where the tip is")
     if lost:
         share = lost / len(case.session)
-        yield AdmissionFinding("blanks", "x, y, z", f"marker lost in {lost} rows ({share:.0%})")
+        yield AdmissionFinding("blanks", field, f"marker lost in {lost} rows ({share:.0%})")
 
 
 def _constant(case: _Case) -> Iterator[AdmissionFinding]:
@@ -221,7 +235,7 @@ def _constant(case: _Case) -> Iterator[AdmissionFinding]:
 
 
 def _copies(case: _Case) -> Iterator[AdmissionFinding]:
-    seen = case.session.take(case.session.seen)
+    seen = case.session.take(case.session.located)
     first: dict[bytes, int] = {}
     copies = frozen = 0
     marker = seen.labels.get("marker", np.full(len(seen), ""))
@@ -266,7 +280,7 @@ def _lengths(case: _Case) -> None:
 
 
 def _frame(case: _Case) -> Iterator[AdmissionFinding]:
-    groups = case.seen.labels.get("group", np.full(len(case.seen), ""))
+    groups = case.seen.frames
     for group in np.unique(groups):
         rows = groups == group
         if len(np.unique(case.seen.pose_id[rows])) < 2 * FEW_POSES:

@@ -84,7 +84,7 @@ def believe(model: Model, session: Session) -> Belief | None:
     Returns:
         None for fewer than `ENOUGH` rows with a position.
     """
-    seen = session.take(session.seen)
+    seen = session.take(session.located)
     if len(np.unique(seen.pose_id)) < ENOUGH:
         return None
     found = register(Sightings.of(model, session))

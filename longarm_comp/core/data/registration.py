@@ -55,21 +55,21 @@ class Sightings:
         Args:
             model: the arm, sagged or rigid.
             session: measured rows.
-            groups: names of the base placements; all of the session's by default.
+            groups: names of the base placements; by default one per frame of the session.
             markers: names of the markers, empty for the tip; all of the arm's by default.
         """
-        seen, arm = session.take(session.seen), model.arm
+        seen, arm = session.take(session.located), model.arm
         blank = np.full(len(seen), "")
         marked = "marker" in seen.labels and arm.markers
         markers = markers or (list(arm.markers) if marked else [""])
-        group = seen.labels.get("group", blank)
+        group = seen.frames if groups is None else seen.labels.get("group", blank)
         groups = groups or sorted(set(group)) or [""]
         marker = _numbers(seen.labels.get("marker", blank), markers)
         posture = model.posture(unstack(seen.q), seen.context())
         axes, point = np.empty((len(seen), 3, 3)), np.empty((len(seen), 3))
         for k, name in enumerate(markers):
             at = arm.markers[name] if name else arm.tip
-            frame = posture.frames[posture.frame(at.frame)].matrix()
+            frame = posture.frames[posture.spot(name)].matrix()
             matrix = np.broadcast_to(frame, (len(seen), 4, 4))[marker == k]
             axes[marker == k] = matrix[:, :3, :3]
             point[marker == k] = matrix[:, :3, :3] @ np.array(at.position_m) + matrix[:, :3, 3]

@@ -17,19 +17,20 @@ import numpy as np
 
 from longarm_comp.core.arm.context import LEGS, PER_JOINT, Context
 from longarm_comp.core.arm.history import SAME_POSE, History, recorded, sides_told
+from longarm_comp.core.data.measured_rows import ChannelBlock, MeasuredRows, check_shape
 from longarm_comp.core.errors import InputError
 
 Rows = np.ndarray | Sequence[int] | slice
 
 
 @dataclass(frozen=True, eq=False)
-class Session:
+class Session(MeasuredRows):
     """N measurements of an arm with n commanded joints. Arrays are read-only.
 
     Attributes:
         index: (N,) counter of the recording. A step other than 0 or 1 is a gap.
         q: (N, n) commanded joints, rad and m.
-        xyz: (N, 3) measured tip, m. A row of NaN is a lost marker.
+        xyz: (N, 3) measured tip, m. NaN is a coordinate that was not measured.
         approach: (N, n) side each joint arrived from: +1 from below, -1 from above, 0 unknown.
         repeat_id: (N,) rows with the same number revisit one pose; -1 for none.
         sigma: (N, 3) standard deviation of the measurement in m, or None.
@@ -41,6 +42,10 @@ class Session:
             first (`core/arm/history.py`); 0 where unknown.
         told: (N, n) of +-1 where only the side of arrival was recorded, by a run-up of unknown
             length, else 0.
+        readings: what else was measured, by kind (`core/data/kinds.py`), (N, c) each; a row of
+            NaN was not. `orientation`: x, y, z, w; `distance`: m, to the row's `anchor`.
+        sigmas: standard deviations of these, by kind, (N,) each in m or rad.
+        blocks: the channels of the equations; a part of a session keeps those of the whole.
     """
 
     index: np.ndarray
@@ -54,15 +59,17 @@ class Session:
     source: str = "session"
     legs: np.ndarray = field(default_factory=lambda: np.zeros(0))
     told: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    readings: Mapping[str, np.ndarray] = field(default_factory=dict)
+    sigmas: Mapping[str, np.ndarray] = field(default_factory=dict)
+    blocks: tuple[ChannelBlock, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the shapes and freeze the arrays."""
         q = _joints(self.source, self.q)
         n_rows, n = q.shape
         xyz = np.asarray(self.xyz, dtype=float)
-        lost = np.isnan(xyz)
-        if xyz.shape == (n_rows, 3) and (np.isinf(xyz).any() or (lost.any(1) != lost.all(1)).any()):
-            raise InputError(self.source, "xyz", "not finite", "three numbers in m, or three NaN")
+        if xyz.shape == (n_rows, 3) and np.isinf(xyz).any():
+            raise InputError(self.source, "xyz", "not finite", "numbers in m, or NaN")
         self._set("index", np.asarray(self.index, dtype=np.int64), (n_rows,))
         self._set("q", q, (n_rows, n))
         self._set("xyz", xyz, (n_rows, 3))
@@ -78,15 +85,18 @@ class Session:
         labels = {k: np.asarray(v, dtype=str) for k, v in self.labels.items()}
         for kind, held in (("columns", columns), ("labels", labels)):
             for name, values in held.items():
-                _check_shape(self.source, name, values, (n_rows,))
+                check_shape(self.source, name, values, (n_rows,))
                 values.flags.writeable = False
             object.__setattr__(self, kind, held)
         for name, values in columns.items():
             if not np.isfinite(values).all():
                 raise InputError(self.source, name, "not finite", "a finite number in every row")
+        self._check_readings(n_rows)
+        if not self.blocks:
+            object.__setattr__(self, "blocks", self._blocks())
 
     def _set(self, name: str, values: np.ndarray, shape: tuple[int, ...]) -> None:
-        _check_shape(self.source, name, values, shape)
+        check_shape(self.source, name, values, shape)
         frozen = values.view()
         frozen.flags.writeable = False
         object.__setattr__(self, name, frozen)
@@ -105,6 +115,8 @@ class Session:
         columns: Mapping[str, np.ndarray] | None = None,
         labels: Mapping[str, np.ndarray] | None = None,
         source: str = "session",
+        readings: Mapping[str, np.ndarray] | None = None,
+        sigmas: Mapping[str, np.ndarray] | None = None,
     ) -> Session:
         """From rows in the order of recording; how each joint arrived is derived.
 
@@ -124,10 +136,10 @@ class Session:
         q = _joints(source, q)
         n_rows = len(q)
         index = np.arange(n_rows) if index is None else np.asarray(index)
-        _check_shape(source, "index", index, (n_rows,))
+        check_shape(source, "index", index, (n_rows,))
         repeat_id = np.full(n_rows, -1) if repeat_id is None else repeat_id
         begun = np.full(q.shape, np.nan) if run_up is None else np.asarray(run_up, dtype=float)
-        _check_shape(source, "run_up", begun, q.shape)
+        check_shape(source, "run_up", begun, q.shape)
         history = recorded(q, index, approach, begun)
         return cls(
             index,
@@ -141,6 +153,8 @@ class Session:
             source,
             history.legs,
             sides_told(q, approach, begun),
+            readings or {},
+            sigmas or {},
         )
 
     def taken(self, lengths: np.ndarray) -> Session:
@@ -160,7 +174,8 @@ class Session:
 
     def __repr__(self) -> str:
         seen = int(self.seen.sum())
-        return f"Session({self.source}: {len(self)} rows of {self.n} joints, marker seen in {seen})"
+        what = "marker seen" if self.plain else "measured"
+        return f"Session({self.source}: {len(self)} rows of {self.n} joints, {what} in {seen})"
 
     @property
     def n(self) -> int:
@@ -181,11 +196,6 @@ class Session:
     def payload_kg(self) -> np.ndarray | None:
         """Carried mass of each row in kg, (N,), where recorded."""
         return self.columns.get("payload_kg")
-
-    @cached_property
-    def seen(self) -> np.ndarray:
-        """(N,) whether the marker was seen."""
-        return ~np.isnan(self.xyz[:, 0])
 
     @cached_property
     def run_up(self) -> np.ndarray:
@@ -229,6 +239,8 @@ class Session:
             ("repeat_id", self.repeat_id),
             ("sigma", self.sigma),
             *((name, self.columns[name]) for name in sorted(self.columns)),
+            *((name, self.readings[name]) for name in sorted(self.readings)),
+            *((f"sigma {name}", self.sigmas[name]) for name in sorted(self.sigmas)),
         ]
         for name, values in parts:
             if values is not None:
@@ -267,6 +279,8 @@ class Session:
             sigma=None if self.sigma is None else self.sigma[rows],
             columns={name: values[rows] for name, values in self.columns.items()},
             labels={name: values[rows] for name, values in self.labels.items()},
+            readings={name: values[rows] for name, values in self.readings.items()},
+            sigmas={name: values[rows] for name, values in self.sigmas.items()},
         )
 
     def where(self, label: str, value: str) -> Session:
@@ -279,11 +293,6 @@ class Session:
             known = ", ".join(self.labels) or "none"
             raise InputError(self.source, label, "missing", f"a text column (there are: {known})")
         return self.take(self.labels[label] == value)
-
-
-def _check_shape(where: str, name: str, values: np.ndarray, shape: tuple[int, ...]) -> None:
-    if values.shape != shape:
-        raise InputError(where, name, f"shape {values.shape}", f"shape {shape}")
 
 
 def _joints(where: str, q: np.ndarray) -> np.ndarray:

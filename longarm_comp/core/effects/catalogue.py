@@ -18,6 +18,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TypeVar
 
+from longarm_comp.core.effects.anchor_place import AnchorPlace
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.base_compliance import BaseCompliance
 from longarm_comp.core.effects.base_pose import BasePose
@@ -42,6 +43,7 @@ from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.link_stiffness import LinkStiffness
 from longarm_comp.core.effects.measured_tilt import MeasuredTilt
 from longarm_comp.core.effects.prismatic_pitch import PrismaticPitch
+from longarm_comp.core.effects.sensor_place import SensorPlace
 from longarm_comp.core.effects.servo_droop import ServoDroop
 from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
 from longarm_comp.core.effects.slide_play import SlidePlay
@@ -49,6 +51,7 @@ from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.effects.thermal_softening import ThermalSoftening
 from longarm_comp.core.effects.tip_offset import TipOffset
+from longarm_comp.core.effects.tip_orientation import TipOrientation
 from longarm_comp.core.effects.tip_payload import TipPayload
 from longarm_comp.core.errors import InputError
 
@@ -63,6 +66,9 @@ _OURS: tuple[Kind, ...] = (
     DhError,
     BasePose,
     TipOffset,
+    TipOrientation,
+    AnchorPlace,
+    SensorPlace,
     CameraPose,
     LinkDeflection,
     JointCompliance,

@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 
 from typing_extensions import Self
 
+from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Lumped, Posture
@@ -303,8 +304,32 @@ class Effect(_Term, ABC):
 
 @dataclass(frozen=True)
 class Bias(_Term, ABC):
-    """A camera-side cause. It moves the *seen* point, not the arm, and is never compensated."""
+    """A camera-side cause. It moves the *seen* point, not the arm, and is never compensated.
+
+    Attributes:
+        sees: kinds of measurement (`core/data/measurement.py`) that it acts on.
+    """
+
+    sees: ClassVar[frozenset[str]] = frozenset({"position", "orientation"})
 
     @abstractmethod
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
         """Point reported by the camera for a tip at `point` (m, base frame)."""
+
+    def seen_pose(self, tip: Frame, context: Context, arm: Arm) -> Frame:
+        """Pose reported for a tip; by default its axes move with the points around it.
+
+        The axes need not be of unit length or perpendicular: a scale stretches them.
+        """
+
+        def axis(direction: Vec) -> Vec:
+            half = spatial.scale(_AROUND, direction)
+            ahead = self.seen(spatial.add(tip.p, half), context, arm)
+            behind = self.seen(spatial.sub(tip.p, half), context, arm)
+            return spatial.scale(0.5 / _AROUND, spatial.sub(ahead, behind))
+
+        return Frame(axis(tip.n), axis(tip.o), axis(tip.a), self.seen(tip.p, context, arm))
+
+
+_AROUND = 0.01
+"""Distance from the tip (m) of the points that show how a camera turns what it sees."""

@@ -52,8 +52,12 @@ class ServoQuantisation(JointTerm):
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """All revolute joints without a declared step, with one kind of servo, by its steps."""
-        rows = [row for row in cls.rows(arm) if arm.joints[row - 1].step == 0]
+        """The joints without a declared step, with one kind of servo, by its steps.
+
+        All joints, where the arm declares every step: then the model holds them already.
+        """
+        revolute = [row for row in arm.commanded if JointTerm.fits(arm, row)]
+        rows = [row for row in revolute if arm.joints[row - 1].step == 0] or revolute
         return [
             tuple(cls(joint=row, steps_per_turn=steps) for row in rows)
             for steps in STEPS_PER_TURN

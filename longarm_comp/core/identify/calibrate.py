@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.base_pose import BasePose
 from longarm_comp.core.effects.dh_error import DhError
@@ -17,6 +18,7 @@ from longarm_comp.core.effects.tip_offset import TipOffset
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.fit import ModelFit, fit
 from longarm_comp.core.identify.placement import placed
+from longarm_comp.core.identify.sensor_frames import framed, reference, sensor_frames, started
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 
@@ -63,22 +65,17 @@ class Rung:
     held_out: Errors
 
 
-def errors(model: Model, session: Session) -> np.ndarray:
-    """(N, 3) measured - predicted over the seen rows, m."""
-    seen = session.take(session.seen)
-    return seen.xyz - model.measured(seen.q, seen.context())
-
-
-def geometry(arm: Arm, session: Session) -> tuple[Effect, ...]:
+def geometry(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
     """What is always fitted: base placements, markers, every joint zero and DH row."""
     return (*frames(arm, session), *JointZero.for_arm(arm), *DhError.for_arm(arm))
 
 
-def frames(arm: Arm, session: Session) -> tuple[Effect, ...]:
-    """Base placement(s) and markers only: what any measurement needs."""
+def frames(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
+    """Base placement(s), markers and what the sensors leave open: what any measurement needs."""
     groups = sorted(set(session.labels["group"])) if "group" in session.labels else []
     bases = tuple(BasePose(group=str(g)) for g in groups) if len(groups) > 1 else (BasePose(),)
-    return (*bases, *TipOffset.for_arm(arm))
+    placed = bases if framed(arm, session) else ()
+    return (*placed, *TipOffset.for_arm(arm), *sensor_frames(arm, session))
 
 
 def with_geometry(model: Model, session: Session) -> Model:
@@ -86,7 +83,7 @@ def with_geometry(model: Model, session: Session) -> Model:
     return _with_missing(model, geometry(model.arm, session))
 
 
-def _with_missing(model: Model, terms: Sequence[Effect]) -> Model:
+def _with_missing(model: Model, terms: Sequence[Effect | Bias]) -> Model:
     known = {(t.name, t.where) for t in model.terms}
     return model.plus(*(t for t in terms if (t.name, t.where) not in known))
 
@@ -108,7 +105,8 @@ def stages(
         InputError, JobError: as `fit`.
     """
     base = frames(model.arm, session)
-    start = placed(_with_missing(model, base), session)
+    start = placed(_with_missing(model, base), reference(session))
+    start = started(start, session)
     for name, terms in (
         ("frames_only", base),
         ("joint_zeros", (*base, *JointZero.for_arm(model.arm))),
@@ -143,8 +141,9 @@ def ladder(
     Raises:
         InputError: too few rows, or an input that an effect needs is missing.
     """
-    if not train.seen.any() or not held_out.seen.any():
-        raise InputError(train.source, "xyz", "no seen rows", "seen rows to train and to hold out")
+    if not train.placed.any() or not held_out.placed.any():
+        allowed = "rows that say where the tip is, to train and to hold out"
+        raise InputError(train.source, "xyz", "no seen rows", allowed)
     base = declared_model(arm, deflection=deflection)
     rungs = [_rung("nominal", base, None, train, held_out)]
     for name, fitted in stages(base, train, progress):

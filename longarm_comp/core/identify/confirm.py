@@ -76,7 +76,7 @@ def confirm(
 ) -> Confirmed:
     """Block bootstrap of the final linear problem, and its stability under doubt."""
     fit = result.fit
-    blocks = len(_block_rows(len(fit.design) // 3))
+    blocks = len(_block_rows(len(fit.design), fit.width))
     counts = rng.multinomial(blocks, np.full(blocks, 1 / blocks), size=RESAMPLES)
     index = {
         f.name: np.array(
@@ -105,7 +105,7 @@ def _intervals(
     """
     wider = _wider(fit, found)
     design = np.concatenate([fit.design * wider, nuisance_columns(fit, found, candidates)], axis=1)
-    gram, right = _blocks(design, fit.data)
+    gram, right = _blocks(design, fit.data, fit.width)
     prior_gram = np.eye(design.shape[1])
     draws = np.array(
         [
@@ -133,7 +133,7 @@ def _stability(
     fit: ModelFit, found: Sequence[EffectFinding], index: dict[str, np.ndarray], counts: np.ndarray
 ) -> dict[str, float]:
     """By effect, share of the resamples in which its evidence stays."""
-    gram, right = _blocks(fit.design, fit.data)
+    gram, right = _blocks(fit.design, fit.data, fit.width)
     whole = {f.name: _block_gains(fit, f) for f in found if not len(index[f.name])}
     tests: dict[str, list[float]] = {f.name: [] for f in found}
     for count in counts:
@@ -172,9 +172,9 @@ def _overlaps(fit: ModelFit, index: dict[str, np.ndarray]) -> tuple[Overlap, ...
     return tuple(made)
 
 
-def _blocks(a: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normal equations of successive blocks of rows: (B, p, p), (B, p)."""
-    parts = _block_rows(len(a) // 3)
+def _blocks(a: np.ndarray, y: np.ndarray, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Normal equations of successive blocks of rows of so many channels: (B, p, p), (B, p)."""
+    parts = _block_rows(len(a), width)
     return np.stack([a[s].T @ a[s] for s in parts]), np.stack([a[s].T @ y[s] for s in parts])
 
 
@@ -184,11 +184,12 @@ def _block_gains(fit: ModelFit, found: EffectFinding) -> np.ndarray:
     white = fit.whitened(shift[..., None])[:, 0]
     left = fit.whitened(fit.residual[..., None])[:, 0]
     gain = left * white + 0.5 * white * white
-    return np.array([gain[s].sum() for s in _block_rows(len(gain) // 3)])
+    return np.array([gain[s].sum() for s in _block_rows(len(gain), fit.width)])
 
 
-def _block_rows(rows: int) -> list[slice]:
-    cuts = np.linspace(0, rows, min(BLOCKS, rows) + 1).astype(int) * 3
+def _block_rows(equations: int, width: int) -> list[slice]:
+    rows = equations // width
+    cuts = np.linspace(0, rows, min(BLOCKS, rows) + 1).astype(int) * width
     return [slice(lo, hi) for lo, hi in pairwise(cuts)]
 
 
@@ -261,7 +262,7 @@ STEP = 0.05
 def nuisance_columns(
     fit: ModelFit, found: Sequence[EffectFinding], candidates: Sequence[Candidate]
 ) -> np.ndarray:
-    """(3M, k) whitened, prior-scaled columns."""
+    """(dM, k) whitened, prior-scaled columns."""
     columns = columns_at(fit)
     other = {**_dropped(fit, found, candidates), **_standing_in(found)}
     made = [columns.of(tuple(other.values()))]
@@ -292,7 +293,7 @@ def _standing_in(found: Sequence[EffectFinding]) -> dict[tuple[str, str], Term]:
 def _slopes(
     fit: ModelFit, columns: CandidateColumns, terms: Sequence[Term], candidates: Sequence[Candidate]
 ) -> list[np.ndarray]:
-    """(N, 3, 1) shift of the tip as each scale moves half way to the next tried value."""
+    """(N, d, 1) change of the rows as each scale moves half way to the next tried value."""
     ways: list[tuple[Term, Term, float]] = []
     for term in terms:
         for field in term.scales():

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm
 
+from longarm_comp.core.data.measurement import posture
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
 from longarm_comp.core.identify.fit import ModelFit, priors
 from longarm_comp.core.identify.linear import Marginal
@@ -23,8 +24,7 @@ from longarm_comp.core.model.model import slots_of
 def columns_at(fitted: ModelFit) -> CandidateColumns:
     """Columns of any candidate at the rows and the solution of a fit."""
     rows = fitted.session
-    q = [rows.q[:, j] for j in range(rows.n)]
-    return CandidateColumns(fitted.model, fitted.model.posture(q, rows.context()))
+    return CandidateColumns(fitted.model, posture(fitted.model, rows), rows)
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Score:
         log_bayes_factor: evidence gained, sign bounds counted.
         fit_gain: gain in penalised log likelihood.
         mean: (k,) parameter estimates (SI).
-        effect_m: RMS tip shift that it stands for, m.
+        effect_m: RMS tip shift that it stands for, m, as far as it was measured.
     """
 
     candidate: Candidate
@@ -89,7 +89,7 @@ def score(
         added.log_bayes_factor + float(sided),
         added.fit_gain,
         mean * scale,
-        _rms(scaled @ mean),
+        _rms(fitted, scaled @ mean),
     )
 
 
@@ -101,11 +101,13 @@ def _fixed(
     white = fitted.whitened(shift[..., None])[:, 0]
     projected = marginal.project(white)
     gain = float(projected @ marginal.y - 0.5 * projected @ white)
-    return Score(candidate, gain, gain, np.zeros(0), _rms(shift))
+    return Score(candidate, gain, gain, np.zeros(0), _rms(fitted, shift))
 
 
-def _rms(shift: np.ndarray) -> float:
-    return float(np.sqrt((shift**2).sum(-1).mean()))
+def _rms(fitted: ModelFit, shift: np.ndarray) -> float:
+    """RMS over the rows of a change (N, d, ...) in the channels that are lengths, m."""
+    lengths = shift[:, np.array(fitted.session.units) == "m"]
+    return float(np.sqrt((lengths**2).reshape(len(lengths), -1).sum(-1).mean()))
 
 
 IMPLAUSIBLE = 5.0
@@ -169,7 +171,7 @@ def smallest(
         size = math.sqrt(need / gain) if gain > 1e-12 else math.inf
     else:
         size = 1.0 if values.sum() / 2.0 >= threshold else math.inf
-    length = float(np.sqrt((raw**2).sum((1, 2)).mean()))
+    length = _rms(fit, raw)
     return Smallest(candidate, scored, size, size * length if length else math.inf)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import Scalar
+from longarm_comp.core.data.measurement import equations
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify import linear
@@ -30,11 +31,12 @@ class ModelFit:
     Attributes:
         model: at the posterior mode.
         session: the seen rows that were fitted.
-        residual: (N, 3) measured - predicted, m.
-        columns: (N, 3, p) design at the solution.
+        residual: (N, d) measured - predicted in the d channels of the session, m or rad; 0 where
+            a row does not hold a channel.
+        columns: (N, d, p) design at the solution.
         covariance: (p, p) of the parameters, Laplace approximation.
         weights: (N,) 1 or 0 (outlier).
-        sigma: (3,) noise per axis, m.
+        sigma: (d,) noise per channel, m or rad; infinite where nothing was measured.
         effective: number of parameters that the data determine.
         iterations: Gauss-Newton steps taken.
         converged: whether the last step was below a hundredth of the standard errors.
@@ -69,17 +71,22 @@ class ModelFit:
         return np.flatnonzero(self.weights == 0)
 
     def whitened(self, columns: np.ndarray) -> np.ndarray:
-        """(N, 3, k) columns in m per unit -> (3M, k) of the M inliers, in units of the noise."""
-        return whiten(columns, self.weights, self.sigma, self.rho)
+        """(N, d, k) columns per unit -> (dM, k) of the M inliers, in units of the noise."""
+        return whiten(columns, self.weights, self.sigma, self.rho, self.session.mask)
+
+    @property
+    def width(self) -> int:
+        """Number d of channels."""
+        return self.residual.shape[1]
 
     @cached_property
     def design(self) -> np.ndarray:
-        """(3M, p) whitened, prior-scaled design."""
+        """(dM, p) whitened, prior-scaled design."""
         return self.whitened(self.columns * priors(self.slots))
 
     @cached_property
     def data(self) -> np.ndarray:
-        """(3M,) whitened linearised data: the residual with all parameters at their prior mean."""
+        """(dM,) whitened linearised data: the residual with all parameters at their prior mean."""
         taken = self.columns @ self.model.values
         return self.whitened((self.residual + taken)[..., None])[:, 0]
 
@@ -104,8 +111,8 @@ def fit(
     Args:
         model: starting point; its terms decide what is fitted.
         session: rows; lost markers are left out.
-        sigma: (3,) noise per axis in m; estimated from the residual, one for all axes, when
-            not given.
+        sigma: (d,) noise per channel in m or rad; estimated from the residual, one for all
+            channels of a kind and sensor, when not given.
         rho: correlation of the noise from one row to the next (in the order of the rows).
         robust: give outliers weight 0, anew at every step.
         weights: (N of seen rows,) fixed weights instead.
@@ -195,7 +202,7 @@ class _SessionProblem:
         for term in model.terms:
             term.require(context)
         start = np.ones(len(seen)) if weights is None else np.asarray(weights, float)
-        noise = np.full(3, np.nan) if sigma is None else np.asarray(sigma, float)
+        noise = np.full(len(seen.channels), np.nan) if sigma is None else np.asarray(sigma, float)
         empty = np.empty(0)
         return cls(
             dataclasses.replace(model, arrivals=seen.arrivals),
@@ -214,24 +221,39 @@ class _SessionProblem:
 
     def look(self) -> None:
         """Residual and design of the model as it is now."""
-        point, self.columns = self.model.columns(self.model.posture(self.q, self.context))
-        self.residual = self.seen.xyz - point
+        found = equations(self.model, self.seen, self.model.posture(self.q, self.context))
+        self.residual, self.columns = found.residual, found.columns
         if not (np.isfinite(self.residual).all() and np.isfinite(self.columns).all()):
             raise JobError("the fit did not stay finite", session=self.seen.source)
 
     def weigh(self, settled: bool) -> None:
         """Outliers and noise for the residual as it is now."""
         if self.robust and self.fixed is None:
-            self.weights = inliers(self.residual, self.noise if settled else None)
+            known = self.noise if settled else None
+            self.weights = inliers(self.residual, known, self.seen.mask)
         if self.sigma is None:
-            axes = spread(self.residual, self.weights, self.effective)
-            self.noise = np.full(3, np.sqrt((axes**2).mean()))
+            self.noise = self._common(self.spread())
+
+    def spread(self) -> np.ndarray:
+        """(d,) noise of every channel in the residual as it is now."""
+        return spread(self.residual, self.weights, self.effective, self.seen.mask)
+
+    def _common(self, sigma: np.ndarray) -> np.ndarray:
+        """(d,) one figure for all channels of a kind and sensor."""
+        made, start = [], 0
+        for block in self.seen.blocks:
+            mine = sigma[start : start + len(block.channels)]
+            start += len(mine)
+            held = mine[np.isfinite(mine)]
+            common = np.sqrt((held**2).mean()) if len(held) else np.inf
+            made.append(np.full(len(mine), common))
+        return np.concatenate(made)
 
     def whitened(self, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(3N, p) prior-scaled design and (3N,) linearised data, in units of the noise."""
+        """(dN, p) prior-scaled design and (dN,) linearised data, in units of the noise."""
         y = self.residual + self.columns @ self.model.values
         both = np.concatenate([self.columns * scale, y[..., None]], axis=-1)
-        white = whiten(both, self.weights, self.noise, self.rho)
+        white = whiten(both, self.weights, self.noise, self.rho, self.seen.mask)
         return white[:, :-1], white[:, -1]
 
 
@@ -279,7 +301,7 @@ def _fit_parts(
     for part, mine in zip(parts, maps, strict=True):
         part.look()
         if part.sigma is None:
-            part.noise = spread(part.residual, part.weights, part.effective)
+            part.noise = part.spread()
         size = np.outer(scale[mine], scale[mine])
         made.append(
             ModelFit(

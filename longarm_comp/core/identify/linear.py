@@ -104,35 +104,96 @@ MAD = 1.4826
 """Standard deviation of normal noise over its median absolute deviation."""
 
 
-def whiten(columns: np.ndarray, weights: np.ndarray, sigma: np.ndarray, rho: float) -> np.ndarray:
-    """(N, 3, k) columns in m -> (3M, k) of the M rows of weight > 0, with unit white noise.
+def whiten(
+    columns: np.ndarray,
+    weights: np.ndarray,
+    sigma: np.ndarray,
+    rho: float,
+    measured: np.ndarray | None = None,
+) -> np.ndarray:
+    """(N, d, k) columns in m or rad -> (dM, k) of the M rows of weight > 0, with unit white noise.
 
-    Noise that is correlated by `rho` from row to row is whitened as AR(1), each row against
-    the inlier before it.
+    Noise that is correlated by `rho` from row to row is whitened as AR(1), each channel against
+    the inlier before it.  What was not measured must be 0 in the columns and stays so.
+
+    Args:
+        columns: of d channels.
+        weights: (N,).
+        sigma: (d,) noise of the channels.
+        rho: correlation of successive rows.
+        measured: (N, d) which channels a row holds; all where None.
     """
     kept = weights > 0
     rows = columns[kept] * (np.sqrt(weights[kept])[:, None] / sigma)[..., None]
     if rho != 0.0 and len(rows) > 1:
         free = (rows[1:] - rho * rows[:-1]) / np.sqrt(1.0 - rho * rho)
+        if measured is not None:
+            held = measured[kept]
+            both = (held[1:] & held[:-1])[..., None]
+            free = np.where(both, free, rows[1:])
         rows = np.concatenate([rows[:1], free])
-    return rows.reshape(3 * len(rows), columns.shape[-1])
+    return rows.reshape(columns.shape[1] * len(rows), columns.shape[-1])
 
 
-def inliers(residual: np.ndarray, sigma: np.ndarray | None = None) -> np.ndarray:
-    """(N, 3) residual -> (N,) 1, or 0 beyond `OUTLIER` robust standard deviations.
+def inliers(
+    residual: np.ndarray, sigma: np.ndarray | None = None, measured: np.ndarray | None = None
+) -> np.ndarray:
+    """(N, d) residual -> (N,) 1, or 0 beyond `OUTLIER` robust standard deviations.
 
-    A row is out by its largest axis, scaled by the larger of the robust spread and the
-    known noise.
+    A row is out by its largest channel, scaled by the larger of the robust spread and the
+    known noise; only channels that were measured count.
     """
-    centre = np.median(residual, axis=0)
-    robust = MAD * np.median(np.abs(residual - centre), axis=0)
+    held = _only(residual, measured)
+    centre = median(held)
+    robust = MAD * median(np.abs(held - centre))
     if sigma is not None and np.isfinite(sigma).all():
         robust = np.maximum(robust, sigma)
-    worst = (np.abs(residual - centre) / np.maximum(robust, 1e-12)).max(axis=1)
-    return (worst <= OUTLIER).astype(float)
+    worst = np.abs(held - centre) / np.maximum(robust, 1e-12)
+    return (np.nan_to_num(worst).max(axis=1) <= OUTLIER).astype(float)
 
 
-def spread(residual: np.ndarray, weights: np.ndarray, effective: float) -> np.ndarray:
-    """(3,) noise per axis from weighted residuals, degrees of freedom shared by the axes."""
-    count = max(weights.sum() - effective / 3, 1.0)
-    return np.maximum(np.sqrt((weights[:, None] * residual**2).sum(0) / count), 1e-7)
+def spread(
+    residual: np.ndarray,
+    weights: np.ndarray,
+    effective: float,
+    measured: np.ndarray | None = None,
+) -> np.ndarray:
+    """(d,) noise per channel from weighted residuals; all share the degrees of freedom.
+
+    Infinite where no row that counts holds a channel.
+    """
+    count = freedom(weights, effective, measured)
+    sigma = np.maximum(np.sqrt((weights[:, None] * residual**2).sum(0) / count), 1e-7)
+    return sigma if measured is None else np.where(measured[weights > 0].any(0), sigma, np.inf)
+
+
+def freedom(
+    weights: np.ndarray, effective: float, measured: np.ndarray | None = None, least: float = 1.0
+) -> np.ndarray | float:
+    """Degrees of freedom of each channel: its rows less its share of the fitted parameters.
+
+    One number where every row holds all of three channels, else (d,).
+
+    Args:
+        weights: (N,).
+        effective: number of parameters that the data determine.
+        measured: (N, d); None stands for all of three channels.
+        least: lower limit.
+    """
+    if measured is None:
+        return max(weights.sum() - effective / 3, least)
+    count = (weights[:, None] * measured).sum(0)
+    share = count / max(count.sum(), 1.0)
+    return np.maximum(count - effective * share, np.minimum(least, np.maximum(count, 1e-12)))
+
+
+def median(values: np.ndarray) -> np.ndarray:
+    """(d,) medians of (N, d) over what is not NaN; 0 of nothing."""
+    if not np.isnan(values).any():
+        return np.asarray(np.median(values, axis=0))
+    columns = (column[~np.isnan(column)] for column in values.T)
+    return np.array([np.median(column) if len(column) else 0.0 for column in columns])
+
+
+def _only(values: np.ndarray, measured: np.ndarray | None) -> np.ndarray:
+    return values if measured is None else np.where(measured, values, np.nan)

@@ -58,7 +58,7 @@ def next_poses(
     pool = Context(tuple(side for _ in range(arm.n)), typical)
     theirs, mine = _designs(fit, found, other, _rows(fit))
     far, shift = _designs(fit, found, other, (q, pool))
-    scale = fit.sigma[None, :, None]
+    scale = _noise(fit)[None, :, None]
     far, shift = far / scale, shift / scale[..., 0]
     gram = theirs.T @ theirs + np.eye(theirs.shape[1])
     right = theirs.T @ mine
@@ -77,6 +77,13 @@ def next_poses(
     return NextPoses(q[chosen], side[chosen], between, float(total) / 2, payload)
 
 
+def _noise(fit: ModelFit) -> np.ndarray:
+    """(3,) noise of a position that will be measured, m: as before, else the smallest length's."""
+    if fit.session.blocks[0].kind == "position":
+        return np.where(np.isfinite(fit.sigma[:3]), fit.sigma[:3], np.min(fit.sigma[:3]))
+    return np.full(3, np.min(fit.sigma[np.array(fit.session.units) == "m"]))
+
+
 def _rows(fit: ModelFit) -> tuple[np.ndarray, Context]:
     return fit.session.q, fit.session.context()
 
@@ -86,19 +93,20 @@ def _designs(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Design of geometry, rest and alternative, and the shift that the found effect makes.
 
-    For the session's own rows both are whitened, (3M, p) and (3M,); for others they are in
-    m, (N, 3, p) and (N, 3).
+    For the session's own rows both are whitened, (dM, p) and (dM,); for others they are
+    changes of the tip's position in m, (N, 3, p) and (N, 3).
     """
     q, context = at
+    own_rows = len(q) == len(fit.session) and q is fit.session.q
     posture = fit.model.posture([q[:, j] for j in range(q.shape[1])], context)
+    built = CandidateColumns(fit.model, posture, fit.session if own_rows else None)
     places = set(map(key, found.terms))
     rest = [s for s in fit.slots if key(s.owner) not in places]
-    columns = fit.model.columns(posture, rest)[1] * priors(tuple(rest))
-    built = CandidateColumns(fit.model, posture)
+    columns = built.unscaled(rest) * priors(tuple(rest))
     a = np.concatenate([columns, built.of(other.candidate.terms)], axis=-1)
     own = [s for s in fit.slots if key(s.owner) in places]
     values = np.array([getattr(s.owner, s.parameter.name) for s in own])
-    shift = fit.model.columns(posture, own)[1] @ values
-    if len(q) == len(fit.session) and q is fit.session.q:
+    shift = built.unscaled(own) @ values
+    if own_rows:
         return fit.whitened(a), fit.whitened(shift[..., None])[:, 0]
     return a, shift

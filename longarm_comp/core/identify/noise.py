@@ -10,7 +10,7 @@ from scipy.stats import f
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify import linear
 from longarm_comp.core.identify.fit import ModelFit, priors
-from longarm_comp.core.identify.linear import MAD, OUTLIER, whiten
+from longarm_comp.core.identify.linear import MAD, OUTLIER, freedom, median, whiten
 
 ENOUGH_REPEATS = 15
 """Degrees of freedom that repeats must have to be trusted."""
@@ -21,7 +21,7 @@ class NoiseEstimate:
     """Standard deviation per axis and correlation from row to row.
 
     Attributes:
-        sigma: (3,) m.
+        sigma: (d,) of the session's channels, m or rad.
         source: ``repeats`` or ``residual``.
         rho: correlation of one row's noise with the next one's; 0 where insignificant.
         degrees: degrees of freedom per axis.
@@ -36,9 +36,13 @@ class NoiseEstimate:
 def from_repeats(session: Session) -> NoiseEstimate | None:
     """Pure error of repeated poses that were reached from the same side, if there are enough.
 
+    Of whole positions by one sensor; where anything else was measured the residual has to tell.
+
     Repeats from different sides differ by hysteresis too, so each side is a group of its own.
     Deviations beyond 4.2 robust standard deviations are left out.
     """
+    if not session.plain:
+        return None
     seen = session.take(session.seen)
     keys = np.column_stack([seen.pose_id, seen.approach])
     _, group = np.unique(keys, axis=0, return_inverse=True)
@@ -72,7 +76,7 @@ def from_residual(
 
     Args:
         fit: the model so far.
-        extra: (N, 3, k) prior-scaled columns of every candidate.
+        extra: (N, d, k) prior-scaled columns of every candidate.
 
     Returns:
         The noise, and the (N,) weights it was found with.
@@ -83,26 +87,31 @@ def from_residual(
     sigma = fit.sigma.copy()
     rho = 0.0
     residual = fit.residual
-    degrees = 1.0
+    held = fit.session.mask
+    degrees: np.ndarray | float = 1.0
     for _ in range(steps):
-        white = whiten(np.concatenate([columns, y], -1), weights, sigma, 0.0)
+        white = whiten(np.concatenate([columns, y], -1), weights, sigma, 0.0, held)
         posterior = linear.solve(white[:, :-1], white[:, -1])
         residual = (y - columns @ posterior.u[:, None])[..., 0]
-        robust = MAD * np.median(np.abs(residual[weights > 0]), axis=0)
-        degrees = max(weights.sum() - posterior.effective / 3, weights.sum() / 10)
-        inflate = np.sqrt(weights.sum() / degrees)
-        worst = (np.abs(residual) / np.maximum(robust * inflate, 1e-9)).max(axis=1)
-        weights = (worst <= OUTLIER).astype(float)
+        kept = residual if held is None else np.where(held, residual, np.nan)
+        robust = MAD * median(np.abs(kept[weights > 0]))
+        least = weights.sum() / 10
+        degrees = freedom(weights, posterior.effective, held, least)
+        inflate = np.sqrt((weights.sum() if held is None else held[weights > 0].sum(0)) / degrees)
+        worst = np.abs(kept) / np.maximum(robust * inflate, 1e-9)
+        weights = (np.nan_to_num(worst).max(axis=1) <= OUTLIER).astype(float)
         new = np.sqrt((residual[weights > 0] ** 2).sum(0) / degrees)
-        done = np.all(np.abs(new - sigma) < 0.01 * sigma)
+        if held is not None:
+            new = np.where(held[weights > 0].any(0), new, np.inf)
+        done = np.all((new == sigma) | (np.abs(new - sigma) < 0.01 * sigma))
         sigma = np.maximum(new, 1e-7)
         if done:
             break
-    claimed = fit.session.sigma
+    claimed = fit.session.claimed
     if claimed is not None and columns.shape[-1] > weights.sum():
-        sigma = np.maximum(sigma, np.median(claimed, axis=0))
-    rho = lag_correlation(residual / sigma, weights)
-    return NoiseEstimate(sigma, "residual", rho, degrees), weights
+        sigma = np.maximum(sigma, claimed)
+    rho = lag_correlation(residual / sigma, weights, held)
+    return NoiseEstimate(sigma, "residual", rho, float(np.max(degrees))), weights
 
 
 def agreed(repeats: NoiseEstimate, residual: NoiseEstimate) -> NoiseEstimate:
@@ -120,10 +129,13 @@ def agreed(repeats: NoiseEstimate, residual: NoiseEstimate) -> NoiseEstimate:
     return NoiseEstimate(sigma, source, residual.rho, residual.degrees)
 
 
-def lag_correlation(white: np.ndarray, weights: np.ndarray) -> float:
+def lag_correlation(
+    white: np.ndarray, weights: np.ndarray, measured: np.ndarray | None = None
+) -> float:
     """Correlation of successive inlier rows, 0 unless it is beyond 4 standard errors."""
     kept = white[weights > 0]
     if len(kept) < 20:
         return 0.0
+    size = kept.size if measured is None else int(measured[weights > 0].sum())
     rho = float((kept[1:] * kept[:-1]).sum() / (kept**2).sum())
-    return rho if abs(rho) > 4 / np.sqrt(kept.size) and abs(rho) > 0.1 else 0.0
+    return rho if abs(rho) > 4 / np.sqrt(size) and abs(rho) > 0.1 else 0.0

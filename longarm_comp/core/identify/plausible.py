@@ -16,7 +16,9 @@ ENOUGH = 15
 """Held-out rows, at least, that such a comparison takes."""
 NO_NOISE = 0.05
 """Noise, as a share of the sightings' spread, that no instrument has."""
-INCREDIBLE = 50.0
+MISPLACED = 0.25
+"""Error, as a share of the sightings' spread, of an arm that stands somewhere else."""
+INCREDIBLE = 15.0
 """Size of an effect, in its prior standard deviations, that no arm has."""
 
 
@@ -60,18 +62,42 @@ def check_carries_over(fitted: np.ndarray, held_out: np.ndarray, source: str) ->
         )
 
 
+def check_placed(error: np.ndarray, session: Session) -> None:
+    """What a model leaves is learned only where the arm is where the model says.
+
+    Args:
+        error: (N, 3) measured - predicted of the seen rows, m.
+        session: the rows.
+
+    Raises:
+        JobError: the base, or the tip, is somewhere else.
+    """
+    seen = session.xyz[session.seen]
+    size, spread = _median(error), _median(seen - np.median(seen, axis=0))
+    if len(error) >= ENOUGH and size > MISPLACED * spread:
+        raise JobError(
+            f"the arm is {1e3 * size:.3g} mm from where the model puts it; calibrate first, which "
+            "solves where base and tip are, and use that model",
+            session=session.source,
+        )
+
+
 def check_noise(sigma: np.ndarray, session: Session) -> None:
     """What is left is not called noise where no instrument is that bad.
 
     Args:
-        sigma: (3,) noise per axis, m.
+        sigma: (d,) noise per channel; that of positions is looked at, m.
         session: the rows, with what was seen.
 
     Raises:
         JobError: the noise is too large for this arm.
     """
-    seen = session.xyz[session.seen]
-    spread, size = _median(seen - np.median(seen, axis=0)), float(np.linalg.norm(sigma))
+    if session.blocks[0].kind != "position" or not np.isfinite(sigma[:3]).all():
+        return
+    seen = session.take(session.located & (session.frames == session.frames[0])).xyz
+    if len(seen) < 2:
+        return
+    spread, size = _median(seen - np.median(seen, axis=0)), float(np.linalg.norm(sigma[:3]))
     if size > NO_NOISE * spread:
         raise JobError(
             f"{1e3 * size:.3g} mm is left, which is no noise: the sightings spread over "

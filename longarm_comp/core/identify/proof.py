@@ -11,8 +11,9 @@ import numpy as np
 from scipy.stats import chi, norm
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.data.measurement import equations, errors, posture
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.calibrate import Errors, errors
+from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.fit import ModelFit
 from longarm_comp.core.model.model import Model
 
@@ -48,7 +49,8 @@ class Proof:
     """Held-out errors of every model, and what adding the effects changed.
 
     Attributes:
-        errors: by model name, (N, 3) measured - predicted, m.
+        errors: by model name, (M, 3) measured - predicted of the rows that say where the tip is,
+            m (`core/data/measurement.py`).
         rows: by model name, their figures.
         gain_ci95: of the mean 3-D error, calibrated minus with effects, m.
         better: whether the effects lowered the held-out squared error, each axis in units of its
@@ -78,8 +80,10 @@ class Proof:
         """With the errors that a network on top of a model leaves; inside its domain only."""
         if network is None:
             return self
+        rows = rows.take(rows.placed)
         expected = network.predict(rows.q, rows.context())
-        learned = np.where(expected.in_domain[:, None], expected.error, 0.0)
+        known = expected.in_domain & rows.located
+        learned = np.where(known[:, None], expected.error, 0.0)
         error = errors(model, rows) - learned
         return dataclasses.replace(
             self,
@@ -109,15 +113,15 @@ def prove(
         rng: for the bootstrap.
     """
     left = {name: errors(model, rows) for name, model in models.items()}
-    spread = {
-        "calibrated": expected_spread(calibrated, rows),
-        "with_effects": expected_spread(with_effects, rows),
+    unseen = {
+        "calibrated": _Unseen.of(calibrated, rows),
+        "with_effects": _Unseen.of(with_effects, rows),
     }
     before, after = left["calibrated"], left["with_effects"]
     gain = np.linalg.norm(before, axis=1) - np.linalg.norm(after, axis=1)
     low, high = np.percentile(_resampled(gain, rng), [2.5, 97.5])
-    better = _better(before, after, spread["with_effects"], rng)
-    misfit = {name: _misfit(left[name], spread[name]) for name in spread}
+    better = _better(unseen["calibrated"], unseen["with_effects"], rng)
+    misfit = {name: _misfit(one) for name, one in unseen.items()}
     final = misfit["with_effects" if better else "calibrated"]
     share = 1.0 - (misfit["with_effects"][1] / max(misfit["calibrated"][1], 1e-12)) ** 2
     return Proof(
@@ -130,35 +134,61 @@ def prove(
     )
 
 
-def expected_spread(fitted: ModelFit, rows: Session) -> np.ndarray:
-    """(N, 3) standard deviation of unseen errors: noise and parameter uncertainty, m."""
-    posture = fitted.model.posture([rows.q[:, j] for j in range(rows.n)], rows.context())
-    columns = fitted.model.columns(posture)[1]
-    own = np.einsum("nip,pq,niq->ni", columns, fitted.covariance, columns, optimize=True)
-    return np.sqrt(fitted.sigma**2 + own)
+@dataclass(frozen=True)
+class _Unseen:
+    """Unseen rows against a fit.
+
+    Attributes:
+        residual: (N, d) measured - predicted, m or rad; 0 where a channel was not measured, or is
+            unknown to the fit.
+        spread: (N, d) standard deviation that noise and parameter uncertainty give it.
+        held: (N, d) which channels count.
+        lengths: (d,) which channels are lengths.
+    """
+
+    residual: np.ndarray
+    spread: np.ndarray
+    held: np.ndarray
+    lengths: np.ndarray
+
+    @classmethod
+    def of(cls, fitted: ModelFit, rows: Session) -> _Unseen:
+        found = equations(fitted.model, rows, posture(fitted.model, rows))
+        known = dict(zip(fitted.session.channels, fitted.sigma, strict=True))
+        sigma = np.array([known.get(name, np.inf) for name in rows.channels])
+        own = np.einsum(
+            "nip,pq,niq->ni", found.columns, fitted.covariance, found.columns, optimize=True
+        )
+        held = rows.measured & np.isfinite(sigma)
+        spread = np.sqrt(np.where(np.isfinite(sigma), sigma, 1.0) ** 2 + own)
+        return cls(found.residual * held, spread, held, np.array(rows.units) == "m")
 
 
-def _better(
-    before: np.ndarray, after: np.ndarray, spread: np.ndarray, rng: np.random.Generator
-) -> bool:
+def _better(before: _Unseen, after: _Unseen, rng: np.random.Generator) -> bool:
     """Whether the squared errors, in units of the noise, fell beyond chance (95 %, one-sided).
 
     Where so few poses could not show an effect of the fitted size, though it be real, the errors
     must have fallen at all: then it is the evidence of the fitted rows that counts.
     """
-    gain = ((before**2 - after**2) / spread**2).sum(axis=1)
-    expected = float((((before - after) / spread) ** 2).sum())
+    spread = after.spread
+    gain = ((before.residual**2 - after.residual**2) / spread**2).sum(axis=1)
+    expected = float((((before.residual - after.residual) / spread) ** 2).sum())
     if expected < DECIDES:
         return bool(gain.sum() > 0)
     return bool(np.percentile(_resampled(gain, rng), 5.0) > 0)
 
 
-def _misfit(error: np.ndarray, spread: np.ndarray) -> tuple[float, float]:
-    """Median error over the expected (chi with 3 degrees), and the clipped RMS beyond it (m)."""
-    ratio = float(np.median(np.linalg.norm(error / spread, axis=1)) / chi.median(3))
-    limit = 3.0 * np.median(np.linalg.norm(error, axis=1))
-    clipped = np.minimum(np.linalg.norm(error, axis=1), limit)
-    return ratio, float(np.sqrt(max((clipped**2).mean() - (spread**2).sum(1).mean(), 0.0)))
+def _misfit(unseen: _Unseen) -> tuple[float, float]:
+    """Median error over the expected (chi), and the clipped RMS of lengths beyond it (m)."""
+    degrees = unseen.held.sum(axis=1)
+    some = degrees > 0
+    size = np.linalg.norm(unseen.residual / unseen.spread, axis=1)[some]
+    ratio = float(np.median(size / chi.median(degrees[some])))
+    error = np.linalg.norm(unseen.residual[:, unseen.lengths], axis=1)
+    limit = 3.0 * np.median(error)
+    clipped = np.minimum(error, limit)
+    noise = ((unseen.spread**2) * unseen.held)[:, unseen.lengths].sum(1).mean()
+    return ratio, float(np.sqrt(max((clipped**2).mean() - noise, 0.0)))
 
 
 def _resampled(gain: np.ndarray, rng: np.random.Generator) -> np.ndarray:

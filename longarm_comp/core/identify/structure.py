@@ -16,7 +16,7 @@ import numpy as np
 from longarm_comp.core.arm.history import play
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.fit import ModelFit
-from longarm_comp.core.identify.linear import Marginal, whiten
+from longarm_comp.core.identify.linear import Marginal
 
 PERMUTATIONS = 400
 SIGNIFICANT = 0.005
@@ -61,10 +61,8 @@ def examine(fit: ModelFit, base: ModelFit, rng: np.random.Generator) -> Structur
     tested = groups(fit)
     marginal = Marginal(fit.design, fit.data)
     residual = fit.whitened(fit.residual[..., None])[:, 0]
-    rows = residual.reshape(-1, 3)
-    draws = np.stack(
-        [rows[rng.permutation(len(rows))].reshape(-1) for _ in range(PERMUTATIONS)], axis=1
-    )
+    rows = residual.reshape(-1, fit.width)
+    draws = np.stack([_shuffled(rows, fit, rng) for _ in range(PERMUTATIONS)], axis=1)
     null = marginal.project(draws)
     real = marginal.py
     statistics, nulls, smooth = [], [], []
@@ -95,9 +93,10 @@ def examine(fit: ModelFit, base: ModelFit, rng: np.random.Generator) -> Structur
     size, rss_rich = _smooth(fit, marginal, [smooth[k] for k in strong])
     said = [statistics[k][0] for k in strong if statistics[k][1] > top / 3]
     inputs = tuple(dict.fromkeys(name for group in said for name in group.inputs))
-    flag = p < SIGNIFICANT and size > WORTH * float(np.linalg.norm(fit.sigma))
+    lengths = fit.sigma[_lengths(fit)]
+    flag = p < SIGNIFICANT and size > WORTH * float(np.linalg.norm(lengths))
     rss_named = float(residual @ residual)
-    white_base = whiten(base.residual[..., None], fit.weights, fit.sigma, fit.rho)[:, 0]
+    white_base = fit.whitened(base.residual[..., None])[:, 0]
     rss_base = float(white_base @ white_base)
     there = rss_base - rss_rich
     share = 1.0 if there <= 0 else float(np.clip((rss_base - rss_named) / there, 0.0, 1.0))
@@ -120,7 +119,8 @@ def _smooth(fit: ModelFit, marginal: Marginal, bases: list[np.ndarray]) -> tuple
     b = np.concatenate(bases, axis=1)
     added = marginal.added(b)
     part = marginal.project(b) @ added.mean
-    rows = (part.reshape(-1, 3) * fit.sigma) ** 2
+    lengths = _lengths(fit)
+    rows = (part.reshape(-1, fit.width)[:, lengths] * fit.sigma[lengths]) ** 2
     left = residual - part
     return float(np.sqrt(rows.sum(1).mean())), float(left @ left)
 
@@ -132,7 +132,7 @@ class Group:
     Attributes:
         inputs: names of what drives them.
         at: the joint that moves (``joint 2``), or empty where it is the tip, along each axis.
-        columns: (N, 3, k) m, each about as large as the noise.
+        columns: (N, d, k) m or rad, each about as large as the noise.
     """
 
     inputs: tuple[str, ...]
@@ -150,7 +150,7 @@ def groups(fit: ModelFit) -> list[Group]:
     session = fit.session
     curves = [_curve(session.q[:, j]) for j in range(session.n)]
     made = [
-        Group(inputs, "", _three_axes(features, fit.sigma))
+        Group(inputs, "", _of_channels(features, fit))
         for inputs, features in _of_the_tip(session, curves)
         if features.shape[1]
     ]
@@ -220,10 +220,31 @@ def _standard(features: np.ndarray) -> np.ndarray:
     return u[:, s > 1e-6 * s[0]] * np.sqrt(len(features))
 
 
-def _three_axes(features: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """(N, m) features -> (N, 3, 3m) displacements of one noise standard deviation each axis."""
+def _of_channels(features: np.ndarray, fit: ModelFit) -> np.ndarray:
+    """(N, m) features -> (N, d, dm) of one noise standard deviation in each channel."""
     n, m = features.shape
-    made = np.zeros((n, 3, 3 * m))
-    for axis in range(3):
-        made[:, axis, axis * m : (axis + 1) * m] = features * sigma[axis]
+    made = np.zeros((n, fit.width, fit.width * m))
+    held = fit.session.mask
+    for channel, sigma in enumerate(fit.sigma):
+        if np.isfinite(sigma):
+            own = features if held is None else features * held[:, channel, None]
+            made[:, channel, channel * m : (channel + 1) * m] = own * sigma
     return made
+
+
+def _lengths(fit: ModelFit) -> np.ndarray:
+    """(d,) channels that are lengths and were measured."""
+    return (np.array(fit.session.units) == "m") & np.isfinite(fit.sigma)
+
+
+def _shuffled(rows: np.ndarray, fit: ModelFit, rng: np.random.Generator) -> np.ndarray:
+    """(M d,) residuals of the M inliers, those of rows with the same channels exchanged."""
+    held = fit.session.mask
+    if held is None:
+        return rows[rng.permutation(len(rows))].reshape(-1)
+    _, alike = np.unique(held[fit.weights > 0], axis=0, return_inverse=True)
+    made = rows.copy()
+    for pattern in np.unique(alike):
+        mine = np.flatnonzero(alike.reshape(-1) == pattern)
+        made[mine] = rows[mine[rng.permutation(len(mine))]]
+    return made.reshape(-1)

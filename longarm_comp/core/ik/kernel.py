@@ -94,7 +94,7 @@ class Kernel:
         def at(s: newton.State, x: Sequence[Any] | None) -> Posture:
             context = self.layout.unpack(s["c"])
             if x is None:
-                return model.loaded(tuple(s["trial"]), context, {})
+                return model.unsagged(tuple(s["trial"]), context)
             stations = {station for station, _ in (*fixed, *slot)}
             twists = {
                 station: tuple(
@@ -176,7 +176,7 @@ def _twist_slots(model: Model, layout: Layout) -> tuple[Fixed, Slots]:
     graph = Graph()
     q = tuple(graph.input(f"q{i}") for i in range(model.arm.n))
     context = layout.unpack([graph.input(f"c{k}") for k in range(layout.count)])
-    start = model.twists(model.loaded(q, context, {}))
+    start = model.twists(model.unsagged(q, context))
     free = {s: tuple(graph.input(f"x{s}, {i}") for i in range(6)) for s in start}
     again = model.twists(model.loaded(q, context, free))  # type: ignore[arg-type]
     fixed: Fixed = {}

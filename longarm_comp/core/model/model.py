@@ -22,6 +22,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import PLACEMENT, Chain, Lumped, Posture, Twists
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter
+from longarm_comp.core.model.tip_motion import Moved, Reseen, TipMotion, stack
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,7 @@ class Model:
     def posture(self, q: Sequence[Scalar], context: Context | None = None) -> Posture:
         """The loaded, deflected arm at q (n scalars, each a float or (N,))."""
         context = context or Context.empty()
-        posture = self.loaded(q, context, {})
+        posture = self.unsagged(q, context)
         for _ in range(self.load_passes):
             posture = self.loaded(q, context, self.twists(posture))
         return posture
@@ -133,6 +134,21 @@ class Model:
     def load_passes(self) -> int:
         """Number of load passes of `posture`: one if nothing depends on the loads."""
         return self.passes if any(e.loaded for e in self.effects) else min(1, len(self.effects))
+
+    def unsagged(self, q: Sequence[Scalar], context: Context) -> Posture:
+        """The arm at q as its base stands, before any other effect: where the load passes begin."""
+        return self.loaded(q, context, self._standing(context))
+
+    def _standing(self, context: Context) -> Twists:
+        """Twists of the placement alone."""
+        bare = Posture(self.chain, (), context, [], [], self.arm.gravity_mps2)
+        total: dict[int, spatial.Twist] = {}
+        for effect in self.effects:
+            if effect.seen_only:
+                for station, twist in effect.twists(bare).items():
+                    held = total.get(station)
+                    total[station] = twist if held is None else spatial.add_twists(held, twist)
+        return total
 
     def loaded(self, q: Sequence[Scalar], context: Context, twists: Twists) -> Posture:
         """The arm at q with given twists (by station), and its loads."""
@@ -169,21 +185,29 @@ class Model:
     def tip_frame(self, posture: Posture) -> Frame:
         """Pose of the tip (of the marker that the context names) in the base frame."""
         tip = self.arm.tip
-        frame = posture.frames[posture.frame(tip.frame)] @ tip.pose()
+        frame = posture.frames[posture.spot()] @ tip.pose()
         if not self.arm.markers or "marker" not in posture.context.labels:
             return frame
         p: Vec = spatial.ZERO
         for name, marker in self.arm.markers.items():
             mine = posture.context.is_label("marker", name)
-            at = posture.frames[posture.frame(marker.frame)].transform(marker.position_m)
+            at = posture.frames[posture.spot(name)].transform(marker.position_m)
             p = spatial.add(p, spatial.scale(mine, at))
         return frame._replace(p=p)
 
-    def seen(self, point: Vec, context: Context) -> Vec:
-        """The point as reported by the camera: all biases applied in order."""
+    def seen(self, point: Vec, context: Context, kind: str = "position") -> Vec:
+        """The point as a sensor of that kind reports it: its biases applied in order."""
         for bias in self.biases:
-            point = bias.seen(point, context, self.arm)
+            if kind in bias.sees:
+                point = bias.seen(point, context, self.arm)
         return point
+
+    def seen_axes(self, tip: Frame, context: Context) -> Frame:
+        """The tip's axes as a sensor of poses reports them; they need not be of unit length."""
+        for bias in self.biases:
+            if "orientation" in bias.sees:
+                tip = bias.seen_pose(tip, context, self.arm)
+        return tip
 
     def tip(self, q: np.ndarray, context: Context | None = None) -> np.ndarray:
         """Predicted true tip position, q (..., n) -> (..., 3) in m, base frame."""
@@ -204,7 +228,7 @@ class Model:
     def columns(
         self, posture: Posture, slots: Sequence[Slot] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Predicted measurement and its derivative by every parameter.
+        """Predicted position measurement and its derivative by every parameter.
 
         Args:
             posture: the arm at N poses, from `posture`.
@@ -214,44 +238,48 @@ class Model:
             Predicted points (N, 3) in m and columns (N, 3, p), by Eq. (5) with fixed frames.
             They are exact at zero effect and within a few percent at large ones.
         """
+        return self.motion(posture, slots).point()
+
+    def motion(
+        self, posture: Posture, slots: Sequence[Slot] | None = None, turns: bool = False
+    ) -> TipMotion:
+        """The tip at N postures and its motion per unit of every parameter, as `columns`.
+
+        Args:
+            posture, slots: as in `columns`.
+            turns: whether the turns of the tip's axes are wanted.
+        """
         slots = self.slots if slots is None else slots
-        tip = self.tip_frame(posture).p
-        point = self.seen(tip, posture.context)
-        blocks = []
+        tip = self.tip_frame(posture)
+        changes: list[Moved | Reseen] = []
         total = self.twists(posture)
         for slot in slots:
             term, step = slot.owner, 0.01 * slot.parameter.prior
             if isinstance(term, Bias):
-                blocks.append(self._bias_column(slot, tip, posture.context, step))
+                raised, lowered = (self._reseen(slot, by) for by in (step, -step))
+                changes.append(Reseen(raised, lowered, 0.5 / step, term.sees))
                 continue
-            raised, lowered = (
-                self._twists_at(slot, value, posture, total) for value in (step, -step)
-            )
-            shift = self._tip_shift(posture, tip, total, raised, lowered, 0.5 / step)
-            blocks.append(self._seen_shift(tip, shift, posture.context))
-        if not blocks:
-            return stack(point), np.zeros((*np.shape(stack(point)), 0))
-        shape = np.broadcast_shapes(*(np.shape(c) for c in point))
-        columns = [np.stack([np.broadcast_to(c, shape) for c in v], -1) for v in blocks]
-        return stack(point), np.stack(columns, axis=-1)
+            up, down = (self._twists_at(slot, by, posture, total) for by in (step, -step))
+            changes.append(self._tip_motion(posture, tip.p, total, up, down, 0.5 / step, turns))
+        return TipMotion(self, tip, posture.context, changes)
 
-    def shifts(self, posture: Posture, terms: Sequence[Effect | Bias]) -> list[np.ndarray]:
-        """Shift of the seen tip, (N, 3) in m, by each of some terms outside the model.
+    def added(
+        self, posture: Posture, terms: Sequence[Effect | Bias], turns: bool = False
+    ) -> TipMotion:
+        """The tip and its motion by each of some terms outside the model.
 
         To first order, by Eq. (5). It is meant for terms without free parameters.
         """
-        tip = self.tip_frame(posture).p
-        point = self.seen(tip, posture.context)
+        tip = self.tip_frame(posture)
         total = self.twists(posture)
-        rows = []
+        changes: list[Moved | Reseen] = []
         for term in terms:
             if isinstance(term, Bias):
-                seen = spatial.sub(term.seen(point, posture.context, self.arm), point)
+                changes.append(Reseen(self.plus(term), self, 1.0, term.sees))
             else:
-                moved = self._tip_shift(posture, tip, total, term.twists(posture), {}, 1.0)
-                seen = self._seen_shift(tip, moved, posture.context)
-            rows.append(np.broadcast_to(stack(seen), np.shape(stack(point))))
-        return rows
+                twists = term.twists(posture)
+                changes.append(self._tip_motion(posture, tip.p, total, twists, {}, 1.0, turns))
+        return TipMotion(self, tip, posture.context, changes)
 
     def _moved(self, slot: Slot, by: float) -> Effect | Bias:
         name = slot.parameter.name
@@ -277,15 +305,22 @@ class Model:
         return model.twists(dataclasses.replace(bare, extra=extra, _cache={}))
 
     @staticmethod
-    def _tip_shift(
-        posture: Posture, tip: Vec, total: Twists, raised: Twists, lowered: Twists, per: float
-    ) -> Vec:
-        """Eq. (5): the tip's motion under a change of twists, ``sum_i R_i (d_i + delta_i x p_i)``.
+    def _tip_motion(
+        posture: Posture,
+        tip: Vec,
+        total: Twists,
+        raised: Twists,
+        lowered: Twists,
+        per: float,
+        turns: bool,
+    ) -> Moved:
+        """Eq. (5): the tip's motion under a change of twists.
 
+        Its point moves by ``sum_i R_i (d_i + delta_i x p_i)``, its axes by ``sum_i R_i delta_i``.
         The change is taken about the present twist of the station. This is exact also for a
         large twist, as of a displaced base. The frames after it are kept.
         """
-        shift: Vec = spatial.ZERO
+        shift, turn = spatial.ZERO, spatial.ZERO
         for station in {*raised, *lowered}:
             up = raised.get(station, spatial.ZERO_TWIST)
             down = lowered.get(station, spatial.ZERO_TWIST)
@@ -296,37 +331,29 @@ class Model:
             exp = spatial.exp_large if station == PLACEMENT else spatial.exp
             frame = posture.frames[station]
             here = frame.unrotate(spatial.sub(tip, frame.p))
-            ends = [
-                exp(tuple(n + s * c for n, c in zip(now, change, strict=True))).transform(here)  # type: ignore[arg-type]
-                for s in (1.0, -1.0)
-            ]
-            moved = exp(now).unrotate(spatial.sub(ends[0], ends[1]))
-            shift = spatial.add(shift, spatial.scale(per, frame.rotate(moved)))
-        return shift
+            ends = [exp(tuple(n + s * c for n, c in zip(now, change, strict=True))) for s in _BOTH]  # type: ignore[arg-type]
+            moved = spatial.sub(ends[0].transform(here), ends[1].transform(here))
+            back = exp(now)
+            shift = spatial.add(shift, spatial.scale(per, frame.rotate(back.unrotate(moved))))
+            if turns:
+                spun = back.unrotate(spatial.turned(ends[0], ends[1]))
+                turn = spatial.add(turn, spatial.scale(per, frame.rotate(spun)))
+        return Moved(shift, turn)
 
-    def _seen_shift(self, tip: Vec, shift: Vec, context: Context) -> Vec:
-        """The same shift as the camera reports it (chain rule through the biases)."""
-        if not self.biases:
-            return shift
-        h = 1e-3
-        up = self.seen(spatial.add(tip, spatial.scale(h, shift)), context)
-        down = self.seen(spatial.sub(tip, spatial.scale(h, shift)), context)
-        return spatial.scale(0.5 / h, spatial.sub(up, down))
-
-    def _bias_column(self, slot: Slot, tip: Vec, context: Context, step: float) -> Vec:
-        ends = []
+    def _reseen(self, slot: Slot, by: float) -> Model:
+        """The model with a parameter of the camera side moved."""
         position = slot.term - len(self.effects)
-        for by in (step, -step):
-            biases = list(self.biases)
-            moved = self._moved(slot, by)
-            assert isinstance(moved, Bias)
-            if 0 <= position < len(biases) and biases[position] is slot.owner:
-                biases[position] = moved
-            else:
-                biases.append(moved)
-            model = dataclasses.replace(self, biases=tuple(biases))
-            ends.append(model.seen(tip, context))
-        return spatial.scale(0.5 / step, spatial.sub(ends[0], ends[1]))
+        biases = list(self.biases)
+        moved = self._moved(slot, by)
+        assert isinstance(moved, Bias)
+        if 0 <= position < len(biases) and biases[position] is slot.owner:
+            biases[position] = moved
+        else:
+            biases.append(moved)
+        return dataclasses.replace(self, biases=tuple(biases))
+
+
+_BOTH = (1.0, -1.0)
 
 
 def slots_of(arm: Arm, terms: Sequence[Effect | Bias]) -> tuple[Slot, ...]:
@@ -345,8 +372,3 @@ def unstack(q: np.ndarray) -> tuple[Scalar, ...]:
     if q.ndim == 1:
         return tuple(float(v) for v in q)
     return tuple(np.ascontiguousarray(q[..., j]) for j in range(q.shape[-1]))
-
-
-def stack(v: Vec) -> np.ndarray:
-    """Three scalars -> (..., 3)."""
-    return np.stack(np.broadcast_arrays(*v), axis=-1)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.model.model import Model, stack, unstack
+from longarm_comp.core.model.model import Model, unstack
+from longarm_comp.core.model.tip_motion import stack
 
 
 def outline(model: Model, q: np.ndarray, context: Context | None = None) -> np.ndarray:

@@ -137,11 +137,13 @@ class Loop:
             raise InputError(files.model, "model", "in the loop's folder", "another folder")
         method = method_at_work(client)
         self._done("bring_up")
-        chosen = self._journal.once("targets", partial(self._choose, method))
+        learned = files.predictor is not None and files.predictor.is_file()
+        now = method if learned else Method.DEFLECTION
+        chosen = self._journal.once("targets", partial(self._choose, now))
         targets = np.array(chosen["xyz"])
         first = (
             self._drive(names.without, targets, Method.NONE),
-            self._drive(names.before, targets, method),
+            self._drive(names.before, targets, now),
         )
         last, rounds = first[1], list[Round]()
         for k in range(1, self._settings.rounds + 1):

@@ -1,0 +1,203 @@
+"""Kinds of measurement: what a sensor's reading says of the tip, as scalar equations.
+
+A kind turns readings and the predicted tip into residuals, and the motion of the tip into the
+columns of these residuals.  Fit, diagnosis and report know channels and equations only, so a
+further kind is one class here.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.quaternion import LENGTH_TOLERANCE
+from longarm_comp.core.model.tip_motion import TipMotion
+
+Labels = Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Equations:
+    """N rows of k scalar equations; what was not measured is 0 in all of them.
+
+    Attributes:
+        residual: (N, k) measured - predicted, m or rad.
+        columns: (N, k, p) derivative of the prediction by every parameter.
+        pull: (N, k, 3) derivative of the prediction by the position of the tip.
+    """
+
+    residual: np.ndarray
+    columns: np.ndarray
+    pull: np.ndarray
+
+
+class Kind(ABC):
+    """One kind of measurement.
+
+    Attributes:
+        name: in messages, and in `Bias.sees`.
+        cells: the numbers of a reading, as columns of a file.
+        scalars: names of its k equations.
+        unit: of the equations, ``m`` or ``rad``.
+        turns: whether the prediction depends on the tip's axes.
+        label: text column that every reading needs, or empty.
+        sigma: column of its standard deviation in a file, or empty.
+    """
+
+    name: ClassVar[str]
+    cells: ClassVar[tuple[str, ...]]
+    scalars: ClassVar[tuple[str, ...]]
+    unit: ClassVar[str] = "m"
+    turns: ClassVar[bool] = False
+    label: ClassVar[str] = ""
+    sigma: ClassVar[str] = ""
+
+    def measured(self, values: np.ndarray) -> np.ndarray:
+        """(N, k) which equations readings (N, c) hold; NaN is not measured."""
+        whole = np.isfinite(values).all(axis=1, keepdims=True)
+        return np.repeat(whole, len(self.scalars), axis=1)
+
+    def wrong(self, values: np.ndarray) -> tuple[np.ndarray, str]:
+        """(N,) which readings cannot be, and what is allowed instead."""
+        return np.zeros(len(values), dtype=bool), ""
+
+    @abstractmethod
+    def equations(
+        self, motion: TipMotion, values: np.ndarray, arm: Arm, labels: Labels
+    ) -> Equations:
+        """Equations of readings (N, c); rows that are not measured may hold anything."""
+
+
+class Position(Kind):
+    """One, two or three coordinates of the tip in the frame of the measurements."""
+
+    name = "position"
+    cells = ("x", "y", "z")
+    scalars = cells
+
+    def measured(self, values: np.ndarray) -> np.ndarray:
+        return np.isfinite(values)
+
+    def equations(
+        self, motion: TipMotion, values: np.ndarray, arm: Arm, labels: Labels
+    ) -> Equations:
+        point, columns = motion.point()
+        pull = np.broadcast_to(np.eye(3), (*point.shape, 3))
+        return Equations(values - point, columns, pull)
+
+
+class Orientation(Kind):
+    """The tip's axes; the residual is the rotation (rad) from the predicted to the measured."""
+
+    name = "orientation"
+    cells = ("qx", "qy", "qz", "qw")
+    scalars = ("rx", "ry", "rz")
+    unit = "rad"
+    turns = True
+    sigma = "sigma_rot"
+
+    def wrong(self, values: np.ndarray) -> tuple[np.ndarray, str]:
+        length = np.linalg.norm(values, axis=1)
+        return np.abs(length - 1.0) > LENGTH_TOLERANCE, "x, y, z, w of length 1"
+
+    def equations(
+        self, motion: TipMotion, values: np.ndarray, arm: Arm, labels: Labels
+    ) -> Equations:
+        axes, columns = motion.axes()
+        residual = rotation_vector(matrices(values) @ np.swapaxes(axes, -1, -2))
+        return Equations(residual, columns, np.zeros((*residual.shape, 3)))
+
+
+class Distance(Kind):
+    """Distance (m) of the tip to a fixed point, the `anchor` of the row."""
+
+    name = "distance"
+    cells = ("distance",)
+    scalars = cells
+    label = "anchor"
+    sigma = "sigma_distance"
+
+    def wrong(self, values: np.ndarray) -> tuple[np.ndarray, str]:
+        return values[:, 0] <= 0, "above 0 (m)"
+
+    def equations(
+        self, motion: TipMotion, values: np.ndarray, arm: Arm, labels: Labels
+    ) -> Equations:
+        point, columns = motion.point(self.name)
+        names, which = np.unique(labels[self.label], return_inverse=True)
+        places = np.array([arm.anchor(str(name)) for name in names])[which]
+        away = point - places
+        length = np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
+        pull = (away / length)[:, None, :]
+        return Equations(values - length, pull @ columns, pull)
+
+
+class Ray(Kind):
+    """Direction in which a calibrated camera sees the tip, in its own axes; of any length.
+
+    The residual is the angle (rad) across the measured direction, along two axes.
+    """
+
+    name = "ray"
+    cells = ("ray_x", "ray_y", "ray_z")
+    scalars = ("ray_u", "ray_v")
+    unit = "rad"
+    label = "sensor"
+    sigma = "sigma_ray"
+
+    def wrong(self, values: np.ndarray) -> tuple[np.ndarray, str]:
+        return np.linalg.norm(values, axis=1) < 1e-6, "a direction, not zero"
+
+    def equations(
+        self, motion: TipMotion, values: np.ndarray, arm: Arm, labels: Labels
+    ) -> Equations:
+        point, columns = motion.point(self.name)
+        names, which = np.unique(labels[self.label], return_inverse=True)
+        frames = np.array([arm.camera_frame(str(name)) for name in names])[which]
+        local = np.einsum("nji,nj->ni", frames[:, :, :3], point - frames[:, :, 3])
+        length = np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-9)
+        seen = local / length
+        across = _across(values)
+        flat = np.eye(3) - seen[:, :, None] * seen[:, None, :]
+        turned = across @ flat / length[..., None]
+        pull = np.einsum("nki,nji->nkj", turned, frames[:, :, :3])
+        residual = -np.einsum("nki,ni->nk", across, seen)
+        return Equations(residual, pull @ columns, pull)
+
+
+KINDS: Mapping[str, Kind] = {k.name: k for k in (Position(), Orientation(), Distance(), Ray())}
+"""Every kind by name; positions come first in the channels of a session."""
+
+
+def _across(directions: np.ndarray) -> np.ndarray:
+    """Two unit axes (N, 2, 3) across directions (N, 3), which NaN may stand for."""
+    known = np.where(np.isfinite(directions), directions, 1.0)
+    along = known / np.linalg.norm(known, axis=1, keepdims=True)
+    least = np.eye(3)[np.argmin(np.abs(along), axis=1)]
+    first = np.cross(along, least)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(along, first)], axis=1)
+
+
+def matrices(quaternions: np.ndarray) -> np.ndarray:
+    """Rotation matrices (N, 3, 3) of x, y, z, w (N, 4); the identity where one is NaN."""
+    known = np.isfinite(quaternions).all(axis=1, keepdims=True)
+    q = np.where(known, quaternions, np.array([0.0, 0.0, 0.0, 1.0]))
+    x, y, z, w = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def rotation_vector(matrix: np.ndarray) -> np.ndarray:
+    """Rotation vectors (N, 3) in rad of matrices (N, 3, 3); a common scale of one is left out."""
+    return np.asarray(Rotation.from_matrix(matrix).as_rotvec())

@@ -1,0 +1,184 @@
+"""What the rows of a session hold: readings of any kind, and the channels of their equations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from longarm_comp.core.data.kinds import KINDS, Kind
+from longarm_comp.core.errors import InputError
+
+
+@dataclass(frozen=True)
+class ChannelBlock:
+    """Channels of one kind, of one sensor.
+
+    Attributes:
+        kind: name of the kind of measurement.
+        sensor: value of the text column `sensor`; None where it is one sensor for all rows.
+    """
+
+    kind: str
+    sensor: str | None = None
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of its scalars: ``x``, or ``left x`` of a sensor."""
+        return tuple(f"{self.sensor or ''} {name}".strip() for name in KINDS[self.kind].scalars)
+
+
+class MeasuredRows:
+    """The measuring side of a `Session`, whose fields it reads."""
+
+    xyz: np.ndarray
+    sigma: np.ndarray | None
+    labels: Mapping[str, np.ndarray]
+    source: str
+    readings: Mapping[str, np.ndarray]
+    sigmas: Mapping[str, np.ndarray]
+    blocks: tuple[ChannelBlock, ...]
+
+    @cached_property
+    def seen(self) -> np.ndarray:
+        """(N,) whether anything was measured."""
+        return np.asarray(self.measured.any(axis=1))
+
+    @cached_property
+    def located(self) -> np.ndarray:
+        """(N,) whether all three coordinates of the tip were measured."""
+        return np.isfinite(self.xyz).all(axis=1)
+
+    @cached_property
+    def turned(self) -> np.ndarray:
+        """(N,) whether the tip's orientation was measured."""
+        if "orientation" not in self.readings:
+            return np.zeros(len(self.xyz), dtype=bool)
+        return np.isfinite(self.readings["orientation"]).all(axis=1)
+
+    @cached_property
+    def placed(self) -> np.ndarray:
+        """(N,) whether anything was measured that depends on where the tip is."""
+        where = [not KINDS[b.kind].turns for b in self.blocks for _ in b.channels]
+        return np.asarray(self.measured[:, where].any(axis=1))
+
+    @cached_property
+    def plain(self) -> bool:
+        """Whether whole positions by one sensor are all that was measured."""
+        half = np.isfinite(self.xyz).any(axis=1) & ~self.located
+        return self.blocks == (ChannelBlock("position"),) and not half.any()
+
+    @property
+    def kinds(self) -> tuple[Kind, ...]:
+        """The kinds of measurement of its blocks."""
+        return tuple(KINDS[name] for name in dict.fromkeys(b.kind for b in self.blocks))
+
+    @property
+    def turns(self) -> bool:
+        """Whether a kind of measurement depends on the tip's axes."""
+        return any(kind.turns for kind in self.kinds)
+
+    @cached_property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the d scalar equations that a row may hold."""
+        return tuple(name for block in self.blocks for name in block.channels)
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """``m`` or ``rad`` of each channel."""
+        return tuple(KINDS[b.kind].unit for b in self.blocks for _ in b.channels)
+
+    @cached_property
+    def measured(self) -> np.ndarray:
+        """(N, d) which channels each row measured."""
+        made = []
+        for block in self.blocks:
+            held = KINDS[block.kind].measured(self.reading(KINDS[block.kind]))
+            if block.sensor is not None:
+                held = held & (self.labels["sensor"] == block.sensor)[:, None]
+            made.append(held)
+        return np.concatenate(made, axis=1)
+
+    @cached_property
+    def frames(self) -> np.ndarray:
+        """(N,) name of the frame that each row is measured in: its group, and sensor of several."""
+        group = self.labels.get("group", np.full(len(self.xyz), ""))
+        if len({block.sensor for block in self.blocks}) < 2:
+            return group
+        pairs = zip(group, self.labels["sensor"], strict=True)
+        return np.array([f"{g} seen by {s}".strip() for g, s in pairs])
+
+    @property
+    def mask(self) -> np.ndarray | None:
+        """`measured`; None where every row that was seen holds a whole position and no more."""
+        return None if self.plain else self.measured
+
+    @cached_property
+    def claimed(self) -> np.ndarray | None:
+        """(d,) medians of the standard deviations that the rows state; None where none does."""
+        made = []
+        for block in self.blocks:
+            if block.kind == "position":
+                stated = None if self.sigma is None else np.median(self.sigma, axis=0)
+            else:
+                held = self.sigmas.get(block.kind)
+                stated = None if held is None else np.nanmedian(held)
+            made.append(np.broadcast_to(0.0 if stated is None else stated, len(block.channels)))
+        whole = np.concatenate(made)
+        return whole if whole.any() else None
+
+    def reading(self, kind: Kind) -> np.ndarray:
+        """(N, c) readings of one kind, NaN where not measured."""
+        if kind.name == "position":
+            return self.xyz
+        absent = np.full((len(self.xyz), len(kind.cells)), np.nan)
+        return self.readings.get(kind.name, absent)
+
+    def _check_readings(self, n_rows: int) -> None:
+        readings: dict[str, np.ndarray] = {}
+        for name, given in self.readings.items():
+            if name not in KINDS or name == "position":
+                known = ", ".join(k for k in KINDS if k != "position")
+                raise InputError(self.source, f"readings {name}", "unknown kind", known)
+            kind = KINDS[name]
+            values = np.asarray(given, dtype=float)
+            check_shape(self.source, name, values, (n_rows, len(kind.cells)))
+            wrong, allowed = kind.wrong(values)
+            partly = np.isnan(values).any(axis=1) & ~np.isnan(values).all(axis=1)
+            for row in np.flatnonzero(wrong | partly | np.isinf(values).any(axis=1)):
+                field = f"row {row + 1}, {', '.join(kind.cells)}"
+                said = ", ".join(f"{v:g}" for v in values[row])
+                raise InputError(self.source, field, said, allowed or "numbers, or all blank")
+            held = kind.measured(values).any(axis=1)
+            if kind.label and held.any():
+                texts = self.labels.get(kind.label, np.full(n_rows, ""))
+                for row in np.flatnonzero(held & (texts == "")):
+                    field = f"row {row + 1}, {kind.label}"
+                    raise InputError(self.source, field, "blank", f"a name beside {kind.name}")
+            if held.any():
+                readings[name] = values
+                values.flags.writeable = False
+        object.__setattr__(self, "readings", readings)
+        sigmas = {k: np.asarray(v, dtype=float) for k, v in self.sigmas.items() if k in readings}
+        for name, values in sigmas.items():
+            check_shape(self.source, KINDS[name].sigma, values, (n_rows,))
+        object.__setattr__(self, "sigmas", sigmas)
+
+    def _blocks(self) -> tuple[ChannelBlock, ...]:
+        """One block a kind, or a kind and sensor where several sensors measured."""
+        names = np.unique(self.labels.get("sensor", np.array([""])))
+        kinds = [k for k in KINDS if k == "position" and np.isfinite(self.xyz).any()]
+        kinds = [*kinds, *(k for k in KINDS if k in self.readings)] or ["position"]
+        if len(names) < 2:
+            return tuple(ChannelBlock(kind) for kind in kinds)
+        held = {k: KINDS[k].measured(self.reading(KINDS[k])).any(axis=1) for k in kinds}
+        mine = {str(name): self.labels["sensor"] == name for name in names}
+        return tuple(ChannelBlock(k, s) for k in kinds for s in mine if (held[k] & mine[s]).any())
+
+
+def check_shape(where: str, name: str, values: np.ndarray, shape: tuple[int, ...]) -> None:
+    """Raise `InputError` where an array has another shape."""
+    if values.shape != shape:
+        raise InputError(where, name, f"shape {values.shape}", f"shape {shape}")

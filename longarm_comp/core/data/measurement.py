@@ -1,0 +1,88 @@
+"""What a session measured against what a model predicts: stacked scalar equations.
+
+Every row has the session's d channels, and what it did not measure is 0 in residual and columns:
+such an equation says nothing in a least-squares problem.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.data.kinds import KINDS, Equations
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.model.model import Model, Slot
+from longarm_comp.core.model.tip_motion import TipMotion
+
+
+def posture(model: Model, session: Session) -> Posture:
+    """The arm at the rows of a session."""
+    return model.posture([session.q[:, j] for j in range(session.n)], session.context())
+
+
+def equations(
+    model: Model, session: Session, at: Posture, slots: Sequence[Slot] | None = None
+) -> Equations:
+    """Equations of all channels of a session by some parameters, all of a model's by default.
+
+    Args:
+        model: predicts.
+        session: N rows.
+        at: the model's posture at these rows.
+        slots: the parameters.
+    """
+    return _stacked(model.motion(at, slots, session.turns), session, model)
+
+
+def shifts(
+    model: Model, session: Session, at: Posture, terms: Sequence[Effect | Bias]
+) -> np.ndarray:
+    """(N, d, k) change of the prediction by each of k terms outside the model."""
+    return _stacked(model.added(at, terms, session.turns), session, model).columns
+
+
+def errors(model: Model, session: Session) -> np.ndarray:
+    """(M, 3) measured - predicted of the M rows that say where the tip is, m.
+
+    Where fewer than three coordinates were measured it is the smallest displacement of the tip
+    that explains the row: along a measured axis, along the line to an anchor.
+    """
+    placed = session.take(session.placed)
+    if placed.plain:
+        return np.asarray(placed.xyz - model.measured(placed.q, placed.context()))
+    found = equations(model, placed, posture(model, placed), ())
+    moved = np.linalg.pinv(found.pull, rcond=1e-6) @ found.residual[..., None]
+    positions = placed.xyz - model.measured(placed.q, placed.context())
+    return np.where(placed.located[:, None], positions, moved[..., 0])
+
+
+def turns(model: Model, session: Session) -> np.ndarray:
+    """(M, 3) rotation from the predicted to the measured tip, rad, of the M rows that tell it."""
+    turned = session.take(session.turned)
+    if not len(turned):
+        return np.zeros((0, 3))
+    motion = model.motion(posture(model, turned), (), turns=True)
+    kind = KINDS["orientation"]
+    values = turned.readings[kind.name]
+    return kind.equations(motion, values, model.arm, turned.labels).residual
+
+
+def _stacked(motion: TipMotion, session: Session, model: Model) -> Equations:
+    if session.plain:
+        point, columns = motion.point()
+        return Equations(session.xyz - point, columns, np.zeros((0, 3, 3)))
+    made = {
+        kind.name: kind.equations(motion, session.reading(kind), model.arm, session.labels)
+        for kind in session.kinds
+    }
+    parts = [made[channel.kind] for channel in session.blocks]
+    kept = session.measured
+
+    def of(name: str) -> np.ndarray:
+        whole = np.concatenate([getattr(part, name) for part in parts], axis=1)
+        return np.where(kept if whole.ndim == 2 else kept[..., None], whole, 0.0)
+
+    return Equations(of("residual"), of("columns"), of("pull"))

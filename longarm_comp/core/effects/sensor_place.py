@@ -1,0 +1,46 @@
+"""Where a further sensor stands, where several measured one arm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from typing_extensions import Self
+
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.spatial import Vec
+from longarm_comp.core.effects.effect import Bias, parameter, place
+
+
+@dataclass(frozen=True)
+class SensorPlace(Bias):
+    """A further sensor reports in a frame of its own, anywhere against that of the first one."""
+
+    name: ClassVar[str] = "sensor_place"
+    geometry: ClassVar[bool] = True
+
+    sensor: str = place(default="")
+    x: float = parameter("m", "shift of the points that it sees", 0.05, unknown=True)
+    y: float = parameter("m", "shift of the points that it sees", 0.05, unknown=True)
+    z: float = parameter("m", "shift of the points that it sees", 0.05, unknown=True)
+    rx: float = parameter("rad", "turn of the points that it sees", 0.05, unknown=True)
+    ry: float = parameter("rad", "turn of the points that it sees", 0.05, unknown=True)
+    rz: float = parameter("rad", "turn of the points that it sees", 0.05, unknown=True)
+
+    @property
+    def where(self) -> str:
+        """``sensor left``."""
+        return f"sensor {self.sensor}"
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """None: a session's rows say which sensors there are."""
+        return []
+
+    def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
+        """The point in the sensor's frame, for its own rows."""
+        mine = context.is_label("sensor", self.sensor)
+        twist = (self.x, self.y, self.z, self.rx, self.ry, self.rz)
+        return spatial.exp_large(tuple(mine * t for t in twist)).transform(point)  # type: ignore[arg-type]

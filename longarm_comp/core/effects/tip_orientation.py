@@ -1,0 +1,56 @@
+"""How the measured body's axes stand against those of the tip."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from typing_extensions import Self
+
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.spatial import Frame, Vec
+from longarm_comp.core.effects.effect import Bias, markers, parameter, place
+
+
+@dataclass(frozen=True)
+class TipOrientation(Bias):
+    """The axes of a tracked body (of one marker, to one sensor) are turned against the tip's.
+
+    A tracker gives its bodies axes of their own, so the prior leaves any turn free.
+    """
+
+    name: ClassVar[str] = "tip_orientation"
+    geometry: ClassVar[bool] = True
+    sees: ClassVar[frozenset[str]] = frozenset({"orientation"})
+
+    marker: str = place(markers, default="")
+    sensor: str = place(default="")
+    rx: float = parameter("rad", "turn of the measured axes about the tip's", 0.05, unknown=True)
+    ry: float = parameter("rad", "turn of the measured axes about the tip's", 0.05, unknown=True)
+    rz: float = parameter("rad", "turn of the measured axes about the tip's", 0.05, unknown=True)
+
+    @property
+    def where(self) -> str:
+        """``tip`` or ``marker left``, ``tip seen by wall`` of one of several sensors."""
+        what = f"marker {self.marker}" if self.marker else "tip"
+        return f"{what} seen by {self.sensor}" if self.sensor else what
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """Every declared marker, or the tip."""
+        return [tuple(cls(marker=name) for name in arm.markers) or (cls(),)]
+
+    def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
+        """The point as it is."""
+        return point
+
+    def seen_pose(self, tip: Frame, context: Context, arm: Arm) -> Frame:
+        """The tip with its axes turned, for the rows of its marker and sensor."""
+        mine = 1.0
+        for label, value in (("marker", self.marker), ("sensor", self.sensor)):
+            mine = mine * context.is_label(label, value) if value else mine
+        turn = spatial.exp_large((0.0, 0.0, 0.0, mine * self.rx, mine * self.ry, mine * self.rz))
+        n, o, a = (tip.rotate(axis) for axis in turn[:3])
+        return Frame(n, o, a, tip.p)

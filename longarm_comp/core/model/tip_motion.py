@@ -1,0 +1,132 @@
+"""How the tip, and what a sensor reports of it, moves with each parameter of a model.
+
+The arm side moves the tip: by Eq. (5) a shift of the point and a turn of its axes.  The camera
+side moves what is reported of a tip that stays.  A kind of measurement
+(`core/data/measurement.py`) makes its equations of both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.spatial import IDENTITY, Frame, Vec
+
+_H = 1e-3
+"""Step (of a unit parameter, of a rad) of differences through the camera side."""
+
+
+class Sensor(Protocol):
+    """What reports the tip: a model's camera side."""
+
+    def seen(self, point: Vec, context: Context, kind: str = "position") -> Vec: ...
+
+    def seen_axes(self, tip: Frame, context: Context) -> Frame: ...
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A change of the arm: shift of the tip (m) and turn of its axes (rad), in the base frame."""
+
+    shift: Vec
+    turn: Vec
+
+
+@dataclass(frozen=True)
+class Reseen:
+    """A change of the camera side: ``per`` times the difference of two sensors' reports."""
+
+    raised: Sensor
+    lowered: Sensor
+    per: float
+    sees: frozenset[str]
+
+
+@dataclass(frozen=True)
+class TipMotion:
+    """The tip at N postures and its change by each of p parameters.
+
+    Attributes:
+        sensor: the model's camera side.
+        frame: pose of the tip in the base frame.
+        context: circumstances of the postures.
+        changes: one per parameter.
+    """
+
+    sensor: Sensor
+    frame: Frame
+    context: Context
+    changes: Sequence[Moved | Reseen]
+
+    def point(self, kind: str = "position") -> tuple[np.ndarray, np.ndarray]:
+        """Reported point (N, 3) in m and its derivative (N, 3, p)."""
+        seen = self.sensor.seen(self.frame.p, self.context, kind)
+        free = seen is self.frame.p
+        blocks = [self._point_change(change, kind, free) for change in self.changes]
+        return _together(seen, blocks)
+
+    def _point_change(self, change: Moved | Reseen, kind: str, free: bool) -> Vec:
+        tip = self.frame.p
+        if isinstance(change, Reseen):
+            if kind not in change.sees:
+                return spatial.ZERO
+            ends = [s.seen(tip, self.context, kind) for s in (change.raised, change.lowered)]
+            return spatial.scale(change.per, spatial.sub(ends[0], ends[1]))
+        if free:
+            return change.shift
+        up = self.sensor.seen(spatial.add(tip, spatial.scale(_H, change.shift)), self.context, kind)
+        down = self.sensor.seen(
+            spatial.sub(tip, spatial.scale(_H, change.shift)), self.context, kind
+        )
+        return spatial.scale(0.5 / _H, spatial.sub(up, down))
+
+    def axes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Reported axes of the tip (N, 3, 3) and their turn (rad) by each parameter (N, 3, p).
+
+        How a bias turns the axes may depend on where the tip is; that part is left out.
+        """
+        seen = self.sensor.seen_axes(self.frame, self.context)
+        gain = [self._report_of_turn(axis) for axis in IDENTITY[:3]]
+        blocks = [self._turn(change, gain) for change in self.changes]
+        rotation = seen.matrix()[..., :3, :3]
+        return rotation, _together(self.frame.p, blocks)[1]
+
+    def _report_of_turn(self, axis: Vec) -> Vec:
+        """Turn of the reported axes as the tip turns about an axis of the base, per rad."""
+        if self.sensor.seen_axes(IDENTITY, self.context) is IDENTITY:
+            return axis
+        ends = []
+        for step in (_H, -_H):
+            turn = spatial.exp((0.0, 0.0, 0.0, *spatial.scale(step, axis)))
+            n, o, a = (turn.rotate(v) for v in self.frame[:3])
+            tip = Frame(n, o, a, self.frame.p)
+            ends.append(self.sensor.seen_axes(tip, self.context))
+        return spatial.scale(0.5 / _H, spatial.turned(ends[0], ends[1]))
+
+    def _turn(self, change: Moved | Reseen, gain: list[Vec]) -> Vec:
+        if isinstance(change, Moved):
+            turned = [spatial.scale(w, g) for w, g in zip(change.turn, gain, strict=True)]
+            return spatial.add(spatial.add(turned[0], turned[1]), turned[2])
+        if "orientation" not in change.sees:
+            return spatial.ZERO
+        ends = [s.seen_axes(self.frame, self.context) for s in (change.raised, change.lowered)]
+        return spatial.scale(change.per, spatial.turned(ends[0], ends[1]))
+
+
+def stack(v: Vec) -> np.ndarray:
+    """Three scalars -> (..., 3)."""
+    return np.stack(np.broadcast_arrays(*v), axis=-1)
+
+
+def _together(point: Vec, blocks: Sequence[Vec]) -> tuple[np.ndarray, np.ndarray]:
+    """The point, (N, 3), and the blocks in its shape, (N, 3, p)."""
+    if not blocks:
+        return stack(point), np.zeros((*np.shape(stack(point)), 0))
+    shape = np.broadcast_shapes(*(np.shape(c) for c in point))
+    columns = [np.stack([np.broadcast_to(c, shape) for c in v], -1) for v in blocks]
+    return stack(point), np.stack(columns, axis=-1)
