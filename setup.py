@@ -15,6 +15,7 @@ RUNTIME = [
     "llvmlite>=0.43",
     "matplotlib>=3.8",
     "numpy>=1.26",
+    "openpyxl>=3.1",
     "opencv-python-headless>=4.10",
     "plotly>=5.20",
     "pydantic>=2.6",
@@ -25,6 +26,7 @@ RUNTIME = [
     "scipy>=1.12",
     "torch>=2.2",
     "typing-extensions>=4.6",
+    "urdf-parser-py>=0.0.4",
 ]
 
 STUDIES = ["joblib>=1.4", "scikit-learn>=1.4"]

@@ -21,6 +21,7 @@ import pytest
 import yaml
 from cli_shell import Shell
 from damage import damaged
+from openpyxl import Workbook
 from small_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
@@ -90,6 +91,9 @@ READINGS = (
     Reading(("bag", "from-csv", ARM_FILE, "few.csv", "-o", "made_bag"), ("few.csv",)),
     Reading(("bag", "info", "bag"), ("bag/metadata.yaml", "bag/bag.mcap")),
     Reading(("evaluate", ARM_FILE, "--test", "bag"), ("bag/metadata.yaml", "bag/bag.mcap")),
+    Reading(("export-urdf", ARM_FILE, "--model", MODEL), (ARM_FILE, MODEL)),
+    Reading(("import-data", "log.csv", "-o", "s.csv"), ("log.csv",)),
+    Reading(("import-data", "log.xlsx", "--units", "mm,deg", "-o", "s.csv"), ("log.xlsx",)),
     Reading(("undo", "kept.yaml"), ("kept.previous.yaml",)),
     Reading(
         ("import-urdf", "lift.urdf", "--base", "base", "--tip", "b", "-o", "l.yaml"), ("lift.urdf",)
@@ -115,6 +119,12 @@ def whole(work: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     lines = ["x,y,z,payload_kg,temperature_c,t_s,approach"]
     lines += [f"{x:.4f},{y:.4f},{z:.4f},0.0,20.5,12," for x, y, z in aims]
     (folder / "targets.csv").write_text("\n".join(lines) + "\n")
+    sheet = "Time [s];A1 [deg];A2 [deg];X [mm];Y [mm];Z [mm]\n1,5;2,5;3;4;5;6\n2,5;2,5;3;;;\n"
+    (folder / "log.csv").write_text(sheet)
+    book = Workbook()
+    for line in (("q1", "q2", "x", "y", "z"), (1, 2.5, 3, 4, 5), (2, 2.5, 3, 4, 5)):
+        book.active.append(line)
+    book.save(folder / "log.xlsx")
     (folder / "lift.urdf").write_text(LIFT)
     assert made("bag", "from-csv", arm, folder / "few.csv", "-o", folder / "bag") == 0
     return folder
@@ -206,4 +216,4 @@ def test_the_undamaged_files_work(
     for reading in READINGS:
         assert Shell(folder)(*reading.words) == 0, reading.words
     assert not nonsense(folder)
-    assert len(load_model(folder / MODEL, ARM).effects) > 0
+    assert load_model(folder / MODEL, Arm.load(folder / ARM_FILE)).effects

@@ -162,11 +162,40 @@ def test_variance_alone_can_refuse():
     assert far.sigma.max() > np.median(known.sigma)
     corner = predictor.lower[:7] + 0.5 * (predictor.upper - predictor.lower)[:7]  # in every range
     assert predictor.predict(corner[None]).doubt[0] > np.median(known.doubt)
+    low, high = predictor.lower[:7], predictor.upper[:7]
+    anywhere = predictor.predict(low + rng.random((500, 7)) * (high - low)).doubt
+    assert 0.1 < np.quantile(anywhere, 0.99) < 1.0  # the limit is four times this quantile
     limit = predictor.variance_limit * float(predictor.predict(corner[None]).doubt[0])
     strict = dataclasses.replace(predictor, variance_limit=0.9 * limit).predict(corner[None])
     lax = dataclasses.replace(predictor, variance_limit=1.1 * limit).predict(corner[None])
     assert not strict.in_domain[0] and "uncertainty" in strict.reason[0]
     assert lax.in_domain[0] and lax.reason[0] == ""
+
+
+def test_it_refuses_where_its_sigma_is_no_less_than_what_the_physics_alone_leaves(data, small):
+    predictor, context = small
+    found = predictor.predict(data.q, context)
+    assert found.in_domain.all()  # there is a lot to learn
+    left = float(np.linalg.norm(found.sigma[0]))
+    for share, trusted in ((0.99, False), (1.01, True)):
+        alone = np.full(3, share * left / 3**0.5)
+        judged = dataclasses.replace(predictor, alone=alone).predict(data.q, context)
+        assert judged.in_domain[0] == trusted
+        assert ("that the physics alone leaves" in judged.reason[0]) != trusted
+        np.testing.assert_array_equal(judged.error, found.error)
+
+
+def test_nothing_but_noise_is_mostly_refused():
+    """Few rows, nothing to learn: correcting for the prediction would only add to the error."""
+    rng = np.random.default_rng(4)
+    q = LOWER + rng.random((60, 7)) * (UPPER - LOWER)
+    noise, test = (
+        1e-3 * rng.standard_normal((60, 3)),
+        LOWER + rng.random((300, 7)) * (UPPER - LOWER),
+    )
+    predictor = train(q, noise, hidden=12, ensemble=3)
+    np.testing.assert_allclose(predictor.alone, 1e-3, rtol=0.3)
+    assert predictor.predict(test).in_domain.mean() < 0.3
 
 
 def test_one_row_and_many_rows_give_the_same_numbers(data, small):
@@ -186,6 +215,8 @@ def test_a_saved_predictor_comes_back_the_same(data, small, tmp_path):
     before, after = predictor.predict(data.test_q), back.predict(data.test_q)
     np.testing.assert_array_equal(before.error, after.error)
     np.testing.assert_array_equal(before.sigma, after.sigma)
+    np.testing.assert_array_equal(before.in_domain, after.in_domain)
+    np.testing.assert_array_equal(back.alone, predictor.alone)
     assert back.provenance.settings["samples"] == 300
     assert back.provenance.session_hash == "session-1"
     first = path.read_bytes()
@@ -256,6 +287,7 @@ def rewrite(path, change):
         (lambda h, a: a.update(mean=a["mean"] * np.nan), "mean"),
         (lambda h, a: a.update(kept=a["kept"] + 1000), "kept"),
         (lambda h, a: a.update(offset=np.array(["a", "b", "c"])), "offset"),
+        (lambda h, a: a.update(alone=np.array([1e-3, np.nan, 1e-3])), "alone"),
     ],
 )
 def test_a_wrong_field_is_named(small, tmp_path, change, field):
@@ -265,6 +297,14 @@ def test_a_wrong_field_is_named(small, tmp_path, change, field):
     with pytest.raises(InputError) as caught:
         load(path)
     assert caught.value.field == field
+
+
+def test_a_file_of_an_earlier_version_refuses_by_its_domain_alone(data, small, tmp_path):
+    path = tmp_path / "earlier.npz"
+    save(small[0], path)
+    rewrite(path, lambda header, arrays: arrays.pop("alone"))
+    assert np.isinf(load(path).alone).all()
+    assert load(path).predict(data.q, small[1]).in_domain.all()
 
 
 def test_a_pickle_is_never_loaded(tmp_path):

@@ -16,6 +16,7 @@ from scipy.optimize import lsq_linear
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.compensate import commandable
 from longarm_comp.core.compensation.realisable import Lattice, Realisables, Search, choose
 from longarm_comp.core.effects.tip_payload import TipPayload
 from longarm_comp.core.errors import InputError
@@ -416,7 +417,7 @@ def model(demo_arm_path: Path) -> Model:
     data = yaml.safe_load(demo_arm_path.read_text())
     for joint in data["joints"]:
         joint |= {"step_deg": 0.36} if joint["type"] == "revolute" else {"step_m": 1e-4}
-    return declared_model(Arm.parse(data, "stepped demo"))
+    return commandable(declared_model(Arm.parse(data, "stepped demo")))
 
 
 def commanded(

@@ -5,18 +5,25 @@ from __future__ import annotations
 import json
 import mmap
 import os
+import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
+from std_srvs.srv import SetBool
+
 from longarm_comp.core.errors import InputError
+from longarm_comp.jobs.soak import run
 from longarm_comp.jobs.soak.leaks import LeakWatch
 from longarm_comp.jobs.soak.ledger import Ledger
+from longarm_comp.jobs.soak.scene import Scene
 from longarm_comp.jobs.soak.setting import SoakSettings
+from longarm_comp.nodes import interfaces as graph
 
 Q = (0.1, 0.2)
 
@@ -89,7 +96,8 @@ def test_a_process_that_grows_is_a_leak() -> None:
     for _ in range(20):
         still.sample("still", os.getpid())
     assert not still.growth()[0].leaks
-    assert not any(g.judged for g in LeakWatch(still.least + 20, still._seen).growth())
+    short = LeakWatch(still.least + 20, still._seen).growth()
+    assert [(g.judged, g.leaks) for g in short] == [(False, None)]
     still.sample("gone", 2**22 + 1)
     assert len(still.growth()) == 1
 
@@ -116,4 +124,48 @@ def test_half_a_minute_of_faults(ros_domain: int, tmp_path: Path) -> None:
     assert report["faults"]
     refused = sum(n for status, n in report["answers_by_status"].items() if int(status) > 2)
     assert refused == sum(report["refusals"].values())
+    assert report["leaks_judged"] == 0 and all(g["leaks"] is None for g in report["growth"])
     assert {g["name"] for g in report["growth"]} & {"simulated_arm", "kinematics"}
+
+
+class StuckStop:
+    """An emergency stop that is never released."""
+
+    name = "stuck stop"
+
+    def strike(self, scene: Scene) -> None:
+        """Stop."""
+        client = graph.ESTOP.client(scene.client.node, of="servo_driver")
+        assert scene.client.call(client, SetBool.Request(data=True)).success
+
+
+class DeafPredictor:
+    """A predictor that hangs: it is there and never answers."""
+
+    name = "deaf predictor"
+
+    def strike(self, scene: Scene) -> None:
+        """Halt the process; the end of the soak kills it."""
+        os.kill(scene.supervisor.pid("error_predictor"), signal.SIGSTOP)
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [(StuckStop(), "the joints did not go there"), (DeafPredictor(), "status 1")],
+    ids=["stop", "predictor"],
+)
+def test_an_arm_that_stays_dead_fails_the_soak(
+    fault: StuckStop | DeafPredictor,
+    said: str,
+    ros_domain: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(run, "faults", lambda setting: [fault])
+    setting = SoakSettings(tmp_path, hours=0.02, rate_hz=5.0, fault_s=0.5, patience_s=4.0)
+    report = run.soak(setting, threading.Event())
+    assert not report["passed"]
+    assert not report["crashes"]
+    (wrong,) = report["wrong"]
+    assert wrong.startswith(f"no recovery after {fault.name}: ") and said in wrong
+    assert (report["driver_refusals"] > 0) == isinstance(fault, StuckStop)

@@ -225,6 +225,10 @@ def test_undo_takes_no_rubbish(work: Path, shell: Shell, rng: np.random.Generato
     assert Path("m.previous.yaml").exists()
 
 
+def test_undo_of_a_folder(shell: Shell) -> None:
+    assert ".: model: 'a folder'" in shell.refused("undo", ".")
+
+
 def test_servo_files_are_read_strictly(tmp_path: Path) -> None:
     path = tmp_path / "servo.yaml"
     joint = (

@@ -136,7 +136,7 @@ def test_continuous_joints_get_half_a_turn_and_coinciding_limits_are_fixed(tmp_p
         ('value="1.5"', 'value="nan"', "link a mass: 'nan'"),
         ('<child link="c"/>', '<child link="d"/>', "joint jc: 'd'"),
         ('<link name="c"/>', '<link name="b"/>', "link: 'a name is missing or twice'"),
-        ('mimic joint="ja"', 'mimic joint="jz"', "joint jb mimic: 'jz'; allowed: a joint of"),
+        ('mimic joint="ja"', 'mimic joint="jz"', "joint jb mimic: 'jz'; allowed: a joint: ja, jc"),
     ],
 )
 def test_bad_urdf(old: str, new: str, words: str, tmp_path: Path) -> None:
@@ -174,5 +174,48 @@ def test_no_file_and_xacro(tmp_path: Path) -> None:
     path.write_text(
         '<robot name="r" xmlns:xacro="http://ros.org/wiki/xacro"><xacro:macro name="m"/></robot>'
     )
-    with pytest.raises(InputError, match="expand it"):
+    with pytest.raises(InputError, match=r"xacro xacro \S*robot.xacro > robot.urdf"):
         import_urdf(path, "a", "b")
+
+
+COLUMN = """<robot name="column">
+  <link name="base"/><link name="handle"/><link name="one"/><link name="two"/><link name="tool"/>
+  <joint name="lift" type="prismatic"><parent link="base"/><child link="handle"/>
+    <axis xyz="0 0 1"/><limit lower="0" upper="1" effort="1" velocity="1"/></joint>
+  <joint name="first" type="prismatic"><parent link="base"/><child link="one"/>
+    <axis xyz="0 0 1"/><mimic joint="lift" multiplier="0.5"/></joint>
+  <joint name="second" type="prismatic"><parent link="one"/><child link="two"/>
+    <origin xyz="0 0 0.3" rpy="0 0 0.2"/><axis xyz="0 0 1"/>
+    <mimic joint="lift" multiplier="0.5" offset="0.01"/></joint>
+  <joint name="flange" type="fixed"><parent link="two"/><child link="tool"/>
+    <origin xyz="0.1 0.2 0.3" rpy="0.4 0.5 0.6"/></joint>
+</robot>
+"""
+
+
+def test_a_mimic_of_a_joint_beside_the_chain_and_a_fixed_tool(tmp_path: Path) -> None:
+    path = tmp_path / "column.urdf"
+    path.write_text(COLUMN)
+    arm = Arm.parse(import_urdf(path, "base", "tool"), "column")
+    assert arm.joint_names == ("lift",)
+    low, high = Model(arm).pose(np.array([[0.0], [1.0]]))
+    np.testing.assert_allclose(high[:3, 3] - low[:3, 3], [0, 0, 1], atol=1e-12)
+    c, s = np.cos(0.2), np.sin(0.2)
+    at = [c * 0.1 - s * 0.2, s * 0.1 + c * 0.2, 0.3 + 0.01 + 0.3]
+    np.testing.assert_allclose(low[:3, 3], at, atol=1e-12)
+    with pytest.raises(InputError, match="joint first mimic: 'lid'; allowed: a joint: lift"):
+        path.write_text(COLUMN.replace('joint="lift" multiplier="0.5"/>', 'joint="lid"/>'))
+        import_urdf(path, "base", "tool")
+
+
+def test_a_cycle_is_refused_and_a_long_side_chain_is_not(tmp_path: Path) -> None:
+    path = tmp_path / "lift.urdf"
+    link = '<link name="{0}"/><joint name="j{0}" type="fixed">'
+    link += '<parent link="{1}"/><child link="{0}"/></joint>'
+    cycle = link.format("p", "r") + link.format("r", "p")
+    path.write_text(CHAIN.replace("</robot>", cycle + "</robot>"))
+    with pytest.raises(InputError, match="link p: 'in a cycle of joints'"):
+        import_urdf(path, "base", "c")
+    side = "".join(link.format(f"s{k}", f"s{k - 1}" if k else "b") for k in range(3000))
+    path.write_text(CHAIN.replace("</robot>", side + "</robot>"))
+    assert len(import_urdf(path, "base", "c")["point_masses"]) == 3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -11,6 +12,10 @@ from longarm_comp.cli.output import note, print_json, print_rows, progress
 
 SHOWN = ("model", "n", "mean_mm", "rms_mm", "max_mm", "mean_abs_z_mm", "true_mean_mm",
          "paper_mean_mm")  # fmt: skip
+
+
+MORE_PLAY = "joint1=0.002"
+"""What grows before a second round, rad."""
 
 
 @click.command()
@@ -27,6 +32,11 @@ SHOWN = ("model", "n", "mean_mm", "rms_mm", "max_mm", "mean_abs_z_mm", "true_mea
     "--speed", type=float, default=20.0, show_default=True, help="Speed-up of all motion."
 )
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True)
+@click.option(
+    "--second-round",
+    is_flag=True,
+    help="Then the play of one joint grows, and a second round finds it (twice as long).",
+)
 @options.as_json
 def command(
     out: Path,
@@ -35,6 +45,7 @@ def command(
     hidden: str | None,
     speed: float,
     seed: int,
+    second_round: bool,
     as_json: bool,
 ) -> None:
     """Run the whole loop over the real ROS graph on a simulated arm.
@@ -59,6 +70,8 @@ def command(
     from longarm_comp.jobs.demo.settings import DemoSettings
 
     settings = DemoSettings(out, poses, targets, speed=speed, seed=seed)
+    if second_round:
+        settings = replace(settings, more_play=MORE_PLAY)
     if hidden is not None:
         settings = replace(settings, hidden=hidden)
     with stop_on_signals() as stop, progress("demo") as show:
@@ -76,6 +89,22 @@ def command(
         note(f"diagnosis ({printed['verdict']}): {printed['diagnosis']}")
         inside = targets - printed["outside_training_data"]
         note(f"{inside} of {targets} targets lay inside the network's training data")
-        note(f"report in {printed['files']['report']}")
+        note(
+            f"report in {printed['files']['report']}, the loop's page in {printed['files']['loop']}"
+        )
+        if "second_round" in printed:
+            _print_second(printed["second_round"])
     if not result.improved:
         raise JobError("compensation did not bring the arm nearer to its targets")
+
+
+def _print_second(second: dict[str, Any]) -> None:
+    rows = [{name: row[name] for name in ("run", "n", "mean_mm", "max_mm")} for row in
+            second["rows"]]  # fmt: skip
+    true = second["true_mean_mm"]
+    print_rows(
+        f"After the play grew ({MORE_PLAY} rad)",
+        [{**row, "true_mean_mm": true[row["run"]]} for row in rows],
+    )
+    for change in second["rounds"][0]["changes"]:
+        click.echo(change["text"])

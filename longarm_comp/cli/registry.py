@@ -23,7 +23,9 @@ COMMANDS = (
     Entry("evaluate", "evaluate", "Error table on measured poses, as in the paper's Table I."),
     Entry("diagnose", "diagnose", "Find missing effects in the residual, add and prove them."),
     Entry("plan", "plan", "Poses to measure: grid, sobol, or those a diagnosis requests."),
+    Entry("import-data", "import_data", "Convert another program's CSV or XLSX to a session."),
     Entry("import-urdf", "import_urdf", "Write an arm.yaml from a URDF."),
+    Entry("export-urdf", "export_urdf", "Write a calibrated arm as a URDF."),
     Entry("bag info", "bag_info", "Contents of a bag, and the topics a session is read from."),
     Entry("bag to-csv", "bag_to_csv", "Convert a bag to samples.csv."),
     Entry("bag from-csv", "bag_from_csv", "Convert a samples.csv to a bag."),
@@ -34,6 +36,7 @@ COMMANDS = (
         "study_realisable",
         "Choice among the servos' steps, compared with rounding.",
     ),
+    Entry("study day", "study_day", "A day of work: wear, warmth, changing payloads."),
     Entry("up", "up", "Bring up an arm's ROS graph, real or simulated."),
     Entry("study loop", "study_loop", "Benchmark the diagnosis on simulated arms."),
     Entry("bench", "bench", "Speed compared with peers, in one run."),
@@ -41,6 +44,8 @@ COMMANDS = (
     Entry("collect", "collect", "Drive a pose plan over ROS and record the session."),
     Entry("verify", "verify", "Drive fresh targets over ROS, without and with compensation."),
     Entry("apply", "apply", "Put a diagnosis to work on the running graph."),
+    Entry("sweep", "sweep", "Every joint between its limits once: its history is known then."),
+    Entry("loop", "loop", "Plan, collect, diagnose, apply, verify: the cycle as one command."),
     Entry("record", "record", "Record an arm's topics as a rosbag2."),
     Entry("soak", "soak", "Hours of targets on a simulated arm, with random faults."),
     Entry("effects", "effects", "The library of effects: parameters, units, priors, inputs."),
@@ -50,6 +55,6 @@ COMMANDS = (
 
 GROUPS = {
     "bag": "Sessions as rosbag2.",
-    "study": "Studies: Table I, real arms, realisable joints, closing the loop.",
+    "study": "Studies: Table I, real arms, realisable joints, a day of work, closing the loop.",
 }
 """One line of help for each first word of a two-word name."""

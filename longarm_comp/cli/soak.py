@@ -10,6 +10,8 @@ import click
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, print_rows, print_table, progress
 
+_LEAKS = {True: "yes", False: "no", None: "not judged"}
+
 
 @click.command()
 @click.option("--hours", default=1.0, show_default=True)
@@ -25,7 +27,8 @@ def command(
 
     Nodes are killed, files overwritten, servo replies damaged, targets malformed, and the
     emergency stop is pressed. Every target must be answered once, every command sent once and
-    every refusal explained. No process may crash or grow. The exit code is 3 if one fails.
+    every refusal explained. After each fault a target must be answered with status 0 and the
+    joints must go there. No process may crash or grow. The exit code is 3 if one fails.
 
     \b
     Examples:
@@ -63,12 +66,17 @@ def _show(report: dict[str, Any]) -> None:
             "process": g["name"],
             "memory_mb": f"{g['memory_mb'][0]:.0f} -> {g['memory_mb'][1]:.0f}",
             "handles": f"{g['handles'][0]} -> {g['handles'][1]}",
-            "leaks": "yes" if g["leaks"] else "no",
+            "leaks": _LEAKS[g["leaks"]],
         }
         for g in report["growth"]
     ]
     if rows:
         print_rows("processes, after the warm-up -> at the end", rows)
+    judged = report["leaks_judged"]
+    if judged < len(rows):
+        note(f"leaks: {len(rows) - judged} of {len(rows)} processes ran too short to be judged")
     verdict = "passed" if report["passed"] else "failed"
     held = f", {report['held_back']} held back" if report["held_back"] else ""
+    if report["driver_refusals"]:
+        note(f"the driver refused {report['driver_refusals']} trajectories")
     note(f"{report['targets']} targets in {report['seconds']:.0f} s{held}: {verdict}")

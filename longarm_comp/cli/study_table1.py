@@ -21,6 +21,17 @@ from longarm_comp.cli.output import note, print_json, print_rows, progress
 @click.option(
     *("--jobs",), type=int, default=-1, show_default=True, help="Processes; -1 is one per core."
 )
+@click.option(
+    *("--poses",),
+    is_flag=True,
+    help="Command whole poses and print the angle that is left; rows of up to 300 samples.",
+)
+@click.option(
+    *("--paper-setting", "as_paper"),
+    is_flag=True,
+    help="The paper's rows alone; every joint arrives from below, 300 samples are the last of "
+    "the grid in its order.",
+)
 @options.seed
 @options.as_json
 @click.option(
@@ -28,7 +39,14 @@ from longarm_comp.cli.output import note, print_json, print_rows, progress
     help="Folder for table1.json and table1.png.",
 )  # fmt: skip
 def command(
-    arm: Path | None, count: int, jobs: int, seed: int, as_json: bool, output: Path | None
+    arm: Path | None,
+    count: int,
+    jobs: int,
+    poses: bool,
+    as_paper: bool,
+    seed: int,
+    as_json: bool,
+    output: Path | None,
 ) -> None:
     """Repeat the paper's Table I on simulated arms that execute the commands.
 
@@ -48,16 +66,21 @@ def command(
     from longarm_comp.core.files import write_text
     from longarm_comp.share import folder
     from longarm_comp.studies import table1_summary as summary
-    from longarm_comp.studies.table1 import study
+    from longarm_comp.studies.table1 import PRINTED, SAMPLES, SETTINGS, study
 
     base = Arm.load(arm or folder("config") / "arm_demo.yaml")
     began = time.monotonic()
     outcomes = []
+    settings = PRINTED if as_paper else SETTINGS
+    if poses:
+        settings = tuple(s for s in settings if s.samples <= min(SAMPLES))
     with progress("study table1") as show:
-        for finished in study(base, count, seed, jobs=jobs):
+        for finished in study(
+            base, count, seed, jobs=jobs, settings=settings, whole_poses=poses, as_paper=as_paper
+        ):
             outcomes.append(finished)
             show(f"{len(outcomes)} of {count} arms", len(outcomes) / count)
-    table = summary.rows(outcomes)
+    table = summary.rows(outcomes, settings)
     facts: dict[str, Any] = {
         "arms": count,
         "seed": seed,
@@ -87,7 +110,8 @@ def command(
     if as_json:
         print_json(facts)
         return
-    shown = [{k: v for k, v in row.items() if k != "arms_mm"} for row in table]
+    hidden = {"arms_mm"} if poses else {"arms_mm", "orientation_mrad"}
+    shown = [{k: v for k, v in row.items() if k not in hidden} for row in table]
     print_rows(f"Table I: {count} arms, {summary.TARGETS} targets each", shown)
     print_rows(
         "Differences of mean |z| on the same arms",

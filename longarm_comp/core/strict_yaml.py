@@ -42,7 +42,7 @@ class _Loader(yaml.SafeLoader):
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         """Compose one node within the bounds."""
-        event: yaml.Event = self.peek_event()
+        event: Any = self.peek_event()
         line = f"line {event.start_mark.line + 1}"
         self._depth += 1
         if self._depth > DEEPEST:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any, TypeVar
 
@@ -10,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import read_yaml
 
-__all__ = ["RANGES", "Declared", "Misdeclared", "parse_declared", "read_yaml"]
+__all__ = ["RANGES", "Declared", "Misdeclared", "parse_declared", "range_of", "read_yaml"]
 
 T = TypeVar("T", bound=BaseModel)
 
@@ -63,11 +64,16 @@ class Declared(BaseModel):
     @model_validator(mode="after")
     def _in_range(self) -> Any:
         for key in type(self).model_fields:
-            limits = next((r for end, r in RANGES.items() if key.endswith(end)), None)
-            for path, value in _leaves(key, getattr(self, key)) if limits else ():
-                if isinstance(value, (int, float)) and not limits[0] <= value <= limits[1]:
-                    raise Misdeclared(path, value, f"{limits[0]:g} to {limits[1]:g}")
+            lower, upper = range_of(key)
+            for path, value in _leaves(key, getattr(self, key)):
+                if isinstance(value, (int, float)) and not lower <= value <= upper:
+                    raise Misdeclared(path, value, f"{lower:g} to {upper:g}")
         return self
+
+
+def range_of(key: str) -> tuple[float, float]:
+    """What a quantity lies within, by the unit at the end of its key; infinite without one."""
+    return next((r for end, r in RANGES.items() if key.endswith(end)), (-math.inf, math.inf))
 
 
 def _leaves(path: str, value: Any) -> Iterator[tuple[str, Any]]:

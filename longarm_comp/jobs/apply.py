@@ -9,13 +9,15 @@ from std_srvs.srv import Trigger
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import JobError
-from longarm_comp.jobs.client import GraphClient
+from longarm_comp.jobs.client import GraphClient, Interrupted
 from longarm_comp.jobs.parameters import read_parameters
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.workflows.apply import Applied, apply, undo
 from longarm_comp.workflows.inputs import Note, Progress, log_note, silent
 
 _PATIENCE_S = 60.0
+_THERE_S = 10.0
+"""A node that is there is found on the network within it, also on a busy machine."""
 
 
 @dataclass(frozen=True)
@@ -44,9 +46,12 @@ def files_at_work(client: GraphClient) -> FilesAtWork:
         reason = "kinematics runs without a model file: start it with --model FILE"
         raise JobError(f"{reason} (the file need not exist yet)")
     predictor = ""
-    service = client.node.resolve_service_name("error_predictor/get_parameters")
-    if service in dict(client.node.get_service_names_and_types()):
-        (predictor,) = read_parameters(client, "error_predictor", "predictor")
+    try:
+        (predictor,) = read_parameters(client, "error_predictor", "predictor", within_s=_THERE_S)
+    except Interrupted:
+        raise
+    except JobError:  # none is running
+        pass
     return FilesAtWork(Path(arm), Path(model), Path(predictor) if predictor else None)
 
 

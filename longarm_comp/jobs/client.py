@@ -177,10 +177,16 @@ class ArmClient(GraphClient):
     def ready(self, within_s: float = 30.0, *, tip: bool = True) -> None:
         """Wait for joint states, a driver and, with ``tip``, a sighting of the tip."""
         self.until(lambda: self.joints is not None, within_s, "no joint_states")
-        heard = self._trajectory.get_subscription_count
-        self.until(lambda: heard() > 0, within_s, "nobody listens to joint_trajectory")
+        self.until(self._driver_hears, within_s, "no driver listens to joint_trajectory")
         if tip:
             self.until(lambda: self.sightings, within_s, "no tip_measured")
+
+    def _driver_hears(self) -> bool:
+        """Whether everybody who listens to commands is matched, and not only kinematics does."""
+        topic = self.node.resolve_topic_name(graph.JOINT_TRAJECTORY.name)
+        ends = self.node.get_subscriptions_info_by_topic(topic)
+        driver = any(end.node_name not in ("kinematics", self.node.get_name()) for end in ends)
+        return driver and self._trajectory.get_subscription_count() >= len(ends)
 
     # ------------------------------------------------------------------ moving
 
@@ -199,11 +205,24 @@ class ArmClient(GraphClient):
         self._trajectory.publish(JointTrajectory(joint_names=names, points=points))
 
     def arrive(
-        self, path: np.ndarray, tolerance: np.ndarray, dwell_s: float, within_s: float
+        self,
+        path: np.ndarray,
+        tolerance: np.ndarray,
+        dwell_s: float,
+        within_s: float,
+        start: np.ndarray | None = None,
     ) -> int:
         """Wait until the joints rest within a tolerance (n,) of the end of a path (k, n).
 
-        If the arm is there already and the path leads away and back, it must have left first.
+        If the arm was there already and the path leads away and back, it must have left first.
+
+        Args:
+            path: way-points, rad and m.
+            tolerance: of each joint.
+            dwell_s: time at rest.
+            within_s: patience.
+            start: (n,) where the joints stood before the command; where they stand now if not
+                given. A move may be over before this is called.
 
         Returns:
             The moment (ns, the graph's clock) from which the arm was at rest.
@@ -214,7 +233,9 @@ class ArmClient(GraphClient):
         """
         q = path[-1]
         inside_since: list[float] = []
-        away = [bool((np.abs(path - q) <= tolerance).all())]  # no way-point leads away
+        stays = (np.abs(path - q) <= tolerance).all()  # no way-point leads away
+        came = start is not None and (np.abs(start - q) > tolerance).any()
+        away = [bool(stays or came)]
 
         def there() -> bool:
             inside = self.joints is not None and (np.abs(self.joints - q) <= tolerance).all()

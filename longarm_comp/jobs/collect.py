@@ -121,10 +121,11 @@ def _hear_circumstances(client: ArmClient, recorder: Recorder) -> None:
 
 def _visit(client: ArmClient, visit: Visit, pace: Pace) -> int:
     """Drive to one pose and look; the number of sightings."""
+    start = client.joints
     client.send(visit.path, pace.move_s)
     client.spin(0.05)  # the driver has taken it up when its joints move
     tolerance = np.full(client.arm.n, pace.tolerance)
-    now = client.arrive(visit.path, tolerance, pace.dwell_s, pace.arrive_s)
+    now = client.arrive(visit.path, tolerance, pace.dwell_s, pace.arrive_s, start)
     return len(client.look(now + int(_FRESH_S * 1e9), pace.sightings, pace.look_s))
 
 

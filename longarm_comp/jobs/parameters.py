@@ -13,7 +13,9 @@ from longarm_comp.core.errors import JobError
 from longarm_comp.jobs.client import GraphClient
 
 
-def read_parameters(client: GraphClient, node: str, *names: str) -> list[Any]:
+def read_parameters(
+    client: GraphClient, node: str, *names: str, within_s: float = 20.0
+) -> list[Any]:
     """Values of a node's parameters, in the order of the names; None where it has none.
 
     Raises:
@@ -21,7 +23,9 @@ def read_parameters(client: GraphClient, node: str, *names: str) -> list[Any]:
     """
     service = client.node.create_client(GetParameters, f"{node}/get_parameters")
     try:
-        answer = client.call(service, GetParameters.Request(names=list(names)), again=True)
+        answer = client.call(
+            service, GetParameters.Request(names=list(names)), within_s, again=True
+        )
     finally:
         client.node.destroy_client(service)
     return [parameter_value_to_python(value) for value in answer.values]

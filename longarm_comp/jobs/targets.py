@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 
-from longarm_comp.core.compensation.compensate import Method
-from longarm_comp.core.errors import JobError
+from longarm_comp.core.compensation.compensate import Method, Status
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.collect import Pace
 from longarm_comp.jobs.parameters import read_parameters, set_parameter
@@ -34,7 +33,7 @@ class Trial:
         target: (N, 3) m.
         seen: (N, 3) mean sighting of the cameras, m; NaN where the marker was lost.
         true: (N, 3) what another instrument saw, m; NaN without one.
-        status: (N,) of the service.
+        status: (N,) of the service, as `core.compensation` numbers them.
     """
 
     name: str
@@ -55,8 +54,14 @@ class Trial:
 
     @property
     def true_error(self) -> np.ndarray:
-        """(N, 3) true - target, m."""
-        return self.true - self.target
+        """(M, 3) true - target where another instrument saw the tip, m."""
+        off = self.true - self.target
+        return off[np.isfinite(off).all(axis=1)]
+
+    @property
+    def refused(self) -> int:
+        """How many targets were refused."""
+        return sum(not Status(int(status)).success for status in self.status)
 
     def count(self, status: int) -> int:
         """How many targets ended with a status of the service."""
@@ -129,14 +134,16 @@ class TargetRunner:
     ) -> Trial:
         """Send every target (N, 3), m, and measure where the tip comes to rest.
 
+        A target that is refused counts as one where the marker was lost.
+
         Raises:
-            JobError: a target was refused, or the arm did not arrive.
+            JobError: the arm did not arrive. Interrupted: the client was stopped.
         """
         rows = []
         with self.method(method):
             for k, target in enumerate(targets):
                 progress(name, k / len(targets))
-                rows.append(self._one(k, target))
+                rows.append(self._one(target))
         seen, true, status = (np.array(column) for column in zip(*rows, strict=True))
         return Trial(name, targets, seen, true, status)
 
@@ -148,16 +155,17 @@ class TargetRunner:
         request = Compensate.Request(target=pose, position_only=True, execute=execute)
         return self._client.call(self._compensate, request, again=not execute)
 
-    def _one(self, k: int, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+    def _one(self, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
         client, pace = self._client, self._pace
+        start = client.joints
         answer = self.ask(target, execute=True)
         if not answer.success:
-            raise JobError(f"target {k} was refused: {answer.message}", status=answer.status)
+            return np.full(3, np.nan), np.full(3, np.nan), int(answer.status)
         stops = (answer.run_up, answer.command) if answer.run_up.name else (answer.command,)
         path = np.array([joints_of(stop, client.arm, "compensate") for stop in stops])
         client.spin(0.05)
         tolerance = np.full(client.arm.n, pace.tolerance)
-        rest = client.arrive(path, tolerance, pace.dwell_s, pace.arrive_s) + _FRESH_NS
+        rest = client.arrive(path, tolerance, pace.dwell_s, pace.arrive_s, start) + _FRESH_NS
         looks = client.look(rest, pace.sightings, pace.look_s)
         seen = np.mean(looks, axis=0) if looks else np.full(3, np.nan)
         true = np.full(3, np.nan) if self._witness is None else self._witness(rest)

@@ -11,8 +11,10 @@ from pathlib import Path
 
 import numpy as np
 from geometry_msgs.msg import PointStamped
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Float64
 
@@ -34,6 +36,7 @@ PARAMS = (
     Param("port", "", "symbolic link to make to the servo bus"),
     Param("seed", 1, "of all chance", 0, 2**31),
     Param("hidden", "", "undeclared effects and their size at the tip, 'name=mm name=mm'"),
+    Param("more_play", "", "play that has grown since the start, 'joint=rad joint=m'", live=True),
     Param("frame_rate_hz", 5.0, "pairs of images a second", 0.0, 60.0),
     Param("context_rate_hz", 1.0, "temperature and payload messages a second", 0.0, 60.0),
     Param("speed_ticks_s", 3000.0, "no-load speed of the servos", 1.0, 1e6),
@@ -70,6 +73,10 @@ def sizes(text: str) -> dict[str, float]:
     Raises:
         InputError: another form.
     """
+    return _numbers("hidden", text, "name=mm, for instance backlash=2.0")
+
+
+def _numbers(field: str, text: str, allowed: str) -> dict[str, float]:
     by_name = {}
     for part in text.split():
         name, _, size = part.partition("=")
@@ -77,7 +84,7 @@ def sizes(text: str) -> dict[str, float]:
             by_name[name] = float(size)
         except ValueError:
             where = "parameters of simulated_arm"
-            raise InputError(where, "hidden", part, "name=mm, for instance backlash=2.0") from None
+            raise InputError(where, field, part, allowed) from None
     return by_name
 
 
@@ -111,6 +118,8 @@ class SimulatedArm(Node):
             payload_kg=p["payload_kg"],
         )
         self._plant = Plant(config, Path(p["port"]), rng)
+        self._wear(p["more_play"])
+        self.add_on_set_parameters_callback(self._on_set)
         self._started = time.monotonic()
         self._frames = self._late = 0
         self._worker = Worker(self, executor, 1, self.survived)
@@ -138,6 +147,19 @@ class SimulatedArm(Node):
     def survived(self, error: Exception) -> None:
         """Count an exception that a callback raised."""
         self._health.fault(error)
+
+    def _wear(self, text: str) -> None:
+        self._plant.wear(_numbers("more_play", text, "joint=rad, for instance joint4=0.002"))
+
+    def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Take up what may be set while running."""
+        try:
+            for parameter in parameters:
+                if parameter.name == "more_play":
+                    self._wear(parameter.value)
+        except InputError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
 
     def _expose(self) -> None:
         if not self._worker.submit(self._frame):

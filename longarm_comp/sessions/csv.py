@@ -13,6 +13,7 @@ comes close to a known one: then it is an error that says which.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,7 +24,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.yaml_file import RANGES
+from longarm_comp.core.yaml_file import range_of
 from longarm_comp.sessions.csv_readings import (
     READ,
     XYZ,
@@ -33,7 +34,7 @@ from longarm_comp.sessions.csv_readings import (
     written_readings,
 )
 from longarm_comp.sessions.names import check_header, check_unknown
-from longarm_comp.sessions.table import LARGEST, Table, read_table, write_table
+from longarm_comp.sessions.table import Table, read_table, write_table
 
 SIGMA = ("sigma_x", "sigma_y", "sigma_z")
 VARIANCE = ("cov_xx", "cov_yy", "cov_zz")
@@ -127,9 +128,8 @@ def recorded_besides(
 
 
 def _circumstance(table: Table, name: str) -> np.ndarray:
-    ends = next((held for end, held in RANGES.items() if name.endswith(end)), None)
-    lower, upper = ends or (-LARGEST, LARGEST)
-    unit = f"{UNITS[name]}" + (f" of {lower:g} to {upper:g}" if ends else "")
+    lower, upper = range_of(name)
+    unit = UNITS[name] + (f" of {lower:g} to {upper:g}" if math.isfinite(upper) else "")
     return table.numbers(
         name, f"{unit}, in every row or in none", test=lambda v: lower <= v <= upper
     )

@@ -6,6 +6,9 @@ import re
 from collections.abc import Collection, Sequence
 
 from longarm_comp.core.errors import InputError
+from longarm_comp.sessions.foreign.units import split_name
+
+_FOREIGN = re.compile(r"(?i)(q|j|joint|axis|a|theta)[ _]?\d+|[xyz]|(p|pos|tip|tcp|meas)[ _.]?[xyz]")
 
 
 def check_header(where: str, header: Sequence[str], required: Collection[str]) -> None:
@@ -19,7 +22,22 @@ def check_header(where: str, header: Sequence[str], required: Collection[str]) -
         if name not in header:
             near = nearest(name, header)
             hint = f" (is it {near}?)" if near else ""
-            raise InputError(where, f"column {name}", f"missing{hint}", " ".join(required))
+            allowed = " ".join(required)
+            if "q1" in required:
+                allowed += conversion(where, header)
+            raise InputError(where, f"column {name}", f"missing{hint}", allowed)
+
+
+def conversion(where: str, header: Sequence[str]) -> str:
+    """The call that converts a table of another program, where its names look like one's."""
+    split = [split_name(name) for name in header]
+    suffixed = [unit for name, unit in split if unit is not None and _FOREIGN.fullmatch(name)]
+    bare = [name for name, unit in split if unit is None and _FOREIGN.fullmatch(name)]
+    others = [name for name in bare if not re.fullmatch(r"q\d+|[xyz]", name)]
+    if not suffixed and not others:
+        return ""
+    units = " --units mm,deg" if bare else ""
+    return f"; to convert it: longarm import-data {where} -o samples.csv{units}"
 
 
 def check_unknown(

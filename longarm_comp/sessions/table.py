@@ -121,7 +121,8 @@ def read_table(path: str | Path) -> Table:
         raise InputError(where, "file", "empty", "a header and at least one row")
     header, body = rows[0][1], rows[1:]
     if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
-        raise InputError(where, "header", header[0], "columns separated by commas")
+        allowed = f"columns separated by commas; to convert it: longarm import-data {where}"
+        raise InputError(where, "header", header[0], f"{allowed} -o samples.csv --units mm,deg")
     if not body:
         raise InputError(where, "rows", 0, "at least one row below the header")
     for line, row in body:

@@ -19,7 +19,7 @@ from longarm_comp.sim.context import State, TrueContext
 from longarm_comp.sim.hidden.camera import CameraEffect
 
 Array = np.ndarray
-Approach = Literal["both", "random", "mixed", "previous"]
+Approach = Literal["both", "random", "mixed", "previous", "below"]
 
 
 @dataclass(frozen=True)
@@ -135,8 +135,8 @@ def measure_session(
         poses: commanded joints (N, n).
         rng: source of all randomness.
         approach: `both`: every pose twice, from below and from above; `random`: one side at
-            random; `mixed`: a third of these left blank; `previous`: all blank. A blank row
-            arrives joint by joint from the row before.
+            random; `mixed`: a third of these left blank; `previous`: all blank; `below`:
+            every pose from below. A blank row arrives joint by joint from the row before.
         repeats: number of random poses that are visited two more times during the session.
         lost: share of rows without a sighting.
         outliers: share of rows with a gross error of 4-15 mm.
@@ -246,6 +246,8 @@ def _written_side(approach: Approach, order: Array, rng: np.random.Generator) ->
         side[rng.random(len(order)) < 1 / 3] = np.nan
     if approach == "previous":
         side[:] = np.nan
+    if approach == "below":
+        side[:] = 1.0
     return side
 
 

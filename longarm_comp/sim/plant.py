@@ -6,7 +6,7 @@ It is commanded only through the servo bus and observed only through the cameras
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
@@ -20,6 +20,7 @@ from longarm_comp.sim.cameras import CameraPair, Conditions, Plate, render
 from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.catalogue import draw
+from longarm_comp.sim.hidden.drives import Backlash
 from longarm_comp.sim.servo_emulator import EmulatedArm, MotorSpec, ServoEmulator
 
 Array = NDArray[np.float64]
@@ -43,6 +44,18 @@ def hidden_effects(
             raise InputError("plant", "hidden", name, "an effect of the arm's side")
         effects.append(effect)
     return tuple(effects)
+
+
+def with_play(hidden: tuple[HiddenEffect, ...], more: Array) -> tuple[HiddenEffect, ...]:
+    """Hidden effects with play (n,), rad or m, added to the play that is there already."""
+    if not more.any():
+        return hidden
+    if not any(isinstance(effect, Backlash) for effect in hidden):
+        return (*hidden, Backlash(0.5 * more, gate=np.inf))
+    return tuple(
+        replace(effect, half=effect.half + 0.5 * more) if isinstance(effect, Backlash) else effect
+        for effect in hidden
+    )
 
 
 @dataclass(frozen=True)
@@ -85,6 +98,22 @@ class Plant:
         self._rng = rng
         self._true = TrueArm(config.arm, config.hidden, steps=_STEPS)
         self._last: tuple[Array, Array] | None = None
+
+    def wear(self, play: Mapping[str, float]) -> None:
+        """The play of some joints is so much (rad, m) larger than at the start from now on.
+
+        Raises:
+            InputError: no such joint, or no finite play.
+        """
+        names = self.config.arm.joint_names
+        for joint, value in play.items():
+            if joint not in names:
+                raise InputError("plant", "more_play", joint, ", ".join(names))
+            if not 0.0 <= value < np.inf:
+                raise InputError("plant", f"more_play {joint}", value, "0 or more, rad or m")
+        more = np.array([play.get(name, 0.0) for name in names])
+        self._true = TrueArm(self.config.arm, with_play(self.config.hidden, more), steps=_STEPS)
+        self._last = None
 
     def start(self) -> None:
         """Power on: the bus answers from now on."""

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.compensation.compensate import commandable
 from longarm_comp.core.compensation.realisable import KNOWN_TO, Lattice, Realisables, Search, choose
 from longarm_comp.core.effects.tip_offset import TipOffset
 from longarm_comp.core.ik import solver as ik
@@ -117,12 +118,12 @@ def cases(base: Arm, steps: int) -> list[ArmCase]:
     slides = [
         k for k, row in enumerate(whole.commanded) if whole.joints[row - 1].type == "prismatic"
     ]
-    model = declared_model(whole)
+    model = commandable(declared_model(whole))
     drawn = [
         ArmCase(f"{whole.n - len(locked)} joints", model, tuple(locked))
         for locked in (slides, slides[-1:], [])
     ]
-    wrist = declared_model(_stepped(base, steps, wrist=True))
+    wrist = commandable(declared_model(_stepped(base, steps, wrist=True)))
     return [*drawn, ArmCase(f"{wrist.arm.n} joints", wrist)]
 
 

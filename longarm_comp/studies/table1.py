@@ -6,24 +6,32 @@ Each row of the table is trained on these rows.  Then 40 random targets are comm
 simulated arm, and the errors of its true tip are evaluated.
 
 The paper's rows are the paper's scheme: one SSA-BP network of 12 hidden units on the commanded
-joints alone, one pseudo-target pass.  The peer is a Gaussian process on joints and approach
-direction.  The best setting calibrates, adds the effects that the training rows ask for, and
-learns the rest from joints and context.  A row that uses the approach direction gets the one with
-which the arm arrives.
+joints alone, one pseudo-target pass, each joint rounded to its servo's steps by itself.  The other
+rows know the steps: the model rounds as the servos do, and joints are chosen among the steps.
+The peer is a Gaussian process on the same inputs as the network.  The best setting calibrates,
+adds the effects that the training rows ask for, and learns the rest from joints and context.  A
+row that uses the approach direction gets the one with which the arm arrives.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.compensation.compensate import Method, compensate_many, rigid
-from longarm_comp.core.data.plan import grid, random_joints
+from longarm_comp.core.compensation.compensate import (
+    Method,
+    commandable,
+    compensate_many,
+    rigid,
+)
+from longarm_comp.core.data.plan import grid, paper_grid, random_joints
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.calibrate import Errors, declared_model, geometry
 from longarm_comp.core.identify.candidates import library
@@ -32,8 +40,9 @@ from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim import context as sim_context
 from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.hidden.drives import ServoQuantisation
 from longarm_comp.sim.measure import TrueCamera, measure_session
-from longarm_comp.sim.random_arms import paper_mix, random_arm
+from longarm_comp.sim.random_arms import Mix, paper_mix, random_arm
 from longarm_comp.studies.extra import extra
 from longarm_comp.studies.peers import train_gaussian_process
 from longarm_comp.workflows.residual import training_rows
@@ -55,6 +64,7 @@ class RowSetting:
         learner: makes a predictor of a residual; None where nothing is learned.
         physics: makes the model from the declared one and the training rows.
         single_pass: one pseudo-target pass, as in the paper.
+        realisable: joints are chosen among the servos' steps, else each is rounded by itself.
         paper: mean |z| (mm) and variance (mm^2) printed in Table I, where it has the row.
     """
 
@@ -64,6 +74,7 @@ class RowSetting:
     learner: Callable[..., Any] | None = None
     physics: Callable[[Model, Session], Model] = lambda declared, _: declared
     single_pass: bool = False
+    realisable: bool = True
     paper: tuple[float, float] | None = None
 
 
@@ -75,17 +86,22 @@ class Outcome:
         tip: of the true tip.
         seen: of the tip as the stereo head reports it without noise (the paper's way).
         fallbacks: targets where no correction was applied (outside the training data, ...).
+        turned: mean angle between the true tip frame and the target's, rad; NaN where positions
+            alone were asked for.
     """
 
     row: str
     tip: Errors
     seen: Errors
     fallbacks: int
+    turned: float = math.nan
 
 
 def ssa_bp(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:
-    """The paper's network: joints in, one member."""
-    return train(q, residual, None, inputs=_JOINTS_ONLY, hidden=HIDDEN, ensemble=1, seed=seed)
+    """The paper's network: joints in, one member, and it never refuses."""
+    made = train(q, residual, None, inputs=_JOINTS_ONLY, hidden=HIDDEN, ensemble=1, seed=seed)
+    far = np.full_like(made.lower, np.inf)
+    return replace(made, lower=-far, upper=far, variance_limit=np.inf, alone=np.full(3, np.inf))
 
 
 def ssa_bp_best(q: np.ndarray, residual: np.ndarray, context: Context, seed: int) -> Any:
@@ -105,29 +121,44 @@ def with_effects(declared: Model, session: Session) -> Model:
     return search(base, session, hypotheses).fit.model
 
 
+def without_steps(declared: Model, session: Session) -> Model:
+    """As declared, but for the steps of the servos."""
+    return commandable(declared)
+
+
+def as_printed(
+    row: str, method: Method, paper: tuple[float, float], samples: int = 0
+) -> RowSetting:
+    """A row of the paper's Table I, by the paper's scheme."""
+    learner = ssa_bp if samples else None
+    return RowSetting(
+        row, method, samples, learner, without_steps, bool(samples), realisable=False, paper=paper
+    )
+
+
 SETTINGS = (
-    RowSetting("Original error", Method.NONE, paper=(17.7, 223.94)),
-    RowSetting("Deflection only", Method.DEFLECTION, paper=(15.39, 215.97)),
-    RowSetting(
-        "SSA-BP only, 900", Method.NETWORK, 900, ssa_bp, single_pass=True, paper=(5.32, 52.83)
-    ),
-    RowSetting(
-        "SSA-BP only, 300", Method.NETWORK, 300, ssa_bp, single_pass=True, paper=(12.66, 214.37)
-    ),
-    RowSetting(
-        "Deflection + SSA-BP, 900", Method.BOTH, 900, ssa_bp, single_pass=True, paper=(5.79, 57.15)
-    ),
-    RowSetting(
-        "Deflection + SSA-BP, 300", Method.BOTH, 300, ssa_bp, single_pass=True, paper=(9.98, 180.81)
-    ),
+    as_printed("Original error", Method.NONE, (17.7, 223.94)),
+    as_printed("Deflection only", Method.DEFLECTION, (15.39, 215.97)),
+    as_printed("SSA-BP only, 900", Method.NETWORK, (5.32, 52.83), 900),
+    as_printed("SSA-BP only, 300", Method.NETWORK, (12.66, 214.37), 300),
+    as_printed("Deflection + SSA-BP, 900", Method.BOTH, (5.79, 57.15), 900),
+    as_printed("Deflection + SSA-BP, 300", Method.BOTH, (9.98, 180.81), 300),
+    RowSetting("Deflection + GP with approach, 900", Method.BOTH, 900, gaussian_process),
     RowSetting("Deflection + GP with approach, 300", Method.BOTH, 300, gaussian_process),
     RowSetting("Deflection + SSA-BP with approach, 900", Method.BOTH, 900, ssa_bp_best),
     RowSetting("Deflection + SSA-BP with approach, 300", Method.BOTH, 300, ssa_bp_best),
+    RowSetting(
+        "Calibrated + effects, 300, rounded", Method.DEFLECTION, 300, physics=with_effects,
+        realisable=False,
+    ),
     RowSetting("Calibrated + effects, 900", Method.DEFLECTION, 900, physics=with_effects),
     RowSetting("Calibrated + effects, 300", Method.DEFLECTION, 300, physics=with_effects),
     RowSetting("Best: effects + SSA-BP, 900", Method.BOTH, 900, ssa_bp_best, with_effects),
     RowSetting("Best: effects + SSA-BP, 300", Method.BOTH, 300, ssa_bp_best, with_effects),
-)
+)  # fmt: skip
+
+PRINTED = tuple(s for s in SETTINGS if s.paper)
+"""The paper's own rows."""
 
 COMPARISONS = (
     ("Deflection only", "Original error"),
@@ -137,10 +168,24 @@ COMPARISONS = (
     ("Deflection + SSA-BP with approach, 300", "Deflection + GP with approach, 300"),
     ("Deflection + SSA-BP with approach, 300", "Deflection + SSA-BP, 300"),
     ("Best: effects + SSA-BP, 300", "Deflection + SSA-BP with approach, 300"),
+    ("Calibrated + effects, 300", "Deflection + GP with approach, 300"),
+    ("Calibrated + effects, 900", "Deflection + GP with approach, 900"),
+    ("Calibrated + effects, 300", "Calibrated + effects, 300, rounded"),
     ("Best: effects + SSA-BP, 300", "Calibrated + effects, 300"),
     ("Best: effects + SSA-BP, 900", "Calibrated + effects, 900"),
 )
 """Pairs of rows whose paired differences are reported."""
+
+
+def with_steps(arm: Arm, mix: Mix) -> Arm:
+    """The arm with the steps of its simulated servos declared."""
+    data = arm.model_dump(mode="json", exclude_none=True)
+    for effect in mix.arm_side:
+        if isinstance(effect, ServoQuantisation):
+            for row, step in zip(arm.commanded, effect.step, strict=True):
+                if step:
+                    data["joints"][row - 1]["step_deg"] = math.degrees(step)
+    return Arm.parse(data, arm.name)
 
 
 @dataclass(frozen=True)
@@ -151,19 +196,42 @@ class Bench:
     true: TrueArm
     camera: TrueCamera
     session: Session
-    targets: np.ndarray  # (M, 3) m
+    poses: np.ndarray  # (M, 4, 4) targets
     seed_q: np.ndarray  # (M, n) where the arm stands before
     side: np.ndarray  # (M,) side all joints arrive from
     temperature_c: float
+    as_paper: bool = False
+
+    @property
+    def targets(self) -> np.ndarray:
+        """(M, 3) m."""
+        return self.poses[:, :3, 3]
 
     @classmethod
-    def draw(cls, base: Arm, seed: int, number: int, poses: int = max(SAMPLES)) -> Bench:
-        """Arm number `number` of a study: geometry, hidden effects, session, targets."""
+    def draw(
+        cls,
+        base: Arm,
+        seed: int,
+        number: int,
+        poses: int = max(SAMPLES),
+        *,
+        as_paper: bool = False,
+    ) -> Bench:
+        """Arm number `number` of a study: geometry, hidden effects, session, targets.
+
+        Args:
+            as_paper: every joint arrives from below, always; the grid is measured in its order, so
+                that few samples, the last ones, are a corner of it.
+        """
         rng = np.random.default_rng([seed, number])
         arm = random_arm(rng, base)
         mix = paper_mix(rng, arm)
+        arm = with_steps(arm, mix)
         true, camera = TrueArm(arm, mix.arm_side), TrueCamera.of(arm, mix.camera_side)
-        measured = measure_session(true, camera, grid(arm, poses, rng).q, rng=rng).columns
+        plan = _in_order(arm, poses, rng) if as_paper else grid(arm, poses, rng).q
+        measured = measure_session(
+            true, camera, plan, rng=rng, approach="below" if as_paper else "random"
+        ).columns
         session = Session.record(
             np.stack([measured[f"q{j + 1}"] for j in range(arm.n)], axis=1),
             np.stack([measured[c] for c in "xyz"], axis=1),
@@ -178,15 +246,26 @@ class Bench:
             true,
             camera,
             session,
-            rigid(declared).tip(postures),
+            rigid(declared).pose(postures),
             postures,
-            rng.choice([-1.0, 1.0], TARGETS),
+            np.ones(TARGETS) if as_paper else rng.choice([-1.0, 1.0], TARGETS),
             float(measured["temperature_c"][-1]),
+            as_paper,
         )
 
-    def run(self, setting: RowSetting, seed: int) -> Outcome:
-        """Train a row, command the targets, evaluate the tip."""
-        rows = self.session.take(slice(0, setting.samples))
+    def rows(self, samples: int) -> Session:
+        """So many training rows: the first, or the last of a grid in its order."""
+        total = len(self.session)
+        return self.session.take(
+            slice(total - samples, total) if self.as_paper else slice(0, samples)
+        )
+
+    def run(self, setting: RowSetting, seed: int, *, whole_poses: bool = False) -> Outcome:
+        """Train a row, command the targets (positions or whole poses), evaluate the tip.
+
+        Poses that cannot be reached are left out.
+        """
+        rows = self.rows(setting.samples)
         model = setting.physics(self.declared, rows)
         predictor = None
         if setting.learner is not None:
@@ -201,30 +280,52 @@ class Bench:
         sent = compensate_many(
             model,
             predictor,
-            self.targets,
+            self.poses,
             context=known,
             seed=self.seed_q,
             method=setting.method,
-            position_only=True,
+            position_only=not whole_poses,
             single_pass=setting.single_pass,
+            realisable=setting.realisable,
         )
         circumstances = sim_context.TrueContext(
             np.repeat(self.side[:, None], arm.n, axis=1), self.temperature_c, payload
         )
-        tip = self.true.tip(sent.command, circumstances)
+        judged = sent.success if whole_poses else slice(None)
+        pose, wanted = self.true.pose(sent.command, circumstances)[judged], self.poses[judged]
+        tip, targets = pose[:, :3, 3], wanted[:, :3, 3]
         return Outcome(
             setting.row,
-            Errors.of(tip - self.targets),
-            Errors.of(self.camera.seen(tip) - self.targets),
+            Errors.of(tip - targets),
+            Errors.of(self.camera.seen(tip) - targets),
             int((sent.status != 0).sum()),
+            float(_angle(pose, wanted).mean()) if whole_poses else math.nan,
         )
 
 
+def _in_order(arm: Arm, poses: int, rng: np.random.Generator) -> np.ndarray:
+    whole = paper_grid(arm)
+    return np.asarray(whole[np.sort(rng.permutation(len(whole))[:poses])])
+
+
+def _angle(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """(N,) rad between the orientations of poses (N, 4, 4)."""
+    turn = Rotation.from_matrix(one[:, :3, :3]) * Rotation.from_matrix(other[:, :3, :3]).inv()
+    return np.asarray(turn.magnitude())
+
+
 def one_arm(
-    base: Arm, seed: int, number: int, settings: tuple[RowSetting, ...] = SETTINGS
+    base: Arm,
+    seed: int,
+    number: int,
+    settings: tuple[RowSetting, ...] = SETTINGS,
+    *,
+    whole_poses: bool = False,
+    as_paper: bool = False,
 ) -> list[Outcome]:
     """All rows on one arm. A model that two rows share is fitted once."""
-    bench = Bench.draw(base, seed, number, max(s.samples for s in settings) or 1)
+    poses = max(s.samples for s in settings) or 1
+    bench = Bench.draw(base, seed, number, poses, as_paper=as_paper)
     fitted: dict[int, Model] = {}
 
     def once(declared: Model, session: Session) -> Model:
@@ -233,7 +334,11 @@ def one_arm(
         return fitted[len(session)]
 
     return [
-        bench.run(replace(s, physics=once) if s.physics is with_effects else s, seed)
+        bench.run(
+            replace(s, physics=once) if s.physics is with_effects else s,
+            seed,
+            whole_poses=whole_poses,
+        )
         for s in settings
     ]
 
@@ -245,6 +350,8 @@ def study(
     *,
     jobs: int = -1,
     settings: tuple[RowSetting, ...] = SETTINGS,
+    whole_poses: bool = False,
+    as_paper: bool = False,
 ) -> Iterator[list[Outcome]]:
     """Yield the outcomes of every arm as they are finished.
 
@@ -254,6 +361,8 @@ def study(
         seed: seed of all random choices; the same seed gives the same table.
         jobs: processes; -1 is one per core.
         settings: rows.
+        whole_poses: position and orientation are asked for, not positions alone.
+        as_paper: as in `Bench.draw`.
 
     Raises:
         JobError: joblib is not installed.
@@ -261,5 +370,8 @@ def study(
     with extra():
         from joblib import Parallel, delayed
 
-    work = (delayed(one_arm)(base, seed, number, settings) for number in range(arms))
+    work = (
+        delayed(one_arm)(base, seed, number, settings, whole_poses=whole_poses, as_paper=as_paper)
+        for number in range(arms)
+    )
     yield from Parallel(n_jobs=jobs, return_as="generator")(work)

@@ -19,11 +19,13 @@ def rows(
     """One dictionary per row of the table, in mm and mm^2, over the arms.
 
     `mean_abs_z_mm` and `variance_mm2` are of the true tip, `seen_mean_abs_z_mm` of what the camera
-    reports; `sd_over_arms_mm` is the spread of the former.
+    reports; `sd_over_arms_mm` is the spread of the former; `orientation_mrad` is None
+    where positions alone were asked for.
     """
     table = []
     for k, setting in enumerate(settings):
         outcomes = [arm[k] for arm in arms]
+        turned = np.mean([o.turned for o in outcomes])
         z = 1e3 * np.array([o.tip.mean_abs_z for o in outcomes])
         table.append(
             {
@@ -33,6 +35,7 @@ def rows(
                 "variance_mm2": 1e6 * float(np.mean([o.tip.variance for o in outcomes])),
                 "mean_mm": 1e3 * float(np.mean([o.tip.mean for o in outcomes])),
                 "seen_mean_abs_z_mm": 1e3 * float(np.mean([o.seen.mean_abs_z for o in outcomes])),
+                "orientation_mrad": None if np.isnan(turned) else 1e3 * float(turned),
                 "fallbacks": int(sum(o.fallbacks for o in outcomes)),
                 "paper_mean_abs_z_mm": setting.paper[0] if setting.paper else None,
                 "paper_variance_mm2": setting.paper[1] if setting.paper else None,

@@ -83,7 +83,9 @@ def apply(
         JobError: the diagnosis adds nothing.
     """
     report, made = read_report(diagnosis), diagnosis / MODEL
-    _worth(diagnosis, report)
+    nothing = nothing_to_apply(diagnosis, report)
+    if nothing:
+        raise JobError(f"{diagnosis}: nothing to apply: {nothing}", verdict=report.verdict)
     stored = read_stored(made)
     after = restore(stored, arm, str(made))
     before = _before(stored.provenance, made, model, arm)
@@ -103,6 +105,26 @@ def apply(
     return Applied(
         model, stored.version, tuple(changed), target if trained is not None else None, aside
     )
+
+
+def nothing_to_apply(diagnosis: Path, report: DiagnosisReport) -> str:
+    """Why a diagnosis adds nothing to the model at work; empty if it does.
+
+    Args:
+        diagnosis: its folder.
+        report: its report.
+    """
+    if report.verdict == "bad_data":
+        return report.summary
+    if report.findings or (diagnosis / PREDICTOR).is_file():
+        return ""
+    mean = {row.model: row.mean_mm for row in report.held_out.rows}
+    before, after = mean.get("nominal"), mean.get("with_effects")
+    if before is None or after is None:
+        return report.summary
+    if after < WORTH * before:
+        return ""
+    return f"{report.summary} Held-out mean error {before:.3f} -> {after:.3f} mm"
 
 
 def undo(model: Path) -> Path | None:
@@ -129,20 +151,6 @@ def undo(model: Path) -> Path | None:
             os.replace(kept, back)
             return back
     return None
-
-
-def _worth(diagnosis: Path, report: DiagnosisReport) -> None:
-    if report.verdict == "bad_data":
-        raise JobError(f"{diagnosis} has nothing to apply: {report.summary}")
-    if report.findings or (diagnosis / PREDICTOR).is_file():
-        return
-    mean = {row.model: row.mean_mm for row in report.held_out.rows}
-    if mean["with_effects"] < WORTH * mean["nominal"]:
-        return
-    raise JobError(
-        f"{diagnosis} has nothing to apply: {report.summary}", verdict=report.verdict,
-        held_out_mm_before=round(mean["nominal"], 3), after=round(mean["with_effects"], 3),
-    )  # fmt: skip
 
 
 def _before(provenance: dict[str, str | int | float], made: Path, model: Path, arm: Arm) -> Model:
@@ -177,7 +185,7 @@ def _session(
 ) -> Session:
     """The session that was diagnosed."""
     named = str(provenance.get(SESSION, ""))
-    path = given or diagnosis / named
+    path = given or Path(os.path.normpath(diagnosis / named))
     if (given is None and not named) or not path.exists():
         raise InputError(
             diagnosis, "session", named or "none named", "--session, the session diagnosed"

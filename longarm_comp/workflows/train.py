@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import Errors
+from longarm_comp.core.identify.plausible import check_placed
 from longarm_comp.core.learn import ensemble as networks
 from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.learn.predictor import Predictor, Provenance
@@ -102,10 +103,12 @@ def train(
     Raises:
         InputError: the session was refused, has fewer than 20 rows with a marker or only one
             pose; the model is for another arm; an option is not allowed.
+        JobError: the arm does not stand where the model says.
     """
     base = physics(arm, model, deflection)
     whole = admitted(session, arm, None if model is None else base, note=note)
     rows = training_rows(base, whole)
+    check_placed(rows[1], whole)
     origin = Provenance(arm.hash, whole.hash, arm.joint_names, physics_mark(model, deflection))
     predictor = networks.train(
         *rows,

@@ -86,6 +86,10 @@ class Joint(Declared):
     mimic: Mimic | list[Mimic] | None = Field(
         default=None, description="a passive joint; several terms are summed"
     )
+    moves: bool = Field(
+        default=True,
+        description="false: a commanded joint beside the chain, which other rows mimic",
+    )
     pose: Pose | None = Field(default=None, description="fixed rows: the whole transform")
     tolerance: Tolerance = Tolerance()
 
@@ -95,6 +99,8 @@ class Joint(Declared):
         key = {"revolute": "limits_deg", "prismatic": "limits_m"}.get(self.type)
         if self.type == "fixed" and self.mimic:
             raise Misdeclared("mimic", self.mimic, "none in a fixed row")
+        if not self.moves and not self.commanded:
+            raise Misdeclared("moves", False, "true, but in the row of a commanded joint")
         if self.pose is not None and self.type != "fixed":
             allowed = "in fixed rows only; use a_m, alpha_deg, d_m, theta_offset_deg"
             raise Misdeclared("pose", f"given in a {self.type} row", allowed)
@@ -450,7 +456,7 @@ class Arm(Declared):
         index = {row: k for k, row in enumerate(self.commanded)}
         names = dict(zip(self.joint_names, self.commanded, strict=True))
         for joint in self.joints:
-            if joint.commanded:
+            if joint.commanded and joint.moves:
                 matrix[joint.id - 1, index[joint.id]] = 1.0
             for mimic in joint.mimics:
                 row = names.get(mimic.joint, mimic.joint)  # type: ignore[arg-type]

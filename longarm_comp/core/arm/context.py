@@ -126,6 +126,15 @@ class Context:
         return cls()
 
 
+def stacked(contexts: Sequence[Context]) -> Context:
+    """The circumstances of M postures from one each, alike but for the history of the joints."""
+    history: dict[str, Any] = {
+        name: tuple(np.array([getattr(each, name) for each in contexts], dtype=float).T)
+        for name in PER_JOINT
+    }
+    return dataclasses.replace(contexts[0], **history)
+
+
 def _of_kind(kind: str) -> tuple[str, ...]:
     return tuple(f.name for f in dataclasses.fields(Context) if f.metadata[_KIND] == kind)
 

@@ -1,9 +1,9 @@
 """The arm at one q, already computed: stations along the chain, and the weight they carry.
 
 An arm is a chain of *stations*: where the base is placed, the base, a bearing and a frame per
-row, and one station at the far end of every beam element.  `Chain` knows their order; `Posture`
-holds where they are (deflected) and what hangs on them.  Whoever holds a `Posture`
-knows that the geometry is current.
+row, one at the far end of every beam element, and one for the tip and each marker.  `Chain`
+knows their order; `Posture` holds where they are (deflected) and what hangs on them.  Whoever
+holds a `Posture` knows that the geometry is current.
 
 Only weight loads the arm, so all a station has to carry is the mass beyond it and
 its first moment: ``force = m g`` and ``moment about p = (S - m p) x g``.
@@ -90,7 +90,10 @@ class Chain:
                 made[role] = tuple(elements)
             self.rows.append(ChainRow(bearing, count, made["a"], made["d"]))
             count += 1
-        self.stations = count
+        carriers = {"": arm.tip.frame, **{name: m.frame for name, m in arm.markers.items()}}
+        self.spots = {name: count + k for k, name in enumerate(carriers)}
+        self.carriers = {self.spots[name]: self.frame_station(f) for name, f in carriers.items()}
+        self.stations = count + len(carriers)
         self.mixing, self.offset = arm.mixing
 
     def frame_station(self, row: int) -> int:
@@ -160,6 +163,8 @@ class Chain:
                 frame = deflect(frame.turned_z(theta), row.bearing)
                 frame = run(frame, row.elements_d, 2, d)
             frame = deflect(frame, row.frame)
+        for spot, carrier in self.carriers.items():
+            deflect(frames[carrier], spot)
         return frames, lengths
 
 
@@ -326,6 +331,10 @@ class Posture:
     def frame(self, row: int) -> int:
         """Station of a row's frame; row 0 is the base."""
         return self.chain.frame_station(row)
+
+    def spot(self, marker: str = "") -> int:
+        """Station of the tip, or of a marker, on the frame that carries it; no mass hangs there."""
+        return self.chain.spots[marker]
 
 
 def abs_(x: Scalar) -> Scalar:

@@ -7,11 +7,11 @@ so, and the joints are found for that side.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.context import Context, stacked
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.moves import Move, plan_move, wanted_sides
 from longarm_comp.core.compensation.compensate import compensate, lattice_of, physics_of
@@ -74,7 +74,8 @@ def compensate_move(
     What the model and the predictor are told of the joints' history is what the move leaves.
     The move follows from a first solution and is checked against the command.  Where no move
     arrives as its command assumes (a joint that would hardly move, and has no run-up), the side
-    of that joint counts as unknown.
+    of that joint counts as unknown.  Joints chosen among the servos' steps need no such agreement:
+    each command is judged after its own move.
 
     Args:
         target: (3,) m or (4, 4), base frame.
@@ -95,13 +96,18 @@ def compensate_move(
     def move_to(q: np.ndarray) -> Move:
         return plan_move(model.arm, start, q, wanted)
 
+    def context_at(q: np.ndarray) -> Context:
+        """Circumstances (M,) of the joints (M, n), each after its own move."""
+        return stacked([context_after(history.after(move_to(x).points, start)) for x in q])
+
     def solved(
         context: Context, doubtful: np.ndarray, realisable: bool | Lattice = False
     ) -> Compensation:
         return compensate(
             model, predictor, target, context=context, seed=seed, position_only=position_only,
             method=options.method, locked=options.locked, doubtful=doubtful,
-            realisable=realisable, **vars(options.settling),
+            realisable=realisable, context_at=context_at if matters else None,
+            **vars(options.settling),
         )  # fmt: skip
 
     wanted = np.zeros(model.arm.n) if sides is None else sides
@@ -126,13 +132,10 @@ def compensate_move(
         if trials_left == 1:
             arrived = arrived.agreed(assumed)
     if outcome.success and lattice_of(model, options.realisable) is not None:
-        chosen = solved(context, move.doubtful, options.realisable)
-        its_move = move_to(chosen.command)
-        its_arrival = history.after(its_move.points, start)
-        if not matters or np.array_equal(its_arrival.approach, arrived.approach):
-            return Arrival(chosen, its_move, context, its_arrival)
-        why = "joints are not chosen among their steps: one would arrive from its other side"
-        outcome = replace(outcome, reason="; ".join(filter(None, (outcome.reason, why))))
+        outcome = solved(context, move.doubtful, options.realisable)
+        move = move_to(outcome.command)
+        arrived = history.after(move.points, start)
+        context = context_after(arrived)
     return Arrival(outcome, move, context, arrived)
 
 

@@ -41,6 +41,7 @@ from longarm_comp.core.ik.forward import tip_poses
 from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.model.model import Model
 
+ContextAt = Callable[[np.ndarray], Context]
 NEARBY_STARTS = 3
 """A pseudo-target lies next to its target: look near its joints only."""
 
@@ -83,6 +84,7 @@ def compensate(
     locked: Sequence[int | str] = (),
     doubtful: np.ndarray | None = None,
     realisable: bool | Lattice = True,
+    context_at: ContextAt | None = None,
     **settling: Any,
 ) -> Compensation:
     """Joints that bring the *real* tip to one target.
@@ -99,6 +101,8 @@ def compensate(
         realisable: choose the command among the joints that the servos can stand at: by the steps
             that the arm declares, from each joint's zero, or by a lattice; arms without steps are
             commanded as they are. Off for paths of close targets; a single pass never chooses.
+        context_at: circumstances at joints (M, n), where the way there depends on the joints; the
+            choice among the steps judges each command in its own. Default: ``context`` for all.
         settling: fields of `Settling`: when the passes end.
 
     Returns:
@@ -115,8 +119,9 @@ def compensate(
     free = position_only or given.ndim == 1
     lattice = lattice_of(model, realisable)
     task = _Task(
-        model, predictor, method, free, tuple(locked), Settling(**settling), doubtful, lattice
-    )
+        model, predictor, method, free, tuple(locked), Settling(**settling), doubtful, lattice,
+        context_at,
+    )  # fmt: skip
     start = ik.checked_seed(model, seed, 1, "compensate")[0]
     return task.run(given, (context or Context.empty()).take(0), start)
 
@@ -179,6 +184,7 @@ class _Task:
     settling: Settling
     doubtful: np.ndarray | None = None
     lattice: Lattice | None = None
+    context_at: ContextAt | None = None
 
     def run(self, target: np.ndarray, context: Context, seed: np.ndarray) -> Compensation:
         """One target, (3,) or (4, 4); seed (n,) inside the limits."""
@@ -269,9 +275,10 @@ class _Target:
         """Realisable joints in place of some; what is learned is looked up again where they are."""
         task = self.task
         learned = task.predictor if task.method.learned and not status.physics_only else None
+        context_at = task.context_at or (lambda _: self.context)
 
         def tip(q: np.ndarray, _: np.ndarray) -> np.ndarray:
-            poses = tip_poses(self.model, q, self.context)
+            poses = tip_poses(self.model, q, context_at(q))
             if learned is not None:
                 poses[:, :3, 3] += learned.predict(q, self.context).error
             return poses
@@ -282,6 +289,7 @@ class _Target:
         locked = ik.locked_joints(self.model, task.locked)
         search = Search(characteristic_length(self.model))
         chosen = choose(arm, lattice, tip, target[None], joints[None], search, locked=locked)[0]
+        self.context = context_at(chosen.joints[None]).take(0)
         if learned is not None:
             expected = learned.predict(chosen.joints[None], self.context)
             self.error = np.asarray(expected.error[0], float)

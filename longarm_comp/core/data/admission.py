@@ -176,16 +176,15 @@ def _joint_units(case: _Case) -> Iterator[AdmissionFinding]:
         far = (beyond > _FAR * reach) & kind
         if not far.any():
             continue
-        scaled = q[:, kind] * factor
-        slack = 0.05 * reach[kind]
-        within = (scaled > arm.lower[kind] - slack) & (scaled < arm.upper[kind] + slack)
         row, j = np.unravel_index(np.argmax(np.where(far, beyond / reach, 0)), q.shape)
         limits = f"{arm.lower[j]:.6g} to {arm.upper[j]:.6g} of {arm.joint_names[j]}"
+        scaled, slack = q[:, j] * factor, 0.05 * reach[j]
+        within = (scaled > arm.lower[j] - slack) & (scaled < arm.upper[j] + slack)
         many = abs(q[row, j]) > _MANY * max(abs(arm.lower[j]), abs(arm.upper[j]))
-        if many and within.mean() > 0.95:
-            limits = f"{hint}: {limits}"
-        elif other := _exchanged(arm, q, int(j)):
+        if other := _exchanged(arm, q, int(j)):
             limits = f"{limits} ({other})"
+        elif many and within.mean() > 0.95:
+            limits = f"{hint}: {limits}"
         raise case.refuse(f"row {row + 1}, q{j + 1}", float(q[row, j]), limits)
     for j in np.flatnonzero((beyond > 1e-6).any(0)):
         count, worst = int((beyond[:, j] > 1e-6).sum()), beyond[:, j].max()

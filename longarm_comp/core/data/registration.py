@@ -69,7 +69,7 @@ class Sightings:
         axes, point = np.empty((len(seen), 3, 3)), np.empty((len(seen), 3))
         for k, name in enumerate(markers):
             at = arm.markers[name] if name else arm.tip
-            frame = posture.frames[posture.frame(at.frame)].matrix()
+            frame = posture.frames[posture.spot(name)].matrix()
             matrix = np.broadcast_to(frame, (len(seen), 4, 4))[marker == k]
             axes[marker == k] = matrix[:, :3, :3]
             point[marker == k] = matrix[:, :3, :3] @ np.array(at.position_m) + matrix[:, :3, 3]

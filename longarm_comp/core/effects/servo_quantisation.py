@@ -30,7 +30,7 @@ class ServoQuantisation(JointTerm):
     coarse pose grid lets it imitate any function of the joint, and it then errs off the grid.)
 
     Attributes:
-        steps_per_turn: steps of the servo in one turn.
+        steps_per_turn: steps of the servo in one turn; 0: as `step_deg` or `step_m` declares.
     """
 
     name: ClassVar[str] = "servo_quantisation"
@@ -40,9 +40,24 @@ class ServoQuantisation(JointTerm):
     steps_per_turn: int = form(1000)
 
     @classmethod
+    def fits(cls, arm: Arm, row: int) -> bool:
+        """Revolute joints, and slides that declare a step."""
+        return super().fits(arm, row) or arm.joints[row - 1].step > 0
+
+    @classmethod
+    def as_declared(cls, arm: Arm) -> tuple[Self, ...]:
+        """Of the joints whose steps the arm declares."""
+        rows = [row for row in arm.commanded if arm.joints[row - 1].step > 0]
+        return tuple(cls(joint=row, steps_per_turn=0) for row in rows)
+
+    @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """All revolute joints with one kind of servo, by its steps."""
-        rows = cls.rows(arm)
+        """The joints without a declared step, with one kind of servo, by its steps.
+
+        All joints, where the arm declares every step: then the model holds them already.
+        """
+        revolute = [row for row in arm.commanded if JointTerm.fits(arm, row)]
+        rows = [row for row in revolute if arm.joints[row - 1].step == 0] or revolute
         return [
             tuple(cls(joint=row, steps_per_turn=steps) for row in rows)
             for steps in STEPS_PER_TURN
@@ -51,7 +66,10 @@ class ServoQuantisation(JointTerm):
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """The rounding error."""
-        step = 2 * math.pi / self.steps_per_turn
+        declared = posture.arm.joints[self.joint - 1].step
+        step = 2 * math.pi / self.steps_per_turn if self.steps_per_turn else declared
+        if not step:
+            return {}
         q = posture.q[posture.arm.commanded.index(self.joint)]
         rounded = step * spatial.floor(q / step + 0.5)
         return self.motion(posture, rounded - q)

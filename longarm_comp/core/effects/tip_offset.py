@@ -50,11 +50,9 @@ class TipOffset(Effect):
         return tuple(dataclasses.replace(p, prior=prior, unknown=False) for p, prior in pairs)
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """Translation in the carrying frame."""
-        arm = posture.arm
+        """Translation in the carrying frame, of the marker alone: what hangs there stays."""
+        spot = posture.spot(self.marker)
         if not self.marker:
-            station = posture.frame(arm.tip.frame)
-            return {station: (self.x, self.y, self.z, 0.0, 0.0, 0.0)}
+            return {spot: (self.x, self.y, self.z, 0.0, 0.0, 0.0)}
         mine = posture.context.is_label("marker", self.marker)
-        station = posture.frame(arm.markers[self.marker].frame)
-        return {station: (mine * self.x, mine * self.y, mine * self.z, 0.0, 0.0, 0.0)}
+        return {spot: (mine * self.x, mine * self.y, mine * self.z, 0.0, 0.0, 0.0)}

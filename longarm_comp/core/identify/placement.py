@@ -16,10 +16,13 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.base_pose import BasePose
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.tip_offset import TipOffset
+from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model, slots_of
 
 CLEARLY = 2.0
 """A placement that the model holds is kept unless the solved one fits so many times better."""
+BEYOND, ROUGHLY = 10.0, 0.2
+"""Standard deviations that a known base may be off, and m or rad for what registration misses."""
 
 
 def placed(model: Model, session: Session) -> Model:
@@ -28,29 +31,45 @@ def placed(model: Model, session: Session) -> Model:
     Args:
         model: holds a `base_pose` per group and the markers' `tip_offset`.
         session: measured rows; those without a full position do not count.
+
+    Raises:
+        InputError: a base is far beyond its declared tolerance.
     """
     seen = session.take(session.located)
-    held = [e for e in model.effects if isinstance(e, BasePose | TipOffset) and _unknown(model, e)]
+    frames = [e for e in model.effects if isinstance(e, BasePose | TipOffset)]
+    tips = any(isinstance(e, TipOffset) and _unknown(model, e) for e in frames)
+    held = [e for e in frames if isinstance(e, BasePose) or tips]
     if len(seen) < 4 or not held:
         return model
-    bare = dataclasses.replace(
-        model, effects=tuple(e for e in model.effects if not any(e is h for h in held))
-    )
+    kept = tuple(e for e in model.effects if not any(e is h for h in held))
     markers = sorted({e.marker for e in held if isinstance(e, TipOffset)}) or [""]
     groups = sorted({e.group for e in held if isinstance(e, BasePose)}) or [""]
-    rows = Sightings.of(bare, seen, groups, markers)
-    found = register(rows, tips=any(isinstance(e, TipOffset) for e in held))
+    rows = Sightings.of(dataclasses.replace(model, effects=kept), seen, groups, markers)
+    found = register(rows, tips)
     now = np.linalg.norm(seen.xyz - model.measured(seen.q, seen.context()), axis=1)
     alike = [rows.group + len(groups) * rows.marker == k for k in range(len(groups) * len(markers))]
     if all(np.median(now[mine]) <= CLEARLY * found.misfit for mine in alike if mine.any()):
         return model
-    names = groups, markers
-    free = [any(e is h for h in held) for e in model.effects]
-    effects = [
-        _put(e, found, names, model) if mine else e
-        for e, mine in zip(model.effects, free, strict=True)
-    ]
+    effects = list(model.effects)
+    for k, effect in enumerate(effects):
+        if not any(effect is h for h in held):
+            continue
+        solved = _put(effect, found, (groups, markers), model)
+        if _unknown(model, effect):
+            effects[k] = solved
+        elif isinstance(effect, BasePose):
+            _check_tolerance(model, effect, solved, session.source)
     return dataclasses.replace(model, effects=tuple(effects))
+
+
+def _check_tolerance(model: Model, declared: Effect, solved: Effect, source: str) -> None:
+    """A base that is far from where a tolerance puts it is not fitted from there."""
+    for p in declared.parameters(model.arm):
+        away = abs(getattr(solved, p.name) - getattr(declared, p.name))
+        if away > BEYOND * p.width + ROUGHLY:
+            allowed = f"within tolerance.base of arm.yaml, {p.name} {p.width:.3g} {p.unit}; leave "
+            allowed += "the tolerance out where the base may stand anywhere"
+            raise InputError(source, declared.where, f"{p.name} {away:.3g} {p.unit} off", allowed)
 
 
 def _unknown(model: Model, effect: Effect) -> bool:

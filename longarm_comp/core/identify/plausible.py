@@ -16,7 +16,9 @@ ENOUGH = 15
 """Held-out rows, at least, that such a comparison takes."""
 NO_NOISE = 0.05
 """Noise, as a share of the sightings' spread, that no instrument has."""
-INCREDIBLE = 50.0
+MISPLACED = 0.25
+"""Error, as a share of the sightings' spread, of an arm that stands somewhere else."""
+INCREDIBLE = 15.0
 """Size of an effect, in its prior standard deviations, that no arm has."""
 
 
@@ -57,6 +59,26 @@ def check_carries_over(fitted: np.ndarray, held_out: np.ndarray, source: str) ->
             f"calibration does not carry over to unseen rows: {here:.3g} -> {there:.3g} mm; "
             "the rows are too few, or something changed between them",
             session=source,
+        )
+
+
+def check_placed(error: np.ndarray, session: Session) -> None:
+    """What a model leaves is learned only where the arm is where the model says.
+
+    Args:
+        error: (N, 3) measured - predicted of the seen rows, m.
+        session: the rows.
+
+    Raises:
+        JobError: the base, or the tip, is somewhere else.
+    """
+    seen = session.xyz[session.seen]
+    size, spread = _median(error), _median(seen - np.median(seen, axis=0))
+    if len(error) >= ENOUGH and size > MISPLACED * spread:
+        raise JobError(
+            f"the arm is {1e3 * size:.3g} mm from where the model puts it; calibrate first, which "
+            "solves where base and tip are, and use that model",
+            session=session.source,
         )
 
 

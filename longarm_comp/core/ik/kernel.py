@@ -10,6 +10,7 @@ code, which is compiled in about a second.
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
@@ -93,7 +94,7 @@ class Kernel:
         def at(s: newton.State, x: Sequence[Any] | None) -> Posture:
             context = self.layout.unpack(s["c"])
             if x is None:
-                return model.loaded(tuple(s["trial"]), context, {})
+                return model.unsagged(tuple(s["trial"]), context)
             stations = {station for station, _ in (*fixed, *slot)}
             twists = {
                 station: tuple(
@@ -134,6 +135,10 @@ class Kernel:
         return machine_code.compile_module(text, width)
 
 
+_BEYOND = {"inf": math.inf, "nan": math.nan}
+"""Constants of an absurd arm, as Python prints them."""
+
+
 class _Python(dict[str, Any]):
     """Programs as Python functions, each generated on its first use."""
 
@@ -142,7 +147,7 @@ class _Python(dict[str, Any]):
         self.programs, self.arrays = programs, arrays
 
     def __missing__(self, name: str) -> Any:
-        space = dict(emit.ARRAYS if self.arrays else emit.FLOATS)
+        space = dict(emit.ARRAYS if self.arrays else emit.FLOATS) | _BEYOND
         text = emit.python(name, *self.programs[name], self.arrays)
         exec(compile(text, f"<traced {name}>", "exec"), space)
         self[name] = space[name]
@@ -171,7 +176,7 @@ def _twist_slots(model: Model, layout: Layout) -> tuple[Fixed, Slots]:
     graph = Graph()
     q = tuple(graph.input(f"q{i}") for i in range(model.arm.n))
     context = layout.unpack([graph.input(f"c{k}") for k in range(layout.count)])
-    start = model.twists(model.loaded(q, context, {}))
+    start = model.twists(model.unsagged(q, context))
     free = {s: tuple(graph.input(f"x{s}, {i}") for i in range(6)) for s in start}
     again = model.twists(model.loaded(q, context, free))  # type: ignore[arg-type]
     fixed: Fixed = {}

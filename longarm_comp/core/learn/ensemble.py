@@ -167,7 +167,7 @@ def _calibrated(
     weights: Array,
     probe: Array,
 ) -> Predictor:
-    """Set the conformal factors and the variance limit."""
+    """Set the conformal factors, the variance limit and what is left without the predictor."""
     _, epistemic = draft._mean_and_variance(x)
     left_out = np.mean([_leave_one_out(f, x, (y - draft.offset) / draft.scale, weights)
                         for f in fits], axis=0) * draft.scale  # fmt: skip
@@ -175,9 +175,10 @@ def _calibrated(
     used = score[weights > 0]
     level = min(1.0, np.ceil(0.9 * (len(used) + 1)) / len(used))
     widen = np.quantile(used, level, axis=0) / _Z90
+    alone = np.quantile(np.abs(y[weights > 0]), level, axis=0) / _Z90
     _, variance = draft._mean_and_variance(probe)
     limit = 4.0 * float(np.quantile(variance.max(axis=1), 0.99))
-    return replace(draft, widen=widen, variance_limit=limit)
+    return replace(draft, widen=widen, variance_limit=limit, alone=alone)
 
 
 def _probe(x: Array, encoding: Encoding, rng: np.random.Generator) -> Array:

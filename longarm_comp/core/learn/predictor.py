@@ -6,6 +6,8 @@ posterior of its likeliest member and noise, scaled so that 90 % intervals (``+-
 on leave-one-out residuals (normalised conformal; Lei et al. 2018, J. Am. Stat. Assoc. 113).
 
 Outside the training region the predictor refuses: ``in_domain`` is False and ``reason`` says why.
+So it does where ``sigma`` says that its prediction leaves no less than the physics alone left over
+the training rows (``alone``): between the levels of a coarse grid a network may know nothing.
 """
 
 from __future__ import annotations
@@ -68,6 +70,7 @@ class Predictor:
     noise: Array  # (3,) m
     widen: Array  # (3,) conformal factor
     variance_limit: float  # m^2, largest epistemic variance still trusted
+    alone: Array = field(default_factory=lambda: np.full(3, np.inf))  # (3,) m, sd of the residual
     provenance: Provenance = field(default_factory=Provenance)
 
     def __post_init__(self) -> None:
@@ -118,7 +121,7 @@ class Predictor:
             epistemic = epistemic + self._unknown_context(raw, x)
         sigma = self.widen * np.sqrt(epistemic + self.noise**2)
         largest = epistemic.max(axis=1)
-        inside, reason = self._domain(raw, largest)
+        inside, reason = self._domain(raw, largest, sigma)
         return Prediction(error, sigma, inside, reason, largest / self.variance_limit)
 
     def _outputs(self, x: Array) -> Array:
@@ -154,11 +157,16 @@ class Predictor:
             variance += (0.5 * self.scale * apart) ** 2
         return variance
 
-    def _domain(self, raw: Array, variance: Array) -> tuple[NDArray[np.bool_], list[str]]:
+    def _domain(
+        self, raw: Array, variance: Array, sigma: Array
+    ) -> tuple[NDArray[np.bool_], list[str]]:
         low, high = self.box
         outside = (raw < low) | (raw > high)  # NaN, not known, is neither
         unsure = variance > self.variance_limit
-        bad = unsure | outside.any(axis=1)
+        without = float(np.linalg.norm(self.alone))
+        left = np.linalg.norm(sigma, axis=1)
+        useless = left >= without
+        bad = unsure | useless | outside.any(axis=1)
         reason = [""] * len(raw)
         if not bad.any():
             return ~bad, reason
@@ -173,6 +181,11 @@ class Predictor:
                 parts.append(
                     f"uncertainty {1e3 * variance[row] ** 0.5:.2f} mm above the limit "
                     f"{1e3 * self.variance_limit**0.5:.2f} mm"
+                )
+            if useless[row]:
+                parts.append(
+                    f"sigma {1e3 * left[row]:.2f} mm is not below the {1e3 * without:.2f} mm that "
+                    "the physics alone leaves"
                 )
             reason[row] = "; ".join(parts)
         return ~bad, reason

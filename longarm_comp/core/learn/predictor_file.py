@@ -60,6 +60,7 @@ def save(predictor: Predictor, path: str | os.PathLike[str]) -> None:
         offset=predictor.offset,
         noise=predictor.noise,
         widen=predictor.widen,
+        alone=predictor.alone,
     )
     with atomic_path(path) as partial:
         partial.write_bytes(buffer.getvalue())
@@ -103,6 +104,9 @@ def load(
             raise InputError(path, name, "NaN or infinite", "finite numbers")
     if not (arrays["input_scale"] > 0).all():
         raise InputError(path, "input_scale", arrays["input_scale"].min(), "> 0")
+    alone = arrays.get("alone", np.full(3, np.inf))  # files of earlier versions hold none
+    if alone.shape != (3,) or alone.dtype.kind != "f" or not (alone >= 0).all():
+        raise InputError(path, "alone", alone.tolist(), "three lengths of 0 m or more")
     if arm_hash is not None and header["arm_hash"] != arm_hash:
         raise InputError(path, "arm_hash", header["arm_hash"], f"{arm_hash} (the arm in use)")
     names = tuple(header["joint_names"])
@@ -120,6 +124,7 @@ def load(
         noise=arrays["noise"],
         widen=arrays["widen"],
         variance_limit=header["variance_limit"],
+        alone=alone,
         provenance=Provenance(
             header["arm_hash"], header["session_hash"], names, header["settings"]
         ),

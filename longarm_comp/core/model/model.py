@@ -125,7 +125,7 @@ class Model:
     def posture(self, q: Sequence[Scalar], context: Context | None = None) -> Posture:
         """The loaded, deflected arm at q (n scalars, each a float or (N,))."""
         context = context or Context.empty()
-        posture = self.loaded(q, context, {})
+        posture = self.unsagged(q, context)
         for _ in range(self.load_passes):
             posture = self.loaded(q, context, self.twists(posture))
         return posture
@@ -134,6 +134,21 @@ class Model:
     def load_passes(self) -> int:
         """Number of load passes of `posture`: one if nothing depends on the loads."""
         return self.passes if any(e.loaded for e in self.effects) else min(1, len(self.effects))
+
+    def unsagged(self, q: Sequence[Scalar], context: Context) -> Posture:
+        """The arm at q as its base stands, before any other effect: where the load passes begin."""
+        return self.loaded(q, context, self._standing(context))
+
+    def _standing(self, context: Context) -> Twists:
+        """Twists of the placement alone."""
+        bare = Posture(self.chain, (), context, [], [], self.arm.gravity_mps2)
+        total: dict[int, spatial.Twist] = {}
+        for effect in self.effects:
+            if effect.seen_only:
+                for station, twist in effect.twists(bare).items():
+                    held = total.get(station)
+                    total[station] = twist if held is None else spatial.add_twists(held, twist)
+        return total
 
     def loaded(self, q: Sequence[Scalar], context: Context, twists: Twists) -> Posture:
         """The arm at q with given twists (by station), and its loads."""
@@ -170,13 +185,13 @@ class Model:
     def tip_frame(self, posture: Posture) -> Frame:
         """Pose of the tip (of the marker that the context names) in the base frame."""
         tip = self.arm.tip
-        frame = posture.frames[posture.frame(tip.frame)] @ tip.pose()
+        frame = posture.frames[posture.spot()] @ tip.pose()
         if not self.arm.markers or "marker" not in posture.context.labels:
             return frame
         p: Vec = spatial.ZERO
         for name, marker in self.arm.markers.items():
             mine = posture.context.is_label("marker", name)
-            at = posture.frames[posture.frame(marker.frame)].transform(marker.position_m)
+            at = posture.frames[posture.spot(name)].transform(marker.position_m)
             p = spatial.add(p, spatial.scale(mine, at))
         return frame._replace(p=p)
 

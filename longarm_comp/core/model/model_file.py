@@ -197,8 +197,10 @@ def put(path: str | Path, content: bytes) -> None:
 
 
 def previous(path: str | Path) -> Path:
-    """Path of the previous version."""
+    """Path of the previous version. Raises InputError where the path names no file."""
     path = Path(path)
+    if not path.name:
+        raise InputError(str(path), "model", "a folder", "a file")
     return path.with_name(f"{path.stem}.previous{path.suffix}")
 
 

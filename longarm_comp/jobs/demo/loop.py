@@ -1,38 +1,31 @@
-"""The loop, step by step: bring up, measure, collect, diagnose, train, reload, measure again."""
+"""The demonstration: a simulated arm on a graph of its own, and the loop on it."""
 
 from __future__ import annotations
 
 import os
+import shutil
 import threading
-import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from std_srvs.srv import Trigger
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.compensation.compensate import Method
-from longarm_comp.core.data.plan import random_targets, sobol
-from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.core.identify.aliasing import EffectFinding
-from longarm_comp.core.identify.calibrate import declared_model
+from longarm_comp.core.errors import InputError
 from longarm_comp.jobs.client import ArmClient
-from longarm_comp.jobs.collect import collect
 from longarm_comp.jobs.demo import table
-from longarm_comp.jobs.demo.learn import find_effects, train_network
-from longarm_comp.jobs.demo.settings import NAMESPACE, PACE, DemoSettings
+from longarm_comp.jobs.demo.settings import NAMESPACE, DemoSettings
 from longarm_comp.jobs.demo.witness import TrueTip
-from longarm_comp.jobs.measurement_schedule import visits
-from longarm_comp.jobs.targets import TargetRunner, Trial
-from longarm_comp.nodes import interfaces as graph
+from longarm_comp.jobs.loop.files import write_loop
+from longarm_comp.jobs.loop.run import Loop, LoopResult, Round
+from longarm_comp.jobs.parameters import set_parameter
+from longarm_comp.jobs.targets import Trial
 from longarm_comp.nodes.bringup import running
 from longarm_comp.nodes.simulated_arm import sizes
-from longarm_comp.sessions.poses import write_poses
 from longarm_comp.sim.plant import hidden_effects
-from longarm_comp.workflows.diagnose import DiagnosisResult
+from longarm_comp.workflows.inputs import load_predictor
 from longarm_interfaces.srv import Compensate
 
 Say = Callable[[str, float], None]
@@ -46,18 +39,24 @@ class DemoResult:
     """What came of it.
 
     Attributes:
-        trials: in the order of `table`.
-        collected: rows of the session.
-        diagnosis: of it.
+        loop: the round on the arm as it was started.
         inputs: of the network.
-        seconds: how long each step took.
+        second: the round after the arm's play grew, as plain data; None where there was none.
     """
 
-    trials: list[Trial]
-    collected: int
-    diagnosis: DiagnosisResult
+    loop: LoopResult
     inputs: tuple[str, ...]
-    seconds: dict[str, float]
+    second: dict[str, Any] | None = None
+
+    @property
+    def trials(self) -> list[Trial]:
+        """In the order of `table`."""
+        return self.loop.trials
+
+    @property
+    def round(self) -> Round:
+        """The round on the arm as it was started."""
+        return self.loop.rounds[0]
 
     @property
     def improved(self) -> bool:
@@ -82,7 +81,6 @@ def demonstrate(
     arm = Arm.load(settings.arm)
     hidden_effects(arm, sizes(settings.hidden), np.random.default_rng(settings.seed))  # checked
     _prepare(settings)
-    clock = _Clock()
     with ExitStack() as stack:
         supervisor = stack.enter_context(running(settings.graph()))
         ended = threading.Event()
@@ -92,30 +90,29 @@ def demonstrate(
         stack.callback(ended.set)
         client = stack.enter_context(ArmClient(arm, NAMESPACE, stop, "demo"))
         say("bring up", 0.0)
-        client.ready(_READY_S)
-        runner = TargetRunner(client, PACE, TrueTip(client))
-        fresh = random_targets(declared_model(arm), settings.targets, settings.seed + 1)
-        runner.ready(fresh[0], _READY_S)
-        clock.done("bring_up")
-        trials = []
+        witness = TrueTip(client)
 
-        def drive(name: str, method: Method) -> None:
-            trials.append(runner.run(name, fresh, method, say))
-            clock.done(name)
+        def go_round(folder: str = "") -> tuple[LoopResult, dict[str, Any]]:
+            to_do = replace(settings.loop, out=settings.out / folder)
+            done = Loop(client, to_do, lambda report: True, witness=witness, say=say).run(_READY_S)
+            return done, write_loop(arm.name, to_do, done)
 
-        drive(table.ORIGINAL, Method.NONE)
-        drive(table.DECLARED, Method.DEFLECTION)
-        collected = _collect(settings, arm, client, say)
-        clock.done("collect")
-        diagnosis = find_effects(settings, arm, say)
-        clock.done("diagnose")
-        predictor = train_network(settings, arm, say)
-        clock.done("train")
-        _reload(client)
-        drive(table.FOUND, Method.DEFLECTION)
-        drive(table.LEARNED, Method.BOTH)
-    clock.done("clean_up")
-    return DemoResult(trials, collected, diagnosis, tuple(predictor.encoding.names), clock.seconds)
+        first, _ = go_round()
+        predictor = load_predictor(settings.predictor, arm, settings.model)
+        for name in ("report.html", "report.json"):
+            shutil.copyfile(settings.loop.path("diagnosis", 1) / name, settings.out / name)
+        second = None
+        if settings.more_play:
+            set_parameter(client, "simulated_arm", "more_play", settings.more_play)
+            again, second = go_round(SECOND)
+            second["true_mean_mm"] = {
+                r["model"]: r["true_mean_mm"] for r in table.rows(again.trials)
+            }
+    return DemoResult(first, tuple(predictor.encoding.names), second)
+
+
+SECOND = "second_round"
+"""Folder of the round after the play grew."""
 
 
 def _prepare(settings: DemoSettings) -> None:
@@ -130,39 +127,6 @@ def _prepare(settings: DemoSettings) -> None:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
-def _collect(settings: DemoSettings, arm: Arm, client: ArmClient, say: Say) -> int:
-    plan = sobol(arm, settings.poses, settings.seed)
-    write_poses(plan, settings.out / "poses.csv")
-    todo = visits(plan, arm, repeats=min(5, settings.poses // 10), seed=settings.seed)
-    return collect(client, todo, settings.bag, pace=PACE, progress=say).made
-
-
-def _reload(client: ArmClient) -> None:
-    """Both nodes take up what was learned."""
-    for node in ("kinematics", "error_predictor"):
-        service = graph.RELOAD.client(client.node, of=node)
-        answer = client.call(service, Trigger.Request(), again=True)
-        if not answer.success:
-            raise JobError(f"{node} did not take up its file: {answer.message}")
-
-
-class _Clock:
-    """Seconds of each step."""
-
-    def __init__(self) -> None:
-        self._begun = time.monotonic()
-        self.seconds: dict[str, float] = {}
-
-    def done(self, step: str) -> None:
-        now = time.monotonic()
-        self.seconds[step], self._begun = now - self._begun, now
-
-
-def _names(finding: EffectFinding) -> list[str]:
-    """An effect, what cannot be told from it, and what could stand for a part of it."""
-    return list(dict.fromkeys((*finding.names, *(a.name for a in finding.partial_aliases))))
-
-
 def report(settings: DemoSettings, result: DemoResult) -> dict[str, Any]:
     """Everything as plain data, for --json and the file in the folder."""
     files = {
@@ -170,18 +134,27 @@ def report(settings: DemoSettings, result: DemoResult) -> dict[str, Any]:
         "model": settings.model,
         "predictor": settings.predictor,
         "report": settings.out / "report.html",
+        "loop": settings.out / "loop.html",
     }
+    found, seconds = result.round, _seconds(result.loop.seconds)
+    second = {} if result.second is None else {"second_round": result.second}
     return {
         "rows": table.rows(result.trials),
         "improved": result.improved,
-        "collected": result.collected,
+        "collected": found.collected,
         "outside_training_data": result.outside,
-        "verdict": result.diagnosis.verdict,
-        "diagnosis": result.diagnosis.summary,
-        "effects_found": [_names(finding) for finding in result.diagnosis.findings],
+        "verdict": found.report.verdict,
+        "diagnosis": found.report.summary,
+        "effects_found": found.effects_found,
         "network_inputs": list(result.inputs),
         "hidden": settings.hidden,
         "seed": settings.seed,
-        "seconds": {**result.seconds, "total": sum(result.seconds.values())},
+        "seconds": {**seconds, "total": sum(seconds.values())},
         "files": {name: str(path) for name, path in files.items()},
+        **second,
     }
+
+
+def _seconds(steps: dict[str, float]) -> dict[str, float]:
+    """Seconds of each step, without the number of the only round."""
+    return {name.removesuffix("_1"): value for name, value in steps.items()}

@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from longarm_comp.core.errors import InputError
 from longarm_comp.jobs.collect import Pace
+from longarm_comp.jobs.demo.table import NAMES
+from longarm_comp.jobs.loop.settings import LoopSettings
 from longarm_comp.nodes.bringup import BringUp
 from longarm_comp.share import folder
 
@@ -16,9 +17,6 @@ NAMESPACE = "longarm_demo"
 
 PACE = Pace(sightings=3, dwell_s=0.06, move_s=0.05, arrive_s=20.0, look_s=3.0, tolerance=5e-4)
 _FRAME_RATE_HZ = 15.0
-
-LEAST_POSES = 60
-"""With fewer poses the diagnosis cannot weigh a library of some 170 parameters."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +31,8 @@ class DemoSettings:
         seed: of the hidden effects, the plan and the targets.
         arm: file; the demonstration's own by default.
         parameters: of nodes, on top.
+        more_play: what the arm's play grows by before a second round, ``joint=rad``; empty: no
+            second round.
     """
 
     out: Path
@@ -43,11 +43,17 @@ class DemoSettings:
     seed: int = 1
     arm: Path = field(default_factory=lambda: folder("config") / "arm_demo.yaml")
     parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
+    more_play: str = ""
 
     def __post_init__(self) -> None:
-        for name, least in (("poses", LEAST_POSES), ("targets", 2)):
-            if getattr(self, name) < least:
-                raise InputError("demo", f"--{name}", getattr(self, name), f"at least {least}")
+        _ = self.loop  # its settings are checked
+
+    @property
+    def loop(self) -> LoopSettings:
+        """The loop that is run on the graph."""
+        return LoopSettings(
+            self.out, 1, self.poses, self.targets, seed=self.seed, pace=PACE, names=NAMES
+        )
 
     @property
     def bag(self) -> Path:

@@ -6,12 +6,15 @@ from collections.abc import Sequence
 from typing import Any
 
 from longarm_comp.core.identify.calibrate import Errors
+from longarm_comp.jobs.loop.settings import Names
 from longarm_comp.jobs.targets import Trial
 
 ORIGINAL, DECLARED, FOUND, LEARNED = (
     "original", "declared", "effect found", "effect found + network",
 )  # fmt: skip
 """Nothing compensated; the declared deflection; the diagnosed model; that and the network."""
+
+NAMES = Names(ORIGINAL, DECLARED, FOUND, LEARNED)
 
 PAPER = {ORIGINAL: (17.70, 223.94), DECLARED: (15.39, 215.97), LEARNED: (9.98, 180.81)}
 """Table I, 300 samples: mean of the absolute error (mm) and its variance (mm^2)."""

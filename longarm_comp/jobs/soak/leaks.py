@@ -27,10 +27,10 @@ class Growth:
     """Sampled for so long that growth is not the warm-up any more."""
 
     @property
-    def leaks(self) -> bool:
-        """Whether it grew beyond what is allowed."""
+    def leaks(self) -> bool | None:
+        """Whether it grew beyond what is allowed; None where that was not judged."""
         if not self.judged:
-            return False
+            return None
         more_mb = self.memory_mb[1] - self.memory_mb[0]
         return more_mb > MEMORY_MB or self.handles[1] - self.handles[0] > HANDLES
 

@@ -63,11 +63,17 @@ def soak(
             pause = float(rng.exponential(setting.fault_s))
             scene.go_on(min(pause, max(whole - gone, 0.1)))
             if time.monotonic() - begun >= whole:
-                break
+                continue
             order = order or rng.permutation(len(kinds)).tolist()
             fault = kinds[order.pop()]
             scene.struck[fault.name] += 1
             fault.strike(scene)
+            if why := scene.recover():
+                scene.ledger.wrong[f"no recovery after {fault.name}: {why}"] += 1
+                break
+        else:
+            if why := scene.recover():
+                scene.ledger.wrong[f"dead at the end: {why}"] += 1
         scene.audit()
         scene.ledger.close()
         return _report(scene, time.monotonic() - begun)
@@ -108,6 +114,8 @@ def _report(scene: Scene, seconds: float) -> dict[str, Any]:
         "faults": dict(scene.struck),
         "wrong": dict(ledger.wrong),
         "crashes": crashes,
+        "driver_refusals": scene.driver_refusals,
         "growth": [{**vars(g), "leaks": g.leaks} for g in growth],
+        "leaks_judged": sum(g.judged for g in growth),
         "seed": scene.setting.seed,
     }

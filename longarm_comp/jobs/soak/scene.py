@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,6 +26,10 @@ from longarm_comp.nodes.supervisor import Supervisor
 from longarm_interfaces.msg import Compensation
 
 _PATH = 2000
+_FAR = 63
+"""Targets of the path in half a swing of a joint."""
+_NEAR = 0.02  # rad, m
+_TRY_S = 3.0
 _SAMPLE_S = 1.0
 _PATIENCE_S = 60.0
 _MOST_WAITING = 50
@@ -45,12 +50,16 @@ class Scene:
     expected_deaths: Counter[str] = field(default_factory=Counter)
     struck: Counter[str] = field(default_factory=Counter)
     held_back: int = 0
+    driver_refusals: int = 0
+    """Trajectories that the driver received and refused."""
+    _refused: int = 0
     _driver: int = 0
     _driver_reports: int = 0
     _driver_rose: bool = False
     _driver_at: tuple[int, int] | None = None
     _probing: bool = False
     _probed: int = 0
+    _answer: Compensation | None = None
     _next: float = 0.0
     _sampled: float = 0.0
 
@@ -65,7 +74,7 @@ class Scene:
 
     def _on_compensation(self, message: Compensation) -> None:
         if self._probing:
-            self._probed = stamp_ns(message.target.header.stamp)
+            self._probed, self._answer = stamp_ns(message.target.header.stamp), message
             return
         self.ledger.answer(
             stamp_ns(message.target.header.stamp),
@@ -84,8 +93,10 @@ class Scene:
         for status in message.status:
             if status.name == f"/{NAMESPACE}/servo_driver: arm":
                 facts = {pair.key: pair.value for pair in status.values}
-                before = self._driver
-                self._driver = int(facts["trajectories"]) + int(facts["refused"])
+                before, refused = self._driver, int(facts["refused"])
+                self.driver_refusals += refused - (self._refused if refused >= self._refused else 0)
+                self._refused = refused
+                self._driver = int(facts["trajectories"]) + refused
                 self._driver_rose = self._driver_rose or self._driver > before
                 self._driver_reports += 1
 
@@ -114,6 +125,56 @@ class Scene:
         self._probing = False
         self._mark()
 
+    def recover(self) -> str:
+        """Wait until the arm works: a target is answered with status 0, and the joints go there.
+
+        The targets are not in the ledger.
+
+        Returns:
+            What did not happen in time; empty if the arm works.
+        """
+        self.audit()
+        self._probing = True
+        end = time.monotonic() + self.setting.patience_s
+        tries, why = 0, "no target was answered"
+        while why and time.monotonic() < end:
+            tries += 1
+            why = self._try_target(self.ledger.sent + tries * _FAR, why)
+        self.client.spin(0.3)
+        self._rested()
+        self._probing = False
+        self._mark()
+        return why
+
+    def _try_target(self, number: int, why: str) -> str:
+        """Send one target: why it was not reached (``why`` if it had no answer), or nothing."""
+        self._answer, before = None, self.client.joints
+        stamp = self._publish(good=True, number=number)
+        if not self._within(_TRY_S, lambda: self._probed == stamp) or self._answer is None:
+            return why
+        if self._answer.status != Compensation.SUCCESS:
+            self.client.spin(0.1)
+            return f"status {self._answer.status}: {self._answer.message}"
+        goal = np.array(self._answer.executed.position)
+
+        def there() -> bool:
+            at = self.client.joints
+            return at is not None and bool(np.abs(at - goal).max() < _NEAR)
+
+        if not self._within(_TRY_S, there):
+            return "a command was sent and the joints did not go there"
+        if before is not None and np.abs(goal - before).max() < 2 * _NEAR:
+            return "the joints were there before"
+        return ""
+
+    def _within(self, seconds: float, condition: Callable[[], bool]) -> bool:
+        """Spin until a condition holds, or for so many seconds; whether it holds."""
+        end = time.monotonic() + seconds
+        self.client.until(
+            lambda: condition() or time.monotonic() > end, seconds + _PATIENCE_S, "the graph"
+        )
+        return condition()
+
     def _rested(self) -> None:
         """Wait for a report of the driver from after everything came to rest."""
         wanted = self._driver_reports + 2
@@ -138,9 +199,10 @@ class Scene:
         good = bool(self.rng.random() >= self.setting.bad_share)
         self.ledger.target(self._publish(good=good), now, good=good)
 
-    def _publish(self, *, good: bool) -> int:
+    def _publish(self, *, good: bool, number: int | None = None) -> int:
         stamp = int(self.client.node.get_clock().now().nanoseconds)
-        message = PoseStamped(pose=self._poses[self.ledger.sent % _PATH])
+        place = self.ledger.sent if number is None else number
+        message = PoseStamped(pose=self._poses[place % _PATH])
         message.header.frame_id, message.header.stamp = "base", stamp_of(stamp)
         self._target.publish(message if good else bad_target(message, self.rng))
         return stamp

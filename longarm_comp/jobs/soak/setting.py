@@ -22,6 +22,7 @@ class SoakSettings:
         fault_s: mean time between two faults of the graph.
         bad_share: share of targets that must be refused.
         wire_faults_hz: rate of damaged, lost and cut servo replies.
+        patience_s: longest time in which the arm must work again after a fault.
         seed: seed of all random choices.
     """
 
@@ -31,6 +32,7 @@ class SoakSettings:
     fault_s: float = 20.0
     bad_share: float = 0.05
     wire_faults_hz: float = 0.5
+    patience_s: float = 60.0
     seed: int = 0
     arm: Path = field(default_factory=lambda: folder("config") / "arm_demo.yaml")
 
@@ -41,6 +43,7 @@ class SoakSettings:
             ("fault_s", 0.5, 1e6),
             ("bad_share", 0.0, 1.0),
             ("wire_faults_hz", 0.0, 20.0),
+            ("patience_s", 1.0, 600.0),
         ):
             if not low <= getattr(self, name) <= high:
                 raise InputError("soak", name, getattr(self, name), f"{low:g} to {high:g}")

@@ -1,0 +1,58 @@
+"""``longarm export-urdf``."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import click
+
+from longarm_comp.cli import options
+from longarm_comp.cli.output import note, print_json, print_rows
+
+
+@click.command()
+@options.arm
+@options.path_option("--model", "Calibrated model.yaml.", required=True)
+@options.output("calibrated.urdf", "URDF to write.")
+@click.option("--group", default="", help="Base placement, where the model has several.")
+@click.option("--marker", default="", help="Marker that is the link tip, instead of the arm's tip.")
+@options.effects
+@options.as_json
+def command(arm: Path, model: Path, output: Path, group: str, marker: str, as_json: bool) -> None:
+    """Write the rigid part of MODEL as a URDF with calibrated joint origins.
+
+    The link base_link is the frame of the measurements, the link tip the tip. Offsets of the
+    joints' zeros are in the origins; they are listed for a driver that corrects them itself.
+    Deflection and the other effects stay in model.yaml: a URDF cannot say them.
+
+    \b
+    Example:
+      longarm export-urdf arm.yaml --model model.yaml -o calibrated.urdf
+    """
+    from longarm_comp.core.arm.arm import Arm
+    from longarm_comp.core.files import write_text
+    from longarm_comp.core.model.model_file import load_model
+    from longarm_comp.urdf_export import export_urdf, zero_offsets
+
+    declared = Arm.load(arm)
+    known = load_model(model, declared)
+    write_text(output, export_urdf(known, group, marker))
+    left = sorted({e.name for e in known.effects if not e.geometry})
+    rows = [
+        {
+            "joint": z.joint,
+            "offset": z.value,
+            "unit": z.unit,
+            "deg": math.degrees(z.value) if z.unit == "rad" else None,
+        }
+        for z in zero_offsets(known)
+    ]
+    if as_json:
+        print_json({"output": str(output), "zero_offsets": rows, "left_out": left})
+        return
+    if rows:
+        print_rows("Joint values at command zero (in the origins already)", rows)
+    if left:
+        note(f"left out, as a URDF is rigid: {', '.join(left)}")
+    note(f"{declared.n} joints in {output}")

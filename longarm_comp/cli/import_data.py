@@ -1,0 +1,87 @@
+"""``longarm import-data``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from longarm_comp.cli import options
+from longarm_comp.cli.output import note, print_json, print_rows
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path), metavar="FILE")
+@options.output("samples.csv", "Session to write; the mapping is written beside it.")
+@click.option("--units", default="", metavar="mm,deg", help="Units of columns that name none.")
+@click.option(
+    "--map", "given", multiple=True, metavar="A=q1,...",
+    help="Which column is which; with a unit: A=q3:mm. Repeat for more.",
+)  # fmt: skip
+@click.option("--rotation", metavar="CONVENTION:COLUMNS", help="Orientation; see below.")
+@options.path_option("--arm", "arm.yaml: names the joints and says which slide.")
+@click.option("--sheet", help="Sheet of a workbook that has several.")
+@click.option("--decimal", type=click.Choice([".", ","]), help="Sign before decimals.")
+@options.as_json
+def command(
+    file: Path,
+    output: Path,
+    units: str,
+    given: tuple[str, ...],
+    rotation: str | None,
+    arm: Path | None,
+    sheet: str | None,
+    decimal: str | None,
+    as_json: bool,
+) -> None:
+    """Convert FILE (CSV or XLSX) of another program to a session.
+
+    Separators, header lines, decimal commas and units in names (x_mm, q1 [deg]) are recognised and
+    shown. Units are never guessed, nor is the convention of an orientation: xyzw or wxyz with four
+    columns; rotvec with three; Euler angles with three, xyz about fixed axes, ZYX turned.
+    A minus before it says that the columns hold the base in the tool. "none" leaves it out.
+
+    \b
+    Examples:
+      longarm import-data tracker.csv --units mm,deg -o samples.csv
+      longarm import-data log.xlsx --units mm,deg --map "A=q1,B=q2:mm,Px=x" --rotation ZYX:A,B,C
+      longarm import-data mocap.csv --units m,rad --rotation wxyz:q0,qi,qj,qk --arm arm.yaml
+    """
+    from longarm_comp.core.arm.arm import Arm
+    from longarm_comp.sessions.foreign.convert import Options, import_table
+
+    said = Options(
+        tuple(u.strip() for u in units.split(",") if u.strip()),
+        _pairs(given),
+        rotation,
+        sheet,
+        decimal,
+        None if arm is None else Arm.load(arm),
+    )
+    found = import_table(file, said)
+    mapping = found.save(output)
+    rows = found.preview()
+    if as_json:
+        made = {"output": str(output), "mapping": str(mapping), "rows": len(found.cells.rows)}
+        print_json({**made, "columns": rows, "left_out": found.left_out})
+        return
+    print_rows(f"{file.name}: {len(found.cells.rows)} rows, as read (SI)", rows)
+    if found.rotation is not None:
+        note(f"orientation from {', '.join(found.rotation.columns)} as {found.rotation.convention}")
+    if found.left_out:
+        note(f"left out: {', '.join(found.left_out)}")
+    if found.assumed:
+        note(f"{', '.join(found.assumed)}: taken to turn; --arm says which joints slide")
+    note(f"{output} written, mapping in {mapping}")
+
+
+def _pairs(given: tuple[str, ...]) -> dict[str, str]:
+    from longarm_comp.core.errors import InputError
+
+    made: dict[str, str] = {}
+    for pair in (p for text in given for p in text.split(",")):
+        source, equals, name = pair.partition("=")
+        if not equals or not source.strip() or not name.strip() or source.strip() in made:
+            raise InputError("import-data", "--map", pair, "COLUMN=NAME, each column once")
+        made[source.strip()] = name.strip()
+    return made

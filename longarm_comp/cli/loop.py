@@ -1,0 +1,105 @@
+"""``longarm loop``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from longarm_comp.cli import options
+from longarm_comp.cli.agreed import agreed
+from longarm_comp.cli.output import note, print_json, print_rows, progress
+
+if TYPE_CHECKING:
+    from longarm_comp.report.record import DiagnosisReport
+
+SHOWN = ("run", "n", "refused", "mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_abs_z_mm")
+
+
+@click.command()
+@options.arm
+@options.output(None, "Folder for sessions, diagnoses and the page.")
+@click.option("--yes", is_flag=True, help="Apply every diagnosis without asking.")
+@click.option("--rounds", default=3, show_default=True, help="Rounds at most.")
+@click.option("--poses", default=180, show_default=True, help="Poses to measure in a round.")
+@click.option("--targets", default=40, show_default=True, help="Fresh targets to judge by.")
+@click.option("--no-network", is_flag=True, help="Train no predictor.")
+@click.option("--resume", is_flag=True, help="Go on with an interrupted loop.")
+@options.pace
+@options.namespace
+@options.seed
+@options.effects
+@options.as_json
+def command(
+    arm: Path,
+    output: Path,
+    yes: bool,
+    rounds: int,
+    poses: int,
+    targets: int,
+    no_network: bool,
+    resume: bool,
+    sightings: int,
+    dwell: float,
+    move: float,
+    namespace: str,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Calibrate and check ARM on its running graph, real or simulated, in one command.
+
+    Drives fresh targets without compensation and as the graph is now. A round then plans poses,
+    collects a session, diagnoses it, shows the result and, after a yes, applies it, trains the
+    predictor again and drives the same targets again. Another round follows while one is
+    expected to pay: the last one brought the tip nearer beyond chance, and the mean error is
+    still more than twice what the noise of the measurement shows.
+
+    The graph must have been started with --model FILE (and --predictor FILE); the files need not
+    exist yet. The arm moves through its whole range: keep its surroundings clear. The exit code
+    is 3 if the last run is not nearer to the targets than the one without compensation.
+
+    \b
+    Example:
+      longarm up arm.yaml --sim --model work/model.yaml --predictor work/predictor.npz
+      longarm loop arm.yaml -o loop_1
+    """
+    from longarm_comp.cli.signals import stop_on_signals
+    from longarm_comp.core.arm.arm import Arm
+    from longarm_comp.core.errors import JobError
+    from longarm_comp.jobs.client import ArmClient
+    from longarm_comp.jobs.collect import Pace
+    from longarm_comp.jobs.loop.files import write_loop
+    from longarm_comp.jobs.loop.run import Loop
+    from longarm_comp.jobs.loop.settings import LoopSettings
+
+    declared = Arm.load(arm)
+    settings = LoopSettings(
+        output, rounds, poses, targets, not no_network, seed,
+        Pace(sightings=sightings, dwell_s=dwell, move_s=move),
+    )  # fmt: skip
+
+    def agree(report: DiagnosisReport) -> bool:
+        note(f"{report.verdict}: {report.summary}")
+        return agreed("Apply this to the model at work?", yes)
+
+    with (
+        stop_on_signals() as stop,
+        ArmClient(declared, namespace, stop, "loop") as client,
+        progress("loop") as show,
+    ):
+        result = Loop(client, settings, agree, resume=resume, say=show).run()
+    printed = write_loop(declared.name, settings, result)
+    if as_json:
+        print_json(printed)
+    else:
+        rows = [{name: row[name] for name in SHOWN} for row in printed["rows"]]
+        print_rows(f"tip - target over {targets} targets, measured by the cameras", rows)
+        for r in printed["rounds"]:
+            for change in r["changes"]:
+                click.echo(f"round {r['number']}: {change['text']}")
+        click.echo(printed["summary"])
+        note(f"ended: {printed['ended']}")
+        note(f"page: {printed['files']['page']}; to take it back: {printed['undo']}")
+    if not printed["helps"]:
+        raise JobError(printed["summary"])

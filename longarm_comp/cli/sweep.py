@@ -1,0 +1,61 @@
+"""``longarm sweep``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from longarm_comp.cli import options
+from longarm_comp.cli.agreed import agreed
+from longarm_comp.cli.output import note, progress
+
+if TYPE_CHECKING:
+    import numpy as np
+
+
+@click.command()
+@options.arm
+@click.option("--seconds", default=20.0, show_default=True,
+              help="Least time for the whole range of any joint.")  # fmt: skip
+@click.option("--margin", default=0.02, show_default=True,
+              help="Kept from every limit, as a share of the joint's range.")  # fmt: skip
+@click.option("--one-by-one", is_flag=True, help="One joint after another; default: all at once.")
+@click.option("--yes", is_flag=True, help="Do not ask before the arm moves.")
+@options.namespace
+def command(
+    arm: Path, seconds: float, margin: float, one_by_one: bool, yes: bool, namespace: str
+) -> None:
+    """Drive every joint of ARM between its limits once, through the driver, and back.
+
+    Afterwards kinematics knows what play and friction remember, which it does not after
+    power-on. The arm passes through wide poses: keep its surroundings clear. It moves only after
+    a yes. Ctrl-C stops it where it is.
+
+    \b
+    Example:
+      longarm sweep arm.yaml --seconds 30
+    """
+    from longarm_comp.cli.signals import stop_on_signals
+    from longarm_comp.core.arm.arm import Arm
+    from longarm_comp.core.errors import JobError
+    from longarm_comp.jobs.client import ArmClient
+    from longarm_comp.jobs.sweep import sweep_joints
+
+    def agree(path: np.ndarray, takes: float) -> None:
+        ask = f"Drive all {path.shape[1]} joints to both ends of their ranges ({takes:.0f} s)?"
+        if not agreed(ask, yes):
+            raise JobError("not swept: no yes was given")
+
+    declared = Arm.load(arm)
+    with (
+        stop_on_signals() as stop,
+        ArmClient(declared, namespace, stop, "sweep") as client,
+        progress("sweep") as show,
+    ):
+        moves = sweep_joints(
+            client, range_s=seconds, margin=margin, together=not one_by_one, agree=agree,
+            progress=show,
+        )  # fmt: skip
+    note(f"{moves} moves made; the joints are back where they stood, their history is known")

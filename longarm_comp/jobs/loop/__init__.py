@@ -1,0 +1,1 @@
+"""The whole cycle on a running graph, real or simulated: `longarm loop`."""

@@ -1,0 +1,266 @@
+"""The cycle: measure, collect, diagnose, ask, apply, train, measure again; once more if it pays."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from longarm_comp.core.compensation.compensate import Method
+from longarm_comp.core.data.plan import Plan, random_targets, sobol
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.jobs.apply import FilesAtWork, apply_on_graph, files_at_work
+from longarm_comp.jobs.client import ArmClient
+from longarm_comp.jobs.collect import collect
+from longarm_comp.jobs.loop.journal import Journal
+from longarm_comp.jobs.loop.rule import Decision, another_round
+from longarm_comp.jobs.loop.settings import LoopSettings
+from longarm_comp.jobs.measurement_schedule import visits
+from longarm_comp.jobs.targets import Say, TargetRunner, Trial, Witness
+from longarm_comp.jobs.verify import choose, method_at_work
+from longarm_comp.report.record import DiagnosisReport, read_report
+from longarm_comp.sessions.next_poses import FILE as NEXT_POSES
+from longarm_comp.sessions.poses import read_poses, write_poses
+from longarm_comp.workflows.apply import nothing_to_apply
+from longarm_comp.workflows.diagnose import DiagnosisResult, diagnose_files
+from longarm_comp.workflows.verification import Verification, verification
+
+Agree = Callable[[DiagnosisReport], bool]
+"""Shows a diagnosis and says whether to apply it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """One turn of the cycle.
+
+    Attributes:
+        number: from 1.
+        collected: rows of its session.
+        report: of its diagnosis.
+        effects_found: names of each finding, with those that cannot be told from it.
+        applied: what `apply` did, as plain data; None where it was not applied.
+        trials: over the targets afterwards; the last one with all that was learned.
+        gain: of the last trial against the last one before this round.
+        decision: whether another round was expected to pay.
+    """
+
+    number: int
+    collected: int
+    report: DiagnosisReport
+    effects_found: list[list[str]]
+    applied: dict[str, Any] | None
+    trials: tuple[Trial, ...]
+    gain: Verification | None
+    decision: Decision
+
+
+@dataclass(frozen=True, eq=False)
+class LoopResult:
+    """What came of it.
+
+    Attributes:
+        files: at work on the graph.
+        refused: targets that were left out, and why.
+        first: the trials before the first round: not compensated, and as it was.
+        rounds: in their order.
+        seconds: of each step done now.
+    """
+
+    files: FilesAtWork
+    refused: list[dict[str, Any]]
+    first: tuple[Trial, Trial]
+    rounds: tuple[Round, ...]
+    seconds: dict[str, float]
+
+    @property
+    def trials(self) -> list[Trial]:
+        """All runs over the targets in their order."""
+        return [*self.first, *(t for r in self.rounds for t in r.trials)]
+
+    @property
+    def against_none(self) -> Verification:
+        """The last run against the one without compensation."""
+        return compared(self.first[0], self.trials[-1])
+
+
+def compared(before: Trial, after: Trial) -> Verification:
+    """Two runs over the same targets, paired."""
+    return verification((before.name, after.name), before.off, after.off)
+
+
+class Loop:
+    """A loop on a running graph.
+
+    Args:
+        client: of the arm.
+        settings: what to do.
+        agree: asked before a diagnosis is applied.
+        witness: another instrument that sees the tip, where there is one.
+        resume: go on after an interruption.
+        say: told what is done.
+    """
+
+    def __init__(
+        self,
+        client: ArmClient,
+        settings: LoopSettings,
+        agree: Agree,
+        *,
+        witness: Witness | None = None,
+        resume: bool = False,
+        say: Say = lambda text, share: None,
+    ) -> None:
+        self._client, self._settings, self._agree, self._say = client, settings, agree, say
+        self._runner = TargetRunner(client, settings.pace, witness)
+        self._journal = Journal(settings.out / "steps.json", settings.facts(), resume=resume)
+        self._seconds: dict[str, float] = {}
+        self._begun = time.monotonic()
+
+    def run(self, ready_s: float = 30.0) -> LoopResult:
+        """Go round; see `rule` for when another round follows.
+
+        Raises:
+            InputError: data were refused, or files do not fit. JobError: a step could not be
+            done. Interrupted: the client was stopped; ``resume`` goes on.
+        """
+        client, names = self._client, self._settings.names
+        client.ready(ready_s)
+        declared = declared_model(client.arm)
+        self._runner.ready(declared.tip(client.arm.mid), ready_s)
+        files = files_at_work(client)
+        if files.model.resolve().parent == self._settings.path("diagnosis", 1).resolve():
+            raise InputError(files.model, "model", "in the loop's folder", "another folder")
+        method = method_at_work(client)
+        self._done("bring_up")
+        learned = files.predictor is not None and files.predictor.is_file()
+        now = method if learned else Method.DEFLECTION
+        chosen = self._journal.once("targets", partial(self._choose, now))
+        targets = np.array(chosen["xyz"])
+        first = (
+            self._drive(names.without, targets, Method.NONE),
+            self._drive(names.before, targets, now),
+        )
+        last, rounds = first[1], list[Round]()
+        for k in range(1, self._settings.rounds + 1):
+            rounds.append(self._round(k, files, targets, method, last))
+            if not rounds[-1].decision.again:
+                break
+            last = rounds[-1].trials[-1]
+        return LoopResult(files, chosen["refused"], first, tuple(rounds), self._seconds)
+
+    # ------------------------------------------------------------------ steps
+
+    def _choose(self, method: Method) -> dict[str, Any]:
+        settings = self._settings
+        rng = np.random.default_rng(settings.seed + 1)
+        draw = partial(random_targets, declared_model(self._client.arm), rng=rng)
+        chosen = choose(self._runner, draw, settings.targets, (Method.NONE, method))
+        refused = [{"target": xyz.tolist(), "why": why} for xyz, why in chosen.refused]
+        return {"xyz": chosen.xyz.tolist(), "refused": refused}
+
+    def _drive(self, name: str, targets: np.ndarray, method: Method) -> Trial:
+        run = partial(self._runner.run, name, targets, method, self._say)
+        trial = self._journal.trial(f"run: {name}", run)
+        self._done(name)
+        return trial
+
+    def _round(
+        self, k: int, files: FilesAtWork, targets: np.ndarray, method: Method, last: Trial
+    ) -> Round:
+        names = self._settings.names
+        collected = self._journal.once(f"collected {k}", partial(self._collect, k))
+        self._done(f"collect_{k}")
+        found = self._journal.once(f"diagnosed {k}", partial(self._diagnose, k, files))
+        self._done(f"diagnose_{k}")
+        folder = self._settings.path("diagnosis", k)
+        report = read_report(folder)
+
+        def ended(why: str) -> Round:
+            return Round(k, collected, report, found, None, (), None, Decision(False, why))
+
+        nothing = nothing_to_apply(folder, report)
+        if nothing:
+            return ended(f"nothing to apply: {report.summary}")
+        if f"applied {k}" not in self._journal and not self._agree(report):
+            return ended("not applied: no yes was given")
+        applied = self._journal.once(f"applied {k}", partial(self._apply, k))
+        self._done(f"train_{k}")
+        trials = []
+        if applied["predictor"] is not None:
+            trials.append(self._drive(names.found.format(k=k), targets, Method.DEFLECTION))
+        name = names.found if applied["predictor"] is None else names.learned
+        trials.append(self._drive(name.format(k=k), targets, method))
+        gain = compared(last, trials[-1])
+        x, y, z = (1e-3 * s for s in report.noise.sigma_mm or (0.0, 0.0, 0.0))
+        mean = float(np.linalg.norm(trials[-1].error, axis=1).mean())
+        decision = another_round(gain.gain_ci95_m, mean, (x, y, z))
+        return Round(k, collected, report, found, applied, tuple(trials), gain, decision)
+
+    def _collect(self, k: int) -> int:
+        settings, arm = self._settings, self._client.arm
+        plan = self._plan(k)
+        write_poses(plan, settings.path("poses.csv", k))
+        seed = settings.seed + k - 1
+        todo = visits(plan, arm, repeats=min(5, settings.poses // 10), seed=seed)
+        bag = settings.path("session", k)
+        done = collect(
+            self._client, todo, bag, pace=settings.pace, resume=(bag / "metadata.yaml").is_file(),
+            progress=self._say,
+        )  # fmt: skip
+        return done.made + done.before
+
+    def _plan(self, k: int) -> Plan:
+        """Poses that fill the joint box; first those that the last diagnosis asked for."""
+        settings, arm = self._settings, self._client.arm
+        plan = sobol(arm, settings.poses, settings.seed + k - 1)
+        asked = settings.path("diagnosis", k - 1) / NEXT_POSES if k > 1 else None
+        if asked is None or not asked.is_file():
+            return plan
+        wanted = read_poses(asked, arm)
+        left = max(0, settings.poses - len(wanted))
+        return Plan(
+            np.concatenate([wanted.q, plan.q[:left]]),
+            np.concatenate([wanted.approach, plan.approach[:left]]),
+        )
+
+    def _diagnose(self, k: int, files: FilesAtWork) -> list[list[str]]:
+        model = files.model if files.model.is_file() else None
+        found = diagnose_files(
+            self._client.arm, self._settings.path("session", k),
+            self._settings.path("diagnosis", k), model=model, network=False,
+            seed=self._settings.seed, progress=lambda step: self._say(f"diagnose: {step}", 0.3),
+        )  # fmt: skip
+        return _names(found)
+
+    def _apply(self, k: int) -> dict[str, Any]:
+        settings = self._settings
+        done = apply_on_graph(
+            self._client, settings.path("diagnosis", k), session=settings.path("session", k),
+            network=settings.network, seed=settings.seed,
+            progress=lambda text, share: self._say(f"train: {text}", 0.6 + 0.4 * share),
+        )  # fmt: skip
+        return {
+            "model": str(done.model),
+            "version": done.version,
+            "predictor": None if done.predictor is None else str(done.predictor),
+            "undo": done.undo,
+            "changes": [{"text": str(c), "what": c.what, "where": c.where, "kind": c.kind,
+                         "tip_mm": c.tip_mm} for c in done.changes],
+        }  # fmt: skip
+
+    def _done(self, step: str) -> None:
+        now = time.monotonic()
+        self._seconds[step], self._begun = now - self._begun, now
+
+
+def _names(found: DiagnosisResult) -> list[list[str]]:
+    """Each effect, what cannot be told from it, and what could stand for a part of it."""
+    return [
+        list(dict.fromkeys((*f.names, *(a.name for a in f.partial_aliases))))
+        for f in found.findings
+    ]

@@ -1,0 +1,186 @@
+"""Which column of a session a column of another program is."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.errors import InputError
+from longarm_comp.sessions.csv import LABELS, UNITS, XYZ
+from longarm_comp.sessions.foreign.units import (
+    ANGLE,
+    LENGTH,
+    MASS,
+    TEMPERATURE,
+    TIME,
+    Unit,
+    split_name,
+)
+from longarm_comp.sessions.foreign.units import UNITS as KNOWN
+from longarm_comp.sessions.targets import QUATERNION
+
+JOINT = "joint"
+_JOINT = re.compile(r"(?:q|j|joint|axis|a|theta)0*(\d{1,3})")
+_XYZ = re.compile(r"(?:p|pos|position|tip|tcp|meas|measured|measurement|marker)?([xyz])")
+_EXACT = re.compile(
+    r"index|repeat_id|approach(_q\d+)?|run_up_q\d+|sigma_([xyz]|rot)|cov_[xyz]{2}|distance|anchor"
+    r"|ray_[xyz]|sensor|incl_\w+_[xy]|q[xyzw]|t_s|temperature_c|payload_kg|role|group|marker"
+)
+_TURNED = re.compile(
+    r"(?:q(?:uat(?:ernion)?)?_?[wxyz0]|quat.*|roll|pitch|yaw|r[xyz]|[abc]|o[xyz]|euler.*|rot.*)"
+)
+TEXTS = (*LABELS, "anchor", "sensor")
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of the session: its name, which column of the file it is, and that one's unit."""
+
+    name: str
+    source: str
+    place: int
+    unit: Unit | None
+
+
+def kind_of(name: str, arm: Arm | None = None) -> str:
+    """What the values of a session's column are: a kind of unit, `JOINT`, or nothing."""
+    joint = re.fullmatch(r"(?:run_up_)?q(\d+)", name)
+    if joint:
+        number = int(joint.group(1))
+        if arm is None or not 1 <= number <= arm.n:
+            return JOINT
+        row = arm.joints[arm.commanded[number - 1] - 1]
+        return LENGTH if row.type == "prismatic" else ANGLE
+    if name in XYZ or name == "distance" or re.fullmatch(r"sigma_[xyz]|cov_[xyz]{2}", name):
+        return LENGTH
+    if name == "sigma_rot" or name.startswith("incl_"):
+        return ANGLE
+    ends = {"t_s": TIME, "temperature_c": TEMPERATURE, "payload_kg": MASS}
+    return ends.get(name, "")
+
+
+def meaning(name: str, arm: Arm | None = None) -> str | None:
+    """The session's column that a name without its unit means, or None."""
+    if _EXACT.fullmatch(name):
+        return name
+    if arm is not None and name in arm.joint_names:
+        return f"q{arm.joint_names.index(name) + 1}"
+    plain = re.sub(r"[^a-z0-9]", "", name.lower())
+    joint, axis = _JOINT.fullmatch(plain), _XYZ.fullmatch(plain)
+    if joint:
+        return f"q{int(joint.group(1))}"
+    if axis:
+        return axis.group(1)
+    if plain in ("t", "time", "timestamp"):
+        return "t_s"
+    if plain in ("temp", "temperature"):
+        return "temperature_c"
+    if plain in ("payload", "row"):
+        return {"payload": "payload_kg", "row": "index"}[plain]
+    heading, _, last = name.rpartition(" ")  # a heading over several columns, and the name below
+    return meaning(last, arm) if heading else None
+
+
+def turned(name: str) -> bool:
+    """Whether a name looks like a part of an orientation."""
+    return _TURNED.fullmatch(re.sub(r"\s", "_", split_name(name)[0].lower())) is not None
+
+
+def understand(
+    where: str,
+    names: Sequence[str],
+    given: Mapping[str, str],
+    defaults: Mapping[str, Unit],
+    arm: Arm | None,
+    apart: Sequence[str] = (),
+) -> list[Column]:
+    """The columns of the session that a file holds.
+
+    Args:
+        where: the file.
+        names: its columns.
+        given: by name of a column, with or without its unit: a session's column, or one and its
+            unit (``q3:mm``).
+        defaults: by kind, the unit of columns that name none.
+        arm: names its joints and says which slide; None: joints without a unit turn.
+        apart: columns that are read otherwise (an orientation).
+
+    Raises:
+        InputError: a name of ``given`` is no column, two columns mean the same, a unit is missing
+            or of another kind.
+    """
+    told = dict(given)
+    found: dict[str, Column] = {}
+    for place, source in enumerate(names):
+        if source in apart:
+            continue
+        stem, unit = split_name(source)
+        key = source if source in told else stem if stem in told else None
+        if key is not None:
+            name, _, own = told.pop(key).partition(":")
+            if own:
+                unit = _unit(where, own, f"--map {key}")
+            _check_name(where, name, key)
+        else:
+            name = (meaning(source, arm) or meaning(stem, arm) or "") if stem else ""
+        if not name:
+            continue
+        if name in found:
+            both = f"{found[name].source} and {source}"
+            raise InputError(
+                where, f"column {name}", both, f"one; choose it with --map NAME={name}"
+            )
+        found[name] = Column(
+            name, source, place, _fitting(where, name, source, unit, defaults, arm)
+        )
+    if told:
+        raise InputError(where, "--map", next(iter(told)), f"a column: {', '.join(names)}")
+    return sorted(found.values(), key=lambda c: _order(c.name))
+
+
+def _unit(where: str, text: str, field: str) -> Unit:
+    if text not in KNOWN:
+        raise InputError(where, field, text, f"a unit: {', '.join(KNOWN)}")
+    return KNOWN[text]
+
+
+def _check_name(where: str, name: str, key: str) -> None:
+    if not re.fullmatch(r"[A-Za-z_]\w*", name):
+        raise InputError(where, f"--map {key}", name, "a column of a session: q1..qn, x, y, z, ...")
+
+
+def _fitting(
+    where: str,
+    name: str,
+    source: str,
+    unit: Unit | None,
+    defaults: Mapping[str, Unit],
+    arm: Arm | None,
+) -> Unit | None:
+    kind = kind_of(name, arm)
+    if not kind:
+        return None
+    kinds = (ANGLE, LENGTH) if kind == JOINT else (kind,)
+    if unit is None and name in UNITS and source == name:
+        unit = {TIME: KNOWN["s"], TEMPERATURE: KNOWN["c"], MASS: KNOWN["kg"]}[kind]
+    unit = unit or defaults.get(kinds[0])
+    choice = ", ".join(u.name for u in KNOWN.values() if u.kind in kinds)
+    if unit is None:
+        allowed = f"a unit: --units, or --map '{source}={name}:UNIT' with one of {choice}"
+        raise InputError(where, f"column {source}", "no unit", allowed)
+    if unit.kind not in kinds:
+        raise InputError(where, f"column {source}", unit.name, f"for {name}: {choice}")
+    return unit
+
+
+def _order(name: str) -> tuple[int, int, str]:
+    joint = re.fullmatch(r"q(\d+)", name)
+    if joint:
+        return 2, int(joint.group(1)), ""
+    groups = (("index", *UNITS, "approach"), (), XYZ, QUATERNION)
+    for k, group in enumerate(groups, 1):
+        if name in group:
+            return k, group.index(name), ""
+    return 9, 0, name

@@ -1,0 +1,238 @@
+"""Converts a table of another program to a session's CSV, with the mapping beside it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import write_text
+from longarm_comp.sessions.csv import XYZ
+from longarm_comp.sessions.foreign.cells import Cells, read_cells
+from longarm_comp.sessions.foreign.columns import JOINT, TEXTS, Column, kind_of, turned, understand
+from longarm_comp.sessions.foreign.rotation import ALLOWED, Rotation
+from longarm_comp.sessions.foreign.units import ANGLE, UNITS, Unit, split_name
+from longarm_comp.sessions.table import write_table
+from longarm_comp.sessions.targets import QUATERNION
+
+_MAY_BE_BLANK = (*XYZ, "distance", "repeat_id", "approach", "ray_x", "ray_y", "ray_z", "sigma_rot")
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the user says of a file.
+
+    Attributes:
+        units: units of columns that name none, such as ``mm`` and ``deg``.
+        given: see `understand`.
+        rotation: ``CONVENTION:COLUMNS``, ``none`` to leave an orientation out, or nothing.
+        sheet, decimal: see `read_cells`.
+        arm: names the joints and says which slide.
+    """
+
+    units: tuple[str, ...] = ()
+    given: Mapping[str, str] = field(default_factory=dict)
+    rotation: str | None = None
+    sheet: str | None = None
+    decimal: str | None = None
+    arm: Arm | None = None
+
+
+@dataclass(frozen=True)
+class Imported:
+    """A converted table.
+
+    Attributes:
+        cells: the file's.
+        columns: session columns by name, (N,) numbers or texts.
+        sources: how each was read.
+        left_out: columns of the file that were not read.
+        assumed: joints that were taken to turn, as no arm says it.
+        rotation: the convention of the orientation.
+    """
+
+    cells: Cells
+    columns: Mapping[str, np.ndarray]
+    sources: tuple[Column, ...]
+    left_out: tuple[str, ...]
+    assumed: tuple[str, ...]
+    rotation: Rotation | None
+
+    def preview(self) -> list[dict[str, Any]]:
+        """One row a column: what it was read from, in which unit, and its range."""
+        rows = []
+        for column in self.sources:
+            values = self.columns[column.name]
+            numeric = values.dtype.kind == "f" and not np.isnan(values).all()
+            rows.append(
+                {
+                    "column": column.name,
+                    "from": column.source,
+                    "unit": column.unit.name if column.unit else "",
+                    "first": values[0] if numeric else str(values[0]),
+                    "min": float(np.nanmin(values)) if numeric else None,
+                    "max": float(np.nanmax(values)) if numeric else None,
+                    "blank": int(np.isnan(values).sum()) if values.dtype.kind == "f" else 0,
+                }
+            )
+        return rows
+
+    def save(self, path: Path) -> Path:
+        """Write the session, and the mapping beside it; returns the mapping's path.
+
+        Raises:
+            InputError: the folder cannot be written to.
+        """
+        write_table(path, list(self.columns), zip(*self.columns.values(), strict=True))
+        beside = path.with_suffix(".mapping.yaml")
+        source = Path(self.cells.where)
+        mapping = {
+            "source": source.name,
+            "source_sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
+            "separator": self.cells.separator,
+            "decimal": self.cells.decimal,
+            "header_lines": list(self.cells.header_lines),
+            "rows": len(self.cells.rows),
+            "columns": {
+                c.name: {"from": c.source, **({"unit": c.unit.name} if c.unit else {})}
+                for c in self.sources
+            },
+            "left_out": list(self.left_out),
+        }
+        if self.rotation is not None:
+            sign = "-" if self.rotation.inverse else ""
+            mapping["rotation"] = (
+                f"{sign}{self.rotation.convention}:{','.join(self.rotation.columns)}"
+            )
+        text = yaml.safe_dump(mapping, sort_keys=False, allow_unicode=True, width=100)
+        write_text(beside, f"# How longarm import-data read {source.name}.\n{text}")
+        return beside
+
+
+def import_table(path: str | Path, options: Options | None = None) -> Imported:
+    """Read a table of another program.
+
+    Raises:
+        InputError: see `read_cells` and `understand`; no joints or no measurement in it; an
+            orientation whose convention was not told; a cell that is no number.
+    """
+    options = options or Options()
+    where = str(path)
+    cells = read_cells(Path(path), options.sheet, options.decimal)
+    rotation = _rotation(where, cells, options)
+    apart = () if rotation is None else rotation.columns
+    defaults = _defaults(where, options.units)
+    sources = understand(where, cells.names, options.given, defaults, options.arm, apart)
+    _complete(where, cells, sources, options.arm)
+    columns: dict[str, np.ndarray] = {c.name: _values(cells, c) for c in sources}
+    if rotation is not None:
+        columns |= _orientation(cells, rotation, defaults)
+    read = {c.place for c in sources} | {cells.names.index(n) for n in apart}
+    left = tuple(n or f"column {k + 1}" for k, n in enumerate(cells.names) if k not in read)
+    assumed = tuple(
+        c.name
+        for c in sources
+        if kind_of(c.name, options.arm) == JOINT and split_name(c.source)[1] is None
+        and ":" not in options.given.get(c.source, "")
+    )  # fmt: skip
+    return Imported(cells, columns, tuple(sources), left, assumed, rotation)
+
+
+def _defaults(where: str, names: tuple[str, ...]) -> dict[str, Unit]:
+    made: dict[str, Unit] = {}
+    for name in names:
+        if name not in UNITS or UNITS[name].kind in made:
+            allowed = f"one of a kind of {', '.join(UNITS)}"
+            raise InputError(where, "--units", name, allowed)
+        made[UNITS[name].kind] = UNITS[name]
+    return made
+
+
+def _rotation(where: str, cells: Cells, options: Options) -> Rotation | None:
+    """The orientation to read; columns that look like one need their convention."""
+    if options.rotation not in (None, "none"):
+        assert options.rotation is not None
+        rotation = Rotation.parse(options.rotation, where)
+        named = tuple(_named(where, cells, name) for name in rotation.columns)
+        return Rotation(rotation.convention, named, rotation.inverse)
+    told = {*options.given, *(name for name in QUATERNION if set(QUATERNION) <= set(cells.names))}
+    looks = [n for n in cells.names if turned(n) and n not in told and split_name(n)[0] not in told]
+    if len(looks) >= 3 and options.rotation is None:
+        raise InputError(
+            where, "--rotation", f"missing for {', '.join(looks)}", f"{ALLOWED}; or none"
+        )
+    return None
+
+
+def _named(where: str, cells: Cells, name: str) -> str:
+    found = [n for n in cells.names if name in (n, split_name(n)[0])]
+    if len(found) != 1:
+        raise InputError(where, "--rotation", name, f"a column: {', '.join(cells.names)}")
+    return found[0]
+
+
+def _complete(where: str, cells: Cells, sources: list[Column], arm: Arm | None) -> None:
+    names = [c.name for c in sources]
+    joints = sorted(int(n[1:]) for n in names if n[:1] == "q" and n[1:].isdigit())
+    wanted = list(range(1, (arm.n if arm else len(joints)) + 1))
+    if not joints or joints != wanted:
+        found = ", ".join(f"q{j}" for j in joints) or "none"
+        hint = f"q1..q{len(wanted)}" if wanted else "q1..qn"
+        allowed = f"{hint}; name them with --map COLUMN=q1,... (columns: {', '.join(cells.names)})"
+        raise InputError(where, "joints", found, allowed)
+    if not {*XYZ, "distance", "ray_x", *QUATERNION} & set(names):
+        allowed = f"x, y, z; name them with --map COLUMN=x,... (columns: {', '.join(cells.names)})"
+        raise InputError(where, "measurement", "none", allowed)
+
+
+def _values(cells: Cells, column: Column) -> np.ndarray:
+    texts = [row[column.place] for _, row in cells.rows]
+    if column.name in TEXTS:
+        return np.array(texts)
+    power = 2 if column.name.startswith("cov_") else 1
+    unit = column.unit
+    values = _numbers(cells, column.place, column.name in (*_MAY_BE_BLANK, *QUATERNION))
+    if column.name.startswith(("index", "repeat_id", "approach")) or unit is None:
+        return values
+    return values * unit.factor**power + unit.offset
+
+
+def _numbers(cells: Cells, place: int, blanks: bool) -> np.ndarray:
+    values = np.empty(len(cells.rows))
+    for k, (line, row) in enumerate(cells.rows):
+        number = cells.number(row[place])
+        if number is None and not (blanks and cells.empty(row[place])):
+            sign = "comma" if cells.decimal == "," else "point"
+            allowed = f"a number with a decimal {sign}" + (", or blank" if blanks else "")
+            field = f"line {line}, {cells.names[place]}"
+            raise InputError(cells.where, field, row[place], allowed)
+        values[k] = np.nan if number is None else number
+    return values
+
+
+def _orientation(
+    cells: Cells, rotation: Rotation, defaults: Mapping[str, Unit]
+) -> dict[str, np.ndarray]:
+    read = []
+    for name in rotation.columns:
+        values = _numbers(cells, cells.names.index(name), True)
+        if rotation.angles:
+            unit = split_name(name)[1] or defaults.get(ANGLE)
+            if unit is None or unit.kind != ANGLE:
+                raise InputError(
+                    cells.where, f"column {name}", "no angle's unit", "--units deg or rad"
+                )
+            values = values * unit.factor
+        read.append(values)
+    try:
+        made = rotation.quaternions(np.stack(read, axis=-1))
+    except ValueError as error:
+        raise InputError(cells.where, "--rotation", str(error), "quaternions of length 1") from None
+    return dict(zip(QUATERNION, made.T, strict=True))

@@ -1,0 +1,240 @@
+"""A calibrated arm as a URDF: the joint origins of the model's rigid part, exactly.
+
+Every row's motion is read off the model itself: where its frame stands at two joint values gives
+the screw axis, so that whatever the geometry effects do to a row is in its joint's origin and axis.
+A URDF is rigid: deflection, play and the like stay in model.yaml.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from longarm_comp.core.arm.arm import Arm, Joint
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.compensate import rigid
+from longarm_comp.core.data.alignment import roll_pitch_yaw
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.model import Model, unstack
+
+BASE, TIP = "base_link", "tip"
+_EFFORT, _VELOCITY = "0", "0"
+
+
+@dataclass(frozen=True)
+class ZeroOffset:
+    """What a joint stands at when it is commanded zero: rad or m. It is in the origins already."""
+
+    joint: str
+    value: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """A row in the URDF: its joint's frame in the one before (4, 4), and its axis there."""
+
+    joint: Joint
+    origin: np.ndarray
+    axis: np.ndarray
+
+
+def export_urdf(model: Model, group: str = "", marker: str = "") -> str:
+    """The rigid part of a model as URDF text, from `base_link` (the measuring frame) to `tip`.
+
+    Args:
+        model: arm and effects; those that are no geometry are left out.
+        group: base placement, where the model has several.
+        marker: marker that `tip` is, instead of the arm's tip.
+
+    Raises:
+        InputError: the model needs a group or a marker; a joint follows several others, which a
+            URDF cannot say.
+    """
+    arm, geometry = model.arm, rigid(model)
+    context = _context(geometry, group, marker)
+    placed, last, inner = _rows(geometry, context)
+    root = ET.Element("robot", {"name": arm.name})
+    root.append(ET.Comment(_remark(model)))
+    ET.SubElement(root, "link", {"name": BASE})
+    parent = BASE
+    for row in placed:
+        joint = row.joint
+        name = joint.name or f"joint{joint.id}"
+        link = f"{name}_link"
+        node = ET.SubElement(root, "link", {"name": link})
+        held = [m for m in arm.point_masses if m.frame == joint.id and not m.position_columns]
+        points = [(m.mass_kg, inner[joint.id] @ np.append(m.position_m, 1.0)) for m in held]
+        _inertial(node, [(m, p[:3]) for m, p in points if m > 0])
+        _joint(root, arm, row, name, parent if joint.moves else BASE, link)
+        parent = link if joint.moves else parent
+    ET.SubElement(root, "link", {"name": TIP})
+    node = ET.SubElement(root, "joint", {"name": "to_tip", "type": "fixed"})
+    _ends(node, last, parent, TIP)
+    ET.indent(root)
+    return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def zero_offsets(model: Model) -> list[ZeroOffset]:
+    """What the model says of the joints' zeros, for a driver that corrects them itself."""
+    made = []
+    for term in model.effects:
+        if term.geometry and term.displaces_joint:
+            (parameter,) = term.parameters(model.arm)
+            row = model.arm.joints[term.joints[0] - 1]
+            value = float(getattr(term, parameter.name))
+            made.append(ZeroOffset(row.name or f"joint{row.id}", value, parameter.unit))
+    return made
+
+
+def _context(model: Model, group: str, marker: str) -> Context:
+    labels: dict[str, object] = {}
+    for name, chosen in (("group", group), ("marker", marker)):
+        known = {str(e.places[name]) for e in model.effects if e.places.get(name)}
+        known |= set(model.arm.markers) if name == "marker" else set()
+        if chosen and chosen not in known:
+            raise InputError("export-urdf", f"--{name}", chosen, ", ".join(sorted(known)) or "none")
+        if chosen:
+            labels[name] = chosen
+        elif name == "group" and len(known) == 1:
+            labels[name] = next(iter(known))
+        elif any(e.places.get(name) for e in model.effects):
+            raise InputError("export-urdf", f"--{name}", "missing", ", ".join(sorted(known)))
+    return Context(labels=labels)
+
+
+def _rows(
+    model: Model, context: Context
+) -> tuple[list[_Placed], np.ndarray, dict[int, np.ndarray]]:
+    """Placed rows; the tip in the last one's link; each row's frame in its link."""
+    arm = model.arm
+    reach = np.maximum(np.abs(arm.mixing[0]).max(axis=0), 1.0)
+    start = arm.mid
+    end = start + np.minimum(0.25 * (arm.upper - arm.lower), 1.0) / reach
+    at, then = _frames(model, context, start), _frames(model, context, end)
+    values = np.stack([start, end]) @ arm.mixing[0].T + arm.mixing[1]
+    placed: list[_Placed] = []
+    inner: dict[int, np.ndarray] = {0: np.eye(4)}
+    before = at[0]  # the frame before in its link; the first link is the measuring frame
+    for k, joint in enumerate(arm.joints):
+        step = _within(at[k], at[k + 1])
+        turn = _within(step, _within(then[k], then[k + 1]))
+        moved = values[1, k] - values[0, k]
+        if not joint.moves:  # a link of its own at the base, which only leads others
+            placed.append(_Placed(joint, np.eye(4), np.array([0.0, 0.0, 1.0])))
+            before = before @ step
+            continue
+        if joint.type == "fixed" or moved == 0.0:
+            placed.append(_Placed(joint, before @ step, np.array([0.0, 0.0, 1.0])))
+            before = inner[joint.id] = np.eye(4)
+            continue
+        axis, point = _screw(turn, moved, joint.type == "prismatic")
+        shift = np.eye(4)
+        shift[:3, 3] = point
+        back = _moved(axis, point, -values[0, k], joint.type == "prismatic")
+        placed.append(_Placed(joint, before @ step @ back @ shift, axis))
+        before = inner[joint.id] = np.linalg.inv(shift)
+    return placed, before @ _within(at[-2], at[-1]), inner
+
+
+def _frames(model: Model, context: Context, q: np.ndarray) -> list[np.ndarray]:
+    """(4, 4) frames of base, rows and tip at joints q."""
+    posture = model.posture(unstack(q), context)
+    frames = [posture.frames[posture.frame(k)] for k in range(len(model.arm.joints) + 1)]
+    return [frame.matrix() for frame in (*frames, model.tip_frame(posture))]
+
+
+def _within(outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
+    made: np.ndarray = np.linalg.inv(outer) @ inner
+    return made
+
+
+def _screw(turn: np.ndarray, moved: float, slides: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Unit axis and a point on it of the motion that a row made, both in its frame."""
+    if slides:
+        return turn[:3, 3] / moved, np.zeros(3)
+    axis = Rotation.from_matrix(turn[:3, :3]).as_rotvec() / moved
+    point = np.linalg.lstsq(np.eye(3) - turn[:3, :3], turn[:3, 3], rcond=1e-6)[0]
+    return axis / np.linalg.norm(axis), point
+
+
+def _moved(axis: np.ndarray, point: np.ndarray, value: float, slides: bool) -> np.ndarray:
+    made = np.eye(4)
+    if slides:
+        made[:3, 3] = value * axis
+        return made
+    made[:3, :3] = Rotation.from_rotvec(value * axis).as_matrix()
+    made[:3, 3] = point - made[:3, :3] @ point
+    return made
+
+
+# ------------------------------------------------------------------ XML
+
+
+def _joint(
+    root: ET.Element, arm: Arm, row: _Placed, name: str, parent: str, child: str
+) -> None:  # fmt: skip
+    joint = row.joint
+    node = ET.SubElement(root, "joint", {"name": name, "type": joint.type})
+    _ends(node, row.origin, parent, child)
+    if joint.type == "fixed":
+        return
+    ET.SubElement(node, "axis", {"xyz": _text(row.axis)})
+    weights, offset = arm.mixing[0][joint.id - 1], arm.mixing[1][joint.id - 1]
+    if joint.commanded:
+        lower, upper = joint.limits
+    else:
+        leaders = np.flatnonzero(weights)
+        if len(leaders) != 1:
+            followed = ", ".join(arm.joint_names[k] for k in leaders) or "none"
+            raise InputError("export-urdf", f"joint {name}", followed, "a mimic of one joint")
+        k = int(leaders[0])
+        ends = weights[k] * np.array([arm.lower[k], arm.upper[k]]) + offset
+        lower, upper = ends.min(), ends.max()
+        follow = {"joint": arm.joint_names[k], "multiplier": repr(float(weights[k]))}
+        ET.SubElement(node, "mimic", {**follow, "offset": repr(float(offset))})
+    ends_text = {"lower": repr(float(lower)), "upper": repr(float(upper))}
+    ET.SubElement(node, "limit", {**ends_text, "effort": _EFFORT, "velocity": _VELOCITY})
+
+
+def _ends(node: ET.Element, origin: np.ndarray, parent: str, child: str) -> None:
+    rpy = roll_pitch_yaw(origin[:3, :3])
+    ET.SubElement(node, "origin", {"xyz": _text(origin[:3, 3]), "rpy": _text(rpy)})
+    ET.SubElement(node, "parent", {"link": parent})
+    ET.SubElement(node, "child", {"link": child})
+
+
+def _inertial(node: ET.Element, points: Sequence[tuple[float, np.ndarray]]) -> None:
+    """Point masses (kg, (3,) m) as one inertia about their common centre."""
+    total = math.fsum(mass for mass, _ in points)
+    if not total:
+        return
+    centre = sum((mass * p for mass, p in points), np.zeros(3)) / total
+    tensor = np.zeros((3, 3))
+    for mass, p in points:
+        r = p - centre
+        tensor += mass * (r @ r * np.eye(3) - np.outer(r, r))
+    inertial = ET.SubElement(node, "inertial")
+    ET.SubElement(inertial, "origin", {"xyz": _text(centre), "rpy": "0 0 0"})
+    ET.SubElement(inertial, "mass", {"value": repr(total)})
+    names = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2),
+             "izz": (2, 2)}  # fmt: skip
+    ET.SubElement(inertial, "inertia", {k: repr(float(tensor[at])) for k, at in names.items()})
+
+
+def _text(values: Sequence[float] | np.ndarray) -> str:
+    return " ".join(repr(float(v)) for v in values)
+
+
+def _remark(model: Model) -> str:
+    left = sorted({e.name for e in model.effects if not e.geometry})
+    zeros = ", ".join(f"{z.joint} {z.value:.9g} {z.unit}" for z in zero_offsets(model))
+    lines = ["Calibrated origins, written by longarm export-urdf. Masses of beams are not in it."]
+    lines += [f"Joint zeros, in the origins already: {zeros}"] if zeros else []
+    lines += [f"Left out, as a URDF is rigid: {', '.join(left)}"] if left else []
+    return "\n  ".join(["", *lines, ""]).replace("--", "- -")

@@ -1,0 +1,238 @@
+"""`longarm apply` and `longarm undo` on files: what is refused, what changes, what comes back."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import report_samples
+from cli_shell import Shell
+from small_arm import ARM
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
+from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.learn import predictor_file
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model_file import load_model, read_stored, save_model, store
+from longarm_comp.report import record
+from longarm_comp.workflows.apply import apply, undo
+from longarm_comp.workflows.changes import changes
+from longarm_comp.workflows.inputs import admitted, file_hash, load_predictor
+
+FOUND = Model(ARM, (*JointZero.for_arm(ARM), FrictionHysteresis(1, width=0.004)))
+
+
+@pytest.fixture
+def diagnosed(work: Path, tmp_path: Path) -> Callable[..., Path]:
+    """Writes the folder of a diagnosis of the session in ``work``."""
+
+    def write(
+        name: str = "diagnosis",
+        *,
+        before: Path | None = None,
+        verdict: str = "named",
+        model: Model = FOUND,
+        **more: Any,
+    ) -> Path:
+        folder = tmp_path / name
+        shutil.copy(work / "samples.csv", tmp_path / "samples.csv")
+        known = None if before is None else load_model(before, ARM)
+        provenance = {
+            "session_hash": admitted(tmp_path / "samples.csv", ARM, known).hash,
+            "model_before": "" if before is None else file_hash(before),
+            "session": "../samples.csv",
+            **more,
+        }
+        version = 1 if before is None else read_stored(before).version + 1
+        save_model(folder / "model.yaml", store(model, version=version, provenance=provenance))
+        made, _ = getattr(report_samples, verdict)(np.random.default_rng(1))
+        (folder / "report.json").write_text(record.text(record.checked(made)))
+        return folder
+
+    return write
+
+
+def at_work(tmp_path: Path) -> Path:
+    return tmp_path / "work" / "model.yaml"
+
+
+def bytes_of(folder: Path) -> dict[str, bytes]:
+    return {p.name: p.read_bytes() for p in sorted(folder.iterdir())}
+
+
+def test_a_first_diagnosis_on_the_declared_arm_and_back(
+    diagnosed: Callable[..., Path], tmp_path: Path, shell: Shell
+) -> None:
+    model, folder = at_work(tmp_path), diagnosed()
+    done = apply(folder, ARM, model)
+    assert model.read_bytes() == (folder / "model.yaml").read_bytes()
+    assert done.version == 1
+    assert done.predictor == model.parent / "predictor.npz"
+    load_predictor(done.predictor, ARM, model)
+    assert done.set_aside is None
+    with pytest.raises(InputError, match="at work already"):
+        apply(folder, ARM, model)
+
+    assert shell(*done.undo.split()[1:]) == 0
+    assert read_stored(model).version == 0
+    q = ARM.mid[None]
+    np.testing.assert_array_equal(load_model(model, ARM).tip(q), declared_model(ARM).tip(q))
+    assert sorted(bytes_of(model.parent)) == ["model.yaml", "predictor.undone.npz"]
+    assert "previous version" in shell.refused("undo", model)
+    apply(folder, ARM, model, network=False)  # the declared arm is at work, as it was diagnosed
+    assert model.read_bytes() == (folder / "model.yaml").read_bytes()
+
+
+def test_undo_restores_model_and_predictor_byte_for_byte(
+    diagnosed: Callable[..., Path], tmp_path: Path
+) -> None:
+    model = at_work(tmp_path)
+    apply(diagnosed("first"), ARM, model)
+    before = {k: v for k, v in bytes_of(model.parent).items() if "previous" not in k}
+    wider = FOUND.with_values(1.5 * FOUND.values)
+    second = diagnosed("second", before=model, model=wider)
+    done = apply(second, ARM, model)
+    assert done.version == 2
+    assert done.set_aside == model.parent / "predictor.previous.npz"
+    load_predictor(model.parent / "predictor.npz", ARM, model)
+    assert undo(model) == model.parent / "predictor.npz"
+    after = bytes_of(model.parent)
+    assert {name: after[name] for name in before} == before
+    load_predictor(model.parent / "predictor.npz", ARM, model)
+
+    without = apply(second, ARM, model, network=False)
+    assert without.predictor is None
+    assert not (model.parent / "predictor.npz").exists()  # it does not fit this version
+    undo(model)
+    after = bytes_of(model.parent)
+    assert {name: after[name] for name in before} == before
+
+
+def test_a_diagnosis_older_than_the_model_at_work_is_refused(
+    diagnosed: Callable[..., Path], tmp_path: Path
+) -> None:
+    model = at_work(tmp_path)
+    first, rival = diagnosed("first"), diagnosed("rival", verdict="partly", seed=2)
+    apply(first, ARM, model, network=False)
+    kept = bytes_of(model.parent)
+    with pytest.raises(InputError, match=f"diagnose with --model {model}"):
+        apply(rival, ARM, model)
+    other = tmp_path / "other.yaml"
+    save_model(other, store(FOUND.with_values(1.1 * FOUND.values)))
+    with pytest.raises(InputError, match="model at work"):
+        apply(diagnosed("of_another_model", before=other), ARM, model)
+    assert bytes_of(model.parent) == kept
+    with pytest.raises(InputError, match="declared arm"):
+        apply(diagnosed("of_a_model", before=other), ARM, tmp_path / "none" / "model.yaml")
+
+
+def held_out(folder: Path, nominal_mm: float, with_effects_mm: float) -> None:
+    """Writes these held-out means into the report of a diagnosis."""
+    report = record.read_report(folder)
+    row = dict.fromkeys(record.ErrorRow.model_fields, 0.0)
+    rows = [
+        record.ErrorRow.model_validate({**row, "model": name, "mean_mm": mean})
+        for name, mean in (("nominal", nominal_mm), ("with_effects", with_effects_mm))
+    ]
+    table = report.held_out.model_copy(update={"rows": rows})
+    changed = report.model_copy(update={"held_out": table})
+    (folder / "report.json").write_text(record.text(changed))
+
+
+@pytest.mark.parametrize("verdict", ["noise", "unknown", "bad_data"])
+def test_a_diagnosis_that_adds_nothing_is_refused(
+    verdict: str, diagnosed: Callable[..., Path], tmp_path: Path
+) -> None:
+    folder = diagnosed(verdict=verdict)
+    held_out(folder, 1.0, 0.95)
+    with pytest.raises(JobError, match="nothing to apply"):
+        apply(folder, ARM, at_work(tmp_path))
+    assert not at_work(tmp_path).exists()
+    (folder / "predictor.npz").touch()  # a network that helped is something to add
+    if verdict != "bad_data":
+        apply(folder, ARM, at_work(tmp_path), network=False)
+
+
+def test_a_calibration_that_lowers_the_error_is_worth_it(
+    diagnosed: Callable[..., Path], tmp_path: Path
+) -> None:
+    folder = diagnosed(verdict="noise")
+    with pytest.raises(JobError, match="nothing to apply"):
+        apply(folder, ARM, at_work(tmp_path), network=False)
+    held_out(folder, 1.0, 0.85)
+    apply(folder, ARM, at_work(tmp_path), network=False)
+
+
+def test_other_arms_sessions_and_folders_are_refused(
+    diagnosed: Callable[..., Path], tmp_path: Path
+) -> None:
+    model, folder = at_work(tmp_path), diagnosed()
+    data = ARM.model_dump(mode="json", exclude_defaults=True)
+    other = Arm.parse({**data, "name": "another"}, "another arm")
+    with pytest.raises(InputError, match=r"arm\.hash"):
+        apply(folder, other, model)
+    with pytest.raises(InputError, match="longarm diagnose wrote"):
+        apply(tmp_path / "none", ARM, model)
+    samples = tmp_path / "samples.csv"
+    lines = samples.read_text().splitlines()
+    samples.write_text("\n".join(lines[:-1]) + "\n")
+    with pytest.raises(InputError, match="the session diagnosed"):
+        apply(folder, ARM, model)
+    samples.unlink()
+    with pytest.raises(InputError, match="--session"):
+        apply(folder, ARM, model)
+    samples.write_text("\n".join(lines) + "\n")
+    moved = samples.rename(tmp_path / "moved.csv")
+    apply(folder, ARM, model, session=moved, network=False)
+    unchained = diagnosed("unchained")
+    text = (unchained / "model.yaml").read_text()
+    (unchained / "model.yaml").write_text(text.replace("  model_before: ''\n", ""))
+    with pytest.raises(InputError, match="model_before"):
+        apply(unchained, ARM, tmp_path / "other" / "model.yaml")
+
+
+def test_the_changes_are_those_of_the_values(rng: np.random.Generator) -> None:
+    q = ARM.lower + rng.random((30, ARM.n)) * (ARM.upper - ARM.lower)
+    context = Context(approach=tuple(rng.choice([-1.0, 1.0], (ARM.n, 30))))
+    assert changes(FOUND, FOUND, q, context) == []
+    terms = list(FOUND.effects)
+    terms[-1] = FrictionHysteresis(1, width=0.006)
+    grown = dataclasses.replace(FOUND, effects=tuple(terms))
+    (change,) = changes(FOUND, grown, q, context)
+    assert (change.what, change.where, change.kind) == ("friction_hysteresis", "joint 1", "changed")
+    assert change.values == (("width", "rad", 0.004, 0.006),)
+    moved = np.linalg.norm(grown.tip(q, context) - FOUND.tip(q, context), axis=1)
+    assert change.tip_mm == pytest.approx(1e3 * np.sqrt((moved**2).mean()))
+
+    bare = Model(ARM, tuple(terms[:-1]))
+    (added,) = changes(bare, grown, q, context)
+    (removed,) = changes(grown, bare, q, context)
+    assert (added.kind, removed.kind) == ("added", "removed")
+    assert "none -> 0.006" in str(added)
+    zeros = FOUND.with_values(FOUND.values + np.r_[1e-3, np.zeros(len(FOUND.values) - 1)])
+    (geometry,) = changes(FOUND, zeros, q, context)
+    assert (geometry.what, geometry.where) == ("geometry", "")
+    moved = np.linalg.norm(zeros.tip(q, context) - FOUND.tip(q, context), axis=1)
+    assert geometry.tip_mm == pytest.approx(1e3 * np.sqrt((moved**2).mean()))
+
+
+def test_files_that_are_no_predictors_are_left_alone_by_undo(
+    diagnosed: Callable[..., Path], tmp_path: Path
+) -> None:
+    model = at_work(tmp_path)
+    apply(diagnosed(), ARM, model, network=False)
+    np.savez(model.parent / "other.npz", a=np.arange(3))
+    (model.parent / "broken.previous.npz").write_bytes(b"no archive")
+    assert undo(model) is None
+    assert {"other.npz", "broken.previous.npz"} <= set(bytes_of(model.parent))
+    with pytest.raises(InputError):
+        predictor_file.load(model.parent / "other.npz")

@@ -1,0 +1,157 @@
+"""Rows that do not belong to the arm are refused, with what its user probably got wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_arm import ARM as SMALL
+
+import longarm_comp as la
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.admission import admit
+from longarm_comp.core.data.belonging import ENOUGH, believe, mistakes
+from longarm_comp.core.data.registration import Sightings, register
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.base_pose import BasePose
+from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.model import Model
+from longarm_comp.studies.real_sessions import laser_tracked
+
+Spoil = Callable[[Session], Session]
+ANYWHERE = BasePose("", 12.0, -15.0, 4.0, 0.7, -1.1, 1.84)
+
+
+@pytest.fixture(scope="module")
+def demo(demo_arm_path: Path) -> Arm:
+    return Arm.load(demo_arm_path)
+
+
+@pytest.fixture(scope="module")
+def session(demo: Arm) -> Session:
+    """A sagging arm with a joint's zero off, seen from far away."""
+    rng = np.random.default_rng(5)
+    q = rng.uniform(demo.lower, demo.upper, (150, demo.n))
+    truth = Model(demo, (ANYWHERE, LinkDeflection(), JointZero(2, offset=8e-3)))
+    return Session.record(q, truth.tip(q) + 3e-4 * rng.standard_normal((150, 3)))
+
+
+def with_q(session: Session, q: np.ndarray) -> Session:
+    return dataclasses.replace(session, q=q)
+
+
+def joint(j: int, change: Callable[[np.ndarray], np.ndarray]) -> Spoil:
+    def spoil(session: Session) -> Session:
+        q = session.q.copy()
+        q[:, j] = change(q[:, j])
+        return with_q(session, q)
+
+    return spoil
+
+
+def shift(rows: int) -> Spoil:
+    return lambda s: dataclasses.replace(s, xyz=np.roll(s.xyz, rows, axis=0))
+
+
+def swap(j: int, k: int) -> Spoil:
+    def spoil(session: Session) -> Session:
+        q = session.q.copy()
+        q[:, [j, k]] = q[:, [k, j]]
+        return with_q(session, q)
+
+    return spoil
+
+
+WRONG = {
+    r"q1 looks negated: \d+ -> \d+(\.\d+)? mm": joint(0, np.negative),
+    r"q6 looks negated: ": joint(5, np.negative),
+    r"q4 looks offset by a quarter turn: ": joint(3, lambda v: v + np.pi / 2),
+    r"q5 looks offset by half a turn: ": joint(4, lambda v: v + np.pi),
+    r"q4 and q6 look swapped: ": swap(3, 5),
+    r"q2 and q4 look swapped: ": swap(1, 3),
+    r"x, y, z look written one row later than their joints: ": shift(1),
+    r"x, y, z look written one row earlier than their joints: ": shift(-1),
+    r"x, y, z look mirrored": lambda s: dataclasses.replace(s, xyz=s.xyz[:, [1, 0, 2]]),
+    r"as if shuffled": lambda s: dataclasses.replace(
+        s, xyz=np.random.default_rng(0).permutation(s.xyz)
+    ),
+    r"of the rows are far off the others": lambda s: dataclasses.replace(
+        s,
+        xyz=s.xyz
+        + np.where(np.arange(len(s))[:, None] % 2, 0.3, 0.0)
+        * np.random.default_rng(1).standard_normal((len(s), 3)),
+    ),
+}
+
+
+def wide(arm: Arm) -> Arm:
+    """With limits that refuse nothing."""
+    data = arm.model_dump(mode="json", exclude_defaults=True)
+    for row in data["joints"]:
+        if row["type"] == "revolute":
+            row["limits_deg"] = [-400, 400]
+    return Arm.parse(data, "wide")
+
+
+@pytest.mark.parametrize("text", WRONG)
+def test_a_mistake_is_named_wherever_the_arm_stands(demo: Arm, session: Session, text: str) -> None:
+    arm = wide(demo)
+    admit(session, arm)
+    with pytest.raises(InputError, match=text):
+        admit(WRONG[text](session), arm)
+
+
+def test_nothing_is_written_for_rows_that_do_not_belong(
+    demo: Arm, session: Session, tmp_path: Path
+) -> None:
+    for command in (la.calibrate, la.train, la.diagnose):
+        with pytest.raises(InputError, match="q1 looks negated"):
+            command(wide(demo), joint(0, np.negative)(session))
+
+
+@pytest.mark.parametrize("name", ["wam", "ur5"])
+def test_real_rows_are_told_from_spoilt_ones(data_dir: Path, name: str) -> None:
+    (part,) = laser_tracked(data_dir / "real", name)
+    arm, rows = wide(part.arm), part.train
+    admit(rows, arm)
+    admit(part.test, arm)
+    for text in ("q1 looks negated", "q2 and q4 look swapped", "one row later", "shuffled"):
+        spoil = next(
+            (s for known, s in WRONG.items() if text in known),
+            None,
+        )
+        assert spoil is not None
+        with pytest.raises(InputError, match=text):
+            admit(spoil(rows), arm)
+
+
+def test_no_mistake_explains_real_or_simulated_rows_better(data_dir: Path) -> None:
+    """No false alarm, and by far: the nearest mistake leaves all of the misfit."""
+    arm = Arm.load(data_dir / "twin" / "arm.yaml")
+    for case in ("none_mid_300", "paper_twin_300", "one_backlash_300"):
+        rows = la.read_session(data_dir / "twin" / case / "samples.csv", arm)
+        some = rows.take(np.arange(0, len(rows), 4))
+        own = register(Sightings.of(Model(arm), some)).misfit
+        tried = [register(Sightings.of(Model(arm), m.rows)).misfit for m in mistakes(arm, some)]
+        assert min(tried) > 0.95 * own
+
+
+def test_few_rows_are_not_asked(session: Session, demo: Arm) -> None:
+    assert believe(Model(demo), session.take(np.arange(ENOUGH - 1))) is None
+    assert believe(Model(demo), session.take(np.arange(ENOUGH))) is not None
+
+
+def test_joints_beyond_their_limits_are_told_what_fits(rng: np.random.Generator) -> None:
+    q = rng.uniform(SMALL.lower, SMALL.upper, (40, 4))
+    rows = Session.record(q, Model(SMALL).tip(q))
+    with pytest.raises(InputError, match="q2 looks negated"):
+        admit(joint(1, np.negative)(rows), SMALL)
+    with pytest.raises(InputError, match="q2 and q3 look swapped"):
+        admit(swap(1, 2)(rows), SMALL)
+    with pytest.raises(InputError, match=r"q4.*looks like degrees"):
+        admit(joint(3, np.degrees)(rows), SMALL)
