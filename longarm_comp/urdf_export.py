@@ -95,16 +95,14 @@ def zero_offsets(model: Model) -> list[ZeroOffset]:
 def _context(model: Model, group: str, marker: str) -> Context:
     labels: dict[str, object] = {}
     for name, chosen in (("group", group), ("marker", marker)):
-        known = {str(e.places[name]) for e in model.effects if e.places.get(name)}
-        known |= set(model.arm.markers) if name == "marker" else set()
+        placed = {str(e.places[name]) for e in model.effects if e.places.get(name)}
+        known = placed | (set(model.arm.markers) if name == "marker" else set())
         if chosen and chosen not in known:
             raise InputError("export-urdf", f"--{name}", chosen, ", ".join(sorted(known)) or "none")
+        if not chosen and len(placed) > 1:
+            raise InputError("export-urdf", f"--{name}", "missing", ", ".join(sorted(known)))
         if chosen:
             labels[name] = chosen
-        elif name == "group" and len(known) == 1:
-            labels[name] = next(iter(known))
-        elif any(e.places.get(name) for e in model.effects):
-            raise InputError("export-urdf", f"--{name}", "missing", ", ".join(sorted(known)))
     return Context(labels=labels)
 
 

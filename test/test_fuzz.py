@@ -11,13 +11,14 @@ import os
 import shutil
 import signal
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+import report_samples
 import yaml
 from cli_shell import Shell
 from damage import damaged
@@ -25,9 +26,13 @@ from openpyxl import Workbook
 from small_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.errors import LongarmError
+from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model
+from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.report import record
+from longarm_comp.report.record import read_report
+from longarm_comp.sim.servo_emulator.joints import read_arm
 
 RUNS = int(os.environ.get("LONGARM_FUZZ_RUNS", "200"))
 PARTS = 10
@@ -89,6 +94,13 @@ READINGS = (
         ("few.csv",),
     ),
     Reading(("bag", "from-csv", ARM_FILE, "few.csv", "-o", "made_bag"), ("few.csv",)),
+    Reading(
+        ("bag", "to-csv", ARM_FILE, "bag", "-o", "b.csv"), ("bag/metadata.yaml", "bag/bag.mcap")
+    ),
+    Reading(
+        ("plan", ARM_FILE, "--kind", "next", "--report", ".", "-n", "2", "-o", "p.csv"),
+        ("next_poses.csv", ARM_FILE),
+    ),
     Reading(("bag", "info", "bag"), ("bag/metadata.yaml", "bag/bag.mcap")),
     Reading(("evaluate", ARM_FILE, "--test", "bag"), ("bag/metadata.yaml", "bag/bag.mcap")),
     Reading(("export-urdf", ARM_FILE, "--model", MODEL), (ARM_FILE, MODEL)),
@@ -121,6 +133,7 @@ def whole(work: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "targets.csv").write_text("\n".join(lines) + "\n")
     sheet = "Time [s];A1 [deg];A2 [deg];X [mm];Y [mm];Z [mm]\n1,5;2,5;3;4;5;6\n2,5;2,5;3;;;\n"
     (folder / "log.csv").write_text(sheet)
+    assert made("plan", arm, "--kind", "sobol", "-n", "3", "-o", folder / "next_poses.csv") == 0
     book = Workbook()
     for line in (("q1", "q2", "x", "y", "z"), (1, 2.5, 3, 4, 5), (2, 2.5, 3, 4, 5)):
         book.active.append(line)
@@ -205,6 +218,41 @@ def test_damaged_files(
             faults.append(f"{what}: {nonsense(folder)}")
         shutil.rmtree(folder)
     assert not faults, "\n".join(faults)
+
+
+@pytest.mark.parametrize(
+    ("source", "read"),
+    [
+        ("servo_driver.yaml", ServoConfig.load),
+        ("servo_driver.yaml", read_arm),
+        ("arm_demo.yaml", Arm.load),
+        ("report.json", lambda path: read_report(path.parent)),
+    ],
+    ids=["servos", "emulated servos", "arm", "report"],
+)
+def test_damaged_files_of_the_graph_and_of_reports(
+    source: str, read: Callable[[Path], object], demo_arm_path: Path, tmp_path: Path
+) -> None:
+    """What the nodes and `apply` read, given to its loader: read, or refused as bad input."""
+    if source == "report.json":
+        report, _ = report_samples.named(np.random.default_rng(0))
+        whole = record.text(record.checked(report)).encode()
+    else:
+        whole = (demo_arm_path.parent / source).read_bytes()
+    path = tmp_path / source
+    path.write_bytes(whole)
+    read(path)
+    where = []
+    for seed in range(RUNS):
+        path.write_bytes(damaged(whole, np.random.default_rng([7, seed])))
+        try:
+            with no_hang(f"{source}, seed {seed}"):
+                read(path)
+        except InputError as error:
+            where.append(error.where)
+        except Exception as error:
+            raise AssertionError(f"{source}, seed {seed}: {error!r}") from error
+    assert where and all(source in told for told in where)
 
 
 def test_the_undamaged_files_work(

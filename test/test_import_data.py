@@ -134,6 +134,20 @@ def test_orientations(convention: str, values: object, shell: Shell) -> None:
     assert mapping["rotation"] == convention
 
 
+def test_the_next_file_of_the_kind_is_read_the_same_way(shell: Shell) -> None:
+    Path("log.csv").write_text("a;b;u;v;w;r;p;y0\n90,5;100;1;2;3;0;0;90\n")
+    told = ("--map", "a=q1:deg,b=q2:mm,u=x,v=y,w=z", "--units", "cm,deg")
+    assert shell("import-data", "log.csv", *told, "--rotation", "xyz:r,p,y0") == 0, shell.err
+    first = Path("samples.csv").read_text()
+    like = ("import-data", "log.csv", "--like", "samples.mapping.yaml")
+    assert shell(*like, "-o", "again.csv") == 0, shell.err
+    assert Path("again.csv").read_text() == first
+    assert shell(*like, "-o", "again.csv", "--map", "b=q1:deg,a=q2:deg") == 0, shell.err
+    assert Path("again.csv").read_text() != first
+    Path("bad.yaml").write_text("[1, 2]")
+    assert "bad.yaml: columns" in shell.refused("import-data", "log.csv", "--like", "bad.yaml")
+
+
 def test_the_convention_of_an_orientation_is_asked(shell: Shell) -> None:
     Path("log.csv").write_text("q1_deg,x_mm,y_mm,z_mm,roll,pitch,yaw\n1,2,3,4,0,0,90\n")
     assert "--rotation: 'missing for roll, pitch, yaw'" in shell.refused("import-data", "log.csv")

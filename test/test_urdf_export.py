@@ -86,7 +86,10 @@ CHAIN: dict[str, Any] = {
         {"name": "m1", "frame": 3, "position_m": [0.1, 0, 0], "mass_kg": 1.0},
         {"name": "m2", "frame": 3, "position_m": [-0.1, 0.2, 0], "mass_kg": 2.0},
     ],
-    "markers": {"near": {"frame": 5, "position_m": [0.1, 0, 0]}},
+    "markers": {
+        "near": {"frame": 5, "position_m": [0.1, 0, 0]},
+        "far": {"frame": 5, "position_m": [0, 0.3, 0]},
+    },
 }  # fmt: skip
 
 
@@ -112,18 +115,20 @@ def test_coupled_stages_fixed_rows_and_a_far_base(tmp_path: Path, rng: np.random
 def test_groups_and_markers(tmp_path: Path, rng: np.random.Generator) -> None:
     arm = Arm.parse(CHAIN, "chain.yaml")
     base, tip = BUILT_IN["base_pose"], BUILT_IN["tip_offset"]
-    model = Model(arm).plus(
-        base(group="a", x=0.3), base(group="b", rz=0.4), tip(marker="near", y=0.01)
-    )
+    placements = base(group="a", x=0.3), base(group="b", rz=0.4)
+    tips = tip(marker="near", y=0.01), tip(marker="far", x=0.02)
+    model = Model(arm).plus(*placements, *tips)
     with pytest.raises(InputError, match="--group: 'missing'; allowed: a, b"):
         export_urdf(model)
-    with pytest.raises(InputError, match="--marker: 'missing'; allowed: near"):
+    with pytest.raises(InputError, match="--marker: 'missing'; allowed: far, near"):
         export_urdf(model, "a")
     with pytest.raises(InputError, match="--group: 'c'"):
         export_urdf(model, "c", "near")
     for group in "ab":
         path = written(tmp_path / f"{group}.urdf", model, group=group, marker="near")
         check(path, model, rng, group=group, marker="near")
+    one = Model(arm).plus(base(group="a", x=0.3), tip(marker="near", y=0.01))
+    check(written(tmp_path / "one.urdf", one), one, rng)
 
 
 def test_a_joint_that_follows_two_cannot_be_said(tmp_path: Path) -> None:

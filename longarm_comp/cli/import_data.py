@@ -20,6 +20,7 @@ from longarm_comp.cli.output import note, print_json, print_rows
 )  # fmt: skip
 @click.option("--rotation", metavar="CONVENTION:COLUMNS", help="Orientation; see below.")
 @options.path_option("--arm", "arm.yaml: names the joints and says which slide.")
+@options.path_option("--like", "Mapping of an earlier file of the same kind, instead of the above.")
 @click.option("--sheet", help="Sheet of a workbook that has several.")
 @click.option("--decimal", type=click.Choice([".", ","]), help="Sign before decimals.")
 @options.as_json
@@ -30,6 +31,7 @@ def command(
     given: tuple[str, ...],
     rotation: str | None,
     arm: Path | None,
+    like: Path | None,
     sheet: str | None,
     decimal: str | None,
     as_json: bool,
@@ -45,6 +47,7 @@ def command(
     Examples:
       longarm import-data tracker.csv --units mm,deg -o samples.csv
       longarm import-data log.xlsx --units mm,deg --map "A=q1,B=q2:mm,Px=x" --rotation ZYX:A,B,C
+      longarm import-data second.csv --like samples.mapping.yaml -o second_samples.csv
       longarm import-data mocap.csv --units m,rad --rotation wxyz:q0,qi,qj,qk --arm arm.yaml
     """
     from longarm_comp.core.arm.arm import Arm
@@ -58,7 +61,7 @@ def command(
         decimal,
         None if arm is None else Arm.load(arm),
     )
-    found = import_table(file, said)
+    found = import_table(file, said if like is None else said.like(like))
     mapping = found.save(output)
     rows = found.preview()
     if as_json:

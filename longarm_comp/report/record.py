@@ -161,7 +161,7 @@ def read_report(folder: str | Path) -> DiagnosisReport:
     except OSError as error:
         why = error.strerror or str(error)
         raise InputError(path, "file", why, "a folder that longarm diagnose wrote") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(path, "json", str(error), "a report that longarm wrote") from error
 
 

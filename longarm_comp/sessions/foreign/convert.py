@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import yaml
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_text
+from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.sessions.csv import XYZ
 from longarm_comp.sessions.foreign.cells import Cells, read_cells
 from longarm_comp.sessions.foreign.columns import JOINT, TEXTS, Column, kind_of, turned, understand
@@ -44,6 +45,33 @@ class Options:
     decimal: str | None = None
     arm: Arm | None = None
 
+    def like(self, mapping: Path) -> Options:
+        """With what an earlier mapping says beside; what is told here goes before it.
+
+        Raises:
+            InputError: it is no mapping.
+        """
+        data = read_yaml(mapping)
+        try:
+            given = {
+                str(held["from"]): name + (f":{held['unit']}" if "unit" in held else "")
+                for name, held in data["columns"].items()
+            }
+            rotation, decimal = data.get("rotation"), data["decimal"]
+            units = tuple(map(str, data["units"]))
+        except (TypeError, KeyError, AttributeError) as error:
+            allowed = "a mapping that longarm import-data wrote"
+            raise InputError(mapping, "columns", repr(error), allowed) from error
+        told = {name.partition(":")[0] for name in self.given.values()}
+        kept = {k: v for k, v in given.items() if v.partition(":")[0] not in told}
+        return replace(
+            self,
+            units=self.units or units,
+            given={**kept, **self.given},
+            rotation=self.rotation or rotation,
+            decimal=self.decimal or decimal,
+        )
+
 
 @dataclass(frozen=True)
 class Imported:
@@ -56,6 +84,7 @@ class Imported:
         left_out: columns of the file that were not read.
         assumed: joints that were taken to turn, as no arm says it.
         rotation: the convention of the orientation.
+        units: of columns that name none.
     """
 
     cells: Cells
@@ -64,6 +93,7 @@ class Imported:
     left_out: tuple[str, ...]
     assumed: tuple[str, ...]
     rotation: Rotation | None
+    units: tuple[str, ...]
 
     def preview(self) -> list[dict[str, Any]]:
         """One row a column: what it was read from, in which unit, and its range."""
@@ -100,6 +130,7 @@ class Imported:
             "decimal": self.cells.decimal,
             "header_lines": list(self.cells.header_lines),
             "rows": len(self.cells.rows),
+            "units": list(self.units),
             "columns": {
                 c.name: {"from": c.source, **({"unit": c.unit.name} if c.unit else {})}
                 for c in self.sources
@@ -142,7 +173,7 @@ def import_table(path: str | Path, options: Options | None = None) -> Imported:
         if kind_of(c.name, options.arm) == JOINT and split_name(c.source)[1] is None
         and ":" not in options.given.get(c.source, "")
     )  # fmt: skip
-    return Imported(cells, columns, tuple(sources), left, assumed, rotation)
+    return Imported(cells, columns, tuple(sources), left, assumed, rotation, options.units)
 
 
 def _defaults(where: str, names: tuple[str, ...]) -> dict[str, Unit]:
