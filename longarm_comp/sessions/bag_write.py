@@ -180,7 +180,11 @@ class _Recorder:
         row = {
             "index": int(session.index[i]),
             "repeat_id": int(session.repeat_id[i]),
-            "columns": {name: float(values[i]) for name, values in session.columns.items()},
+            "columns": {
+                name: float(values[i])
+                for name, values in session.columns.items()
+                if not np.isnan(values[i])
+            },
             "labels": {name: str(values[i]) for name, values in session.labels.items()},
         }
         for name, field in (("readings", session.readings), ("sigmas", session.sigmas)):

@@ -204,7 +204,8 @@ class MessageBuffer:
     def _inclination(self, t: float, message: Any) -> None:
         """Tilt about x and y of the frame that the message names, from its orientation."""
         o = message.orientation
-        frame = re.sub(r"\W+", "_", message.header.frame_id) or "base"
+        frame = re.sub(r"\W+", "_", message.header.frame_id)
+        frame = "0" if frame in ("", "base") else frame
         roll, pitch = quaternion.tilt(np.array([o.x, o.y, o.z, o.w]))
         self._hold(f"incl_{frame}_x", t, roll)
         self._hold(f"incl_{frame}_y", t, pitch)

@@ -10,7 +10,7 @@ import numpy as np
 
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.data.kinds import KINDS
-from longarm_comp.core.data.session import Session
+from longarm_comp.core.data.session import INCLINATION, Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.message_buffer import CLOCKS_APART, MessageBuffer, SessionRow
 from longarm_comp.sessions.settled import Sighting, settled
@@ -136,5 +136,6 @@ def _sides(row: SessionRow, buffer: MessageBuffer) -> np.ndarray:
 
 def _told(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
     """Columns of what every row's `session_row` tells."""
-    names = [name for name in rows[0] if all(name in row for row in rows)]
-    return {name: np.array([row[name] for row in rows]) for name in names}
+    every = dict.fromkeys(name for row in rows for name in row)
+    names = [n for n in every if INCLINATION.match(n) or all(n in row for row in rows)]
+    return {name: np.array([row.get(name, math.nan) for row in rows]) for name in names}
