@@ -64,7 +64,7 @@ def test_the_loop_brings_the_arm_nearer_to_its_targets(
     for row in rows.values():  # the cameras tell nearly what is true
         assert row["n"] == 6
         assert abs(row["mean_mm"] - row["true_mean_mm"]) < 0.3
-    assert report["outside_training_data"] <= 1
+    assert true_mm[3] < true_mm[2] + 0.1  # the network is used where it helps
     named = {name for names in report["effects_found"] for name in names}
     assert {"joint_compliance", "backlash"} <= named
     assert "or joint_compliance with backlash for the deadband" in report["diagnosis"]

@@ -87,8 +87,9 @@ def command(
         note(f"measured by the cameras; true_mean_mm is the simulation's own; {seconds:.0f} s")
         note(f"hidden in the arm: {settings.hidden} (mm rms at the tip)")
         note(f"diagnosis ({printed['verdict']}): {printed['diagnosis']}")
-        inside = targets - printed["outside_training_data"]
-        note(f"{inside} of {targets} targets lay inside the network's training data")
+        used = targets - printed["outside_training_data"]
+        note(f"the network was used at {used} of {targets} targets; at the others physics alone is")
+        note("as good, or they lie outside its training data")
         note(
             f"report in {printed['files']['report']}, the loop's page in {printed['files']['loop']}"
         )

@@ -65,7 +65,7 @@ class DemoResult:
 
     @property
     def outside(self) -> int:
-        """How many targets of the last trial lay outside the network's training data."""
+        """At how many targets of the last trial the network was not used: it refused to answer."""
         return self.trials[-1].count(Compensate.Response.OUT_OF_DOMAIN)
 
 
