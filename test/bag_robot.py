@@ -76,15 +76,25 @@ def state(put: Any, t: float, q: list[float]) -> None:
     )  # fmt: skip
 
 
-def sighting(put: Any, t: float, xyz: list[float], sd: float = 0.0, frame: str = "base") -> None:
-    """The tip as measured, with so large a standard deviation in every direction, m."""
+def sighting(
+    put: Any,
+    t: float,
+    xyz: list[float],
+    sd: float = 0.0,
+    frame: str = "base",
+    turn: Any = (0.0, 0.0, 0.0, 1.0),
+    turn_sd: float = 0.0,
+) -> None:
+    """The tip as measured, with so large a standard deviation in every direction, m and rad."""
     types = message_types().types
     x, y, z = map(float, xyz)
     covariance = np.zeros(36)
     covariance[[0, 7, 14]] = sd**2
+    covariance[[21, 28, 35]] = turn_sd**2
+    qx, qy, qz, qw = map(float, turn)
     pose = types["geometry_msgs/msg/Pose"](
         position=types["geometry_msgs/msg/Point"](x=x, y=y, z=z),
-        orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+        orientation=types["geometry_msgs/msg/Quaternion"](x=qx, y=qy, z=qz, w=qw),
     )
     whole = types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=covariance)
     kind = "geometry_msgs/msg/PoseWithCovarianceStamped"

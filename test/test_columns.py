@@ -92,7 +92,7 @@ def test_every_effect_moves_the_tip(arm):
     posture = model.posture(unstack(q), context)
     still = []
     for term in instances(arm):
-        if not term.declared():
+        if not term.parameters(arm):
             continue
         slots = model.plus(term).slots
         motion = model.plus(term).motion(posture, slots, turns=True)

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from bag_robot import STORAGES, command, header, refusal, robot, sighting, state
 from rosbags.typesys import get_types_from_msg
+from scipy.spatial.transform import Rotation
+from sensed_arm import only, read, sensed
 from small_arm import ARM, measured
 
 from longarm_comp.core.arm.arm import Arm
@@ -71,6 +73,39 @@ def test_one_row_without_anything_else(tmp_path: Path) -> None:
     assert (back.q == session.q).all()
     assert (back.xyz == session.xyz).all()
     assert not back.approach.any()
+
+
+def test_poses_single_coordinates_and_distances_survive(tmp_path: Path) -> None:
+    rows = sensed(n=12)
+    xyz = rows.position()
+    xyz[3:6, 1] = np.nan
+    third = np.arange(12) % 3
+    names = np.where(third == 1, "left", "")
+    readings = {
+        "orientation": only(rows.quaternion(), third == 0),
+        "distance": only(rows.distance(np.full(12, "left")), third == 1),
+    }
+    sigmas = {"orientation": np.where(np.arange(12) % 6 == 0, 2e-3, np.nan)}
+    session = read(rows, xyz=xyz, readings=readings, sigmas=sigmas, labels={"anchor": names})
+    write_bag(session, tmp_path / "bag", ARM)
+    back = read_session(tmp_path / "bag", ARM)
+    np.testing.assert_array_equal(back.xyz, session.xyz)
+    for name, values in session.readings.items():
+        np.testing.assert_allclose(back.readings[name], values, rtol=1e-15)
+    np.testing.assert_allclose(back.sigmas["orientation"], sigmas["orientation"], rtol=1e-12)
+
+
+def test_orientations_are_averaged_as_turns(tmp_path: Path) -> None:
+    """Of either sign, as cameras report them; their spread says that they were measured."""
+    turns = [Rotation.from_rotvec([0.1 + 1e-3 * k, 0.2, -0.3]).as_quat() for k in (-1, 0, 1)]
+    with robot(tmp_path / "bag") as put:
+        command(put, 1.0, [0.1, 0.5, 0.05, 0.2])
+        for k, turn in enumerate(turns):
+            sighting(put, 1.2 + k / 10, [0.4, 0.1, 0.3], turn=(-1) ** k * turn, turn_sd=3e-3)
+    session = read_bag(tmp_path / "bag", ARM)
+    mean = Rotation.from_quat(session.readings["orientation"][0])
+    assert (mean * Rotation.from_quat(turns[1]).inv()).magnitude() < 1e-6
+    assert session.sigmas["orientation"][0] == pytest.approx(3e-3 / np.sqrt(3))
 
 
 # ------------------------------------------------------------------ as a robot records

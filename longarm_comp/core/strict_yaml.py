@@ -21,7 +21,8 @@ MOST_BYTES = 8_000_000
 MOST_VALUES = 200_000
 DEEPEST = 40
 _INT, _FLOAT = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
-_DECIMAL = re.compile(r"[-+]?(0|[1-9]\d{0,17})")
+# Up to 19 digits: rosbag2 writes the largest 64-bit integer for an empty file.
+_DECIMAL = re.compile(r"[-+]?(0|[1-9]\d{0,18})")
 _REAL = re.compile(
     r"[-+]?((0|[1-9]\d*)\.\d*|\.\d+|\d+(?=[eE]))([eE][-+]?\d{1,3})?|[-+]?\.(inf|Inf|INF)|\.nan"
 )

@@ -2,8 +2,9 @@
 
 Per row: a `joint_trajectory` command, the circumstances (`temperature`, `payload`), one
 `tip_measured` sighting, and a `session_row` with what no topic of the robot says (index,
-repeat, labels, further columns, sides of arrival that were recorded without a length).  A run-up
-is a via point that the trajectory passes first.  A lost marker is a sighting at NaN.
+repeat, labels, further columns and readings, sides of arrival that were recorded without a
+length).  A run-up is a via point that the trajectory passes first.  A lost marker is a sighting
+at NaN.
 """
 
 from __future__ import annotations
@@ -153,15 +154,21 @@ class _Recorder:
             self._put("payload", kind, stamp, message)
 
     def _sighting(self, stamp: int, session: Session, i: int) -> None:
-        x, y, z = (float(v) for v in session.xyz[i])
+        whole = session.xyz[i] if session.located[i] else np.full(3, np.nan)
+        x, y, z = (float(v) for v in whole)
         covariance = np.zeros(36)
         if session.sigma is not None:
             covariance[[0, 7, 14]] = session.sigma[i] ** 2
+        turn = [0.0, 0.0, 0.0, 1.0]
+        if _stated(session, i):
+            turn = [float(v) for v in session.readings["orientation"][i]]
+            covariance[[21, 28, 35]] = session.sigmas["orientation"][i] ** 2
+        qx, qy, qz, qw = turn
         kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
         pose = self._make(
             "geometry_msgs/msg/Pose",
             position=self._make("geometry_msgs/msg/Point", x=x, y=y, z=z),
-            orientation=self._make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+            orientation=self._make("geometry_msgs/msg/Quaternion", x=qx, y=qy, z=qz, w=qw),
         )
         with_covariance = self._make(
             "geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariance
@@ -173,13 +180,33 @@ class _Recorder:
         row = {
             "index": int(session.index[i]),
             "repeat_id": int(session.repeat_id[i]),
-            "columns": {name: float(values[i]) for name, values in session.columns.items()},
+            "columns": {
+                name: float(values[i])
+                for name, values in session.columns.items()
+                if not np.isnan(values[i])
+            },
             "labels": {name: str(values[i]) for name, values in session.labels.items()},
         }
+        for name, field in (("readings", session.readings), ("sigmas", session.sigmas)):
+            held = {
+                kind: values[i].tolist()
+                for kind, values in field.items()
+                if not (kind == "orientation" and _stated(session, i))
+                and not np.isnan(values[i]).any()
+            }
+            if name == "readings" and not session.located[i] and session.seen[i]:
+                held["position"] = [None if np.isnan(v) else float(v) for v in session.xyz[i]]
+            row |= {name: held} if held else {}
         if session.told[i].any():
             row["approach"] = session.told[i].tolist()
         kind = "std_msgs/msg/String"
         self._put("session_row", kind, stamp, self._make(kind, data=json.dumps(row)))
+
+
+def _stated(session: Session, i: int) -> bool:
+    """Whether a row's orientation says how well it is known, so that a sighting can carry it."""
+    stated = session.sigmas.get("orientation")
+    return bool(session.turned[i] and stated is not None and np.isfinite(stated[i]))
 
 
 def _shortest(times: np.ndarray) -> float:

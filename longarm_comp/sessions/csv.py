@@ -22,7 +22,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
-from longarm_comp.core.data.session import Session
+from longarm_comp.core.data.session import INCLINATION, Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.yaml_file import range_of
 from longarm_comp.sessions.csv_readings import (
@@ -42,7 +42,6 @@ UNITS = {"t_s": "s", "temperature_c": "degrees Celsius", "payload_kg": "kg"}
 LABELS = ("role", "group", "marker", "anchor", "sensor")
 _INDEX = ("index", "approach", "repeat_id")
 _COVARIANCE = (*VARIANCE, "cov_xy", "cov_xz", "cov_yz")
-_INCLINATION = re.compile(r"incl_\w+_[xy]")
 
 
 def read_csv(path: str | Path, arm: Arm, joint_columns: Sequence[str] | None = None) -> Session:
@@ -123,7 +122,8 @@ def recorded_besides(
         elif name in LABELS or (name not in known and not table.is_numeric(name)):
             labels[name] = np.array(table.cells[name])
         elif name not in known or name in ("cov_xy", "cov_xz", "cov_yz"):
-            columns[name] = table.numbers(name, "in every row, or text")
+            blanks = INCLINATION.match(name) is not None
+            columns[name] = table.numbers(name, "in every row, or text", blanks)
     return columns, labels
 
 
@@ -147,7 +147,7 @@ def _known(n: int) -> tuple[str, ...]:
 
 def _free(header: Sequence[str], joint_columns: Sequence[str] | None) -> set[str]:
     """Names that follow a pattern and so are never misspelt ones."""
-    made = {name for name in header if _INCLINATION.fullmatch(name)}
+    made = {name for name in header if INCLINATION.match(name)}
     if joint_columns is not None:
         made |= {name for name in header if re.fullmatch(r"q\d+", name)}
     return made

@@ -48,6 +48,8 @@ class SessionRow(BaseModel):
     approach: list[Literal[-1, 0, 1]] = []
     columns: dict[str, float] = {}
     labels: dict[str, str] = {}
+    readings: dict[str, list[float | None]] = {}
+    sigmas: dict[str, float] = {}
 
 
 class Held:
@@ -171,13 +173,27 @@ class MessageBuffer:
         xyz = np.array([p.x, p.y, p.z])
         if np.isinf(xyz).any() or np.isnan(xyz).any() != np.isnan(xyz).all():
             raise self._error("tip_measured", t, xyz, "finite, or NaN in x, y and z")
-        variance = np.asarray(message.pose.covariance, dtype=float)[[0, 7, 14]]
+        covariance = np.asarray(message.pose.covariance, dtype=float)
+        variance = covariance[[0, 7, 14]]
+        turned, turn_variance = self._orientation(t, message.pose.pose.orientation, covariance)
         stamp = message.header.stamp
         taken = (stamp.sec * 10**9 + stamp.nanosec - self.start_ns) * 1e-9
         taken = taken if abs(taken - t) < CLOCKS_APART else t
-        insort(self.sightings, Sighting(taken, xyz, variance), key=_time)
+        insort(self.sightings, Sighting(taken, xyz, variance, turned, turn_variance), key=_time)
         self.sighted = True
         self.frames.add(message.header.frame_id)
+
+    def _orientation(
+        self, t: float, orientation: Any, covariance: np.ndarray
+    ) -> tuple[np.ndarray, float]:
+        """The orientation where the message states how well it is known, and its variance."""
+        spread = covariance[[21, 28, 35]]
+        if not (np.isfinite(spread).all() and (spread > 0).all()):
+            return np.full(4, np.nan), 0.0
+        turn = np.array([orientation.x, orientation.y, orientation.z, orientation.w])
+        if not quaternion.is_unit(turn):
+            raise self._error("tip_measured orientation", t, turn, "a quaternion of length 1")
+        return turn, float(spread.mean())
 
     def _temperature(self, t: float, message: Any) -> None:
         self._hold("temperature_c", t, message.temperature)
@@ -188,7 +204,8 @@ class MessageBuffer:
     def _inclination(self, t: float, message: Any) -> None:
         """Tilt about x and y of the frame that the message names, from its orientation."""
         o = message.orientation
-        frame = re.sub(r"\W+", "_", message.header.frame_id) or "base"
+        frame = re.sub(r"\W+", "_", message.header.frame_id)
+        frame = "0" if frame in ("", "base") else frame
         roll, pitch = quaternion.tilt(np.array([o.x, o.y, o.z, o.w]))
         self._hold(f"incl_{frame}_x", t, roll)
         self._hold(f"incl_{frame}_y", t, pitch)

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.core.arm.history import History
-from longarm_comp.core.data.session import Session
+from longarm_comp.core.data.kinds import KINDS
+from longarm_comp.core.data.session import INCLINATION, Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.message_buffer import CLOCKS_APART, MessageBuffer, SessionRow
 from longarm_comp.sessions.settled import Sighting, settled
@@ -84,10 +85,11 @@ class Rows:
         for name, held in buffer.columns.items():
             columns[name] = np.array([row.get(name, held.first) for row in self._held])
         columns |= _told([row.columns for row in self._told])
+        readings = self._readings()
         return Session(
             index=np.array(self._index),
             q=np.array(self._q),
-            xyz=np.array([seen.xyz for seen in self._made]),
+            xyz=readings.pop("position"),
             approach=np.array([came.approach for came in self._came]),
             legs=np.array([came.legs for came in self._came]),
             told=np.array(self._sides),
@@ -96,7 +98,32 @@ class Rows:
             columns=columns,
             labels=_told([row.labels for row in self._told]),
             source=buffer.where,
+            readings=readings,
+            sigmas=self._sigmas(),
         )
+
+    def _readings(self) -> dict[str, np.ndarray]:
+        """What was measured, by kind: what was sighted, and what the rows tell."""
+        made = {
+            "position": np.array([seen.xyz for seen in self._made]),
+            "orientation": np.array([seen.quaternion for seen in self._made]),
+        }
+        for name in sorted({name for row in self._told for name in row.readings}):
+            if name not in KINDS:
+                where = "session_row readings"
+                raise InputError(self._buffer.where, where, name, ", ".join(KINDS))
+            blank = [math.nan] * len(KINDS[name].cells)
+            told = np.array([row.readings.get(name, blank) for row in self._told], dtype=float)
+            made[name] = np.where(np.isnan(told), made.get(name, told), told)
+        return made
+
+    def _sigmas(self) -> dict[str, np.ndarray]:
+        spread = np.array([seen.turn_variance for seen in self._made])
+        made = {"orientation": np.where(spread > 0, np.sqrt(spread), np.nan)}
+        for name in sorted({name for row in self._told for name in row.sigmas}):
+            told = np.array([row.sigmas.get(name, math.nan) for row in self._told])
+            made[name] = np.where(np.isnan(told), made.get(name, told), told)
+        return {name: values for name, values in made.items() if np.isfinite(values).any()}
 
 
 def _sides(row: SessionRow, buffer: MessageBuffer) -> np.ndarray:
@@ -109,5 +136,6 @@ def _sides(row: SessionRow, buffer: MessageBuffer) -> np.ndarray:
 
 def _told(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
     """Columns of what every row's `session_row` tells."""
-    names = [name for name in rows[0] if all(name in row for row in rows)]
-    return {name: np.array([row[name] for row in rows]) for name in names}
+    every = dict.fromkeys(name for row in rows for name in row)
+    names = [n for n in every if INCLINATION.match(n) or all(n in row for row in rows)]
+    return {name: np.array([row.get(name, math.nan) for row in rows]) for name in names}

@@ -17,11 +17,21 @@ _LAST = 5
 
 
 class Sighting(NamedTuple):
-    """One measured tip: time (s), position (3,) m or NaN, variance (3,) m^2 or 0."""
+    """One measured tip.
+
+    Attributes:
+        t: time, s.
+        xyz: (3,) m; NaN where not measured.
+        variance: (3,) m^2, or 0.
+        quaternion: (4,) x, y, z, w; NaN where no orientation was measured.
+        turn_variance: of the orientation, rad^2 about an axis.
+    """
 
     t: float
     xyz: np.ndarray
     variance: np.ndarray
+    quaternion: np.ndarray
+    turn_variance: float
 
 
 def settled(
@@ -38,8 +48,9 @@ def settled(
         begin: time of the command, s.
 
     Returns:
-        Mean time and position, and the variance of the mean. The position is NaN if the marker
-        was lost in all of them. None without a sighting, or if the joints did not come to rest.
+        Mean time, position and orientation, and the variances of the mean. The position is NaN
+        if the marker was lost in all of them. None without a sighting, or if the joints did not
+        come to rest.
     """
     if not sightings:
         return None
@@ -66,4 +77,15 @@ def settled(
         sum(s.t for s in kept) / n,
         np.mean([s.xyz for s in kept], axis=0),
         np.sum([s.variance for s in kept], axis=0) / n**2,
+        _mean_turn([s.quaternion for s in kept]),
+        sum(s.turn_variance for s in kept) / n**2,
     )
+
+
+def _mean_turn(quaternions: Sequence[np.ndarray]) -> np.ndarray:
+    """Mean of orientations that are close to each other; NaN where one is unknown."""
+    if len(quaternions) == 1:
+        return quaternions[0]
+    alike = [q if q @ quaternions[0] >= 0 else -q for q in quaternions]
+    total = np.sum(alike, axis=0)
+    return np.asarray(total / np.linalg.norm(total))

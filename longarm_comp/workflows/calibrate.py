@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.holdout import blocked_split
 from longarm_comp.core.data.measurement import errors
@@ -30,6 +32,9 @@ from longarm_comp.workflows.inputs import (
 )
 
 Term = Effect | Bias
+
+IDLE = 1e-5
+"""Range of an input (its unit) below which it says nothing."""
 
 
 @dataclass(frozen=True)
@@ -172,8 +177,11 @@ def calibrate(
         JobError: a fit diverged, or may not be believed: worse on unseen rows than placed
             frames alone, not carried over to them, or an effect of a size that no arm has.
     """
-    chosen = [_named(effect, arm) for effect in effects]
+    for effect in effects:
+        if isinstance(effect, str):
+            instances(effect, arm)
     whole = admitted(session, arm, note=note)
+    chosen = [_named(effect, arm, whole, note) for effect in effects]
     train, held_out = blocked_split(whole, fraction, rng=seed)
     steps = 5 + len(chosen)
     done = iter(range(steps))
@@ -206,10 +214,44 @@ def instances(name: str, arm: Arm, where: str = "calibrate") -> tuple[Term, ...]
     return terms
 
 
-def _named(given: str | Term | Sequence[Term], arm: Arm) -> tuple[str, tuple[Term, ...]]:
+def recorded(terms: tuple[Term, ...], session: Session, note: Note) -> tuple[Term, ...]:
+    """Of the places of an effect, those whose inputs were recorded and moved.
+
+    Raises:
+        InputError: there is none, or a sensor's row is neither declared nor can be told here.
+    """
+    context = session.context()
+    usable, why = [], None
+    for term in terms:
+        try:
+            term.require(context)
+        except InputError as error:
+            why = error
+            continue
+        read = [session.columns[name] for name in term.inputs if name in session.columns]
+        if read and all(np.ptp(values) < IDLE for values in read):
+            note(
+                f"{session.source}: {term.name} at {term.where} left out: {term.inputs[0]} is idle"
+            )
+            continue
+        usable.append(term)
+    if not usable:
+        name = terms[0].name
+        allowed = "an input that was recorded and changes"
+        raise why or InputError(session.source, name, "idle everywhere", allowed)
+    for term in usable:
+        if sum(other.where == term.where for other in usable) > 1 and "sensor" in term.places:
+            allowed = "its row in arm.yaml (longarm diagnose searches for it)"
+            raise InputError("calibrate", term.where, "no row", allowed)
+    return tuple(usable)
+
+
+def _named(
+    given: str | Term | Sequence[Term], arm: Arm, session: Session, note: Note
+) -> tuple[str, tuple[Term, ...]]:
     """A rung of the ladder: its name and its terms."""
     if isinstance(given, str):
-        return given, instances(given, arm)
+        return given, recorded(instances(given, arm), session, note)
     terms = (given,) if isinstance(given, Effect | Bias) else tuple(given)
     if not terms:
         raise InputError("calibrate", "effects", "nothing", "a name or instances of an effect")

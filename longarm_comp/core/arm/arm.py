@@ -311,6 +311,28 @@ class CameraSensor(Pose):
     kind: Literal["camera"]
 
 
+Axis = Literal["x", "y", "z"]
+
+
+class Inclinometer(Declared):
+    """An inclinometer, whose two readings (rad) are the columns ``incl_<name>_x`` and ``_y``."""
+
+    kind: Literal["inclinometer"]
+    row: int | None = Field(default=None, ge=0, description="frame it turns with; absent: searched")
+    axes: tuple[Axis, Axis] = Field(default=("x", "y"), description="frame axes they turn about")
+    sign: tuple[Literal[-1, 1], Literal[-1, 1]] = (1, 1)
+    gain: Literal["one", "free"] = Field(default="one", description="free: fitted")
+
+    @model_validator(mode="after")
+    def _two(self) -> Inclinometer:
+        if self.axes[0] == self.axes[1]:
+            raise Misdeclared("axes", list(self.axes), "two that differ of x, y, z")
+        return self
+
+
+Sensors = dict[str, Annotated[CameraSensor | Inclinometer, Field(discriminator="kind")]]
+
+
 Spread = Positive | tuple[Positive, Positive, Positive]
 """One standard deviation for all three components, or one each."""
 
@@ -357,7 +379,7 @@ class Arm(Declared):
     camera: CameraPlacement | None = None
     markers: dict[str, Marker] = Field(default_factory=dict)
     anchors: dict[str, Anchor] = Field(default_factory=dict)
-    sensors: dict[str, CameraSensor] = Field(default_factory=dict)
+    sensors: Sensors = Field(default_factory=dict)
     tolerance: Placements = Placements()
 
     @model_validator(mode="after")
@@ -369,6 +391,9 @@ class Arm(Declared):
         carried = [("tip", self.tip.frame)]
         carried += [(f"point_masses.{k}", m.frame) for k, m in enumerate(self.point_masses)]
         carried += [(f"markers.{k}", m.frame) for k, m in self.markers.items()]
+        for k, sensor in self.sensors.items():
+            if isinstance(sensor, Inclinometer) and (sensor.row or 0) > rows:
+                raise Misdeclared(f"sensors.{k}.row", sensor.row, f"0..{rows}")
         carried += [("payload", self.payload.frame)] if self.payload else []
         for owner, frame in carried:
             if not 0 <= frame <= rows:
@@ -468,6 +493,12 @@ class Arm(Declared):
         """Declared place of an anchor (m), the origin where it is to be solved."""
         held = self.anchors.get(name)
         return held.xyz_m if held is not None and held.xyz_m is not None else (0.0, 0.0, 0.0)
+
+    @property
+    def inclinometers(self) -> tuple[str, ...]:
+        """Names that ``incl_<name>_x`` may hold: rows, 0 for the base, and declared sensors."""
+        named = [k for k, v in self.sensors.items() if isinstance(v, Inclinometer)]
+        return (*(str(row) for row in range(len(self.joints) + 1)), *named)
 
     def camera_frame(self, name: str) -> np.ndarray:
         """Pose (3, 4) of a declared camera in the base frame; the base where there is none."""

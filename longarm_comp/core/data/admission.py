@@ -7,6 +7,7 @@ joint that never moved, lost markers, gross outliers) is reported as a finding.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
@@ -22,7 +23,7 @@ from longarm_comp.core.data.alignment import (
     roll_pitch_yaw,
 )
 from longarm_comp.core.data.belonging import STRAYS, believe
-from longarm_comp.core.data.session import Session
+from longarm_comp.core.data.session import INCLINATION, Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 
@@ -30,6 +31,7 @@ FEW_POSES = 4
 _OUTLIER = 8.0  # robust standard deviations, before any fit
 _FAR = 0.5  # of a joint's range beyond its limits
 _MANY = 5.0  # times a joint's largest value, and more, are another unit
+_MOSTLY = 0.5  # of its rows blank: an inclinometer that is left out instead of the rows
 _TILTED = np.radians(20.0)
 
 
@@ -87,6 +89,7 @@ def admit(
         InputError: the session does not fit the arm; the message names the likely mistake.
     """
     findings: list[AdmissionFinding] = []
+    session = _with_readings(session, findings)
     physics = model or Model(arm)
     case = _Case(session, arm, session, np.empty((0, 3)), physics)
     for check in _BEFORE:
@@ -103,6 +106,23 @@ def admit(
         for check in _AFTER:
             findings += check(case) or ()
     return Admission(session, tuple(findings))
+
+
+def _with_readings(session: Session, findings: list[AdmissionFinding]) -> Session:
+    """The rows in which every inclinometer was read; one that mostly was not is left out."""
+    for name, values in session.columns.items():
+        blank = np.isnan(values)
+        if blank.mean() > _MOSTLY:
+            rest = {k: v for k, v in session.columns.items() if k != name}
+            session = dataclasses.replace(session, columns=rest)
+            findings.append(AdmissionFinding("blanks", name, f"left out, {blank.mean():.0%} blank"))
+    names = [name for name, values in session.columns.items() if np.isnan(values).any()]
+    if not names:
+        return session
+    blank = np.any([np.isnan(session.columns[name]) for name in names], axis=0)
+    text = f"{blank.sum()} rows left out in which it is blank"
+    findings.append(AdmissionFinding("blanks", ", ".join(names), text))
+    return session.take(~blank)
 
 
 # ------------------------------------------------------------------ before any prediction
@@ -129,6 +149,15 @@ def _same_arm(case: _Case) -> None:
         for column in mass.position_columns or ():
             if column not in case.session.columns:
                 raise case.refuse(f"column {column}", "missing", f"where {mass.name} is, m")
+
+
+def _inclinometers(case: _Case) -> None:
+    known = case.arm.inclinometers
+    for name in case.session.columns:
+        match = INCLINATION.match(name)
+        if match and match[1] not in known:
+            allowed = f"incl_<frame>_x, _y with frame one of {', '.join(known)}"
+            raise case.refuse(f"column {name}", f"frame {match[1]}", f"{allowed} (0 is the base)")
 
 
 def _plausible_context(case: _Case) -> None:
@@ -345,6 +374,7 @@ def _spread(points: np.ndarray) -> float:
 
 _BEFORE: tuple[Callable[[_Case], Iterable[AdmissionFinding] | None], ...] = (
     _same_arm,
+    _inclinometers,
     _plausible_context,
     _joint_units,
     _order,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -19,6 +20,9 @@ from longarm_comp.core.arm.context import LEGS, PER_JOINT, Context
 from longarm_comp.core.arm.history import SAME_POSE, History, recorded, sides_told
 from longarm_comp.core.data.measured_rows import ChannelBlock, MeasuredRows, check_shape
 from longarm_comp.core.errors import InputError
+
+INCLINATION = re.compile(r"incl_(\w+)_[xy]$")
+"""Names of the columns of an inclinometer; NaN where it gave no reading."""
 
 Rows = np.ndarray | Sequence[int] | slice
 
@@ -89,7 +93,7 @@ class Session(MeasuredRows):
                 values.flags.writeable = False
             object.__setattr__(self, kind, held)
         for name, values in columns.items():
-            if not np.isfinite(values).all():
+            if np.isinf(values).any() or (np.isnan(values).any() and not INCLINATION.match(name)):
                 raise InputError(self.source, name, "not finite", "a finite number in every row")
         self._check_readings(n_rows)
         if not self.blocks:
