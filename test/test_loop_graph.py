@@ -170,6 +170,19 @@ def test_after_a_sweep_the_history_is_known(
     assert after.sigma != before.sigma
 
 
+def test_a_move_that_is_over_before_the_wait_has_arrived(domain: None, demo_arm_path: Path) -> None:
+    arm = Arm.load(demo_arm_path)
+    path = np.stack([arm.mid + 0.1 * (arm.upper - arm.mid), arm.mid])
+    tolerance = np.full(arm.n, 1e-3)
+    with ArmClient(arm, "nobody_here") as client:
+        client.joints = arm.mid.copy()
+        client.arrive(path, tolerance, 0.05, 60.0, start=arm.lower)
+        with pytest.raises(JobError, match="come to rest"):  # it has not left yet
+            client.arrive(path, tolerance, 0.05, 0.3, start=arm.mid)
+        with pytest.raises(JobError, match="come to rest"):
+            client.arrive(path, tolerance, 0.05, 0.3)
+
+
 def test_no_joint_sweeps_faster_than_asked(demo_arm_path: Path) -> None:
     arm = Arm.load(demo_arm_path)
     start = arm.lower + 0.3 * (arm.upper - arm.lower)

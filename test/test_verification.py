@@ -49,8 +49,10 @@ def test_it_helps_only_beyond_chance(rng: np.random.Generator) -> None:
     harmed = verification(NAMES, 0.1 * worse, worse)
     assert not harmed.helps and harmed.gain_m == pytest.approx(-clearly.gain_m)
     assert "does not help" in harmed.summary
-    alike = verification(NAMES, worse, worse[::-1])
-    assert not alike.helps
+    along = np.array([[0.0, 0.0, 1.0]])
+    mixed = along * np.tile([0.5, 1.45], 10)[:, None]  # as often farther as nearer
+    alike = verification(NAMES, np.repeat(along, 20, axis=0), mixed)
+    assert alike.gain_m > 0 and not alike.helps
     assert verification(NAMES, worse, 0.1 * worse).gain_ci95_m == clearly.gain_ci95_m
 
 
