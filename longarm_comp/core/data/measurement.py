@@ -67,7 +67,7 @@ def errors(model: Model, session: Session) -> np.ndarray:
     that explains the row: along a measured axis, along the line to an anchor.
     """
     placed = session.take(session.placed)
-    if placed.plain:
+    if placed.plain or not len(placed):
         return np.asarray(placed.xyz - model.measured(placed.q, placed.context()))
     found = equations(model, placed, posture(model, placed), ())
     moved = np.linalg.pinv(found.pull, rcond=1e-6) @ found.residual[..., None]

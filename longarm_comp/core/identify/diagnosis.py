@@ -269,7 +269,7 @@ class _Learner:
 
     def on(self, model: Model, structure: Structure) -> LearnedCorrection | None:
         """A correction on top of a model; None where nothing is left, or none is wanted."""
-        if not structure.flag or self.train is None:
+        if not structure.flag or self.train is None or not self.fitted.session.located.any():
             return None
         self.say("network")
         return self.train(model, self.fitted.session.take(self.fitted.weights > 0))
