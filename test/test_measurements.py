@@ -268,6 +268,14 @@ def test_what_cannot_be_is_refused() -> None:
     ):
         with pytest.raises(InputError, match=words):
             read(rows, readings=readings)
+    wires = read(
+        sensed(n=40),
+        xyz=nowhere(40),
+        readings={"distance": np.ones((40, 1))},
+        labels={"anchor": np.full(40, "left")},
+    )
+    with pytest.raises(InputError, match="not measured together"):
+        la.train(ARM, wires)
     arm = declared(anchors={"left": {"xyz_m": [0, 0, 0]}})
     names = np.full(6, "lft")
     wrong = read(rows, readings={"distance": np.ones((6, 1))}, labels={"anchor": names})

@@ -36,6 +36,7 @@ COMMANDS = (
         "study_realisable",
         "Choice among the servos' steps, compared with rounding.",
     ),
+    Entry("study measurements", "study_measurements", "Rows needed by pose, position, distance."),
     Entry("study day", "study_day", "A day of work: wear, warmth, changing payloads."),
     Entry("up", "up", "Bring up an arm's ROS graph, real or simulated."),
     Entry("study loop", "study_loop", "Benchmark the diagnosis on simulated arms."),

@@ -163,10 +163,9 @@ def _error_row(name: str, errors: Errors, sigma: np.ndarray | None) -> dict[str,
 
 def _outliers(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     fit = diagnosis.fit
-    lengths = np.array(fit.session.units) == "m"
     rows = []
     for row in fit.outliers:
-        length = float(np.linalg.norm(fit.residual[row, lengths]))
+        length = float(np.linalg.norm(fit.residual[row] * fit.metres))
         ratio = float(np.max(np.abs(fit.residual[row]) / fit.sigma))
         why = f"{1e3 * length:.1f} mm off, {ratio:.0f} standard deviations on its worst axis"
         rows.append({"index": int(fit.session.index[row]), "why": why})

@@ -195,6 +195,7 @@ def calibrate(
     )
     last, held = rungs[-1].model, errors(rungs[-1].model, held_out)
     check_worth(held, errors(rungs[1].model, held_out), whole.source)
+    check_worth(held, errors(rungs[0].model, held_out), whole.source, "the declared arm")
     check_carries_over(errors(last, train), held, whole.source)
     progress("all rows", (steps - 1) / steps)
     final = fit(last, whole)

@@ -7,13 +7,21 @@ import numpy as np
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.predictor import Prediction, Predictor
 from longarm_comp.core.model.model import Model
 
 
 def training_rows(model: Model, session: Session) -> tuple[np.ndarray, np.ndarray, Context]:
-    """Joints (M, n), residual of a model (M, 3) in m, and circumstances of the M located rows."""
+    """Joints (M, n), residual of a model (M, 3) in m, and circumstances of the M located rows.
+
+    Raises:
+        InputError: no row holds a whole position.
+    """
     seen = session.take(session.located)
+    if not len(seen):
+        allowed = "rows with all three, to learn from"
+        raise InputError(session.source, "x, y, z", "not measured together in any row", allowed)
     return seen.q, errors(model, seen), seen.context()
 
 

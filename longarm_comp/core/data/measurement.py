@@ -44,6 +44,22 @@ def shifts(
     return _stacked(model.added(at, terms, session.turns), session, model).columns
 
 
+def metres(model: Model, session: Session) -> np.ndarray:
+    """(d,) length at the tip (m) that a unit of each channel stands for: 0 of an orientation.
+
+    A ray's is the median distance of the tip from its camera.
+    """
+    units = np.array(session.units)
+    made = (units == "m").astype(float)
+    if "ray" not in session.readings:
+        return made
+    pull = np.linalg.norm(equations(model, session, posture(model, session), ()).pull, axis=2)
+    for k in np.flatnonzero(units == "rad"):
+        held = pull[:, k][pull[:, k] > 0]
+        made[k] = 1.0 / float(np.median(held)) if len(held) else 0.0
+    return made
+
+
 def errors(model: Model, session: Session) -> np.ndarray:
     """(M, 3) measured - predicted of the M rows that say where the tip is, m.
 
@@ -51,7 +67,7 @@ def errors(model: Model, session: Session) -> np.ndarray:
     that explains the row: along a measured axis, along the line to an anchor.
     """
     placed = session.take(session.placed)
-    if placed.plain:
+    if placed.plain or not len(placed):
         return np.asarray(placed.xyz - model.measured(placed.q, placed.context()))
     found = equations(model, placed, posture(model, placed), ())
     moved = np.linalg.pinv(found.pull, rcond=1e-6) @ found.residual[..., None]

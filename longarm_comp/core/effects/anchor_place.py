@@ -25,7 +25,7 @@ class AnchorPlace(Bias):
     geometry: ClassVar[bool] = True
     sees: ClassVar[frozenset[str]] = frozenset({"distance"})
 
-    anchor: str = place(lambda arm: list(arm.anchors), default="")
+    anchor: str = place(default="")
     x: float = parameter("m", "place of the anchor", 0.05, unknown=True)
     y: float = parameter("m", "place of the anchor", 0.05, unknown=True)
     z: float = parameter("m", "place of the anchor", 0.05, unknown=True)

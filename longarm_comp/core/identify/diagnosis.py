@@ -269,7 +269,7 @@ class _Learner:
 
     def on(self, model: Model, structure: Structure) -> LearnedCorrection | None:
         """A correction on top of a model; None where nothing is left, or none is wanted."""
-        if not structure.flag or self.train is None:
+        if not structure.flag or self.train is None or not self.fitted.session.located.any():
             return None
         self.say("network")
         return self.train(model, self.fitted.session.take(self.fitted.weights > 0))
@@ -331,7 +331,7 @@ def _roll_back(
 def _all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Structure:
     """The structure, also where other signs than the test of the fitted rows show some."""
     out = result.fit.weights == 0
-    lengths = result.fit.residual[:, np.array(result.fit.session.units) == "m"]
+    lengths = result.fit.residual * result.fit.metres
     rejected = float(np.sqrt((lengths[out] ** 2).sum() / len(out)))
     for shows, size, where in (
         (out.mean() > MOST_OUTLIERS, rejected, "outliers"),

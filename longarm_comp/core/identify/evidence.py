@@ -105,9 +105,9 @@ def _fixed(
 
 
 def _rms(fitted: ModelFit, shift: np.ndarray) -> float:
-    """RMS over the rows of a change (N, d, ...) in the channels that are lengths, m."""
-    lengths = shift[:, np.array(fitted.session.units) == "m"]
-    return float(np.sqrt((lengths**2).reshape(len(lengths), -1).sum(-1).mean()))
+    """RMS over the rows of a change (N, d, ...) as a length at the tip, m."""
+    scale = fitted.metres.reshape(-1, *(1,) * (shift.ndim - 2))
+    return float(np.sqrt(((shift * scale) ** 2).reshape(len(shift), -1).sum(-1).mean()))
 
 
 IMPLAUSIBLE = 5.0

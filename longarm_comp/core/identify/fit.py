@@ -16,7 +16,7 @@ import numpy as np
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import Scalar
-from longarm_comp.core.data.measurement import equations
+from longarm_comp.core.data.measurement import equations, metres
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify import linear
@@ -78,6 +78,11 @@ class ModelFit:
     def width(self) -> int:
         """Number d of channels."""
         return self.residual.shape[1]
+
+    @cached_property
+    def metres(self) -> np.ndarray:
+        """(d,) length (m) that a unit of each channel stands for; 0 where it is none."""
+        return metres(self.model, self.session)
 
     @cached_property
     def design(self) -> np.ndarray:
@@ -285,7 +290,12 @@ def _fit_parts(
             a, y = part.whitened(scale[mine])
             designs.append(_placed(a, mine, len(scale)))
             data.append(y)
-        posterior = linear.solve(_joined(designs), _joined(data), lower, upper)
+        try:
+            posterior = linear.solve(_joined(designs), _joined(data), lower, upper)
+        except np.linalg.LinAlgError:
+            rows = sum(len(part.seen) for part in parts)
+            text = f"{rows} rows do not determine the {len(scale)} parameters of the model"
+            raise JobError(text, session=parts[0].seen.source) from None
         se = np.sqrt(np.diag(posterior.covariance))
         small = True
         for part, mine in zip(parts, maps, strict=True):

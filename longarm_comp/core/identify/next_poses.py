@@ -81,7 +81,8 @@ def _noise(fit: ModelFit) -> np.ndarray:
     """(3,) noise of a position that will be measured, m: as before, else the smallest length's."""
     if fit.session.blocks[0].kind == "position":
         return np.where(np.isfinite(fit.sigma[:3]), fit.sigma[:3], np.min(fit.sigma[:3]))
-    return np.full(3, np.min(fit.sigma[np.array(fit.session.units) == "m"]))
+    lengths = (fit.sigma * fit.metres)[(fit.metres > 0) & np.isfinite(fit.sigma)]
+    return np.full(3, np.min(lengths))
 
 
 def _rows(fit: ModelFit) -> tuple[np.ndarray, Context]:

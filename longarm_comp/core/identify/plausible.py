@@ -22,21 +22,24 @@ INCREDIBLE = 15.0
 """Size of an effect, in its prior standard deviations, that no arm has."""
 
 
-def check_worth(held_out: np.ndarray, frames_only: np.ndarray, source: str) -> None:
-    """A model must not be worse on unseen rows than placed frames alone.
+def check_worth(
+    held_out: np.ndarray, plain: np.ndarray, source: str, than: str = "placed frames alone"
+) -> None:
+    """A model must not be worse on unseen rows than a plainer one.
 
     Args:
         held_out: (M, 3) its errors there, m.
-        frames_only: (M, 3) errors of the placed frames, m.
+        plain: (M, 3) errors of the plainer model, m.
         source: file of the rows, for the message.
+        than: the plainer model.
 
     Raises:
         JobError: it is worse.
     """
-    there, plain = 1e3 * _median(held_out), 1e3 * _median(frames_only)
-    if len(held_out) >= ENOUGH and there > WORSE * plain:
+    there, here = 1e3 * _median(held_out), 1e3 * _median(plain)
+    if len(held_out) >= ENOUGH and there > WORSE * here:
         raise JobError(
-            f"calibration is worse on unseen rows than placed frames alone: {plain:.3g} -> "
+            f"calibration is worse on unseen rows than {than}: {here:.3g} -> "
             f"{there:.3g} mm; the rows do not determine the geometry, or are not this arm's",
             session=source,
         )

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import chi, norm
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.data.measurement import equations, errors, posture
+from longarm_comp.core.data.measurement import equations, errors, metres, posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.fit import ModelFit
@@ -143,13 +143,13 @@ class _Unseen:
             unknown to the fit.
         spread: (N, d) standard deviation that noise and parameter uncertainty give it.
         held: (N, d) which channels count.
-        lengths: (d,) which channels are lengths.
+        metres: (d,) length (m) that a unit of each channel stands for.
     """
 
     residual: np.ndarray
     spread: np.ndarray
     held: np.ndarray
-    lengths: np.ndarray
+    metres: np.ndarray
 
     @classmethod
     def of(cls, fitted: ModelFit, rows: Session) -> _Unseen:
@@ -161,7 +161,7 @@ class _Unseen:
         )
         held = rows.measured & np.isfinite(sigma)
         spread = np.sqrt(np.where(np.isfinite(sigma), sigma, 1.0) ** 2 + own)
-        return cls(found.residual * held, spread, held, np.array(rows.units) == "m")
+        return cls(found.residual * held, spread, held, metres(fitted.model, rows))
 
 
 def _better(before: _Unseen, after: _Unseen, rng: np.random.Generator) -> bool:
@@ -184,10 +184,10 @@ def _misfit(unseen: _Unseen) -> tuple[float, float]:
     some = degrees > 0
     size = np.linalg.norm(unseen.residual / unseen.spread, axis=1)[some]
     ratio = float(np.median(size / chi.median(degrees[some])))
-    error = np.linalg.norm(unseen.residual[:, unseen.lengths], axis=1)
+    error = np.linalg.norm(unseen.residual * unseen.metres, axis=1)
     limit = 3.0 * np.median(error)
     clipped = np.minimum(error, limit)
-    noise = ((unseen.spread**2) * unseen.held)[:, unseen.lengths].sum(1).mean()
+    noise = ((unseen.spread * unseen.metres) ** 2 * unseen.held).sum(1).mean()
     return ratio, float(np.sqrt(max((clipped**2).mean() - noise, 0.0)))
 
 

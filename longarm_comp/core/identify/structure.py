@@ -93,8 +93,7 @@ def examine(fit: ModelFit, base: ModelFit, rng: np.random.Generator) -> Structur
     size, rss_rich = _smooth(fit, marginal, [smooth[k] for k in strong])
     said = [statistics[k][0] for k in strong if statistics[k][1] > top / 3]
     inputs = tuple(dict.fromkeys(name for group in said for name in group.inputs))
-    lengths = fit.sigma[_lengths(fit)]
-    flag = p < SIGNIFICANT and size > WORTH * float(np.linalg.norm(lengths))
+    flag = p < SIGNIFICANT and size > WORTH * float(np.linalg.norm(_noise_m(fit)))
     rss_named = float(residual @ residual)
     white_base = fit.whitened(base.residual[..., None])[:, 0]
     rss_base = float(white_base @ white_base)
@@ -119,8 +118,7 @@ def _smooth(fit: ModelFit, marginal: Marginal, bases: list[np.ndarray]) -> tuple
     b = np.concatenate(bases, axis=1)
     added = marginal.added(b)
     part = marginal.project(b) @ added.mean
-    lengths = _lengths(fit)
-    rows = (part.reshape(-1, fit.width)[:, lengths] * fit.sigma[lengths]) ** 2
+    rows = (part.reshape(-1, fit.width) * _noise_m(fit)) ** 2
     left = residual - part
     return float(np.sqrt(rows.sum(1).mean())), float(left @ left)
 
@@ -232,9 +230,9 @@ def _of_channels(features: np.ndarray, fit: ModelFit) -> np.ndarray:
     return made
 
 
-def _lengths(fit: ModelFit) -> np.ndarray:
-    """(d,) channels that are lengths and were measured."""
-    return (np.array(fit.session.units) == "m") & np.isfinite(fit.sigma)
+def _noise_m(fit: ModelFit) -> np.ndarray:
+    """(d,) noise of the channels as lengths at the tip, m; 0 where one is none."""
+    return np.where(np.isfinite(fit.sigma), fit.sigma, 0.0) * fit.metres
 
 
 def _shuffled(rows: np.ndarray, fit: ModelFit, rng: np.random.Generator) -> np.ndarray:

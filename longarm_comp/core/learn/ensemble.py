@@ -175,7 +175,7 @@ def _calibrated(
     used = score[weights > 0]
     level = min(1.0, np.ceil(0.9 * (len(used) + 1)) / len(used))
     widen = np.quantile(used, level, axis=0) / _Z90
-    alone = np.quantile(np.abs(y[weights > 0]), level, axis=0) / _Z90
+    alone = np.sqrt(np.mean(y[weights > 0] ** 2, axis=0))
     _, variance = draft._mean_and_variance(probe)
     limit = 4.0 * float(np.quantile(variance.max(axis=1), 0.99))
     return replace(draft, widen=widen, variance_limit=limit, alone=alone)

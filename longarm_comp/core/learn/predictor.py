@@ -70,7 +70,7 @@ class Predictor:
     noise: Array  # (3,) m
     widen: Array  # (3,) conformal factor
     variance_limit: float  # m^2, largest epistemic variance still trusted
-    alone: Array = field(default_factory=lambda: np.full(3, np.inf))  # (3,) m, sd of the residual
+    alone: Array = field(default_factory=lambda: np.full(3, np.inf))  # (3,) m, RMS of the residual
     provenance: Provenance = field(default_factory=Provenance)
 
     def __post_init__(self) -> None:
