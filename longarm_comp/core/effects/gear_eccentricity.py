@@ -28,8 +28,8 @@ class GearEccentricity(JointTerm):
     free_levels: ClassVar[int] = 3
 
     order: int = form(1)
-    cosine: float = parameter("rad", "cosine amplitude", prior=1e-2)
-    sine: float = parameter("rad", "sine amplitude", prior=1e-2)
+    cosine: float = parameter("rad", "cosine amplitude", prior=2e-3)
+    sine: float = parameter("rad", "sine amplitude", prior=2e-3)
 
     @property
     def place(self) -> str:
