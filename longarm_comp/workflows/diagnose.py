@@ -158,7 +158,7 @@ def diagnose(
         facts["model before"] = file_hash(before)
     kinds = {type(term) for term in found.model.terms}
     facts |= {f"effect {k.name}": origin(k) for k in kinds if origin(k)}
-    recorded = None if isinstance(session, Session) else Path(session)
+    recorded = _path(session) if _path(session).exists() else None
     return DiagnosisResult(found, whole.hash, facts, before, recorded)
 
 
@@ -208,4 +208,9 @@ def _train(seed: int) -> core.Train:
 
 
 def _name(given: SessionLike) -> str:
-    return Path(given.source if isinstance(given, Session) else given).name
+    return _path(given).name
+
+
+def _path(given: SessionLike) -> Path:
+    """Where a session came from; of one in memory, its name."""
+    return Path(given.source if isinstance(given, Session) else given)
