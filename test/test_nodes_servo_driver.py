@@ -56,6 +56,7 @@ class Rig:
         )
         self.emulator.start()
         self.states = stage.collect(graph.JOINT_STATES)
+        self.lost = stage.collect(graph.LOST_MOVE)
         self.diagnostics = stage.collect(graph.DIAGNOSTICS)
         self.trajectories = graph.JOINT_TRAJECTORY.publisher(stage.node)
         self.process = self.start()
@@ -192,6 +193,7 @@ def test_bad_trajectories_move_nothing_and_are_counted(rig: Rig) -> None:
     rig.trajectories.publish(JointTrajectory(joint_names=["boom"], points=[JointTrajectoryPoint()]))
 
     rig.stage.spin(lambda: rig.refused() == already + len(bad) + 1)
+    rig.stage.spin(lambda: sum(m.data.startswith("refused: ") for m in rig.lost) > already)
     assert rig.joints() == pytest.approx(before, abs=1e-5)
     rig.goes(boom=0.02)
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import Imu, JointState, Temperature
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, String
 from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.arm.arm import Arm
@@ -30,8 +30,8 @@ class ArmState:
         moved: called with every joint reading (n,).
 
     Attributes:
-        commands: subscription to the commands. The worker takes them, so that each command is
-            known before the next target.
+        commands: subscriptions to the commands and to what became of them. The worker takes
+            them, so that each is known before the next target.
     """
 
     def __init__(
@@ -49,8 +49,9 @@ class ArmState:
         self._joints: tuple[np.ndarray, float] | None = None
         self._commanded: np.ndarray | None = None
         graph.JOINT_STATES.subscription(node, self._on_joints)
-        self.commands = graph.JOINT_TRAJECTORY.subscription(
-            node, self._on_trajectory, ManualCallbackGroup()
+        self.commands = (
+            graph.JOINT_TRAJECTORY.subscription(node, self._on_trajectory, ManualCallbackGroup()),
+            graph.LOST_MOVE.subscription(node, self._on_lost, ManualCallbackGroup()),
         )
         graph.TEMPERATURE.subscription(node, self._on_temperature)
         graph.PAYLOAD.subscription(node, self._on_payload)
@@ -88,6 +89,11 @@ class ArmState:
         self.history = self.history.after(path, before)
         self._commanded = path[-1]
         self._on_command(path[-1], self.history)
+
+    def _on_lost(self, message: String) -> None:
+        """A move that the driver did not take, or broke off: where joints came from is unknown."""
+        self.history = History.unknown(self._arm.n)
+        self._commanded = None
 
     def _on_temperature(self, message: Temperature) -> None:
         self._read("temperature", {"temperature_c": message.temperature})

@@ -18,7 +18,7 @@ from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallba
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, Image, Imu, JointState, Temperature
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
@@ -112,6 +112,9 @@ COMPENSATION = Topic(
 JOINT_STATES = Topic(
     "joint_states", JointState, 10, BEST_EFFORT, "joints as the servos report them, rad and m"
 )
+LOST_MOVE = Topic(
+    "lost_move", String, 50, RELIABLE, "why the driver refused or broke off a commanded move"
+)
 PREDICTED_ERROR = Topic(
     "predicted_error", Vector3Stamped, 20, RELIABLE, "each learned error requested, base frame, m"
 )
@@ -147,7 +150,8 @@ ESTOP = Service("~/estop", SetBool, "true: torque off now, commands refused; fal
 RESET = Service("~/reset", Trigger, "leave a fault once its cause is gone")
 
 TOPICS: tuple[Topic, ...] = (
-    *(TARGET_POSE, JOINT_TRAJECTORY, COMPENSATION, JOINT_STATES, PREDICTED_ERROR, TIP_MEASURED),
+    *(TARGET_POSE, JOINT_TRAJECTORY, COMPENSATION, JOINT_STATES, LOST_MOVE, PREDICTED_ERROR),
+    TIP_MEASURED,
     *(LEFT_IMAGE, RIGHT_IMAGE, LEFT_INFO, RIGHT_INFO, TEMPERATURE, PAYLOAD, INCLINATION),
     *(MARKERS, DIAGNOSTICS),
 )

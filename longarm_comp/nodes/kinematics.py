@@ -139,7 +139,7 @@ class Kinematics(Node):
         on_worker = ManualCallbackGroup()
         self._worker.start(
             [
-                self._state.commands,
+                *self._state.commands,
                 graph.TARGET_POSE.subscription(self, self._on_target, on_worker),
             ],
             [graph.COMPENSATE.server(self, self._on_compensate, on_worker)],

@@ -15,6 +15,7 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -64,6 +65,7 @@ class ServoDriver(LifecycleNode):
         self._fault = self._refusal = self._trouble = self._waiting = ""
         self._patient_until = time.monotonic() + p["patience_s"]
         self._joint_states = graph.JOINT_STATES.publisher(self)
+        self._lost = graph.LOST_MOVE.publisher(self)
         graph.JOINT_TRAJECTORY.subscription(self, self._on_trajectory)
         graph.ESTOP.server(self, self._on_estop)
         graph.RESET.server(self, self._on_reset)
@@ -123,6 +125,7 @@ class ServoDriver(LifecycleNode):
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Torque off."""
         self._active = self._autostart = False
+        self._lost.publish(String(data="torque off"))
         try:
             self._machine.power(False)
         except LongarmError as error:
@@ -178,6 +181,8 @@ class ServoDriver(LifecycleNode):
             urgent = event.kind in (EventKind.FAULT, EventKind.ESTOP)
             say = self.get_logger().error if urgent else self.get_logger().debug
             say(f"{event.kind.value}: {event.message}")
+            if urgent:
+                self._lost.publish(String(data=f"{event.kind.value}: {event.message}"))
             if event.kind is EventKind.FAULT:
                 self._trouble = event.message
         if not cycle.joints:
@@ -204,6 +209,7 @@ class ServoDriver(LifecycleNode):
     def _refuse(self, why: str) -> None:
         self._counts["refused"] += 1
         self._refusal = why
+        self._lost.publish(String(data=f"refused: {why}"))
         self.get_logger().warning(f"trajectory refused: {why}", throttle_duration_sec=1.0)
 
     def _on_estop(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
