@@ -45,7 +45,7 @@ def everything(arm: Arm, rng: np.random.Generator) -> Model:
     terms = []
     for kind in BUILT_IN.values():
         for term in kind.for_arm(arm):
-            size = {p.name: p.prior * abs(rng.standard_normal()) for p in term.declared()}
+            size = {p.name: p.prior * abs(rng.standard_normal()) for p in term.parameters(arm)}
             terms.append(term.with_values(size))
     effects = tuple(t for t in terms if isinstance(t, Effect))
     biases = tuple(t for t in terms if not isinstance(t, Effect))
