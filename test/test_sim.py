@@ -175,7 +175,7 @@ def test_centre_line_runs_from_foot_to_tip(twin: Arm, rng: np.random.Generator) 
 
 def test_torques_are_the_slope_of_potential_energy(twin: Arm, rng: np.random.Generator) -> None:
     """Virtual work: at rest, with joints held, torque = dE/dq' by the payload's share."""
-    stiff = stiffened(twin, 1e7)
+    stiff = stiffened(twin, 4e4)  # as stiff as arm.yaml can say
     q = rng.uniform(twin.lower, twin.upper, (1, twin.n))[0]
     heavy, light = (TrueArm(stiff).torques(q, TrueContext(payload_kg=m))[0] for m in (0.35, 0.25))
     step = 1e-5
@@ -187,7 +187,7 @@ def test_torques_are_the_slope_of_potential_energy(twin: Arm, rng: np.random.Gen
 
 def test_overload_is_an_error_not_a_number() -> None:
     with pytest.raises(JobError, match="no equilibrium"):
-        TrueArm(one_beam(tip_mass=1e9)).tip(np.zeros(1))
+        TrueArm(one_beam(tip_mass=1e6)).tip(np.zeros(1))
 
 
 @pytest.mark.parametrize("bad", [np.zeros(3), np.zeros((2, 2)), np.array([np.nan] * 7)])

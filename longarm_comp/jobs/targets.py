@@ -68,6 +68,10 @@ class Trial:
         return int((self.status == status).sum())
 
 
+_JOINTS_COME_S = 0.5
+"""Time for the first joint_states after kinematics listens; a target before is refused."""
+
+
 class TargetRunner:
     """Drives targets on a graph.
 
@@ -100,6 +104,7 @@ class TargetRunner:
             return bool(answer.status != Compensate.Response.NOT_READY)
 
         client.until(listens, within_s, "kinematics does not listen to joint_states")
+        client.spin(_JOINTS_COME_S)
         (self._frame,) = read_parameters(client, "kinematics", "base_frame")
         client.until(knows, within_s, "kinematics has no joint_states")
 

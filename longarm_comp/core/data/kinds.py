@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.quaternion import LENGTH_TOLERANCE
@@ -200,4 +199,6 @@ def matrices(quaternions: np.ndarray) -> np.ndarray:
 
 def rotation_vector(matrix: np.ndarray) -> np.ndarray:
     """Rotation vectors (N, 3) in rad of matrices (N, 3, 3); a common scale of one is left out."""
+    from scipy.spatial.transform import Rotation  # not for a control program
+
     return np.asarray(Rotation.from_matrix(matrix).as_rotvec())

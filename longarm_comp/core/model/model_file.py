@@ -15,7 +15,6 @@ from typing import Literal, get_type_hints
 import numpy as np
 import yaml
 from pydantic import Field, model_validator
-from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.catalogue import effect_class, origin
@@ -146,6 +145,8 @@ def store(
 
 def _bases(model: Model) -> dict[str, StoredBase]:
     """Where every base stands, as `base` of arm.yaml would say it."""
+    from scipy.spatial.transform import Rotation  # not for a control program
+
     made = {}
     for effect in model.effects:
         frame = effect.base(model.arm)
