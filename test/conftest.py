@@ -23,19 +23,6 @@ DATA = Path(os.environ.get("LONGARM_DATA", ROOT.parent / "shared" / "data"))
 # Above 101 the ports of a domain fall among those that Linux hands out to other programs.
 ROS_DOMAINS = range(1, 102)
 
-LONG = (
-    *("test_loop_graph.py", "test_soak.py", "test_demo.py", "test_tip_on_the_graph.py"),
-    *("test_nodes_graph.py", "test_collect.py", "test_diagnose.py", "test_twin.py"),
-    *("test_parts.py", "test_close_the_loop.py", "test_open_catalogue.py", "test_fuzz.py"),
-)
-"""Files that take long. They come first, so that two workers end together."""
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Long files first, in the order of `LONG`; the others in theirs."""
-    rank = {name: number for number, name in enumerate(LONG)}
-    items.sort(key=lambda item: rank.get(item.path.name, len(LONG)))
-
 
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
