@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from small_arm import ARM, measured
 
-from longarm_comp.core.arm.arm import Arm, Marker
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.measuring import Marker
 from longarm_comp.core.arm.spatial import rpy_frame
 from longarm_comp.core.data.admission import Admission, admit
 from longarm_comp.core.data.session import Session

@@ -15,8 +15,9 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
-from longarm_comp.core.arm.arm import Arm, read_yaml
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.yaml_file import read_yaml
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import SIMULATED, BringUp

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from longarm_comp.core.arm.arm import Anchor, Arm
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.measuring import Anchor
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.model.declared_model import declared_model

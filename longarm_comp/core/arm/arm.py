@@ -12,28 +12,24 @@ import json
 import math
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
+from longarm_comp.core.arm.beam import Beam
+from longarm_comp.core.arm.measuring import (
+    Anchor,
+    CameraPlacement,
+    CameraSensor,
+    Inclinometer,
+    Marker,
+    Placements,
+    Sensors,
+)
+from longarm_comp.core.arm.pose import NonNegative, Pose, Positive, Vec3
 from longarm_comp.core.arm.spatial import IDENTITY, Frame, rpy_frame
-from longarm_comp.core.yaml_file import RANGES, Declared, Misdeclared, parse_declared, read_yaml
-
-Vec3 = tuple[float, float, float]
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-
-
-class Pose(Declared):
-    """A fixed placement: translation (m) and fixed-axis roll, pitch, yaw (deg)."""
-
-    xyz_m: Vec3 = (0.0, 0.0, 0.0)
-    rpy_deg: Vec3 = (0.0, 0.0, 0.0)
-
-    def frame(self) -> Frame:
-        """As a frame in its parent."""
-        return rpy_frame(self.xyz_m, tuple(map(math.radians, self.rpy_deg)))  # type: ignore[arg-type]
+from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, read_yaml
 
 
 class Tip(Declared):
@@ -152,112 +148,6 @@ class Joint(Declared):
         return math.radians(self.step_deg) if self.step_deg is not None else self.step_m or 0.0
 
 
-class Tube(Declared):
-    """Round tube, or round bar with ``id_m: 0``."""
-
-    type: Literal["tube"]
-    od_m: Positive
-    id_m: NonNegative = 0.0
-
-    @model_validator(mode="after")
-    def _hollow(self) -> Tube:
-        if self.id_m >= self.od_m:
-            raise Misdeclared("id_m", self.id_m, f"less than od_m {self.od_m}")
-        return self
-
-    def second_moments(self) -> tuple[float, float, float]:
-        """(I about the first, I about the second transverse axis, torsion constant), m^4."""
-        i = math.pi / 64 * (self.od_m**4 - self.id_m**4)
-        return i, i, 2 * i
-
-
-class Rect(Declared):
-    """Solid or box rectangle; width along the first, height along the second transverse axis."""
-
-    type: Literal["rect"]
-    width_m: Positive
-    height_m: Positive
-    wall_m: Positive | None = Field(default=None, description="box wall; solid if absent")
-
-    @model_validator(mode="after")
-    def _walled(self) -> Rect:
-        if self.wall_m is not None and 2 * self.wall_m >= min(self.width_m, self.height_m):
-            raise Misdeclared("wall_m", self.wall_m, "less than half of width_m and of height_m")
-        return self
-
-    def second_moments(self) -> tuple[float, float, float]:
-        """(I about the first, I about the second transverse axis, torsion constant), m^4.
-
-        Torsion: Roark's formula for the solid rectangle, Bredt's for the thin-walled box.
-        """
-        b, h, t = self.width_m, self.height_m, self.wall_m
-        about_first, about_second = b * h**3 / 12, h * b**3 / 12
-        if t is None:
-            long, short = max(b, h) / 2, min(b, h) / 2
-            q = short / long
-            j = long * short**3 * (16 / 3 - 3.36 * q * (1 - q**4 / 12))
-            return about_first, about_second, j
-        bi, hi = b - 2 * t, h - 2 * t
-        bm, hm = b - t, h - t
-        j = 2 * t * bm**2 * hm**2 / (bm + hm)
-        return about_first - bi * hi**3 / 12, about_second - hi * bi**3 / 12, j
-
-
-class Beam(Declared):
-    """An elastic beam along ``z_i`` (role d) or ``x_{i-1}`` (role a) of a row, base to tip.
-
-    ``length_m: rest`` is what is left of the row's ``d + q``; the body slides inside
-    the beam before it.  Mass is uniform over `body_length_m`, which ends where the beam ends.
-    """
-
-    name: str
-    row: int
-    role: Literal["a", "d"]
-    length_m: Positive | Literal["rest"]
-    section: Annotated[Tube | Rect, Field(discriminator="type")] | None = None
-    E_pa: Positive | None = None
-    poisson: Annotated[float, Field(gt=-1, lt=0.5)] | None = None
-    G_pa: Positive | None = None
-    EI_nm2: Positive | None = None
-    GJ_nm2: Positive | None = None
-    mass_kg: NonNegative = 0.0
-    mass: Literal["uniform"] = "uniform"
-    body_length_m: Positive | None = None
-
-    @model_validator(mode="after")
-    def _stiff(self) -> Beam:
-        if (self.section is None) == (self.EI_nm2 is None):
-            state = "missing" if self.section is None else "given beside EI_nm2"
-            raise Misdeclared("section", state, "either section with E_pa, or EI_nm2 with GJ_nm2")
-        if self.section is not None and self.E_pa is None:
-            raise Misdeclared("E_pa", "missing", "Young's modulus of the section in Pa")
-        if self.section is not None and (self.poisson is None) == (self.G_pa is None):
-            state = "missing" if self.poisson is None else "given beside G_pa"
-            raise Misdeclared("poisson", state, "either poisson or G_pa")
-        if self.EI_nm2 is not None and self.GJ_nm2 is None:
-            raise Misdeclared("GJ_nm2", "missing", "torsional stiffness in N m^2, beside EI_nm2")
-        if self.length_m == "rest" and self.body_length_m is None and self.mass_kg > 0:
-            raise Misdeclared(
-                "body_length_m", "missing", "needed by a beam of length rest with mass"
-            )
-        lowest, highest = RANGES["_nm2"]
-        if not all(lowest <= value <= highest for value in self.stiffness):
-            made = ", ".join(f"{value:.3g}" for value in self.stiffness)
-            raise Misdeclared("section", made, f"EI and GJ of {lowest:g} to {highest:g} N m^2")
-        return self
-
-    @cached_property
-    def stiffness(self) -> tuple[float, float, float]:
-        """(EI about the first, EI about the second transverse axis, GJ) in N m^2."""
-        if self.section is None:
-            assert self.EI_nm2 is not None and self.GJ_nm2 is not None
-            return self.EI_nm2, self.EI_nm2, self.GJ_nm2
-        assert self.E_pa is not None
-        shear = self.G_pa if self.G_pa is not None else self.E_pa / (2 * (1 + (self.poisson or 0)))
-        first, second, torsion = self.section.second_moments()
-        return self.E_pa * first, self.E_pa * second, shear * torsion
-
-
 class PointMass(Declared):
     """A lumped mass fixed to a frame (servo, gripper, a link given by its centre of mass)."""
 
@@ -277,90 +167,6 @@ class Payload(Declared):
     mass_kg: NonNegative = 0.0
     frame: int = Field(ge=0)
     position_m: Vec3 = (0.0, 0.0, 0.0)
-
-
-class CameraPlacement(Declared):
-    """The stereo head, in the base frame."""
-
-    position_m: Vec3
-    optical_axis: Vec3 = (0.0, 1.0, 0.0)
-
-    @model_validator(mode="after")
-    def _looks(self) -> CameraPlacement:
-        if not any(self.optical_axis):
-            raise Misdeclared("optical_axis", list(self.optical_axis), "a direction, not zero")
-        return self
-
-
-class Marker(Declared):
-    """One of several markers that a session's `marker` column names."""
-
-    frame: int = Field(ge=0)
-    position_m: Vec3 = (0.0, 0.0, 0.0)
-
-
-class Anchor(Declared):
-    """A fixed point that distances are measured to, in the frame of the measurements."""
-
-    xyz_m: Vec3 | None = Field(default=None, description="absent: solved from the data")
-
-
-class CameraSensor(Pose):
-    """A calibrated camera in the base frame, whose rays a session holds in its own axes."""
-
-    kind: Literal["camera"]
-
-
-Axis = Literal["x", "y", "z"]
-
-
-class Inclinometer(Declared):
-    """An inclinometer, whose two readings (rad) are the columns ``incl_<name>_x`` and ``_y``."""
-
-    kind: Literal["inclinometer"]
-    row: int | None = Field(default=None, ge=0, description="frame it turns with; absent: searched")
-    axes: tuple[Axis, Axis] = Field(default=("x", "y"), description="frame axes they turn about")
-    sign: tuple[Literal[-1, 1], Literal[-1, 1]] = (1, 1)
-    gain: Literal["one", "free"] = Field(default="one", description="free: fitted")
-
-    @model_validator(mode="after")
-    def _two(self) -> Inclinometer:
-        if self.axes[0] == self.axes[1]:
-            raise Misdeclared("axes", list(self.axes), "two that differ of x, y, z")
-        return self
-
-
-Sensors = dict[str, Annotated[CameraSensor | Inclinometer, Field(discriminator="kind")]]
-
-
-Spread = Positive | tuple[Positive, Positive, Positive]
-"""One standard deviation for all three components, or one each."""
-
-
-class PointTolerance(Declared):
-    """How well a point is known: standard deviation of its position (m)."""
-
-    xyz_m: Spread
-
-
-class PoseTolerance(Declared):
-    """How well a placement is known: standard deviations of position (m) and rotation (deg)."""
-
-    xyz_m: Spread
-    rpy_deg: Spread
-
-
-class Placements(Declared):
-    """Placements that are known to a tolerance. What is absent is unknown and solved from data."""
-
-    base: PoseTolerance | None = None
-    tip: PointTolerance | None = None
-    markers: dict[str, PointTolerance] = Field(default_factory=dict)
-
-
-def three(spread: Spread) -> Vec3:
-    """A standard deviation of each component."""
-    return spread if isinstance(spread, tuple) else (spread, spread, spread)
 
 
 class Arm(Declared):

@@ -18,7 +18,8 @@ from functools import cached_property
 import numpy as np
 
 from longarm_comp.core.arm import spatial
-from longarm_comp.core.arm.arm import Arm, Beam
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.beam import Beam
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import IDENTITY, ZERO, Frame, Scalar, Twist, Vec
 

@@ -8,8 +8,9 @@ from typing import ClassVar
 
 from typing_extensions import Self
 
-from longarm_comp.core.arm.arm import Arm, Inclinometer
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.measuring import Inclinometer
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.effects.effect import Effect, Parameter, form, frames, parameter, place

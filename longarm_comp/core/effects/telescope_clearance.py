@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from longarm_comp.core.arm import spatial
-from longarm_comp.core.arm.arm import Arm, Beam
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.beam import Beam
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.effects.effect import Parameter, parameter

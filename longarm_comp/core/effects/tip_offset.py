@@ -9,7 +9,8 @@ from typing import ClassVar
 
 from typing_extensions import Self
 
-from longarm_comp.core.arm.arm import Arm, three
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.measuring import three
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.effects.effect import Effect, Parameter, markers, parameter, place

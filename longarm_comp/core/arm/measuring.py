@@ -1,0 +1,94 @@
+"""What measures the arm, as `arm.yaml` declares it: cameras, markers, anchors, sensors."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from longarm_comp.core.arm.pose import Pose, Positive, Vec3
+from longarm_comp.core.yaml_file import Declared, Misdeclared
+
+
+class CameraPlacement(Declared):
+    """The stereo head, in the base frame."""
+
+    position_m: Vec3
+    optical_axis: Vec3 = (0.0, 1.0, 0.0)
+
+    @model_validator(mode="after")
+    def _looks(self) -> CameraPlacement:
+        if not any(self.optical_axis):
+            raise Misdeclared("optical_axis", list(self.optical_axis), "a direction, not zero")
+        return self
+
+
+class Marker(Declared):
+    """One of several markers that a session's `marker` column names."""
+
+    frame: int = Field(ge=0)
+    position_m: Vec3 = (0.0, 0.0, 0.0)
+
+
+class Anchor(Declared):
+    """A fixed point that distances are measured to, in the frame of the measurements."""
+
+    xyz_m: Vec3 | None = Field(default=None, description="absent: solved from the data")
+
+
+class CameraSensor(Pose):
+    """A calibrated camera in the base frame, whose rays a session holds in its own axes."""
+
+    kind: Literal["camera"]
+
+
+Axis = Literal["x", "y", "z"]
+
+
+class Inclinometer(Declared):
+    """An inclinometer, whose two readings (rad) are the columns ``incl_<name>_x`` and ``_y``."""
+
+    kind: Literal["inclinometer"]
+    row: int | None = Field(default=None, ge=0, description="frame it turns with; absent: searched")
+    axes: tuple[Axis, Axis] = Field(default=("x", "y"), description="frame axes they turn about")
+    sign: tuple[Literal[-1, 1], Literal[-1, 1]] = (1, 1)
+    gain: Literal["one", "free"] = Field(default="one", description="free: fitted")
+
+    @model_validator(mode="after")
+    def _two(self) -> Inclinometer:
+        if self.axes[0] == self.axes[1]:
+            raise Misdeclared("axes", list(self.axes), "two that differ of x, y, z")
+        return self
+
+
+Sensors = dict[str, Annotated[CameraSensor | Inclinometer, Field(discriminator="kind")]]
+
+
+Spread = Positive | tuple[Positive, Positive, Positive]
+"""One standard deviation for all three components, or one each."""
+
+
+class PointTolerance(Declared):
+    """How well a point is known: standard deviation of its position (m)."""
+
+    xyz_m: Spread
+
+
+class PoseTolerance(Declared):
+    """How well a placement is known: standard deviations of position (m) and rotation (deg)."""
+
+    xyz_m: Spread
+    rpy_deg: Spread
+
+
+class Placements(Declared):
+    """Placements that are known to a tolerance. What is absent is unknown and solved from data."""
+
+    base: PoseTolerance | None = None
+    tip: PointTolerance | None = None
+    markers: dict[str, PointTolerance] = Field(default_factory=dict)
+
+
+def three(spread: Spread) -> Vec3:
+    """A standard deviation of each component."""
+    return spread if isinstance(spread, tuple) else (spread, spread, spread)
