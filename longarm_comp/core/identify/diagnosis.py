@@ -17,6 +17,7 @@ from longarm_comp.core.identify.calibrate import declared_model, stages
 from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.confirm import Confirmed, confirm
 from longarm_comp.core.identify.fit import ModelFit, fit
+from longarm_comp.core.identify.in_words import sentence
 from longarm_comp.core.identify.next_poses import NextPoses, next_poses
 from longarm_comp.core.identify.noise import from_repeats
 from longarm_comp.core.identify.plausible import check_noise, check_sizes, check_worth
@@ -372,45 +373,10 @@ def _summary(found: Diagnosis) -> str:
         return "After calibration nothing but noise is left; no effect was added."
     if found.verdict == "unknown":
         return f"The model lacks something that no effect of the library explains: {left}."
-    text = "; ".join(_sentence(f, found) for f in found.findings)
+    text = "; ".join(sentence(f, found.fit, found.confirmed) for f in found.findings)
     for overlap in found.confirmed.overlaps:
         text += f"; {overlap.names[0]} and {overlap.names[1]} overlap"
         text += ", either alone explains most of what both do"
     before, after = (proof.rows[k].mean for k in ("calibrated", "with_effects"))
     text += f". Held-out mean error {1e3 * before:.2f} -> {1e3 * after:.2f} mm"
     return f"{text}; {unnamed}" if left else f"{text}."
-
-
-def _sentence(finding: EffectFinding, found: Diagnosis) -> str:
-    values = []
-    places = {(t.name, t.where) for t in finding.terms}
-    for k, slot in enumerate(found.fit.slots):
-        if (slot.owner.name, slot.owner.where) in places:
-            i = found.confirmed.intervals[k]
-            p = slot.parameter
-            values.append(
-                f"{slot.owner.where} {p.name} {i.value:.3g} {p.unit} [{i.low:.3g}, {i.high:.3g}]"
-            )
-    other = ""
-    if finding.runner_up is not None and not finding.alternatives:
-        odds = finding.log_bayes_factor - finding.runner_up.log_bayes_factor
-        other = f", runner-up {finding.runner_up.candidate.name} (log odds {odds:.0f})"
-    names, remark = _names(finding)
-    listed = f"{', '.join(values[:4])}{', ...' if len(values) > 4 else ''}"
-    return f"{names}: {listed}{other}{remark}"
-
-
-def _names(finding: EffectFinding) -> tuple[str, str]:
-    """What a finding may be, and what else could stand for a part of it.
-
-    An alias that is one parameter of the effect under another name is told with what stands for
-    the other parameter: a servo that droops is a joint that gives way, with play.
-    """
-    names, others = " or ".join(finding.names), finding.names[1:]
-    if not finding.partial_aliases:
-        return names, ""
-    part, term = finding.partial_aliases[0], finding.terms[0]
-    parameter = part.part in {p.name for p in term.declared()}
-    if parameter and others and set(others) <= set(term.aliases):
-        return f"{finding.name}, or {' or '.join(others)} with {part.name} for the {part.part}", ""
-    return names, f"; {part.name} could stand for its {part.part}"
