@@ -58,6 +58,15 @@ def rng() -> np.random.Generator:
 
 
 @pytest.fixture
+def catalogue_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a test registers in the catalogue of effects is gone after it."""
+    from longarm_comp.core.effects import catalogue
+
+    monkeypatch.setattr(catalogue, "_others", {})
+    monkeypatch.setattr(catalogue, "_origins", {})
+
+
+@pytest.fixture
 def shell(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> Shell:

@@ -2,30 +2,22 @@
 
 from __future__ import annotations
 
-import ast
-import dataclasses
 import json
 import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 import yaml
 from hidden_arm import at, session
-from small_arm import ARM
 
-import longarm_comp
 from longarm_comp.cli.run import run
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.compensation.compensate import compensate_many
 from longarm_comp.core.effects import catalogue
-from longarm_comp.core.effects.catalogue import BUILT_IN, LIBRARY, load_file, register, searched
-from longarm_comp.core.effects.effect import Effect, form, moving_joints, parameter, place
-from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
-from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.catalogue import BUILT_IN, load_file
 from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.candidates import library
@@ -41,11 +33,7 @@ EXAMPLE = ROOT / "examples" / "custom_effect.py"
 GAIN = (drives.JointGain(at(2, 0.02)),)
 
 
-@pytest.fixture(autouse=True)
-def catalogue_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a test registers is gone after it."""
-    monkeypatch.setattr(catalogue, "_others", {})
-    monkeypatch.setattr(catalogue, "_origins", {})
+pytestmark = pytest.mark.usefixtures("catalogue_of_ours")
 
 
 @pytest.fixture(scope="module")
@@ -175,6 +163,15 @@ def test_an_unknown_place_of_its_own_is_refused(example: Path, tmp_path: Path) -
         load_model(tmp_path / "model.yaml", Arm.load(example / "arm.yaml"))
 
 
+def test_an_effect_sits_at_all_of_its_joints(example: Path) -> None:
+    load_file(EXAMPLE)
+    arm = Arm.load(example / "arm.yaml")
+    model = load_model(example / "diagnosis" / "model.yaml", arm)
+    (term,) = (e for e in model.effects if e.name == "cable_coupling")
+    assert term.joints == (5, 2)
+    assert term.placement == {"joint": 5, "driver": 2}
+
+
 # ------------------------------------------------------------------ a package
 
 
@@ -299,203 +296,3 @@ def test_two_files_may_not_share_a_name(tmp_path: Path) -> None:
     load_file(EXAMPLE)
     with pytest.raises(InputError, match=r"a name that file custom_effect\.py does not have"):
         load_file(tmp_path / "custom_effect.py")
-
-
-# ------------------------------------------------------------------ what a class must say
-
-
-@dataclasses.dataclass(frozen=True)
-class Sound(JointGain):
-    name: ClassVar[str] = "sound"
-
-
-@dataclasses.dataclass(frozen=True)
-class Undeclared(JointGain):
-    name: ClassVar[str] = "undeclared"
-    gate: float = 0.0
-
-
-@dataclasses.dataclass(frozen=True)
-class Shadowing(JointGain):
-    name: ClassVar[str] = "shadowing"
-    inputs: float = form(0.0)  # type: ignore[assignment]
-
-
-@dataclasses.dataclass(frozen=True)
-class Unstorable(JointGain):
-    name: ClassVar[str] = "unstorable"
-    sizes: tuple[int, ...] = form(0)
-
-
-@dataclasses.dataclass(frozen=True)
-class Unnamed(JointGain):
-    name: ClassVar[str] = "Two Words"
-
-
-class Plain(JointGain):
-    name: ClassVar[str] = "plain"
-
-
-def test_a_class_may_be_registered_by_a_program() -> None:
-    assert register(Sound) is Sound
-    assert searched() == (*LIBRARY, Sound)
-    assert catalogue.origin(Sound) == f"module {__name__}"
-
-
-@pytest.mark.parametrize(
-    ("kind", "said"),
-    [
-        (Undeclared, r"undeclared\.gate.*place\(\), form\(\) or parameter\(\)"),
-        (Shadowing, r"shadowing\.inputs: 'taken'"),
-        (Unstorable, r"unstorable\.sizes.*int, float or str"),
-        (Unnamed, "Two Words"),
-        (Plain, "frozen dataclass"),
-        (Effect, "nothing abstract"),
-        (int, "a class of Effect or Bias"),
-    ],
-)
-def test_a_class_that_cannot_be_one_is_refused(kind: Any, said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        register(kind)
-    assert set(catalogue.registered()) == set(BUILT_IN)
-
-
-def test_a_scale_has_two_ends() -> None:
-    with pytest.raises(TypeError, match="two ends"):
-        form(0.0, lower=1.0)
-
-
-@pytest.mark.parametrize("name", BUILT_IN)
-def test_our_own_effects_say_all_that_others_must(name: str) -> None:
-    kind = BUILT_IN[name]
-    catalogue._check(kind, name)
-    assert {*kind.aliases, *kind.limit_aliases} <= set(BUILT_IN)
-    for term in kind.for_arm(ARM):
-        for field, allowed in kind.allowed_places().items():
-            assert term.places[field] in allowed(ARM)
-
-
-def test_the_library_is_what_its_classes_say() -> None:
-    assert {"joint_zero", "dh_error", "link_deflection"} <= set(BUILT_IN)
-    assert not any(k.geometry or k.name == "link_deflection" for k in LIBRARY)
-    assert {n: dict(k.scales()) for n, k in BUILT_IN.items() if k.scales()} == {
-        "backlash": {"gate": (0.0, 1.0), "blend": (0.01, 0.5)},
-        "servo_droop": {"gate": (0.0, 1.0), "blend": (0.01, 0.5)},
-        "creep": {"time": (100.0, 1e5)},
-    }
-    assert [n for n, k in BUILT_IN.items() if k.displaces_joint] == ["joint_zero"]
-    assert GearEccentricity(2, order=2).forms == {"order": 2}
-
-
-# ------------------------------------------------------------------ what the diagnosis asks a class
-
-
-@dataclasses.dataclass(frozen=True)
-class Twin(GearEccentricity):
-    """Says that it cannot be told from the gain; the evidence alone would tell."""
-
-    name: ClassVar[str] = "twin"
-    aliases: ClassVar[tuple[str, ...]] = ("joint_gain",)
-    free_levels: ClassVar[int] = 0
-
-
-@dataclasses.dataclass(frozen=True)
-class Stranger(Twin):
-    name: ClassVar[str] = "stranger"
-    aliases: ClassVar[tuple[str, ...]] = ()
-
-
-@dataclasses.dataclass(frozen=True)
-class GainOfTwin(JointGain):
-    name: ClassVar[str] = "gain_of_twin"
-    aliases: ClassVar[tuple[str, ...]] = ("stranger",)
-
-
-@pytest.mark.parametrize(
-    ("kinds", "names"),
-    [
-        ((JointGain, Stranger), {"joint_gain"}),
-        ((JointGain, Twin), {"joint_gain", "twin"}),
-        ((GainOfTwin, Stranger), {"gain_of_twin", "stranger"}),
-    ],
-)
-def test_an_alias_is_what_one_of_two_classes_says(
-    kinds: tuple[type[Effect], ...], names: set[str]
-) -> None:
-    found = diagnose(ARM, session([drives.JointGain(at(1, 0.1))], n=150), kinds=kinds)
-    assert [set(f.names) for f in found.findings] == [names]
-
-
-@pytest.mark.parametrize(("levels", "alike"), [(3, True), (0, False)])
-def test_what_is_flexible_on_a_coarse_grid_is_what_its_class_says(levels: int, alike: bool) -> None:
-    found = diagnose(ARM, session(GAIN, levels=levels), kinds=(JointGain, Flexible))
-    assert [f.name for f in found.findings] == ["joint_gain"]
-    assert ("flexible" in found.findings[0].names) == alike
-    stiff = diagnose(ARM, session(GAIN, levels=levels), kinds=(JointGain, Stiff))
-    assert [f.names for f in stiff.findings] == [("joint_gain",)]
-
-
-@dataclasses.dataclass(frozen=True)
-class Flexible(JointCompliance):
-    """By evidence it is nothing: the small arm has no weight."""
-
-    name: ClassVar[str] = "flexible"
-    free_levels: ClassVar[int] = 3
-
-
-@dataclasses.dataclass(frozen=True)
-class Stiff(Flexible):
-    name: ClassVar[str] = "stiff"
-    free_levels: ClassVar[int] = 2
-
-
-def test_an_effect_sits_at_all_of_its_joints(example: Path) -> None:
-    load_file(EXAMPLE)
-    arm = Arm.load(example / "arm.yaml")
-    model = load_model(example / "diagnosis" / "model.yaml", arm)
-    (term,) = (e for e in model.effects if e.name == "cable_coupling")
-    assert term.joints == (5, 2)
-    assert term.placement == {"joint": 5, "driver": 2}
-
-
-def test_a_place_may_be_anything_that_the_arm_has() -> None:
-    def feet(arm: Arm) -> list[int]:
-        return [1, 2, 3]
-
-    @dataclasses.dataclass(frozen=True)
-    class Foot(Effect):
-        name: ClassVar[str] = "soft_foot"
-        foot: int = place(feet)
-        size: float = parameter("rad", "tilt", prior=1e-3)
-
-        @classmethod
-        def candidates(cls, arm: Arm) -> list[tuple[Foot, ...]]:
-            return [(cls(foot=k),) for k in feet(arm)]
-
-        def twists(self, posture: Any) -> dict[int, Any]:
-            return {0: (0.0, 0.0, 0.0, self.size, 0.0, 0.0)}
-
-    register(Foot)
-    assert Foot.allowed_places() == {"foot": feet}
-    assert moving_joints not in Foot.allowed_places().values()
-    (first, *_, family) = library(ARM, session().context(), (Foot,)).testable
-    assert (first.where, len(family.terms)) == (("foot 1",), 3)
-
-
-# ------------------------------------------------------------------ no list of names elsewhere
-
-
-ROOMS = ("identify", "model", "ik", "data", "compensation", "learn", "arm")
-
-
-@pytest.mark.parametrize(
-    "folder", [*(f"core/{room}" for room in ROOMS), "report", "nodes", "workflows", "cli"]
-)
-def test_no_effect_is_named_outside_its_own_file(folder: str) -> None:
-    package = Path(longarm_comp.__file__).parent
-    files = sorted((package / folder).rglob("*.py"))
-    assert files
-    for path in files:
-        tree = ast.parse(path.read_text("utf-8"))
-        named = {n.value for n in ast.walk(tree) if isinstance(n, ast.Constant)} & set(BUILT_IN)
-        assert not named, f"{path.name} names {named}"
