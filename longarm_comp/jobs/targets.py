@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 
 from longarm_comp.core.compensation.compensate import Method, Status
@@ -14,6 +15,7 @@ from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.collect import Pace
 from longarm_comp.jobs.parameters import read_parameters, set_parameter
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.arm_state import NO_JOINTS
 from longarm_comp.nodes.messages import joints_of
 from longarm_interfaces.srv import Compensate
 
@@ -68,10 +70,6 @@ class Trial:
         return int((self.status == status).sum())
 
 
-_JOINTS_COME_S = 0.5
-"""Time for the first joint_states after kinematics listens; a target before is refused."""
-
-
 class TargetRunner:
     """Drives targets on a graph.
 
@@ -93,18 +91,21 @@ class TargetRunner:
             JobError: not within the time. Interrupted: the client was stopped.
         """
         client = self._client
-        topic = client.node.resolve_topic_name(graph.JOINT_STATES.name)
+        mine = f"{client.node.resolve_topic_name('kinematics')}: targets"
+        said: list[str] = []
 
-        def listens() -> bool:
-            ends = client.node.get_subscriptions_info_by_topic(topic)
-            return any(end.node_name == "kinematics" for end in ends)
+        def hear(array: DiagnosticArray) -> None:
+            said.extend(status.message for status in array.status if status.name == mine)
 
         def knows() -> bool:
             answer = self.ask(target, execute=False)
             return bool(answer.status != Compensate.Response.NOT_READY)
 
-        client.until(listens, within_s, "kinematics does not listen to joint_states")
-        client.spin(_JOINTS_COME_S)
+        health = graph.DIAGNOSTICS.subscription(client.node, hear)
+        client.until(
+            lambda: said and said[-1] != NO_JOINTS, within_s, "kinematics hears no joint_states"
+        )
+        client.node.destroy_subscription(health)
         (self._frame,) = read_parameters(client, "kinematics", "base_frame")
         client.until(knows, within_s, "kinematics has no joint_states")
 

@@ -20,6 +20,9 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_of, path_of, tilt_of
 from longarm_comp.nodes.worker import ManualCallbackGroup
 
+NO_JOINTS = "no joint_states yet"
+"""What `kinematics` says of its targets on /diagnostics until it knows the joints."""
+
 
 class ArmState:
     """Subscribes to the arm's topics. Values are replaced whole, so other threads may read them.

@@ -28,7 +28,7 @@ from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.learn.expansion import Nearby
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes import markers, monitoring
-from longarm_comp.nodes.arm_state import ArmState
+from longarm_comp.nodes.arm_state import NO_JOINTS, ArmState
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
 from longarm_comp.nodes.markers import Markers
 from longarm_comp.nodes.messages import (
@@ -268,7 +268,7 @@ class Kinematics(Node):
             return joints_of(request.seed, self._arm, "seed")
         q, age = self._state.joints, self._state.age_s
         if q is None:
-            raise Refusal(Status.NOT_READY, "no joint_states yet, and no seed was given")
+            raise Refusal(Status.NOT_READY, f"{NO_JOINTS}, and no seed was given")
         if age > self._joints_age_s:
             raise Refusal(Status.NOT_READY, f"the last joint_states is {age:.1f} s old")
         return q
@@ -347,7 +347,7 @@ class Kinematics(Node):
     def _targets_report(self) -> Report:
         facts = {**self._counts, "waiting": self._worker.waiting, "last refusal": self._last}
         if self._state.joints is None:
-            return Report(WARN, "no joint_states yet", facts)
+            return Report(WARN, NO_JOINTS, facts)
         if self._counts.get(Status.INTERNAL_ERROR.name):
             return Report(ERROR, self._last, facts)
         if not self._predictor.present:
