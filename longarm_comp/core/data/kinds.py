@@ -8,9 +8,9 @@ further kind is one class here.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -129,8 +129,7 @@ class Distance(Kind):
         self, motion: TipMotion, values: np.ndarray, arm: Arm, labels: Labels
     ) -> Equations:
         point, columns = motion.point(self.name)
-        names, which = np.unique(labels[self.label], return_inverse=True)
-        places = np.array([arm.anchor(str(name)) for name in names])[which]
+        places = _by_name(arm.anchor, labels[self.label])
         away = point - places
         length = np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
         pull = (away / length)[:, None, :]
@@ -157,8 +156,7 @@ class Ray(Kind):
         self, motion: TipMotion, values: np.ndarray, arm: Arm, labels: Labels
     ) -> Equations:
         point, columns = motion.point(self.name)
-        names, which = np.unique(labels[self.label], return_inverse=True)
-        frames = np.array([arm.camera_frame(str(name)) for name in names])[which]
+        frames = _by_name(arm.camera_frame, labels[self.label])
         local = np.einsum("nji,nj->ni", frames[:, :, :3], point - frames[:, :, 3])
         length = np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-9)
         seen = local / length
@@ -195,6 +193,12 @@ def matrices(quaternions: np.ndarray) -> np.ndarray:
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
     ]
     return np.moveaxis(np.array(rows), -1, 0)
+
+
+def _by_name(declared: Callable[[str], Any], names: np.ndarray) -> np.ndarray:
+    """What is declared under each of (N,) names, (N, ...)."""
+    known, which = np.unique(names, return_inverse=True)
+    return np.array([declared(str(name)) for name in known])[which]
 
 
 def rotation_vector(matrix: np.ndarray) -> np.ndarray:
