@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import log_ndtr
 
 from longarm_comp.core.data.measurement import posture
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
@@ -81,7 +81,7 @@ def score(
     added = marginal.added(white)
     sd = np.sqrt(np.diag(added.covariance))
     bounded = np.array([s.parameter.lower == 0.0 for s in slots])
-    sided = (math.log(2.0) + norm.logcdf(added.mean / sd))[bounded].sum()
+    sided = (math.log(2.0) + log_ndtr(added.mean / sd))[bounded].sum()
     mean = np.where(bounded, np.maximum(added.mean, 0.0), added.mean)
     scale = priors(slots)
     return Score(
