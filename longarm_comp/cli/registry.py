@@ -17,6 +17,8 @@ class Entry(NamedTuple):
 
 
 COMMANDS = (
+    Entry("init", "init", "Write an arm's folder: arm.yaml, servos, cameras, marker."),
+    Entry("check", "check", "What an arm's folder lacks: missing, implausible, unmeasured."),
     Entry("calibrate", "calibrate", "Fit geometry and declared effects to a session."),
     Entry("train", "train", "Train SSA-BP on the residual of the model."),
     Entry("compensate", "compensate", "Joint commands that bring the real tip to targets."),
