@@ -14,13 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.spatial import Frame
+from longarm_comp.core.arm.spatial import Frame, roll_pitch_yaw
 from longarm_comp.core.data.alignment import (
     Alignment,
     align,
     best_axes,
     best_rotation,
-    roll_pitch_yaw,
 )
 from longarm_comp.core.data.belonging import STRAYS, believe
 from longarm_comp.core.data.session import INCLINATION, Session

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.alignment import kabsch
 from longarm_comp.core.data.kinds import matrices
 from longarm_comp.core.data.measurement import posture
 from longarm_comp.core.data.session import Session
@@ -103,12 +104,10 @@ def _moved(term: SensorPlace, model: Model, session: Session) -> SensorPlace:
     tips = model.tip(rows.q, rows.context())
 
     def solved(kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        to, at = rows.xyz[kept].mean(axis=0), tips[kept].mean(axis=0)
-        turn, _ = Rotation.align_vectors(rows.xyz[kept] - to, tips[kept] - at)
-        shift = to - turn.apply(at)
-        left = rows.xyz - turn.apply(tips) - shift
         motion = np.eye(4)
-        motion[:3, :3], motion[:3, 3] = turn.as_matrix(), shift
+        turn, shift = kabsch(tips[kept], rows.xyz[kept], np.ones(int(kept.sum())))
+        motion[:3, :3], motion[:3, 3] = turn, shift
+        left = rows.xyz - tips @ turn.T - shift
         return np.concatenate(twist_of(motion)), np.linalg.norm(left, axis=1)
 
     names = ("x", "y", "z", "rx", "ry", "rz")
