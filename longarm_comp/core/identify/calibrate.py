@@ -78,11 +78,6 @@ def frames(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
     return (*placed, *TipOffset.for_arm(arm), *sensor_frames(arm, session))
 
 
-def with_geometry(model: Model, session: Session) -> Model:
-    """The model with all of its geometry free, where it does not hold it already."""
-    return _with_missing(model, geometry(model.arm, session))
-
-
 def _with_missing(model: Model, terms: Sequence[Effect | Bias]) -> Model:
     known = {(t.name, t.where) for t in model.terms}
     return model.plus(*(t for t in terms if (t.name, t.where) not in known))
