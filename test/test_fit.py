@@ -23,11 +23,12 @@ from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.effects.tip_offset import TipOffset
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify import linear
-from longarm_comp.core.identify.calibrate import frames, geometry
+from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.fit import fit, fit_together
 from longarm_comp.core.identify.linear import whiten
 from longarm_comp.core.identify.noise import from_repeats, lag_correlation
 from longarm_comp.core.identify.placement import placed
+from longarm_comp.core.identify.standing import frames
 from longarm_comp.core.model.model import Model
 
 SIGMA = 4e-4

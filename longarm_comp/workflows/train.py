@@ -108,7 +108,7 @@ def train(
     base = physics(arm, model, deflection)
     whole = admitted(session, arm, None if model is None else base, note=note)
     rows = training_rows(base, whole)
-    check_placed(rows[1], whole)
+    check_placed(base, whole.take(whole.located))
     origin = Provenance(arm.hash, whole.hash, arm.joint_names, physics_mark(model, deflection))
     predictor = networks.train(
         *rows,

@@ -23,6 +23,7 @@ from longarm_comp.core.identify.noise import from_repeats
 from longarm_comp.core.identify.plausible import check_noise, check_sizes, check_worth
 from longarm_comp.core.identify.proof import LearnedCorrection, Proof, prove
 from longarm_comp.core.identify.search import SearchResult, search
+from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.identify.structure import Structure, examine
 from longarm_comp.core.identify.wind_up import WindUp, as_fitted, refined, wind_up, with_run_ups
 from longarm_comp.core.model.model import Model
@@ -154,7 +155,7 @@ def diagnose(
     opened = sealed.open("proof")
     held_out = opened.take(opened.seen)
     models = {
-        "nominal": nominal,
+        "nominal": standing(nominal, train)[0],
         "frames_only": staged["frames_only"].model,
         "calibrated": calibrated,
         "with_effects": identified.search.fit.model,
