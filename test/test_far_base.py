@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -201,6 +202,14 @@ def test_an_arm_that_stands_elsewhere_than_its_model_says_is_not_evaluated() -> 
     found = la.evaluate(arm(TURNS[0]), far)
     assert found.placed and found["rigid"].mean < 0.02
     assert not la.evaluate(arm(TURNS[0]), near).placed
+
+
+@pytest.mark.parametrize("kind", ["z", "distance"])
+def test_shuffled_rows_are_no_calibration(kind: str) -> None:
+    rows = session(kind, TURNS[0], 60)
+    mixed = dataclasses.replace(rows, q=np.random.default_rng(0).permutation(rows.q))
+    with pytest.raises(la.JobError, match=r"is left after calibration|worse|carry over"):
+        la.calibrate(arm(TURNS[0]), mixed)
 
 
 def test_axes_alone_are_not_diagnosed_or_learned() -> None:

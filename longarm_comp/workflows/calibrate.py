@@ -17,7 +17,12 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import Rung, ladder
 from longarm_comp.core.identify.fit import ModelFit, fit
-from longarm_comp.core.identify.plausible import check_carries_over, check_sizes, check_worth
+from longarm_comp.core.identify.plausible import (
+    check_carries_over,
+    check_fits,
+    check_sizes,
+    check_worth,
+)
 from longarm_comp.core.identify.standing import untold
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
@@ -213,6 +218,7 @@ def calibrate(
     check_carries_over(size(last, train), held, whole.source, unit)
     progress("all rows", (steps - 1) / steps)
     final = fit(last, whole)
+    check_fits(final.model, whole)
     check_sizes(final.model, whole.source)
     return Calibration(tuple(rungs), len(chosen), len(held_out), final, whole, seed)
 

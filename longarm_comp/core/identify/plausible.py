@@ -92,6 +92,25 @@ def check_placed(model: Model, session: Session) -> None:
         )
 
 
+def check_fits(model: Model, session: Session) -> None:
+    """A fitted arm must be where the rows see it, whatever they measure.
+
+    Args:
+        model: fitted to them.
+        session: the rows.
+
+    Raises:
+        JobError: it is not, so the rows are not this arm's.
+    """
+    rows = session.take(session.placed)
+    if len(rows) >= ENOUGH and misplaced(model, rows):
+        raise JobError(
+            f"{1e3 * _median(errors(model, rows)):.3g} mm is left after calibration; the rows are "
+            "not this arm's: look at their order, the units and the names of joints and anchors",
+            session=session.source,
+        )
+
+
 def check_noise(sigma: np.ndarray, session: Session) -> None:
     """What is left is not called noise where no instrument is that bad.
 
