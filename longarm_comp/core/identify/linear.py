@@ -227,5 +227,11 @@ def median(values: np.ndarray) -> np.ndarray:
     return np.array([np.median(column) if len(column) else 0.0 for column in columns])
 
 
+def mean(values: np.ndarray) -> np.ndarray:
+    """(d,) means of (N, d) over what is not NaN; 0 of nothing."""
+    held = np.isfinite(values)
+    return np.asarray(np.where(held, values, 0.0).sum(0) / np.maximum(held.sum(0), 1))
+
+
 def _only(values: np.ndarray, measured: np.ndarray | None) -> np.ndarray:
     return values if measured is None else np.where(measured, values, np.nan)
