@@ -379,4 +379,7 @@ def _summary(found: Diagnosis) -> str:
         text += ", either alone explains most of what both do"
     before, after = (proof.rows[k].mean for k in ("calibrated", "with_effects"))
     text += f". Held-out mean error {1e3 * before:.2f} -> {1e3 * after:.2f} mm"
+    if proof.set_aside:
+        text += f", {proof.set_aside} of {len(found.held_out)} rows set aside, "
+        text += "which no model explains"
     return f"{text}; {unnamed}" if left else f"{text}."
