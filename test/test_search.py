@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,13 @@ from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.link_stiffness import LinkStiffness
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.identify.calibrate import geometry
-from longarm_comp.core.identify.candidates import library
+from longarm_comp.core.identify.candidates import Candidate, library
+from longarm_comp.core.identify.evidence import columns_at, score
+from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.search import SearchResult, search
 from longarm_comp.core.model.model import Model
 
@@ -58,6 +63,25 @@ def test_a_planted_compliance_is_named_with_its_value(arm: Arm) -> None:
 def test_the_place_follows_the_effect(arm: Arm) -> None:
     result = searched(arm, session_of(arm, 2, JointGain(5, gain=0.04)))
     assert [(t.name, t.where) for t in result.chosen] == [("joint_gain", "joint 5")]
+
+
+@pytest.mark.parametrize("scale", [0.2, 1.0, 30.0])
+def test_evidence_counts_the_bounds_of_a_parameter(arm: Arm, scale: float) -> None:
+    """Against the integral over the possible values: a beam cannot be ten times stiffer."""
+    truth = dataclasses.replace(Model(arm), effects=())
+    fitted = fit(Model(arm, (LinkDeflection(),)), session_of(arm, 7), sigma=np.full(3, 4e-4))
+    rigid = scale * (truth.tip(fitted.session.q) - fitted.model.tip(fitted.session.q))
+    softer = Candidate("link_stiffness", (LinkStiffness(beam=arm.links[-1].name),))
+    columns = columns_at(fitted)
+    marginal = Marginal(fitted.design, fitted.data + fitted.whitened(rigid[..., None])[:, 0])
+    white = fitted.whitened(columns.of(softer.terms))[:, 0]
+    u = np.linspace(-0.9 / 0.5, 8.0, 400_001)
+    s, t = white @ marginal.project(white), white @ marginal.py
+    log = u * t - 0.5 * u * u * (1.0 + s)
+    whole = np.trapezoid(np.exp(log - log.max()), u) / np.trapezoid(np.exp(-0.5 * u * u), u)
+    found = score(fitted, marginal, softer, columns)
+    assert found.log_bayes_factor == pytest.approx(np.log(whole) + log.max(), abs=0.02)
+    assert found.mean[0] >= -0.9
 
 
 @pytest.mark.parametrize("seed", [3, 4])

@@ -23,6 +23,7 @@ from longarm_comp.core.identify.evidence import (
     score,
 )
 from longarm_comp.core.identify.linear import Marginal
+from longarm_comp.core.identify.minor import share, worth
 from longarm_comp.core.identify.search import SearchResult
 from longarm_comp.core.identify.search_state import ODDS
 
@@ -68,6 +69,8 @@ class EffectFinding:
         alternatives: other effects that explain the same, best first.
         runner_up: the best other effect, an alternative or not; None if there is none.
         effect_m: RMS shift of the tip that it stands for, m.
+        worth_m: the same without what geometry and other effects could take up, m.
+        share: what it takes of the mean squared error that the fitted rows would have without it.
         partial_aliases: effects that could stand for a part of it, best first.
     """
 
@@ -77,6 +80,8 @@ class EffectFinding:
     alternatives: tuple[Score, ...]
     runner_up: Score | None
     effect_m: float
+    worth_m: float
+    share: float
     partial_aliases: tuple[PartialAlias, ...] = ()
 
     @property
@@ -197,6 +202,7 @@ def _finding(
         if (alike or alias) and (known is None or scored.log_bayes_factor > known.log_bayes_factor):
             close[other.name] = scored
     ranked = sorted(best.values(), key=lambda s: -s.log_bayes_factor)
+    value = worth(result.fit, columns, terms)
     alternatives = sorted(close.values(), key=lambda s: -s.log_bayes_factor)
     return EffectFinding(
         name,
@@ -205,6 +211,8 @@ def _finding(
         tuple(alternatives),
         ranked[0] if ranked else None,
         own.effect_m,
+        value,
+        share(result.fit, value),
     )
 
 

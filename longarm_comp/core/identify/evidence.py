@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import log_ndtr
 
 from longarm_comp.core.data.measurement import posture
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
@@ -33,7 +33,7 @@ class Score:
 
     Attributes:
         candidate: the hypothesis.
-        log_bayes_factor: evidence gained, sign bounds counted.
+        log_bayes_factor: evidence gained, bounds of the parameters counted.
         fit_gain: gain in penalised log likelihood.
         mean: (k,) parameter estimates (SI).
         effect_m: RMS tip shift that it stands for, m, as far as it was measured.
@@ -80,17 +80,27 @@ def score(
         return Score(candidate, 0.0, 0.0, zero, 0.0)
     added = marginal.added(white)
     sd = np.sqrt(np.diag(added.covariance))
-    bounded = np.array([s.parameter.lower == 0.0 for s in slots])
-    sided = (math.log(2.0) + norm.logcdf(added.mean / sd))[bounded].sum()
-    mean = np.where(bounded, np.maximum(added.mean, 0.0), added.mean)
     scale = priors(slots)
+    lower = np.array([s.parameter.lower for s in slots]) / scale
+    upper = np.array([s.parameter.upper for s in slots]) / scale
+    inside = _log_mass((lower - added.mean) / sd, (upper - added.mean) / sd)
+    inside -= _log_mass(lower, upper)
+    mean = np.clip(added.mean, lower, upper)
     return Score(
         candidate,
-        added.log_bayes_factor + float(sided),
+        added.log_bayes_factor + float(inside.sum()),
         added.fit_gain,
         mean * scale,
         _rms(fitted, scaled @ mean),
     )
+
+
+def _log_mass(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Log of the unit normal's mass between bounds."""
+    flip = lower > -upper  # the smaller tail, where differences keep their digits
+    low, high = np.where(flip, -upper, lower), np.where(flip, -lower, upper)
+    mass = log_ndtr(high)
+    return np.asarray(mass + np.log1p(-np.exp(np.minimum(log_ndtr(low) - mass, -1e-300))))
 
 
 def _fixed(

@@ -16,8 +16,9 @@ from itertools import combinations
 
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.candidates import Candidate, Term
-from longarm_comp.core.identify.evidence import Score, key, reshaped
+from longarm_comp.core.identify.evidence import Score, columns_at, key, reshaped, score
 from longarm_comp.core.identify.fit import ModelFit, fit
+from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.noise import NoiseEstimate
 from longarm_comp.core.identify.search_state import SearchState
 from longarm_comp.core.model.model import Model
@@ -48,7 +49,10 @@ class SearchResult:
     exhausted: bool = False
 
     def without(self, places: set[tuple[str, str]]) -> SearchResult:
-        """The same search with some of the found terms taken out again, the rest refitted."""
+        """The same search with some of the found terms taken out again, the rest refitted.
+
+        These are candidates again, scored last.
+        """
         was = self.fit
         model = dataclasses.replace(
             was.model,
@@ -57,7 +61,10 @@ class SearchResult:
         )
         refitted = fit(model, was.session, sigma=was.sigma, rho=was.rho, weights=was.weights)
         chosen = tuple(t for t in self.chosen if key(t) not in places)
-        return dataclasses.replace(self, fit=refitted, chosen=chosen)
+        columns, marginal = columns_at(refitted), Marginal(refitted.design, refitted.data)
+        gone = [Candidate(t.name, (t,)) for t in self.chosen if key(t) in places]
+        again = [score(refitted, marginal, each, columns) for each in gone]
+        return dataclasses.replace(self, fit=refitted, chosen=chosen, last=(*self.last, *again))
 
 
 def search(
