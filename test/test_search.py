@@ -10,6 +10,8 @@ import pytest
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.base_compliance import BaseCompliance
+from longarm_comp.core.effects.bearing_tilt import BearingTilt
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.joint_compliance import JointCompliance
@@ -18,6 +20,7 @@ from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.link_stiffness import LinkStiffness
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.identify.aliasing import findings
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.evidence import columns_at, score
@@ -101,3 +104,34 @@ def test_correlated_noise_is_no_effect_and_reaches_the_fit(arm: Arm) -> None:
     assert result.chosen == ()
     assert result.noise.rho > 0.3
     assert result.fit.rho == result.noise.rho
+
+
+# ------------------------------------------------------------------ one name, or a set
+
+
+def named(arm: Arm, session: Session, *kinds: type[Effect]) -> list[tuple[str, ...]]:
+    base = Model(arm, (LinkDeflection(), *geometry(arm, session)))
+    candidates = library(arm, session.context(), kinds, base.terms).testable
+    return [f.names for f in findings(search(base, session, candidates), candidates)[1]]
+
+
+def test_a_rival_is_compared_without_its_idle_places(arm: Arm) -> None:
+    """Seven bearings would be worse than soft beams by 4.6; the two that matter are as good."""
+    soft = [LinkStiffness(beam=beam.name, softness=0.5) for beam in arm.links[1:]]
+    found = named(arm, session_of(arm, 16, *soft), LinkStiffness, BearingTilt, JointCompliance)
+    assert found == [("link_stiffness", "bearing_tilt")]
+
+
+ELASTIC = (BaseCompliance, BearingTilt, JointCompliance, LinkStiffness)
+
+
+def test_a_soft_base_and_the_bearing_above_it_are_a_set(arm: Arm) -> None:
+    """A column 10 times softer would do as well, and nobody believes it."""
+    soft = BaseCompliance(about_x=2e-3, about_y=2e-3)
+    found = named(arm, session_of(arm, 1, soft), *ELASTIC)
+    assert [set(names) for names in found] == [{"base_compliance", "bearing_tilt"}]
+
+
+def test_poses_tell_a_soft_base_from_a_bearing_that_turns(arm: Arm) -> None:
+    tilting = BearingTilt(2, about_x=6e-3, about_y=6e-3)
+    assert named(arm, session_of(arm, 1, tilting), *ELASTIC) == [("bearing_tilt",)]

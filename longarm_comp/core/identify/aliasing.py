@@ -15,10 +15,12 @@ import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
 from longarm_comp.core.identify.evidence import (
+    IMPLAUSIBLE,
     Score,
     columns_at,
     key,
     marginal_without,
+    pruned,
     reshaped,
     score,
 )
@@ -192,10 +194,16 @@ def _finding(
             continue
         option = Candidate(other.name, new)
         scored = score(result.fit, marginal, option, columns)
+        if len(new) > 1 and scored.fit_gain > own.log_bayes_factor - CLOSE:
+            fewer = pruned(result.fit, marginal, option, columns)
+            again = score(result.fit, marginal, fewer, columns)
+            if again.log_bayes_factor > scored.log_bayes_factor:
+                option, scored = fewer, again
         if other.name not in best or scored.log_bayes_factor > best[other.name].log_bayes_factor:
             best[other.name] = scored
         alike = scored.log_bayes_factor > own.log_bayes_factor - CLOSE
-        if not alike and _size(result, option) <= _size(result, mine) + 1:
+        small = _size(result, option) <= _size(result, mine) + 1
+        if not alike and small and _plausible(result, marginal, columns, option):
             alike = _likelihood(result, marginal, columns, option) > limit - CLOSE
         alias = are_aliases(terms[0], new[0])
         known = close.get(other.name)
@@ -232,6 +240,18 @@ def _others(candidates: Sequence[Candidate], name: str, terms: tuple[Term, ...])
 
 def _size(result: SearchResult, candidate: Candidate) -> int:
     return len(candidate.slots(result.fit.model.arm))
+
+
+def _plausible(
+    result: SearchResult, marginal: Marginal, columns: CandidateColumns, candidate: Candidate
+) -> bool:
+    """Whether it explains what it can without a size that nobody believes.
+
+    Estimated with priors that are as wide as that, so that they hardly pull.
+    """
+    s, t = marginal.normal(result.fit.whitened(columns.of(candidate.terms)))
+    size = np.linalg.solve(s + np.eye(len(t)) / IMPLAUSIBLE**2, t)
+    return bool((np.abs(size) <= IMPLAUSIBLE).all())
 
 
 def _likelihood(

@@ -17,8 +17,11 @@ from scipy.special import log_ndtr
 from longarm_comp.core.data.measurement import posture
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
 from longarm_comp.core.identify.fit import ModelFit, priors
-from longarm_comp.core.identify.linear import Marginal
-from longarm_comp.core.model.model import slots_of
+from longarm_comp.core.identify.linear import Added, Marginal
+from longarm_comp.core.model.model import Slot, slots_of
+
+LOCATED = 2.0
+"""Within an effect, a place must be this much (log) more probable with it than without."""
 
 
 def columns_at(fitted: ModelFit) -> CandidateColumns:
@@ -79,20 +82,59 @@ def score(
         zero = np.zeros(len(slots))
         return Score(candidate, 0.0, 0.0, zero, 0.0)
     added = marginal.added(white)
-    sd = np.sqrt(np.diag(added.covariance))
-    scale = priors(slots)
-    lower = np.array([s.parameter.lower for s in slots]) / scale
-    upper = np.array([s.parameter.upper for s in slots]) / scale
-    inside = _log_mass((lower - added.mean) / sd, (upper - added.mean) / sd)
-    inside -= _log_mass(lower, upper)
+    lower, upper = _bounds(slots)
     mean = np.clip(added.mean, lower, upper)
     return Score(
         candidate,
-        added.log_bayes_factor + float(inside.sum()),
+        _bounded(added, lower, upper),
         added.fit_gain,
-        mean * scale,
+        mean * priors(slots),
         _rms(fitted, scaled @ mean),
     )
+
+
+def pruned(
+    fitted: ModelFit, marginal: Marginal, candidate: Candidate, columns: CandidateColumns
+) -> Candidate:
+    """A family without the places that bring less than `LOCATED`, the least first.
+
+    So a rival is compared as it would be if it had been chosen.
+    """
+    slots = candidate.slots(fitted.model.arm)
+    owner = [candidate.terms.index(s.owner) for s in slots]
+    if len(candidate.terms) < 2 or set(owner) != set(range(len(candidate.terms))):
+        return candidate
+    s, t = marginal.normal(fitted.whitened(columns.of(candidate.terms)))
+    lower, upper = _bounds(slots)
+
+    def evidence(terms: Sequence[int]) -> float:
+        own = np.flatnonzero(np.isin(owner, terms))
+        return _bounded(Added.of(s[np.ix_(own, own)], t[own]), lower[own], upper[own])
+
+    left = list(range(len(candidate.terms)))
+    here = evidence(left)
+    while len(left) > 1:
+        without = {k: evidence([other for other in left if other != k]) for k in left}
+        least = max(without, key=lambda k: without[k])
+        if here - without[least] >= LOCATED:
+            break
+        left.remove(least)
+        here = without[least]
+    return Candidate(candidate.name, tuple(candidate.terms[k] for k in left))
+
+
+def _bounds(slots: Sequence[Slot]) -> tuple[np.ndarray, np.ndarray]:
+    """(k,) lower and upper bounds in prior standard deviations."""
+    scale = priors(tuple(slots))
+    lower = np.array([s.parameter.lower for s in slots]) / scale
+    return lower, np.array([s.parameter.upper for s in slots]) / scale
+
+
+def _bounded(added: Added, lower: np.ndarray, upper: np.ndarray) -> float:
+    """Log Bayes factor, bounds of the parameters counted."""
+    sd = np.sqrt(np.diag(added.covariance))
+    inside = _log_mass((lower - added.mean) / sd, (upper - added.mean) / sd)
+    return added.log_bayes_factor + float((inside - _log_mass(lower, upper)).sum())
 
 
 def _log_mass(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:

@@ -68,17 +68,12 @@ class Marginal:
 
     def added(self, b: np.ndarray) -> Added:
         """Score of the columns b, (m, k)."""
-        pb = self.project(b)
-        s = b.T @ pb
-        t = b.T @ self.py
-        k = b.shape[1]
-        factor = np.linalg.cholesky(np.eye(k) + (s + s.T) / 2)
-        z = solve_triangular(factor, t, lower=True)
-        mean = solve_triangular(factor.T, z, lower=False)
-        covariance = cho_solve((factor, True), np.eye(k))
-        half_log_det = float(np.log(np.diag(factor)).sum())
-        gain = float(z @ z) / 2
-        return Added(gain - half_log_det, gain, mean, covariance)
+        return Added.of(*self.normal(b))
+
+    def normal(self, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """``S`` (k, k) and ``t`` (k,) of the columns b, (m, k)."""
+        s = b.T @ self.project(b)
+        return (s + s.T) / 2, b.T @ self.py
 
 
 @dataclass(frozen=True)
@@ -96,6 +91,18 @@ class Added:
     fit_gain: float
     mean: np.ndarray
     covariance: np.ndarray
+
+    @classmethod
+    def of(cls, s: np.ndarray, t: np.ndarray) -> Added:
+        """From the normal equations (`Marginal.normal`)."""
+        k = len(t)
+        factor = np.linalg.cholesky(np.eye(k) + s)
+        z = solve_triangular(factor, t, lower=True)
+        mean = solve_triangular(factor.T, z, lower=False)
+        covariance = cho_solve((factor, True), np.eye(k))
+        half_log_det = float(np.log(np.diag(factor)).sum())
+        gain = float(z @ z) / 2
+        return cls(gain - half_log_det, gain, mean, covariance)
 
 
 OUTLIER = 4.2

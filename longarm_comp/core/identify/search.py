@@ -154,9 +154,15 @@ def swap(state: SearchState, say: Callable[[str], None]) -> bool:
         places, marginal, now = state.family(name)
         terms = now.candidate.terms
         shaped = [state.score(marginal, c) for c in reshaped(terms, state.candidates)]
-        options = sorted((*state.scores(places), *shaped), key=lambda s: -s.log_bayes_factor)
-        form = now.candidate.form
         surplus = now.log_bayes_factor - state.threshold
+        whole = (*state.scores(places), *shaped)
+        fewer = (
+            state.score(marginal, state.pruned(marginal, s.candidate))
+            for s in whole
+            if len(s.candidate.terms) > 1 and s.fit_gain > surplus + SWAP
+        )
+        options = sorted((*whole, *fewer), key=lambda s: -s.log_bayes_factor)
+        form = now.candidate.form
         for option in options:
             other = option.candidate
             if (other.name, other.form) == (name, form):
