@@ -9,8 +9,9 @@
 | `gravity_3_x` | share of gravity along x of row 3's axes (row 0: the base) | 1 |
 | `distance_2_5` | distance between the bearings of rows 2 and 5 | m |
 | `side_2` | side that commanded joint 2 arrived from, -1 or +1; 0 unknown | 1 |
+| `warmth` | temperature above the arm's reference | K |
 | `seen_x` | coordinate of the seen point in the base frame (camera side only) | m |
-| any other | a recorded column of that name: `t_s`, `temperature_c`, `pump_bar` | of the column |
+| any other | a recorded column of that name: `t_s`, `pump_bar` | of the column |
 """
 
 from __future__ import annotations
@@ -181,6 +182,26 @@ class LoadSum(OfPosture):
 
 
 @dataclass(frozen=True)
+class Warmth(OfPosture):
+    """Temperature above the arm's reference."""
+
+    pattern: ClassVar[str] = r"warmth"
+
+    def exists(self, arm: Arm) -> bool:
+        return True
+
+    def unit(self, arm: Arm) -> str:
+        return "K"
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        return ("temperature_c",)
+
+    def read(self, posture: Posture) -> Scalar:
+        return posture.context.column("temperature_c") - posture.arm.reference_temperature_c
+
+
+@dataclass(frozen=True)
 class OfRow(OfPosture):
     """A quantity in the axes of one row's bearing, or of the base."""
 
@@ -288,6 +309,7 @@ _KINDS: tuple[type[Quantity], ...] = (
     JointLoad,
     JointSide,
     LoadSum,
+    Warmth,
     Moment,
     Gravity,
     Span,
