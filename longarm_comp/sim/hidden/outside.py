@@ -232,11 +232,11 @@ def outside(arm: Arm) -> dict[str, HiddenEffect | CameraEffect]:
     """One of each for the demonstration's arm, moving its tip by about 1 to 3 mm."""
     return {
         "hose_pull": HosePull(row=5, first=1, second=4, pull=24.0),
-        "supply_sag": SupplySag(sag=3e-5),
+        "supply_sag": SupplySag(sag=2.5e-4),
         "two_seats": TwoSeats(row=7, axis=1, angle=4e-3, flips_at=-0.6),
         "cable_bundle": CableBundle(
             links=(2, 5), at=np.array([[0.02, -0.05, 0.06], [0.03, 0.02, 0.05]]),
-            stiffness=120.0, slack_m=0.5,
+            stiffness=300.0, slack_m=0.5,
         ),
         "rubber_stop": RubberStop(joint=4, begins=-0.25, holds=0.04),
         "warm_boom": WarmBoom(row=3, bow=8e-3),

@@ -9,7 +9,7 @@ from longarm_comp.core.data.measurement import equations, posture
 from longarm_comp.core.effects.components import components, stations
 from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.effects.quantities import AXES
+from longarm_comp.core.effects.quantities import AXES, SeenCoordinate
 from longarm_comp.core.identify.discover.bank import Bank, Place
 from longarm_comp.core.identify.discover.functions import Functions
 from longarm_comp.core.identify.discover.inputs import arm_inputs, camera_inputs
@@ -32,7 +32,8 @@ def banks(fit: ModelFit) -> tuple[Bank, ...]:
     axes = _axes(arm, kept)
     made = [Bank(kept, units, functions, axes)]
     if rows.plain:
-        seen = Functions(camera_inputs(fit.model.measured(rows.q, rows.context()), rows))
+        points = fit.model.measured(rows.q, rows.context())
+        seen = Functions(camera_inputs(points, rows), SeenCoordinate)
         views = [Place(CAMERA, axis) for axis in AXES]
         units, _ = _units(fit, [term_of(p, "1", "", 1e-3) for p in views])
         made.append(Bank(views, units, seen))

@@ -10,6 +10,7 @@ from itertools import combinations
 
 import numpy as np
 
+from longarm_comp.core.effects.quantities import Quantity
 from longarm_comp.core.effects.shapes import (
     Above,
     Below,
@@ -85,6 +86,10 @@ class Group:
 class Functions:
     """Every function that is tried, at N rows.
 
+    Args:
+        inputs: what they depend on.
+        of: kind of quantity that each must depend on; any where None.
+
     Attributes:
         listed: the functions.
         groups: those that are fitted together at one component.
@@ -92,8 +97,8 @@ class Functions:
             that joint's own axis.
     """
 
-    def __init__(self, inputs: Inputs) -> None:
-        self.inputs = inputs
+    def __init__(self, inputs: Inputs, of: type[Quantity] | None = None) -> None:
+        self.inputs, self._of = inputs, of
         self.listed: list[Function] = []
         self.groups: list[Group] = []
         self.each_joint: list[tuple[tuple[int, int], ...]] = []
@@ -116,6 +121,9 @@ class Functions:
             self._values.append(self.of(made))
         return self._numbers[made]
 
+    def _usable(self, made: Function) -> bool:
+        return self._of is None or any(isinstance(q, self._of) for q in made.quantities)
+
     def of(self, made: Function) -> np.ndarray:
         """(N,) values of any function of the inputs."""
         values = np.ones(len(self.inputs.all[0].values)) if self.inputs.all else np.ones(0)
@@ -129,6 +137,10 @@ class Functions:
         return self._shapes[shape]
 
     def _group(self, family: Family, *numbers: int, decay: Sequence[float] = ()) -> None:
+        kept = [k for k, n in enumerate(numbers) if self._usable(self.listed[n])]
+        if not kept:
+            return
+        numbers, decay = tuple(numbers[k] for k in kept), [decay[k] for k in kept] if decay else ()
         self.groups.append(Group(family, numbers, tuple(decay) or (1.0,) * len(numbers)))
 
     def _make(self) -> None:
@@ -230,18 +242,25 @@ def thresholds(one: Input) -> list[float]:
     return [float(v) for v in np.unique(np.quantile(one.values, shares))[1:-1]]
 
 
-def nearby(shape: Shape, one: Input, count: int = 40) -> list[Shape]:
-    """The same shape with other thresholds or orders around it, denser than was tried."""
+def nearby(shape: Shape, one: Input, width: float, count: int = 30) -> list[Shape]:
+    """The same shape with other thresholds or orders around it.
+
+    Args:
+        shape: with a threshold or an order; nothing is near any other.
+        one: its input.
+        width: how far around, in steps between those that were tried.
+        count: of looks.
+    """
     if isinstance(shape, Threshold):
         place = float((one.values < shape.threshold).mean())
-        step = 1.3 / (THRESHOLDS + 1)
+        step = 1.3 * width / (THRESHOLDS + 1)
         shares = np.clip(np.linspace(place - step, place + step, count), 0.02, 0.98)
         made = np.unique(np.quantile(one.values, shares))
         if isinstance(shape, Switch):
             return [switch(one, float(v)) for v in made]
         return [type(shape)(one.name, one.low, one.high, float(v)) for v in made]
     if isinstance(shape, Wave) and not one.circular:
-        step = math.pi / (one.high - one.low)
+        step = width * math.pi / (one.high - one.low)
         made = np.linspace(shape.order - step, shape.order + step, count)
         return [type(shape)(one.name, one.low, one.high, float(v)) for v in made if v > 0]
     return []

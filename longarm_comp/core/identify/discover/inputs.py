@@ -11,10 +11,19 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.quantities import OfPosture, Recorded, is_column, quantity
+from longarm_comp.core.effects.quantities import (
+    OfPosture,
+    OfRow,
+    Quantity,
+    Recorded,
+    is_column,
+    quantity,
+)
 
 ALIKE = 0.9995
 """Correlation from which on two inputs count as one."""
+LEAST_SPAN = 0.03
+"""Range of a moment or of gravity's direction, in the widest one, below which it is sag alone."""
 FEW_LEVELS = 3
 """On no more positions than this nothing tells a curve of the joint from another."""
 _FINE = 50
@@ -87,11 +96,19 @@ def arm_inputs(arm: Arm, posture: Posture, session: Session) -> Inputs:
         if n not in _BOOKKEEPING and is_column(n)
     )
     made: list[Input] = []
+    read: list[tuple[str, Quantity, np.ndarray]] = []
+    widest: dict[type, float] = {}
     for name in _names(arm, session, columns):
         found = quantity(name)
         if not isinstance(found, (OfPosture, Recorded)) or not found.exists(arm):
             continue
         values = np.broadcast_to(np.asarray(found.read(posture), float), (rows,))
+        largest = widest.setdefault(type(found), float(np.ptp(values)))
+        widest[type(found)] = max(largest, float(np.ptp(values)))
+        read.append((name, found, values))
+    for name, found, values in read:
+        if isinstance(found, OfRow) and np.ptp(values) < LEAST_SPAN * widest[type(found)]:
+            continue
         _add(made, name, values, arm)
     kept = {i.name for i in made}
     return Inputs(tuple(made), tuple(n for n in ("sum_loads", *columns) if n in kept), arm.n)

@@ -18,7 +18,6 @@ from longarm_comp.core.identify.discover.bank import (
     Bank,
     Candidate,
     Scored,
-    scored,
     weight,
     whitened_design,
 )
@@ -36,9 +35,14 @@ SHARP = 3.0
 SWAP = 2.0
 """A term must be this much better than the one whose place it takes."""
 MOST = 6
+ROUNDS = 3
 """Terms at most."""
 SCREENED = 12
 DENSE = 8
+NEARBY = (1.0, 0.08)
+"""Reach of the looks around a threshold or frequency, in steps between those tried."""
+LOOKS = math.log(4.0)
+"""Paid for them, log odds."""
 STEPS = 6
 
 Term = Effect | Bias
@@ -76,21 +80,9 @@ def search(
         say: told what is being looked at.
     """
     state = _State(base, known)
-    while len(state.groups) < MOST:
-        best = state.best()
-        if best is None or best.log_evidence < ENOUGH:
-            break
-        say(_label(best.candidate))
-        before = state.groups
-        try:
-            state.take((*state.groups, best))
-        except JobError:
-            state.take(before)
-            break
-        if len(state.groups) <= len(before) and _same(state.groups, before):
-            break
-    for _ in range(2):
-        if not (state.swap(say) | state.join(say)):
+    for _ in range(ROUNDS):
+        grown = state.grow(say)
+        if not grown or not (state.swap(say) | state.join(say)):
             break
     if not state.groups:
         return None
@@ -128,10 +120,21 @@ class _State:
             mine = [bank.score(marginal, self.fit, c) for c in few if not self._held(c, without)]
             mine.sort(key=lambda s: -s.log_evidence)
             for one in mine[:DENSE]:
-                around = [bank.score(marginal, self.fit, c) for c in _around(bank, one.candidate)]
-                mine += around
+                mine += self._refined(bank, marginal, one)
             made += mine
         return sorted(made, key=lambda s: -s.log_evidence)
+
+    def _refined(self, bank: Bank, marginal: Marginal, one: Scored) -> list[Scored]:
+        """A candidate with other thresholds or frequencies, closer and closer to the best."""
+        made: list[Scored] = []
+        prior = one.candidate.log_prior - LOOKS
+        for width in NEARBY:
+            few = (
+                dataclasses.replace(c, log_prior=prior) for c in _around(bank, one.candidate, width)
+            )
+            made += [bank.score(marginal, self.fit, c) for c in few]
+            one = max((one, *made), key=lambda s: s.log_evidence)
+        return made
 
     def _held(self, candidate: Candidate, without: Sequence[int]) -> bool:
         held = {
@@ -186,6 +189,25 @@ class _State:
 
     # ------------------------------------------------------------------ steps
 
+    def grow(self, say: Callable[[str], None]) -> bool:
+        """Add groups until none pays; whether any was added."""
+        grown = False
+        while len(self.groups) < MOST:
+            best = self.best()
+            if best is None or best.log_evidence < ENOUGH:
+                break
+            say(_label(best.candidate))
+            before = self.groups
+            try:
+                self.take((*before, best))
+            except JobError:
+                self.take(before)
+                break
+            if len(self.groups) <= len(before):
+                break
+            grown = True
+        return grown
+
     def take(self, groups: Sequence[Scored]) -> None:
         """Fit with some groups, judge the noise again, drop what no longer pays."""
         while True:
@@ -236,24 +258,14 @@ class _State:
         for i, j in combinations(range(len(self.groups)), 2):
             best = self.best([i, j])
             marginal, _ = self._marginal(self._kept([i, j]))
-            both = _union(self.groups[i].candidate, self.groups[j].candidate)
-            now = self._both(marginal, both)
-            if best is not None and best.log_evidence > now:
+            first = self._score(marginal, self.groups[i].candidate)
+            now = first.log_evidence + self.evidence(j).log_evidence
+            if best is not None and best.log_evidence > now + SWAP:
                 say(f"{_label(best.candidate)} instead of two")
                 kept = [g for k, g in enumerate(self.groups) if k not in (i, j)]
                 self.take((*kept, best))
                 return True
         return False
-
-    def _both(self, marginal: Marginal, candidate: Candidate) -> float:
-        columns = []
-        for member in candidate.members:
-            bank = next(b for b in self.banks if member[0] in b.places)
-            columns.append(bank.columns([member]))
-        inside = self.fit.weights > 0
-        white = np.concatenate(columns, axis=-1) * weight(self.fit)[..., None]
-        flat = white[inside].reshape(-1, len(columns))
-        return scored(marginal, flat, candidate).log_evidence
 
 
 # ------------------------------------------------------------------ terms and fits
@@ -323,22 +335,16 @@ def _same(a: Sequence[Scored], b: Sequence[Scored]) -> bool:
     return [g.candidate.members for g in a] == [g.candidate.members for g in b]
 
 
-def _union(a: Candidate, b: Candidate) -> Candidate:
-    return Candidate(
-        (*a.members, *b.members), (*a.decay, *b.decay), a.family, a.log_prior + b.log_prior
-    )
-
-
-def _around(bank: Bank, candidate: Candidate) -> Iterator[Candidate]:
+def _around(bank: Bank, candidate: Candidate, width: float) -> Iterator[Candidate]:
     """The same candidate with thresholds or frequencies near its own."""
     factors = {f for function in candidate.functions for f in function.factors}
     bent = [f for f in factors if isinstance(f, (Threshold, Wave))]
     by_name = bank.functions.inputs.by_name
     if len(bent) == 1:
-        for other in nearby(bent[0], by_name[bent[0].of]):
+        for other in nearby(bent[0], by_name[bent[0].of], width):
             yield _renamed(candidate, {bent[0]: other})
     elif len(bent) == 2 and all(isinstance(f, Wave) for f in bent):
-        first, second = (nearby(f, by_name[f.of]) for f in bent)
+        first, second = (nearby(f, by_name[f.of], width) for f in bent)
         for pair in zip(first, second, strict=True):
             yield _renamed(candidate, dict(zip(bent, pair, strict=True)))
 
@@ -348,8 +354,7 @@ def _renamed(candidate: Candidate, other: dict) -> Candidate:
         (place, Function(tuple(other.get(f, f) for f in function.factors)))
         for place, function in candidate.members
     )
-    prior = candidate.log_prior - math.log(4.0)
-    return dataclasses.replace(candidate, members=members, log_prior=prior)
+    return dataclasses.replace(candidate, members=members)
 
 
 def _label(candidate: Candidate) -> str:
