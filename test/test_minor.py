@@ -18,6 +18,7 @@ from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.link_stiffness import LinkStiffness
 from longarm_comp.core.effects.measured_tilt import MeasuredTilt
+from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnosis import Diagnosis, diagnose
@@ -111,3 +112,13 @@ def test_a_value_at_its_bound_is_not_shown_as_an_interval(demo: Arm) -> None:
     assert by_name["about_x"] is None
     assert by_name["about_y"] is not None
     assert "about_x" not in found.summary
+
+
+def test_steps_that_are_whole_at_the_fitted_poses_stay_with_the_others() -> None:
+    """All servos are alike: of 2 deg steps, only joint 4 stands between two at these levels."""
+    rng = np.random.default_rng(3)
+    q = ARM.lower + rng.integers(3, size=(150, ARM.n)) / 2 * (ARM.upper - ARM.lower)
+    steps = tuple(ServoQuantisation(joint=j, steps_per_turn=180) for j in (1, 2, 4))
+    xyz = Model(ARM, steps).tip(q) + SIGMA * rng.standard_normal((150, 3))
+    found = diagnose(ARM, Session.record(q, xyz), kinds=(ServoQuantisation,))
+    assert [t.where for t in found.search.chosen] == ["joint 1", "joint 2", "joint 4"]

@@ -102,33 +102,40 @@ def settled(
 
 
 def _worst(result: SearchResult) -> tuple[tuple[Term, ...], Minor] | None:
-    """What to take out next: whole effects before single places."""
+    """What to take out next: whole effects before single places.
+
+    A place of an effect that jumps stays: at poses between the fitted ones it is of another size.
+    """
     fit, columns, limit = result.fit, columns_at(result.fit), smallest(result.fit)
     families: dict[str, list[Term]] = {}
     held = {key(t) for t in result.chosen}
     for term in fit.model.terms:
         if key(term) in held:
             families.setdefault(term.name, []).append(term)
-    options = [tuple(terms) for terms in families.values()]
-    options += [(t,) for terms in families.values() for t in terms if len(terms) > 1]
-    for terms in options:
+    options = [(tuple(terms), 1) for terms in families.values()]
+    options += [
+        ((t,), len(terms))
+        for terms in families.values()
+        for t in terms
+        if len(terms) > 1 and t.continuous
+    ]
+    for terms, mates in options:
         length = worth(fit, columns, terms)
-        mates = len(families[terms[0].name]) if len(terms) == 1 else 1
-        why = _why(fit, terms, length, limit / np.sqrt(mates))
+        why = _impossible(fit, terms[0]) if len(terms) == 1 else ""
+        if length < limit / np.sqrt(mates):
+            why = f"worth {1e3 * length:.2g} mm at the tip, too small to matter"
         if why:
             places = tuple(dict.fromkeys(t.where for t in terms))
             return terms, Minor(terms[0].name, places, length, why)
     return None
 
 
-def _why(fit: ModelFit, terms: tuple[Term, ...], length: float, limit: float) -> str:
-    """Why terms do not stay; empty where they do."""
-    for slot in slots_of(fit.model.arm, terms):
-        p, value = slot.parameter, float(getattr(slot.owner, slot.parameter.name))
-        if value and min(value - p.lower, p.upper - value) < AT_BOUND * p.prior:
+def _impossible(fit: ModelFit, term: Term) -> str:
+    """Which parameter of a term is at the limit of what is possible, which 0 is not; or empty."""
+    for p in term.parameters(fit.model.arm):
+        value = float(getattr(term, p.name))
+        if any(bound and abs(value - bound) < AT_BOUND * p.prior for bound in (p.lower, p.upper)):
             return f"{p.name} {value:.3g} {p.unit} is the limit of what is possible"
-    if length < limit:
-        return f"worth {1e3 * length:.2g} mm at the tip, too small to matter"
     return ""
 
 
