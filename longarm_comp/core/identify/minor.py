@@ -6,13 +6,13 @@ not named: it is taken out of the model again and listed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
 
 from longarm_comp.core.identify.candidates import CandidateColumns, Term
-from longarm_comp.core.identify.evidence import columns_at, key, marginal_without
+from longarm_comp.core.identify.evidence import IMPLAUSIBLE, columns_at, key, marginal_without
 from longarm_comp.core.identify.fit import ModelFit, priors
 from longarm_comp.core.identify.search import SearchResult
 from longarm_comp.core.model.model import slots_of
@@ -88,21 +88,36 @@ def settled(
     """The search's result without the terms that do not matter, the rest fitted again, and these.
 
     Taken out, one after the other, is an effect or a place at the limit of what is possible, or
-    worth too little.
+    worth too little.  What another effect can only stand for with a size that nobody believes
+    stays, however little its own part is.
     """
     gone: list[Minor] = []
+    needed: set[tuple[str, str]] = set()
     while True:
-        found = _worst(result)
+        found = _worst(result, needed)
         if found is None:
             return result, tuple(gone)
         terms, minor = found
+        places = {key(t) for t in terms}
+        without = result.without(places)
+        if _unbelievable(without.fit) > _unbelievable(result.fit):
+            needed |= places
+            continue
         say(f"without {minor.name} ({', '.join(minor.where)}): {minor.why}")
-        result = result.without({key(t) for t in terms})
+        result = without
         gone.append(minor)
 
 
-def _worst(result: SearchResult) -> tuple[tuple[Term, ...], Minor] | None:
-    """What to take out next: whole effects before single places.
+def _unbelievable(fit: ModelFit) -> int:
+    """Number of parameters of a size that nobody believes."""
+    sizes = fit.model.values / priors(fit.slots)
+    return int((np.abs(sizes) > IMPLAUSIBLE).sum())
+
+
+def _worst(
+    result: SearchResult, needed: Set[tuple[str, str]]
+) -> tuple[tuple[Term, ...], Minor] | None:
+    """What to take out next, but for what is needed: whole effects before single places.
 
     A place of an effect that jumps stays: at poses between the fitted ones it is of another size.
     """
@@ -120,6 +135,8 @@ def _worst(result: SearchResult) -> tuple[tuple[Term, ...], Minor] | None:
         if len(terms) > 1 and t.continuous
     ]
     for terms, mates in options:
+        if needed >= {key(t) for t in terms}:
+            continue
         length = worth(fit, columns, terms)
         why = _impossible(fit, terms[0]) if len(terms) == 1 else ""
         if length < limit / np.sqrt(mates):
