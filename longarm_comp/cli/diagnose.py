@@ -91,5 +91,5 @@ def _print(report: dict[str, Any]) -> None:
 
 
 def _value(p: dict[str, Any]) -> tuple[str, str, str]:
-    low, high = p["ci95"]
-    return f"{p['value']:.4g}", f"{low:.4g} .. {high:.4g}", p["unit"]
+    span = "at its bound" if p["ci95"] is None else "{:.4g} .. {:.4g}".format(*p["ci95"])
+    return f"{p['value']:.4g}", span, p["unit"]

@@ -122,7 +122,7 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding) -> dict[str, Any]:
                 "where": slot.owner.where,
                 "value": interval.value,
                 "unit": slot.parameter.unit,
-                "ci95": [interval.low, interval.high],
+                "ci95": None if interval.at_bound else [interval.low, interval.high],
                 "prior_scale": slot.parameter.prior,
             }
         )

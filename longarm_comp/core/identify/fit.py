@@ -26,13 +26,13 @@ from longarm_comp.core.identify import linear
 from longarm_comp.core.identify.linear import inliers, spread, whiten
 from longarm_comp.core.model.model import Model, Slot, unstack
 
+CLOSE = 0.01
+"""A fit has converged when its last step was below so many standard errors."""
 SHORTEST = 1e-3
 """Share of a Gauss-Newton step below which no shorter one is tried."""
 WORSE = 0.1
 """Rise of the cost, as a share of it, from which a step is shortened.  Columns leave out how loads
 follow a change, so that close to the solution a good step may raise the cost a little."""
-CLOSE = 0.01
-"""A fit has converged when its last step was below so many standard errors."""
 
 
 @dataclass(frozen=True)
@@ -251,16 +251,6 @@ class _SessionProblem:
         if not (np.isfinite(self.residual).all() and np.isfinite(self.columns).all()):
             raise JobError("the fit did not stay finite", session=self.seen.source)
 
-    def moved(self, values: np.ndarray) -> None:
-        """Take other parameter values."""
-        self.model = self.model.with_values(values)
-        self.look()
-
-    def cost(self) -> float:
-        """Squared residual of the inliers in units of the noise."""
-        white = whiten(self.residual[..., None], self.weights, self.noise, self.rho, self.seen.mask)
-        return float((white**2).sum())
-
     def took(self, begun: ModelFit) -> None:
         """Residual and design as they were found before."""
         self.residual, self.columns, self.looked = begun.residual, begun.columns, self.model
@@ -285,6 +275,16 @@ class _SessionProblem:
         if self.posture is not None:
             found.__dict__["posture"] = self.posture
         return found
+
+    def moved(self, values: np.ndarray) -> None:
+        """Take other parameter values."""
+        self.model = self.model.with_values(values)
+        self.look()
+
+    def cost(self) -> float:
+        """Squared residual of the inliers in units of the noise."""
+        white = whiten(self.residual[..., None], self.weights, self.noise, self.rho, self.seen.mask)
+        return float((white**2).sum())
 
     def weigh(self, settled: bool) -> None:
         """Outliers and noise for the residual as it is now."""
@@ -341,9 +341,9 @@ def _fit_parts(
     lower = (np.array([s.parameter.lower for s in chosen]) - centre) / scale
     upper = (np.array([s.parameter.upper for s in chosen]) - centre) / scale
     converged, step = False, 0
+    adapting = any(part.sigma is None or part.fixed is None for part in parts)
     for part in parts:
         part.look()
-    adapting = any(part.sigma is None or part.fixed is None for part in parts)
     posterior = linear.Posterior(np.zeros(0), np.zeros((0, 0)), 0.0)
     for step in range(1, max_iterations + 1):
         designs, data = [], []

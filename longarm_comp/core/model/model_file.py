@@ -268,6 +268,7 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
             raise InputError(where, entry.effect, entry.form, str(error)) from error
         _check_form(term, where)
         _check_place(term, arm, where)
+        term.check(arm, where)
         same = (term.name, *map(str, term.placement.items()))
         if same in held:
             raise InputError(where, f"{term.name}, {term.where}", "twice", "each effect once")
