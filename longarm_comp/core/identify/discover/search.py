@@ -143,8 +143,8 @@ class _State:
         return bool(held & set(candidate.members))
 
     def _kept(self, without: Sequence[int]) -> np.ndarray:
-        gone = {_key(t) for k in without for t in _terms(self.groups[k])}
-        return np.array([_key(s.owner) not in gone for s in self.fit.slots])
+        gone = {key_of(t) for k in without for t in terms_of(self.groups[k])}
+        return np.array([key_of(s.owner) not in gone for s in self.fit.slots])
 
     def _marginal(self, kept: np.ndarray) -> tuple[Marginal, np.ndarray]:
         """Evidence on top of some of the model's columns, without regard to correlated noise."""
@@ -222,15 +222,15 @@ class _State:
         """The groups without members that are less than their own uncertainty, and without
         the weakest group that does not pay."""
         values = {
-            _key(s.owner): (getattr(s.owner, s.parameter.name), se)
+            key_of(s.owner): (getattr(s.owner, s.parameter.name), se)
             for s, se in zip(self.fit.slots, self.fit.standard_errors, strict=True)
         }
         made, weakest, low = [], None, ENOUGH
         for k, group in enumerate(self.groups):
             sure = [
                 i
-                for i, t in enumerate(_terms(group))
-                if abs(values[_key(t)][0]) > values[_key(t)][1]
+                for i, t in enumerate(terms_of(group))
+                if abs(values[key_of(t)][0]) > values[key_of(t)][1]
             ]
             if not sure:
                 continue
@@ -271,11 +271,13 @@ class _State:
 # ------------------------------------------------------------------ terms and fits
 
 
-def _key(term: Term) -> tuple[str, str]:
+def key_of(term: Term) -> tuple[str, str]:
+    """An effect at a place, with its function."""
     return term.name, term.place
 
 
-def _terms(group: Scored) -> list[Term]:
+def terms_of(group: Scored) -> list[Term]:
+    """The terms of a model that a group stands for."""
     return [
         term_of(place, f.text, f.domain, float(scale), float(amount))
         for (place, f), scale, amount in zip(
@@ -286,9 +288,9 @@ def _terms(group: Scored) -> list[Term]:
 
 def _with(base: Model, now: Model, groups: Sequence[Scored]) -> Model:
     """The base with the groups' terms, started from the values of the model as it is now."""
-    known = {_key(t): t for t in now.terms}
-    added = [t for g in groups for t in _terms(g)]
-    terms = [known.get(_key(t), t) for t in (*base.terms, *added)]
+    known = {key_of(t): t for t in now.terms}
+    added = [t for g in groups for t in terms_of(g)]
+    terms = [known.get(key_of(t), t) for t in (*base.terms, *added)]
     return dataclasses.replace(
         base,
         effects=tuple(t for t in terms if isinstance(t, Effect)),
