@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from longarm_comp.core.identify.discover.discovery import Discovery, Found
+from longarm_comp.core.identify.discover.discovery import Cause, Discovery
 
 
 def discovered(discovery: Discovery | None) -> list[dict[str, Any]]:
@@ -14,7 +14,7 @@ def discovered(discovery: Discovery | None) -> list[dict[str, Any]]:
     return [_cause(found, discovery) for found in discovery.found]
 
 
-def _cause(found: Found, discovery: Discovery) -> dict[str, Any]:
+def _cause(found: Cause, discovery: Discovery) -> dict[str, Any]:
     before, after = (discovery.proof.rows[k].rms for k in ("calibrated", "with_effects"))
     frame, _, component = found.where[0].partition(", ")
     return {

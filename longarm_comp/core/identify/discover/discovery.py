@@ -10,9 +10,9 @@ import numpy as np
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.discover import words
-from longarm_comp.core.identify.discover.bank import Scored
+from longarm_comp.core.identify.discover.bank import Weighed
 from longarm_comp.core.identify.discover.banks import CAMERA
-from longarm_comp.core.identify.discover.search import Search, key_of, search, terms_of
+from longarm_comp.core.identify.discover.search import SearchedFunctions, key_of, search, terms_of
 from longarm_comp.core.identify.fit import ModelFit
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.noise import NoiseEstimate
@@ -26,7 +26,7 @@ Term = Effect | Bias
 
 
 @dataclass(frozen=True)
-class Amount:
+class Coefficient:
     """One fitted coefficient: value, 95 % interval and unit."""
 
     where: str
@@ -37,7 +37,7 @@ class Amount:
 
 
 @dataclass(frozen=True)
-class Found:
+class Cause:
     """One cause without a name.
 
     Attributes:
@@ -57,7 +57,7 @@ class Found:
     formula: str
     reading: str
     domain: tuple[str, ...]
-    amounts: tuple[Amount, ...]
+    amounts: tuple[Coefficient, ...]
     log_evidence: float
     tip_m: tuple[float, float]
     compensated: bool
@@ -88,7 +88,7 @@ class Discovery:
 
     fit: ModelFit
     noise: NoiseEstimate
-    found: tuple[Found, ...]
+    found: tuple[Cause, ...]
     kept: bool
     without: tuple[str, ...]
     proof: Proof
@@ -148,7 +148,11 @@ def discover(
 
 
 def _simpler(
-    alone: Search, beside: Search | None, base: ModelFit, plain: ModelFit, hypotheses: int
+    alone: SearchedFunctions,
+    beside: SearchedFunctions | None,
+    base: ModelFit,
+    plain: ModelFit,
+    hypotheses: int,
 ) -> bool:
     """Whether what was found explains the rows without the library's effects as well."""
     full = beside.fit if beside is not None else base
@@ -170,12 +174,12 @@ def _log_evidence(fit: ModelFit, sigma: np.ndarray, weights: np.ndarray) -> floa
     return float(-0.5 * same.data @ marginal.py - 0.5 * np.linalg.slogdet(size)[1])
 
 
-def _found(result: Search) -> tuple[Found, ...]:
+def _found(result: SearchedFunctions) -> tuple[Cause, ...]:
     made = [_one(result, k) for k in range(len(result.groups))]
     return tuple(sorted(made, key=lambda f: -f.tip_m[0]))
 
 
-def _one(result: Search, k: int) -> Found:
+def _one(result: SearchedFunctions, k: int) -> Cause:
     group, others = result.groups[k], result.alternatives[k]
     keys = [key_of(t) for t in terms_of(group)]
     slots = {key_of(s.owner): (i, s) for i, s in enumerate(result.fit.slots)}
@@ -187,19 +191,19 @@ def _one(result: Search, k: int) -> Found:
         shift = shift + value * result.fit.columns[..., i]
         amounts.append((words.where(place), function.formula, value, error, slot.parameter.unit))
     size = np.linalg.norm(shift * result.fit.metres, axis=1)
-    return Found(
+    return Cause(
         tuple(slot.owner for _, slot in held),
         tuple(dict.fromkeys(_places(group, others))),
         words.formula(group.candidate, [(v, e, u) for _, _, v, e, u in amounts]),
         words.reading(group.candidate),
         tuple(words.domain(group.candidate)),
-        tuple(Amount(w, f, v, (v - 1.96 * e, v + 1.96 * e), u) for w, f, v, e, u in amounts),
+        tuple(Coefficient(w, f, v, (v - 1.96 * e, v + 1.96 * e), u) for w, f, v, e, u in amounts),
         group.log_evidence,
         (float(np.sqrt((size**2).mean())), float(size.max())),
         all(p.at != CAMERA for p, _ in group.candidate.members),
     )
 
 
-def _places(group: Scored, others: Sequence[Scored]) -> list[str]:
+def _places(group: Weighed, others: Sequence[Weighed]) -> list[str]:
     mine = dict.fromkeys(words.where(p) for p, _ in group.candidate.members)
     return [" and ".join(mine), *(words.where(o.candidate.members[0][0]) for o in others)]

@@ -19,8 +19,8 @@ from longarm_comp.core.effects.quantities import (
     Span,
     Warmth,
 )
-from longarm_comp.core.effects.shapes import Above, Below, Function, Shape, Switch, Wave
-from longarm_comp.core.identify.discover.bank import Candidate, Place
+from longarm_comp.core.effects.shapes import Above, Below, Cosine, Function, Shape, Sine, Switch
+from longarm_comp.core.identify.discover.bank import Hypothesis, Spot
 from longarm_comp.core.identify.discover.banks import CAMERA
 
 TIME = "t_s"
@@ -35,11 +35,11 @@ class Traits:
         shapes: all shapes of its functions.
     """
 
-    places: tuple[Place, ...]
+    places: tuple[Spot, ...]
     shapes: tuple[Shape, ...]
 
     @classmethod
-    def of(cls, candidate: Candidate) -> Traits:
+    def of(cls, candidate: Hypothesis) -> Traits:
         """The traits of a candidate."""
         places = tuple(dict.fromkeys(p for p, _ in candidate.members))
         return cls(places, tuple(s for f in candidate.functions for s in f.factors))
@@ -74,7 +74,7 @@ class Traits:
 
 
 @dataclass(frozen=True)
-class Reading:
+class Likeness:
     """A physical cause that would look like it."""
 
     words: str
@@ -82,45 +82,47 @@ class Reading:
 
 
 READINGS = (
-    Reading("an error of what the camera sees, not of the arm", lambda t: t.camera),
-    Reading(
+    Likeness("an error of what the camera sees, not of the arm", lambda t: t.camera),
+    Likeness(
         "a common supply that sags as the loads add up",
         lambda t: t.quantity(LoadSum) and len(t.places) > 1,
     ),
-    Reading("lost motion: backlash or friction", lambda t: t.quantity(JointSide)),
-    Reading(
+    Likeness("lost motion: backlash or friction", lambda t: t.quantity(JointSide)),
+    Likeness(
         "a seat or clearance that flips with the load",
         lambda t: t.switched_by(JointLoad, Moment, Gravity),
     ),
-    Reading("a spring or cable between the two places", lambda t: t.quantity(Span)),
-    Reading("a contact, a stop or a taut cable", lambda t: t.shape(Above, Below)),
-    Reading("a part that changes over at one position", lambda t: t.shape(Switch)),
-    Reading("something thermal", lambda t: t.quantity(Warmth)),
-    Reading("drift", lambda t: TIME in t.columns),
-    Reading("something that the recorded column drives", lambda t: bool(t.columns)),
-    Reading(
+    Likeness("a spring or cable between the two places", lambda t: t.quantity(Span)),
+    Likeness("a contact, a stop or a taut cable", lambda t: t.shape(Above, Below)),
+    Likeness("a part that changes over at one position", lambda t: t.shape(Switch)),
+    Likeness("something thermal", lambda t: t.quantity(Warmth)),
+    Likeness("drift", lambda t: TIME in t.columns),
+    Likeness("something that the recorded column drives", lambda t: bool(t.columns)),
+    Likeness(
         "a hose or cable that pulls",
         lambda t: t.acts(Wrench) and t.quantity(JointPosition),
     ),
-    Reading("an eccentric gear, pulley or encoder", lambda t: t.shape(Wave) and t.acts(Turn)),
-    Reading(
+    Likeness(
+        "an eccentric gear, pulley or encoder", lambda t: t.shape(Cosine, Sine) and t.acts(Turn)
+    ),
+    Likeness(
         "something that gives under load",
         lambda t: t.acts(Turn) and t.quantity(JointLoad, Moment, LoadSum),
     ),
-    Reading("an undeclared weight or spring", lambda t: t.acts(Force) and not t.shapes),
-    Reading("a joint that does not turn as commanded", lambda t: t.acts(Turn)),
+    Likeness("an undeclared weight or spring", lambda t: t.acts(Force) and not t.shapes),
+    Likeness("a joint that does not turn as commanded", lambda t: t.acts(Turn)),
 )
 """What fits, the most telling first."""
 
 
-def reading(candidate: Candidate) -> str:
+def reading(candidate: Hypothesis) -> str:
     """What it behaves like; never what it is."""
     traits = Traits.of(candidate)
     words = next((r.words for r in READINGS if r.fits(traits)), "no known cause")
     return f"behaves like {words}" if words != "no known cause" else words
 
 
-def formula(candidate: Candidate, amounts: list[tuple[float, float, str]]) -> str:
+def formula(candidate: Hypothesis, amounts: list[tuple[float, float, str]]) -> str:
     """``joint 5, force y: (24.2 +- 0.3) N/rad^2 x q2 x q5``, one part a member.
 
     Args:
@@ -133,14 +135,14 @@ def formula(candidate: Candidate, amounts: list[tuple[float, float, str]]) -> st
     return "; ".join(f"{place}: {' + '.join(parts)}" for place, parts in by_place.items())
 
 
-def where(place: Place) -> str:
+def where(place: Spot) -> str:
     """``joint 5, force y``; ``what the camera sees, x``."""
     if place.at == CAMERA:
         return f"what the camera sees, {place.component}"
     return f"{place.at}, {place.component}"
 
 
-def domain(candidate: Candidate) -> list[str]:
+def domain(candidate: Hypothesis) -> list[str]:
     """``q2 0..0.52 rad`` of every quantity: outside, it counts as at the end."""
     held = {
         s.of: f"{s.of} {s.low:.4g}..{s.high:.4g}" for f in candidate.functions for s in f.factors
