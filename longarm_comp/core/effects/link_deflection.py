@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -24,11 +24,26 @@ class LinkDeflection(Effect):
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Cantilever twist of every beam element at its end station."""
-        return {
-            e.station: cantilever(posture, e)
-            for row in posture.chain.rows
-            for e in row.elements_a + row.elements_d
-        }
+        return {e.station: cantilever(posture, e) for e in _elements(posture)}
+
+
+def extra_sag(posture: Posture, share: Scalar, beam: str = "") -> Mapping[int, Twist]:
+    """A share of the declared cantilever twist, at the end of every element.
+
+    Args:
+        posture: the arm under its load.
+        share: factor, a number or one per row.
+        beam: name of the only beam that sags more; all where empty.
+    """
+    return {
+        e.station: tuple(share * t for t in cantilever(posture, e))  # type: ignore[misc]
+        for e in _elements(posture)
+        if not beam or e.beam.name == beam
+    }
+
+
+def _elements(posture: Posture) -> Iterator[Element]:
+    return (e for row in posture.chain.rows for e in row.elements_a + row.elements_d)
 
 
 def cantilever(posture: Posture, element: Element) -> Twist:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.holdout import Sealed, blocked_split
+from longarm_comp.core.data.holdout import Sealed, blocked_split, spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.aliasing import MOST_NAMES, EffectFinding, findings, on_few_levels
@@ -19,11 +19,13 @@ from longarm_comp.core.identify.confirm import Confirmed, confirm
 from longarm_comp.core.identify.discover.discovery import Discovery, discover
 from longarm_comp.core.identify.fit import ModelFit, fit
 from longarm_comp.core.identify.in_words import sentence
+from longarm_comp.core.identify.minor import Minor, settled
 from longarm_comp.core.identify.next_poses import NextPoses, next_poses
 from longarm_comp.core.identify.noise import from_repeats
-from longarm_comp.core.identify.plausible import check_noise, check_sizes, check_worth
+from longarm_comp.core.identify.plausible import check_fits, check_noise, check_sizes, check_worth
 from longarm_comp.core.identify.proof import NETWORK, LearnedCorrection, Proof, prove
 from longarm_comp.core.identify.search import SearchResult, search
+from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.identify.structure import Structure, examine
 from longarm_comp.core.identify.wind_up import WindUp, as_fitted, refined, wind_up, with_run_ups
 from longarm_comp.core.model.model import Model
@@ -54,6 +56,7 @@ class Diagnosis:
         network: the learned correction of what is left, where it helped.
         split_by: poses per set.
         not_testable: (effect, why).
+        minor: what the fitted rows ask for but does not matter; not in the model.
         discovery: causes without a name, where structure was left; None where none was found.
         train: rows that were fitted.
         held_out: the rows of the proof.
@@ -72,6 +75,7 @@ class Diagnosis:
     network: LearnedCorrection | None
     split_by: tuple[NextPoses, ...]
     not_testable: tuple[tuple[str, str], ...]
+    minor: tuple[Minor, ...]
     train: Session
     held_out: Session
     holdout_uses: tuple[str, ...]
@@ -104,8 +108,9 @@ class Diagnosis:
 
     @property
     def summary(self) -> str:
-        """The verdict in one sentence."""
-        return _summary(self)
+        """The verdict in one sentence, and what was left out."""
+        gone = "; ".join(f"{m.name} at {', '.join(m.where)}: {m.why}" for m in self.minor)
+        return _summary(self) + (f" Not named: {gone}." if gone else "")
 
 
 def diagnose(
@@ -162,18 +167,13 @@ def diagnose(
     opened = sealed.open("proof")
     held_out = opened.take(opened.seen)
     models = {
-        "nominal": nominal,
+        "nominal": standing(nominal, train)[0],
         "frames_only": staged["frames_only"].model,
         "calibrated": calibrated,
         "with_effects": identified.search.fit.model,
     }
     proof = prove(models, identified.calibrated, identified.search.fit, held_out, rng)
     outcome = _judge(identified, calibrated, proof, network, learn, held_out, rng)
-    looked_at = np.concatenate([train.q, held_out.q])
-    found = tuple(
-        on_few_levels(identified.search, identified.candidates, f, looked_at)
-        for f in outcome.findings
-    )
     structure = _all_signs(outcome.structure, identified.search, outcome.proof)
     discovery = None
     if structure.flag:
@@ -181,6 +181,11 @@ def diagnose(
         discovery = _discover(identified, outcome, opened, rng, say)
     if discovery is not None and discovery.kept:
         outcome = _with_discovery(outcome, discovery, learn, held_out)
+    looked_at = np.concatenate([train.q, held_out.q])
+    found = tuple(
+        on_few_levels(identified.search, identified.candidates, f, looked_at)
+        for f in outcome.findings
+    )
     say("next poses")
     diagnosis = Diagnosis(
         arm=arm,
@@ -198,6 +203,7 @@ def diagnose(
             if f.alternatives
         ),
         not_testable=candidates.not_testable,
+        minor=identified.minor,
         train=train,
         held_out=held_out,
         holdout_uses=sealed.uses,
@@ -213,6 +219,7 @@ def _check(found: Diagnosis) -> None:
     final = "calibrated" if found.rolled_back else "with_effects"
     left, source = found.proof.errors, found.train.source
     check_worth(left[final], left["frames_only"], source)
+    check_fits(found.model, found.train)
     check_sizes(found.model, source)
     if found.verdict == "noise":
         check_noise(found.search.noise.sigma, found.train)
@@ -232,6 +239,7 @@ class _Identified:
         structure: what the fit with effects leaves.
         confirmed: intervals and doubts.
         candidates: the library, with the radii that the joints' memory was found to have.
+        minor: what does not matter.
         memory: these radii and the length of unrecorded run-ups, where joints remember.
     """
 
@@ -241,6 +249,7 @@ class _Identified:
     structure: Structure
     confirmed: Confirmed
     candidates: tuple[Candidate, ...]
+    minor: tuple[Minor, ...]
     memory: WindUp | None
 
 
@@ -261,10 +270,13 @@ def _identify(
     memory = wind_up(start, rows, candidates)
     if memory is not None:
         candidates, train = memory.candidates(candidates), rows(memory.run_up)
-    searched = search(start, train, candidates, known_noise=from_repeats(train), progress=say)
+    searched = search(
+        start, train, candidates, known_noise=from_repeats(start, train), progress=say
+    )
     if memory is not None:
         searched, memory = refined(searched, memory, rows)
         candidates, train = memory.candidates(candidates), rows(memory.run_up)
+    searched, minor = settled(searched, say)
     say("look-alikes")
     result, found = findings(searched, candidates)
     say("structure")
@@ -273,7 +285,7 @@ def _identify(
     calibrated = fit(start, train, sigma=noise.sigma, rho=noise.rho, weights=weights)
     structure = examine(result.fit, calibrated, rng)
     confirmed = confirm(result, list(found), candidates, rng)
-    return _Identified(calibrated, result, found, structure, confirmed, candidates, memory)
+    return _Identified(calibrated, result, found, structure, confirmed, candidates, minor, memory)
 
 
 @dataclass(frozen=True)
@@ -354,7 +366,7 @@ def _discover(
 ) -> Discovery | None:
     """Functions without a name for what is left, beside the effects or in their place."""
     named, plain = identified.search.fit, identified.calibrated
-    known = from_repeats(plain.session)
+    known = from_repeats(plain.model, plain.session)
     bare = outcome.rolled_back or not outcome.findings
     count = len(identified.candidates)
     if bare:
@@ -395,7 +407,17 @@ def _all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Stru
     return structure
 
 
+MOST_ROWS = 2000
+"""Rows that are fitted at most. A hundred parameters are then known to a few percent of the noise;
+further rows cost time and change nothing."""
+
+
 def _split(session: Session, test: Session | None, seed: int) -> tuple[Session, Session]:
+    train, rest = _divided(session, test, seed)
+    return spread(train, MOST_ROWS), rest
+
+
+def _divided(session: Session, test: Session | None, seed: int) -> tuple[Session, Session]:
     if test is not None:
         return session, test
     roles = session.labels.get("role")
@@ -435,4 +457,7 @@ def _named(found: Diagnosis) -> str:
         text += ", either alone explains most of what both do"
     before, after = (proof.rows[k].mean for k in ("calibrated", "with_effects"))
     text += f". Held-out mean error {1e3 * before:.2f} -> {1e3 * after:.2f} mm"
+    if proof.set_aside:
+        text += f", {proof.set_aside} of {len(found.held_out)} rows set aside, "
+        text += "which no model explains"
     return f"{text}; {unnamed}" if left else f"{text}."
