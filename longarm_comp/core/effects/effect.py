@@ -165,6 +165,7 @@ class _Term:
             other effects.
         displaces_joint: its only parameter displaces one joint. Its column is then the effect of
             any displacement of that joint at the tip, and remaining structure is sought in it.
+        bounded: holds within the data that it was found in only (`Effect.outside`).
     """
 
     name: ClassVar[str]
@@ -178,6 +179,7 @@ class _Term:
     limit_aliases: ClassVar[tuple[str, ...]] = ()
     free_levels: ClassVar[int] = 0
     displaces_joint: ClassVar[bool] = False
+    bounded: ClassVar[bool] = False
 
     @classmethod
     @cache
@@ -294,9 +296,9 @@ class Effect(_Term, ABC):
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Small twist ``[d; delta]`` (m, rad) by station, each in its station's axes."""
 
-    def outside(self, posture: Posture) -> str:
-        """What of one posture (floats) lies outside the data that it was found in; or ``""``."""
-        return ""
+    def outside(self, posture: Posture) -> tuple[str, ...]:
+        """What of one posture (floats) lies outside the data that it was found in, in words."""
+        return ()
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
         """Masses that this effect adds to the arm (kg at a point of a station)."""

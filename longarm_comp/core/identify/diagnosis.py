@@ -16,13 +16,14 @@ from longarm_comp.core.identify.aliasing import MOST_NAMES, EffectFinding, findi
 from longarm_comp.core.identify.calibrate import declared_model, stages
 from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.confirm import Confirmed, confirm
+from longarm_comp.core.identify.discover.discovery import Discovery, discover
 from longarm_comp.core.identify.fit import ModelFit, fit
 from longarm_comp.core.identify.in_words import sentence
 from longarm_comp.core.identify.minor import Minor, settled
 from longarm_comp.core.identify.next_poses import NextPoses, next_poses
 from longarm_comp.core.identify.noise import from_repeats
 from longarm_comp.core.identify.plausible import check_fits, check_noise, check_sizes, check_worth
-from longarm_comp.core.identify.proof import LearnedCorrection, Proof, prove
+from longarm_comp.core.identify.proof import NETWORK, LearnedCorrection, Proof, prove
 from longarm_comp.core.identify.search import SearchResult, search
 from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.identify.structure import Structure, examine
@@ -56,6 +57,7 @@ class Diagnosis:
         split_by: poses per set.
         not_testable: (effect, why).
         minor: what the fitted rows ask for but does not matter; not in the model.
+        discovery: causes without a name, where structure was left; None where none was found.
         train: rows that were fitted.
         held_out: the rows of the proof.
         holdout_uses: what the hold-out was opened for.
@@ -78,11 +80,17 @@ class Diagnosis:
     held_out: Session
     holdout_uses: tuple[str, ...]
     seed: int
+    discovery: Discovery | None = None
 
     @property
     def model(self) -> Model:
         """The model to use from now on."""
-        return self.models["with_effects"]
+        return self.models["with_effects"] if self.added is None else self.added.fit.model
+
+    @property
+    def added(self) -> Discovery | None:
+        """Causes without a name that are in the model: those that the hold-out bears out."""
+        return self.discovery if self.discovery is not None and self.discovery.kept else None
 
     @property
     def fit(self) -> ModelFit:
@@ -166,6 +174,13 @@ def diagnose(
     }
     proof = prove(models, identified.calibrated, identified.search.fit, held_out, rng)
     outcome = _judge(identified, calibrated, proof, network, learn, held_out, rng)
+    structure = _all_signs(outcome.structure, identified.search, outcome.proof)
+    discovery = None
+    if structure.flag:
+        opened = sealed.open("functions without a name").take(opened.seen)
+        discovery = _discover(identified, outcome, opened, rng, say)
+    if discovery is not None and discovery.kept:
+        outcome = _with_discovery(outcome, discovery, learn, held_out)
     looked_at = np.concatenate([train.q, held_out.q])
     found = tuple(
         on_few_levels(identified.search, identified.candidates, f, looked_at)
@@ -177,7 +192,7 @@ def diagnose(
         search=identified.search,
         findings=found,
         confirmed=identified.confirmed,
-        structure=_all_signs(outcome.structure, identified.search, outcome.proof),
+        structure=structure,
         proof=outcome.proof,
         rolled_back=outcome.rolled_back,
         models={**models, "with_effects": outcome.model},
@@ -193,6 +208,7 @@ def diagnose(
         held_out=held_out,
         holdout_uses=sealed.uses,
         seed=seed,
+        discovery=discovery,
     )
     _check(diagnosis)
     return diagnosis
@@ -341,6 +357,41 @@ def _roll_back(
     return _Outcome(model, (), structure, kept, tested, True)
 
 
+def _discover(
+    identified: _Identified,
+    outcome: _Outcome,
+    held_out: Session,
+    rng: np.random.Generator,
+    say: Progress,
+) -> Discovery | None:
+    """Functions without a name for what is left, beside the effects or in their place."""
+    named, plain = identified.search.fit, identified.calibrated
+    known = from_repeats(plain.model, plain.session)
+    bare = outcome.rolled_back or not outcome.findings
+    count = len(identified.candidates)
+    if bare:
+        return discover(plain, None, count, held_out, known, rng, say)
+    return discover(named, plain, count, held_out, known, rng, say)
+
+
+def _with_discovery(
+    outcome: _Outcome, found: Discovery, learn: _Learner, held_out: Session
+) -> _Outcome:
+    """The outcome with what was found: a network comes after it, of what that leaves."""
+    name = "with_discovered"
+    before = outcome.proof
+    errors = {k: e for k, e in before.errors.items() if k != NETWORK}
+    errors[name] = found.proof.errors["with_effects"]
+    rows = {k: r for k, r in before.rows.items() if k != NETWORK}
+    rows[name] = found.proof.rows["with_effects"]
+    proof = dataclasses.replace(before, errors=errors, rows=rows)
+    network = learn.on(found.fit.model, found.structure)
+    tested = proof.with_network(found.fit.model, network, held_out)
+    kept = network if tested.network_helps(name) else None
+    findings = tuple(f for f in outcome.findings if f.name not in found.without)
+    return dataclasses.replace(outcome, findings=findings, network=kept, proof=tested)
+
+
 def _all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Structure:
     """The structure, also where other signs than the test of the fitted rows show some."""
     out = result.fit.weights == 0
@@ -379,6 +430,11 @@ def _divided(session: Session, test: Session | None, seed: int) -> tuple[Session
 
 
 def _summary(found: Diagnosis) -> str:
+    text = _named(found)
+    return text if found.discovery is None else f"{text} {found.discovery.sentence}."
+
+
+def _named(found: Diagnosis) -> str:
     structure, proof = found.structure, found.proof
     left = (
         f"{1e3 * structure.size_m:.2f} mm of structure depends on {', '.join(structure.inputs)}"
