@@ -15,6 +15,7 @@ from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.evidence import key
 from longarm_comp.report.candidate_states import candidate_rows, sizes
 from longarm_comp.report.detail import Detail
+from longarm_comp.report.discovered import discovered
 from longarm_comp.report.drawing import SPLITS, detail
 from longarm_comp.report.record import SCHEMA
 from longarm_comp.version import __version__
@@ -75,6 +76,7 @@ def assemble(
             for q in by.q
         ],
         "outliers": _outliers(diagnosis),
+        "discovered": discovered(diagnosis.discovery),
         "provenance": _provenance(diagnosis.seed, data_sha256, len(diagnosis.holdout_uses)),
     }
     return report, detail(diagnosis, tried, facts or {})
@@ -95,6 +97,7 @@ def refused(
         "held_out": {"n": 0, "rows": [], "before_after_ci95_mm": None},
         "next_poses": [],
         "outliers": [],
+        "discovered": [],
         "provenance": _provenance(seed, data_sha256, 0),
     }
     return report, Detail(title=title)
@@ -122,7 +125,7 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding) -> dict[str, Any]:
                 "where": slot.owner.where,
                 "value": interval.value,
                 "unit": slot.parameter.unit,
-                "ci95": [interval.low, interval.high],
+                "ci95": None if interval.at_bound else [interval.low, interval.high],
                 "prior_scale": slot.parameter.prior,
             }
         )
@@ -158,6 +161,7 @@ def _error_row(name: str, errors: Errors, sigma: np.ndarray | None) -> dict[str,
         "mean_abs_z_mm": 1e3 * errors.mean_abs_z,
         "variance_mm2": 1e6 * errors.variance,
         "excess_mm": 1e3 * float(np.sqrt(max(0.0, errors.rms**2 - floor))),
+        "mean_mrad": None if errors.angle is None else 1e3 * errors.angle,
     }
 
 

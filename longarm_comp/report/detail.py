@@ -13,7 +13,10 @@ import numpy as np
 
 from longarm_comp.core.errors import InputError
 
-STAGES = ("nominal", "frames_only", "calibrated", "with_effects", "with_network")
+STAGES = (
+    *("nominal", "frames_only", "calibrated"),
+    *("with_effects", "with_discovered", "with_network"),
+)
 """The models of the before/after table, in the order in which they are built."""
 
 

@@ -116,7 +116,11 @@ def nothing_to_apply(diagnosis: Path, report: DiagnosisReport) -> str:
     """
     if report.verdict == "bad_data":
         return report.summary
-    if report.findings or (diagnosis / PREDICTOR).is_file():
+    if (
+        report.findings
+        or any(d.kept for d in report.discovered)
+        or (diagnosis / PREDICTOR).is_file()
+    ):
         return ""
     mean = {row.model: row.mean_mm for row in report.held_out.rows}
     before, after = mean.get("nominal"), mean.get("with_effects")

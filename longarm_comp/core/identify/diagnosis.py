@@ -9,20 +9,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.holdout import Sealed, blocked_split
+from longarm_comp.core.data.holdout import Sealed, blocked_split, spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.aliasing import MOST_NAMES, EffectFinding, findings, on_few_levels
 from longarm_comp.core.identify.calibrate import declared_model, stages
 from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.confirm import Confirmed, confirm
+from longarm_comp.core.identify.discover.discovery import Discovery, discover
 from longarm_comp.core.identify.fit import ModelFit, fit
 from longarm_comp.core.identify.in_words import sentence
+from longarm_comp.core.identify.minor import Minor, settled
 from longarm_comp.core.identify.next_poses import NextPoses, next_poses
 from longarm_comp.core.identify.noise import from_repeats
-from longarm_comp.core.identify.plausible import check_noise, check_sizes, check_worth
-from longarm_comp.core.identify.proof import LearnedCorrection, Proof, prove
+from longarm_comp.core.identify.plausible import check_fits, check_noise, check_sizes, check_worth
+from longarm_comp.core.identify.proof import NETWORK, LearnedCorrection, Proof, prove
 from longarm_comp.core.identify.search import SearchResult, search
+from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.identify.structure import Structure, examine
 from longarm_comp.core.identify.wind_up import WindUp, as_fitted, refined, wind_up, with_run_ups
 from longarm_comp.core.model.model import Model
@@ -53,6 +56,8 @@ class Diagnosis:
         network: the learned correction of what is left, where it helped.
         split_by: poses per set.
         not_testable: (effect, why).
+        minor: what the fitted rows ask for but does not matter; not in the model.
+        discovery: causes without a name, where structure was left; None where none was found.
         train: rows that were fitted.
         held_out: the rows of the proof.
         holdout_uses: what the hold-out was opened for.
@@ -70,15 +75,22 @@ class Diagnosis:
     network: LearnedCorrection | None
     split_by: tuple[NextPoses, ...]
     not_testable: tuple[tuple[str, str], ...]
+    minor: tuple[Minor, ...]
     train: Session
     held_out: Session
     holdout_uses: tuple[str, ...]
     seed: int
+    discovery: Discovery | None = None
 
     @property
     def model(self) -> Model:
         """The model to use from now on."""
-        return self.models["with_effects"]
+        return self.models["with_effects"] if self.added is None else self.added.fit.model
+
+    @property
+    def added(self) -> Discovery | None:
+        """Causes without a name that are in the model: those that the hold-out bears out."""
+        return self.discovery if self.discovery is not None and self.discovery.kept else None
 
     @property
     def fit(self) -> ModelFit:
@@ -96,8 +108,9 @@ class Diagnosis:
 
     @property
     def summary(self) -> str:
-        """The verdict in one sentence."""
-        return _summary(self)
+        """The verdict in one sentence, and what was left out."""
+        gone = "; ".join(f"{m.name} at {', '.join(m.where)}: {m.why}" for m in self.minor)
+        return _summary(self) + (f" Not named: {gone}." if gone else "")
 
 
 def diagnose(
@@ -154,13 +167,20 @@ def diagnose(
     opened = sealed.open("proof")
     held_out = opened.take(opened.seen)
     models = {
-        "nominal": nominal,
+        "nominal": standing(nominal, train)[0],
         "frames_only": staged["frames_only"].model,
         "calibrated": calibrated,
         "with_effects": identified.search.fit.model,
     }
     proof = prove(models, identified.calibrated, identified.search.fit, held_out, rng)
     outcome = _judge(identified, calibrated, proof, network, learn, held_out, rng)
+    structure = _all_signs(outcome.structure, identified.search, outcome.proof)
+    discovery = None
+    if structure.flag:
+        opened = sealed.open("functions without a name").take(opened.seen)
+        discovery = _discover(identified, outcome, opened, rng, say)
+    if discovery is not None and discovery.kept:
+        outcome = _with_discovery(outcome, discovery, learn, held_out)
     looked_at = np.concatenate([train.q, held_out.q])
     found = tuple(
         on_few_levels(identified.search, identified.candidates, f, looked_at)
@@ -172,7 +192,7 @@ def diagnose(
         search=identified.search,
         findings=found,
         confirmed=identified.confirmed,
-        structure=_all_signs(outcome.structure, identified.search, outcome.proof),
+        structure=structure,
         proof=outcome.proof,
         rolled_back=outcome.rolled_back,
         models={**models, "with_effects": outcome.model},
@@ -183,10 +203,12 @@ def diagnose(
             if f.alternatives
         ),
         not_testable=candidates.not_testable,
+        minor=identified.minor,
         train=train,
         held_out=held_out,
         holdout_uses=sealed.uses,
         seed=seed,
+        discovery=discovery,
     )
     _check(diagnosis)
     return diagnosis
@@ -197,6 +219,7 @@ def _check(found: Diagnosis) -> None:
     final = "calibrated" if found.rolled_back else "with_effects"
     left, source = found.proof.errors, found.train.source
     check_worth(left[final], left["frames_only"], source)
+    check_fits(found.model, found.train)
     check_sizes(found.model, source)
     if found.verdict == "noise":
         check_noise(found.search.noise.sigma, found.train)
@@ -216,6 +239,7 @@ class _Identified:
         structure: what the fit with effects leaves.
         confirmed: intervals and doubts.
         candidates: the library, with the radii that the joints' memory was found to have.
+        minor: what does not matter.
         memory: these radii and the length of unrecorded run-ups, where joints remember.
     """
 
@@ -225,6 +249,7 @@ class _Identified:
     structure: Structure
     confirmed: Confirmed
     candidates: tuple[Candidate, ...]
+    minor: tuple[Minor, ...]
     memory: WindUp | None
 
 
@@ -245,10 +270,13 @@ def _identify(
     memory = wind_up(start, rows, candidates)
     if memory is not None:
         candidates, train = memory.candidates(candidates), rows(memory.run_up)
-    searched = search(start, train, candidates, known_noise=from_repeats(train), progress=say)
+    searched = search(
+        start, train, candidates, known_noise=from_repeats(start, train), progress=say
+    )
     if memory is not None:
         searched, memory = refined(searched, memory, rows)
         candidates, train = memory.candidates(candidates), rows(memory.run_up)
+    searched, minor = settled(searched, say)
     say("look-alikes")
     result, found = findings(searched, candidates)
     say("structure")
@@ -257,7 +285,7 @@ def _identify(
     calibrated = fit(start, train, sigma=noise.sigma, rho=noise.rho, weights=weights)
     structure = examine(result.fit, calibrated, rng)
     confirmed = confirm(result, list(found), candidates, rng)
-    return _Identified(calibrated, result, found, structure, confirmed, candidates, memory)
+    return _Identified(calibrated, result, found, structure, confirmed, candidates, minor, memory)
 
 
 @dataclass(frozen=True)
@@ -329,6 +357,41 @@ def _roll_back(
     return _Outcome(model, (), structure, kept, tested, True)
 
 
+def _discover(
+    identified: _Identified,
+    outcome: _Outcome,
+    held_out: Session,
+    rng: np.random.Generator,
+    say: Progress,
+) -> Discovery | None:
+    """Functions without a name for what is left, beside the effects or in their place."""
+    named, plain = identified.search.fit, identified.calibrated
+    known = from_repeats(plain.model, plain.session)
+    bare = outcome.rolled_back or not outcome.findings
+    count = len(identified.candidates)
+    if bare:
+        return discover(plain, None, count, held_out, known, rng, say)
+    return discover(named, plain, count, held_out, known, rng, say)
+
+
+def _with_discovery(
+    outcome: _Outcome, found: Discovery, learn: _Learner, held_out: Session
+) -> _Outcome:
+    """The outcome with what was found: a network comes after it, of what that leaves."""
+    name = "with_discovered"
+    before = outcome.proof
+    errors = {k: e for k, e in before.errors.items() if k != NETWORK}
+    errors[name] = found.proof.errors["with_effects"]
+    rows = {k: r for k, r in before.rows.items() if k != NETWORK}
+    rows[name] = found.proof.rows["with_effects"]
+    proof = dataclasses.replace(before, errors=errors, rows=rows)
+    network = learn.on(found.fit.model, found.structure)
+    tested = proof.with_network(found.fit.model, network, held_out)
+    kept = network if tested.network_helps(name) else None
+    findings = tuple(f for f in outcome.findings if f.name not in found.without)
+    return dataclasses.replace(outcome, findings=findings, network=kept, proof=tested)
+
+
 def _all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Structure:
     """The structure, also where other signs than the test of the fitted rows show some."""
     out = result.fit.weights == 0
@@ -344,7 +407,17 @@ def _all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Stru
     return structure
 
 
+MOST_ROWS = 2000
+"""Rows that are fitted at most. A hundred parameters are then known to a few percent of the noise;
+further rows cost time and change nothing."""
+
+
 def _split(session: Session, test: Session | None, seed: int) -> tuple[Session, Session]:
+    train, rest = _divided(session, test, seed)
+    return spread(train, MOST_ROWS), rest
+
+
+def _divided(session: Session, test: Session | None, seed: int) -> tuple[Session, Session]:
     if test is not None:
         return session, test
     roles = session.labels.get("role")
@@ -357,6 +430,11 @@ def _split(session: Session, test: Session | None, seed: int) -> tuple[Session, 
 
 
 def _summary(found: Diagnosis) -> str:
+    text = _named(found)
+    return text if found.discovery is None else f"{text} {found.discovery.sentence}."
+
+
+def _named(found: Diagnosis) -> str:
     structure, proof = found.structure, found.proof
     left = (
         f"{1e3 * structure.size_m:.2f} mm of structure depends on {', '.join(structure.inputs)}"
@@ -379,4 +457,7 @@ def _summary(found: Diagnosis) -> str:
         text += ", either alone explains most of what both do"
     before, after = (proof.rows[k].mean for k in ("calibrated", "with_effects"))
     text += f". Held-out mean error {1e3 * before:.2f} -> {1e3 * after:.2f} mm"
+    if proof.set_aside:
+        text += f", {proof.set_aside} of {len(found.held_out)} rows set aside, "
+        text += "which no model explains"
     return f"{text}; {unnamed}" if left else f"{text}."
