@@ -49,8 +49,8 @@ def settled(
 
     Returns:
         Mean time, position and orientation, and the variances of the mean. The position is NaN
-        if the marker was lost in all of those at rest. None without a sighting, or if the joints did not
-        come to rest.
+        if the marker was lost in all of those at rest. None without a sighting, or if the joints
+        did not come to rest.
     """
     if not sightings:
         return None
