@@ -10,7 +10,7 @@ from importlib.resources import files
 import jinja2
 from plotly.offline import get_plotlyjs
 
-from longarm_comp.report import tables
+from longarm_comp.report import cards, tables, words
 from longarm_comp.report.arrows import MOST, exaggeration, stages_of
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.record import DiagnosisReport
@@ -41,7 +41,10 @@ def page(report: DiagnosisReport, detail: Detail, plots: Mapping[str, bytes]) ->
     return environment.get_template("report.html.j2").render(
         report=report,
         detail=detail,
+        cards=cards,
         tables=tables,
+        words=words,
+        picture=place_name,
         rows=rows,
         candidates=candidates[:_FEW],
         more_candidates=candidates[_FEW:],
@@ -67,6 +70,11 @@ def still_stages(detail: Detail) -> tuple[str, ...]:
     have = stages_of(rows)
     wanted = tuple(stage for stage in (detail.before, detail.after) if stage in have)
     return wanted or tuple(dict.fromkeys((*have[:1], *have[-1:])))
+
+
+def place_name(number: int) -> str:
+    """The name of the figure of where a finding is, counted from 1."""
+    return f"place_{number}"
 
 
 def against(name: str) -> str:

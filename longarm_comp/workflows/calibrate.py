@@ -86,7 +86,10 @@ class Calibration:
     @property
     def held_out(self) -> ErrorTable:
         """Errors of every rung on the held-out rows."""
-        return ErrorTable({rung.name: rung.held_out for rung in self.rungs})
+        return ErrorTable(
+            {rung.name: rung.held_out for rung in self.rungs},
+            {rung.name: rung.commanded for rung in self.rungs},
+        )
 
     @property
     def not_helping(self) -> tuple[str, ...]:
@@ -120,8 +123,8 @@ class Calibration:
         """Result of the calibration in one sentence."""
         first, last = self.rungs[0], self.rungs[-1]
         return (
-            f"held-out mean error {1e3 * first.held_out.mean:.2f} mm ({first.name}) -> "
-            f"{1e3 * last.held_out.mean:.2f} mm ({last.name}), "
+            f"held-out mean error as commanded {1e3 * first.commanded.mean:.2f} mm "
+            f"({first.name}) -> {1e3 * last.commanded.mean:.2f} mm ({last.name}), "
             f"{len(self.fit.slots)} parameters fitted to {len(self.fit.session)} rows"
         )
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.model.model import Model
@@ -72,11 +73,12 @@ def evaluate(
     """
     calibrated = None if model is None else physics(arm, model)
     session = admitted(test, arm, calibrated, min_poses=1, note=note)
-    stages = {"rigid": errors(physics(arm, None, False), session)}
+    models = {"rigid": physics(arm, None, False)}
     if arm.links:
-        stages["deflection"] = errors(physics(arm, None), session)
+        models["deflection"] = physics(arm, None)
     if calibrated is not None:
-        stages["calibrated"] = errors(calibrated, session)
+        models["calibrated"] = calibrated
+    taken_off = {name: np.zeros(3) for name in models}
     outside, learned = 0, None
     if predictor is not None:
         learned = predictor_of(predictor, arm, model)
@@ -85,8 +87,11 @@ def evaluate(
         inside = np.asarray(found.in_domain)
         outside = int((~inside).sum())
         inside = inside & session.located[session.placed]
-        taken_off = np.where(inside[:, None], found.error, 0.0)
-        stages["network"] = errors(physics(arm, model, beside), session) - taken_off
+        models["network"] = physics(arm, model, beside)
+        taken_off["network"] = np.where(inside[:, None], found.error, 0.0)
     file = None if model is None or isinstance(model, Model) else Path(model)
-    table = {name: Errors.of(error) for name, error in stages.items()}
-    return Evaluation(table, outside, tuple(fitted_to(session, file, learned)))
+    seen, commanded = (
+        {name: Errors.of(left(each, session) - taken_off[name]) for name, each in models.items()}
+        for left in (errors, commanded_errors)
+    )
+    return Evaluation(seen, commanded, outside, tuple(fitted_to(session, file, learned)))

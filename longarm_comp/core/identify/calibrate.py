@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.base_pose import BasePose
@@ -56,13 +57,17 @@ class Errors:
 
 @dataclass(frozen=True)
 class Rung:
-    """One rung of the ladder: a name, its fit and its errors on train and held-out rows."""
+    """One rung of the ladder: a name, its fit and its errors on train and held-out rows.
+
+    `commanded` are the held-out errors as a command would have them (`core/data/commanded.py`).
+    """
 
     name: str
     model: Model
     fit: ModelFit | None
     train: Errors
     held_out: Errors
+    commanded: Errors
 
 
 def geometry(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
@@ -174,4 +179,5 @@ def _rung(
         fitted,
         Errors.of(errors(model, train)),
         Errors.of(errors(model, held_out)),
+        Errors.of(commanded_errors(model, held_out)),
     )
