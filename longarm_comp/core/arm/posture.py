@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TypeVar, cast
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import IDENTITY, ZERO, Frame, Scalar, Twist, Vec
 
 Twists = Mapping[int, Twist]
+_Made = TypeVar("_Made")
 LineLoads = dict[int, list[tuple[Scalar, Scalar]]]
 BASE, PLACEMENT = 0, 1
 """Stations of the base and, before it in the chain, of where it stands: that twist may be large."""
@@ -190,7 +192,9 @@ class Posture:
     lengths: list[Scalar]
     gravity: Vec
     extra: tuple[Lumped, ...] = ()
-    _cache: dict[tuple[str, int], Vec] = field(default_factory=dict, repr=False, compare=False)
+    _cache: dict[tuple[object, ...], object] = field(
+        default_factory=dict, repr=False, compare=False
+    )
 
     @property
     def arm(self) -> Arm:
@@ -296,21 +300,20 @@ class Posture:
                 moment = spatial.add(moment, spatial.scale(m, centre))
         return masses, moments
 
-    def _cached(self, kind: str, station: int, make: Callable[[], Vec]) -> Vec:
-        key = (kind, station)
+    def once(self, key: tuple[object, ...], make: Callable[[], _Made]) -> _Made:
+        """What `make` returns, made once for this posture."""
         if key not in self._cache:
             self._cache[key] = make()
-        return self._cache[key]
+        return cast(_Made, self._cache[key])
 
     def gravity_in(self, station: int) -> Vec:
         """Gravity seen in a station's axes (m/s^2)."""
-        return self._cached("gravity", station, lambda: self.frames[station].unrotate(self.gravity))
+        return self.once(("gravity", station), lambda: self.frames[station].unrotate(self.gravity))
 
     def force(self, station: int) -> Vec:
         """Weight of all that is carried at a station, in its axes (N)."""
-        return self._cached(
-            "force",
-            station,
+        return self.once(
+            ("force", station),
             lambda: spatial.scale(self.carried[0][station], self.gravity_in(station)),
         )
 
@@ -323,7 +326,7 @@ class Posture:
             lever = spatial.sub(first, spatial.scale(mass, frame.p))
             return frame.unrotate(spatial.cross(lever, self.gravity))
 
-        return self._cached("moment", station, make)
+        return self.once(("moment", station), make)
 
     def bearing(self, row: int) -> int:
         """Station of a row's bearing."""

@@ -11,7 +11,6 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.moves import run_up_lengths
@@ -104,6 +103,8 @@ def sobol(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
     if not 1 <= n <= 2**20:
         raise InputError("plan", "n", n, f"1 to {2**20}")
     rng = np.random.default_rng(rng)
+    from scipy.stats import qmc  # takes a quarter of a second
+
     engine = qmc.Sobol(d=arm.n, scramble=True, seed=int(rng.integers(2**31)))
     shares = engine.random_base2(max(0, (n - 1).bit_length()))[:n]
     return _with_sides(arm, _in_box(arm, shares), rng)

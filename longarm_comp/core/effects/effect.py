@@ -13,6 +13,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, ClassVar
 
 from typing_extensions import Self
@@ -54,6 +55,13 @@ class Parameter:
 
 _PARAMETER, _PLACE, _FORM = "parameter", "place", "form"
 Places = Callable[[Arm], Sequence[int] | Sequence[str]]
+
+
+@cache
+def _fields(kind: type[_Term], roles: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of an effect's fields that are declared in one of some roles."""
+    declared = dataclasses.fields(kind)
+    return tuple(f.name for f in declared if any(role in f.metadata for role in roles))
 
 
 def parameter(
@@ -182,6 +190,7 @@ class _Term:
         return cls.title or cls.name.replace("_", " ")
 
     @classmethod
+    @cache
     def declared(cls) -> tuple[Parameter, ...]:
         """The parameters of this kind of effect, in the order of its fields."""
         return tuple(
@@ -232,8 +241,7 @@ class _Term:
         return self._declared_as(_PLACE, _FORM)
 
     def _declared_as(self, *roles: str) -> dict[str, Any]:
-        declared = (f for f in dataclasses.fields(self) if any(r in f.metadata for r in roles))
-        return {f.name: getattr(self, f.name) for f in declared}
+        return {name: getattr(self, name) for name in _fields(type(self), roles)}  # type: ignore[arg-type]
 
     @property
     def where(self) -> str:

@@ -95,6 +95,10 @@ class JointTerm(Effect):
                 a quarter of its weight for a slide.
             blend: share of the threshold over which the side changes over.
         """
+        key = ("side", self.joint, gate, blend)
+        return posture.once(key, lambda: self._side(posture, gate, blend))
+
+    def _side(self, posture: Posture, gate: float, blend: float) -> Scalar:
         load = self.load(posture)
         force, torque = typical_loads(posture.arm)
         sliding = posture.arm.joints[self.joint - 1].type == "prismatic"
@@ -119,6 +123,10 @@ class JointTerm(Effect):
 
         How far a joint is wound up by its own way: +1 against its upper flank, coming from below.
         """
+        key = ("wound", self.joint, radius)
+        return posture.once(key, lambda: self._wound(posture, radius))
+
+    def _wound(self, posture: Posture, radius: float) -> Scalar:
         low, high = play(self._history(posture, "legs"), radius)
         return (low + high) * (0.5 / radius)
 

@@ -36,6 +36,8 @@ class LinkDeflection(Effect):
 def cantilever(posture: Posture, element: Element) -> Twist:
     """Twist at the end of a beam element under end force, end moment and dead weight.
 
+    It is computed once a posture: several effects are shares of it.
+
     With u the beam axis, l the length, F, M the end loads and w = density x gravity over
     the last h of the beam, the bending moment is ``M(s) = M + (l-s) u x F + u x w (...)``,
     the slope its integral over EI and the deflection ``int theta x u ds`` (Euler-Bernoulli;
@@ -45,6 +47,11 @@ def cantilever(posture: Posture, element: Element) -> Twist:
     foreshortening, half the integral of the slope squared, is 0.4 of it under an end force
     (a third under an end moment, 0.43 under dead weight), so a tenth is given back.
     """
+    key = ("cantilever", element.station)
+    return posture.once(key, lambda: _cantilever(posture, element))
+
+
+def _cantilever(posture: Posture, element: Element) -> Twist:
     station, axis = element.station, element.axis
     signed = posture.lengths[station]
     length = abs_(signed)

@@ -13,8 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
+from longarm_comp.core.identify.candidates import Candidate, Term
 from longarm_comp.core.identify.evidence import (
+    FitColumns,
+    FitMarginal,
     Score,
     columns_at,
     key,
@@ -22,7 +24,6 @@ from longarm_comp.core.identify.evidence import (
     reshaped,
     score,
 )
-from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.search import SearchResult
 from longarm_comp.core.identify.search_state import ODDS
 
@@ -168,7 +169,7 @@ def are_aliases(one: Term, other: Term) -> bool:
 def _finding(
     result: SearchResult,
     candidates: Sequence[Candidate],
-    columns: CandidateColumns,
+    columns: FitColumns,
     name: str,
     terms: tuple[Term, ...],
 ) -> EffectFinding:
@@ -227,7 +228,7 @@ def _size(result: SearchResult, candidate: Candidate) -> int:
 
 
 def _likelihood(
-    result: SearchResult, marginal: Marginal, columns: CandidateColumns, candidate: Candidate
+    result: SearchResult, marginal: FitMarginal, columns: FitColumns, candidate: Candidate
 ) -> float:
     """Gain in log likelihood with the candidate's own priors taken away."""
     if not _size(result, candidate):
@@ -244,7 +245,7 @@ def _likelihood(
 def _partial_aliases(
     result: SearchResult,
     candidates: Sequence[Candidate],
-    columns: CandidateColumns,
+    columns: FitColumns,
     terms: Sequence[Term],
     known: Set[str],
 ) -> tuple[PartialAlias, ...]:
@@ -266,7 +267,7 @@ def _partial_aliases(
     best: dict[str, PartialAlias] = {}
     for part, taken in _slots_of_parts(result, terms).items():
         rest = np.setdiff1d(np.arange(len(fit.slots)), taken)
-        marginal = Marginal(fit.design[:, rest], fit.data)
+        marginal = FitMarginal(fit, rest)
         own = marginal.added(fit.design[:, taken]).log_bayes_factor
         if own < result.threshold:
             continue

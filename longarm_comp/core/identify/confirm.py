@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import combinations, pairwise
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.identify.aliasing import EffectFinding
@@ -118,7 +118,7 @@ def _intervals(
     scale = priors(fit.slots) * wider
     centre = (inverse @ right.sum(0))[kept] * scale
     sd = np.maximum(draws.std(axis=0), np.sqrt(np.diag(inverse)))[kept] * scale
-    half = norm.ppf(0.975) * sd
+    half = ndtri(0.975) * sd
     made = {}
     for k, (slot, value) in enumerate(zip(fit.slots, fit.model.values, strict=True)):
         low, high = min(centre[k] - half[k], value), max(centre[k] + half[k], value)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.holdout import Sealed, blocked_split
+from longarm_comp.core.data.holdout import Sealed, blocked_split, spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.aliasing import MOST_NAMES, EffectFinding, findings, on_few_levels
@@ -384,7 +384,17 @@ def _all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Stru
     return structure
 
 
+MOST_ROWS = 2000
+"""Rows that are fitted at most. A hundred parameters are then known to a few percent of the noise;
+further rows cost time and change nothing."""
+
+
 def _split(session: Session, test: Session | None, seed: int) -> tuple[Session, Session]:
+    train, rest = _divided(session, test, seed)
+    return spread(train, MOST_ROWS), rest
+
+
+def _divided(session: Session, test: Session | None, seed: int) -> tuple[Session, Session]:
     if test is not None:
         return session, test
     roles = session.labels.get("role")

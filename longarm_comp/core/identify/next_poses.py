@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.identify.aliasing import EffectFinding
@@ -47,6 +46,8 @@ def next_poses(
     """
     fit = result.fit
     arm = fit.model.arm
+    from scipy.stats import qmc  # takes a quarter of a second
+
     unit = qmc.Sobol(arm.n, seed=seed).random(POOL)
     q = arm.lower + (arm.upper - arm.lower) * unit
     side = np.where(np.arange(POOL) % 2 == 0, 1.0, -1.0)

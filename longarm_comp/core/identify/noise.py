@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f
+from scipy.special import fdtri
 
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify import linear
@@ -122,7 +122,7 @@ def agreed(repeats: NoiseEstimate, residual: NoiseEstimate) -> NoiseEstimate:
     which the F test shows (1 %).  Repeats that scatter more (temperature, time) count for
     nothing.
     """
-    limit = np.sqrt(f.ppf(0.01, repeats.degrees, max(residual.degrees, 1.0)))
+    limit = np.sqrt(fdtri(repeats.degrees, max(residual.degrees, 1.0), 0.01))
     lack = repeats.sigma < limit * residual.sigma
     sigma = np.where(lack, repeats.sigma, residual.sigma)
     source = "repeats" if lack.any() else "residual"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.stats import chi, norm
+from scipy.special import gammaincinv, ndtri
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.data.commanded import commanded_errors
@@ -20,7 +20,7 @@ from longarm_comp.core.model.model import Model
 
 OFF = 1.5
 """Held-out errors of more than this many times the noise are not noise."""
-DECIDES = (4 * norm.ppf(0.95)) ** 2
+DECIDES = (4 * ndtri(0.95)) ** 2
 """Gain in squared error, in units of the noise, from which on a real effect of the fitted size
 would pass a 95 % test 95 times in 100: the gain scatters by twice its root."""
 NETWORK = "with_network"
@@ -183,7 +183,8 @@ def _misfit(unseen: _Unseen) -> tuple[float, float]:
     degrees = unseen.held.sum(axis=1)
     some = degrees > 0
     size = np.linalg.norm(unseen.residual / unseen.spread, axis=1)[some]
-    ratio = float(np.median(size / chi.median(degrees[some])))
+    expected = np.sqrt(2.0 * gammaincinv(degrees[some] / 2, 0.5))
+    ratio = float(np.median(size / expected))
     error = np.linalg.norm(unseen.residual * unseen.metres, axis=1)
     limit = 3.0 * np.median(error)
     clipped = np.minimum(error, limit)

@@ -22,7 +22,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import PLACEMENT, Chain, Lumped, Posture, Twists
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter
-from longarm_comp.core.model.tip_motion import Moved, Reseen, TipMotion, stack
+from longarm_comp.core.model.tip_motion import Reseen, TipMotion, TwistChange, moved, stack
 
 
 @dataclass(frozen=True)
@@ -250,18 +250,17 @@ class Model:
             turns: whether the turns of the tip's axes are wanted.
         """
         slots = self.slots if slots is None else slots
-        tip = self.tip_frame(posture)
-        changes: list[Moved | Reseen] = []
-        total = self.twists(posture)
+        total = self._at_last(posture)
+        ends: list[TwistChange | Reseen] = []
         for slot in slots:
             term, step = slot.owner, 0.01 * slot.parameter.prior
             if isinstance(term, Bias):
                 raised, lowered = (self._reseen(slot, by) for by in (step, -step))
-                changes.append(Reseen(raised, lowered, 0.5 / step, term.sees))
+                ends.append(Reseen(raised, lowered, 0.5 / step, term.sees))
                 continue
             up, down = (self._twists_at(slot, by, posture, total) for by in (step, -step))
-            changes.append(self._tip_motion(posture, tip.p, total, up, down, 0.5 / step, turns))
-        return TipMotion(self, tip, posture.context, changes)
+            ends.append(TwistChange(up, down, 0.5 / step))
+        return self._motion(posture, total, ends, turns)
 
     def added(
         self, posture: Posture, terms: Sequence[Effect | Bias], turns: bool = False
@@ -270,15 +269,28 @@ class Model:
 
         To first order, by Eq. (5). It is meant for terms without free parameters.
         """
-        tip = self.tip_frame(posture)
-        total = self.twists(posture)
-        changes: list[Moved | Reseen] = []
+        ends: list[TwistChange | Reseen] = []
         for term in terms:
             if isinstance(term, Bias):
-                changes.append(Reseen(self.plus(term), self, 1.0, term.sees))
+                ends.append(Reseen(self.plus(term), self, 1.0, term.sees))
             else:
-                twists = term.twists(posture)
-                changes.append(self._tip_motion(posture, tip.p, total, twists, {}, 1.0, turns))
+                ends.append(TwistChange(term.twists(posture), {}, 1.0))
+        return self._motion(posture, self._at_last(posture), ends, turns)
+
+    def _at_last(self, posture: Posture) -> Twists:
+        """`twists`, kept for the posture that was asked for last."""
+        held = self.__dict__.get("_last")
+        if held is None or held[0] is not posture:
+            held = self.__dict__["_last"] = posture, self.twists(posture)
+        return held[1]
+
+    def _motion(
+        self, posture: Posture, total: Twists, ends: Sequence[TwistChange | Reseen], turns: bool
+    ) -> TipMotion:
+        tip = self.tip_frame(posture)
+        arm_side = [e for e in ends if isinstance(e, TwistChange)]
+        shifts = iter(moved(posture, tip.p, total, arm_side, turns))
+        changes = [next(shifts) if isinstance(e, TwistChange) else e for e in ends]
         return TipMotion(self, tip, posture.context, changes)
 
     def _moved(self, slot: Slot, by: float) -> Effect | Bias:
@@ -286,16 +298,16 @@ class Model:
         return slot.owner.with_values({name: getattr(slot.owner, name) + by})
 
     def _twists_at(self, slot: Slot, by: float, posture: Posture, total: Twists) -> Twists:
-        moved = self._moved(slot, by)
-        assert isinstance(moved, Effect)
-        if not moved.changes_loads:
-            return moved.twists(posture)
+        changed = self._moved(slot, by)
+        assert isinstance(changed, Effect)
+        if not changed.changes_loads:
+            return changed.twists(posture)
         terms = list(self.terms)
         if slot.term < len(terms) and terms[slot.term] is slot.owner:
-            terms[slot.term] = moved
+            terms[slot.term] = changed
             model = self._with_terms(terms)
         else:
-            model = self.plus(moved)
+            model = self.plus(changed)
             model.__dict__["chain"] = self.chain
         gravity = model._gravity(posture.context)
         bare = dataclasses.replace(posture, gravity=gravity, extra=(), _cache={})
@@ -304,56 +316,17 @@ class Model:
             extra += effect.masses(bare)
         return model.twists(dataclasses.replace(bare, extra=extra, _cache={}))
 
-    @staticmethod
-    def _tip_motion(
-        posture: Posture,
-        tip: Vec,
-        total: Twists,
-        raised: Twists,
-        lowered: Twists,
-        per: float,
-        turns: bool,
-    ) -> Moved:
-        """Eq. (5): the tip's motion under a change of twists.
-
-        Its point moves by ``sum_i R_i (d_i + delta_i x p_i)``, its axes by ``sum_i R_i delta_i``.
-        The change is taken about the present twist of the station. This is exact also for a
-        large twist, as of a displaced base. The frames after it are kept.
-        """
-        shift, turn = spatial.ZERO, spatial.ZERO
-        for station in {*raised, *lowered}:
-            up = raised.get(station, spatial.ZERO_TWIST)
-            down = lowered.get(station, spatial.ZERO_TWIST)
-            change = tuple(0.5 * (a - b) for a, b in zip(up, down, strict=True))
-            if all(type(c) is float and c == 0.0 for c in change):
-                continue
-            now = total.get(station, spatial.ZERO_TWIST)
-            exp = spatial.exp_large if station == PLACEMENT else spatial.exp
-            frame = posture.frames[station]
-            here = frame.unrotate(spatial.sub(tip, frame.p))
-            ends = [exp(tuple(n + s * c for n, c in zip(now, change, strict=True))) for s in _BOTH]  # type: ignore[arg-type]
-            moved = spatial.sub(ends[0].transform(here), ends[1].transform(here))
-            back = exp(now)
-            shift = spatial.add(shift, spatial.scale(per, frame.rotate(back.unrotate(moved))))
-            if turns:
-                spun = back.unrotate(spatial.turned(ends[0], ends[1]))
-                turn = spatial.add(turn, spatial.scale(per, frame.rotate(spun)))
-        return Moved(shift, turn)
-
     def _reseen(self, slot: Slot, by: float) -> Model:
         """The model with a parameter of the camera side moved."""
         position = slot.term - len(self.effects)
         biases = list(self.biases)
-        moved = self._moved(slot, by)
-        assert isinstance(moved, Bias)
+        changed = self._moved(slot, by)
+        assert isinstance(changed, Bias)
         if 0 <= position < len(biases) and biases[position] is slot.owner:
-            biases[position] = moved
+            biases[position] = changed
         else:
-            biases.append(moved)
+            biases.append(changed)
         return dataclasses.replace(self, biases=tuple(biases))
-
-
-_BOTH = (1.0, -1.0)
 
 
 def slots_of(arm: Arm, terms: Sequence[Effect | Bias]) -> tuple[Slot, ...]:

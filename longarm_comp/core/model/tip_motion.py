@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.spatial import IDENTITY, Frame, Vec
+from longarm_comp.core.arm.posture import PLACEMENT, Posture, Twists
+from longarm_comp.core.arm.spatial import IDENTITY, Frame, Scalar, Twist, Vec
 
 _H = 1e-3
 """Step (of a unit parameter, of a rad) of differences through the camera side."""
@@ -116,6 +117,88 @@ class TipMotion:
             return spatial.ZERO
         ends = [s.seen_axes(self.frame, self.context) for s in (change.raised, change.lowered)]
         return spatial.scale(change.per, spatial.turned(ends[0], ends[1]))
+
+
+_AT_ONCE = 32768
+"""Numbers in an array of several changes: what a processor keeps near."""
+
+
+class TwistChange(NamedTuple):
+    """A change of twists: ``per`` times the difference of two."""
+
+    raised: Twists
+    lowered: Twists
+    per: float
+
+
+def moved(
+    posture: Posture, tip: Vec, total: Twists, ends: Sequence[TwistChange], turns: bool
+) -> list[Moved]:
+    """Eq. (5): the tip's motion under changes of twists.
+
+    Its point moves by ``sum_i R_i (d_i + delta_i x p_i)``, its axes by ``sum_i R_i delta_i``.
+    A change is taken about the present twist of the station. This is exact also for a large
+    twist, as of a displaced base. The frames after it are kept.  Many changes at a station are
+    computed at once, as arrays (k, N).
+    """
+    made = [Moved(spatial.ZERO, spatial.ZERO)] * len(ends)
+    at: dict[int, dict[int, Twist]] = {}
+    for k, e in enumerate(ends):
+        for station in {*e.raised, *e.lowered}:
+            up = e.raised.get(station, spatial.ZERO_TWIST)
+            down = e.lowered.get(station, spatial.ZERO_TWIST)
+            change = tuple([0.5 * (a - b) for a, b in zip(up, down, strict=True)])
+            if any(type(c) is not float or c != 0.0 for c in change):
+                at.setdefault(station, {})[k] = change  # type: ignore[assignment]
+    for station, changes in sorted(at.items()):
+        count = max(1, _AT_ONCE // max(np.size(c) for t in [tip, *changes.values()] for c in t))
+        keys = list(changes)
+        for some in (keys[n : n + count] for n in range(0, len(keys), count)):
+            together = _stacked([changes[k] for k in some])
+            now = total.get(station, spatial.ZERO_TWIST)
+            shift, turn = _carried(posture, tip, station, now, together, turns)
+            for row, k in enumerate(some):
+                here = spatial.scale(ends[k].per, _row(shift, row))
+                spun = spatial.scale(ends[k].per, _row(turn, row)) if turns else spatial.ZERO
+                made[k] = Moved(spatial.add(made[k].shift, here), spatial.add(made[k].turn, spun))
+    return made
+
+
+def _carried(
+    posture: Posture, tip: Vec, station: int, now: Twist, change: Twist, turns: bool
+) -> tuple[Vec, Vec]:
+    """Twice the shift of the tip and the turn of its axes by a change of one station's twist."""
+    exp = spatial.exp_large if station == PLACEMENT else spatial.exp
+    frame, back = posture.frames[station], exp(now)
+    here = frame.unrotate(spatial.sub(tip, frame.p))
+    high = exp(spatial.add_twists(now, change))
+    low = exp(tuple(n - c for n, c in zip(now, change, strict=True)))  # type: ignore[arg-type]
+    moved = spatial.sub(high.transform(here), low.transform(here))
+    shift = frame.rotate(back.unrotate(moved))
+    if not turns:
+        return shift, spatial.ZERO
+    return shift, frame.rotate(back.unrotate(spatial.turned(high, low)))
+
+
+def _stacked(twists: Sequence[Twist]) -> Twist:
+    """k twists in one: every component (k, N), (k, 1), or 0."""
+    made: list[Scalar] = []
+    for component in zip(*twists, strict=True):
+        if all(type(c) is float and c == 0.0 for c in component):
+            made.append(0.0)
+            continue
+        rows = np.empty((len(twists), max(np.size(c) for c in component)))
+        for row, c in zip(rows, component, strict=True):
+            row[:] = c
+        made.append(rows)
+    return tuple(made)  # type: ignore[return-value]
+
+
+def _row(v: Vec, row: int) -> Vec:
+    """One of k vectors: of components (k, N) or (k, 1), or of such that are the same for all."""
+    return tuple(  # type: ignore[return-value]
+        (c[row] if c.shape[1] > 1 else c[row, 0]) if np.ndim(c) == 2 else c for c in v
+    )
 
 
 def stack(v: Vec) -> np.ndarray:
