@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from math import log
 
+from longarm_comp.core.data.commanded import CAMERA_SIDE
 from longarm_comp.core.effects.units import for_people
 from longarm_comp.report.detail import Detail, SetSplit
 from longarm_comp.report.record import DiagnosisReport, FindingParameter, ReportFinding
@@ -41,7 +43,7 @@ class Card:
     """A finding for people.
 
     Attributes:
-        title: what it is.
+        title: what it is and where, in a line.
         names: canonical name, with those that cannot be told from it.
         where: its places.
         sizes: its parameters; `more` of them are not among these.
@@ -77,11 +79,13 @@ def cards(report: DiagnosisReport) -> list[Card]:
 
 def _card(finding: ReportFinding, report: DiagnosisReport) -> Card:
     sure, because = _sure(finding)
+    title, where = finding.title or finding.effect.replace("_", " "), places(finding.where)
+    in_order = sorted(finding.parameters, key=lambda p: _natural(p.where))
     return Card(
-        title=(finding.title or finding.effect.replace("_", " ")).capitalize(),
+        title=title.capitalize() + (f", {where}" if where not in title else ""),
         names=" or ".join(finding.set or [finding.effect]),
-        where=places(finding.where),
-        sizes=tuple(_size(p) for p in finding.parameters[:MOST_SIZES]),
+        where=where,
+        sizes=tuple(_size(p) for p in in_order[:MOST_SIZES]),
         more=max(0, len(finding.parameters) - MOST_SIZES),
         reading=finding.reading,
         tip=_tip(finding),
@@ -96,12 +100,19 @@ def _card(finding: ReportFinding, report: DiagnosisReport) -> Card:
 
 def places(where: list[str]) -> str:
     """``joints 1, 3 and 4`` for ``joint 1``, ``joint 3``, ``joint 4``; others one by one."""
+    where = sorted(where, key=_natural)
     split = [place.rsplit(" ", 1) for place in where]
     kinds = {parts[0] for parts in split}
     if len(where) < 2 or len(kinds) > 1 or any("," in p or len(p.split()) != 2 for p in where):
         return "; ".join(where)
     values = [parts[1] for parts in split]
     return f"{kinds.pop()}s {', '.join(values[:-1])} and {values[-1]}"
+
+
+def _natural(place: str) -> list[tuple[int, str]]:
+    """Key that sorts ``joint 2`` before ``joint 10``."""
+    parts = re.findall(r"\d+|\D+", place)
+    return [(int(part), "") if part.isdigit() else (0, part) for part in parts]
 
 
 def _size(parameter: FindingParameter) -> Size:
@@ -233,6 +244,7 @@ class Improvement:
         seen: mean error as seen; empty where it reads the same.
         proof: what the interval says; empty where nothing was added.
         between: what a command leaves out, where the two differ.
+        camera: whether a finding is on the camera's side.
     """
 
     stages: tuple[str, str]
@@ -240,6 +252,7 @@ class Improvement:
     seen: str
     proof: str
     between: tuple[str, ...]
+    camera: bool
 
 
 def improvement(report: DiagnosisReport) -> Improvement | None:
@@ -260,6 +273,7 @@ def improvement(report: DiagnosisReport) -> Improvement | None:
         seen if differs else "",
         _proof(held.commanded_ci95_mm or held.before_after_ci95_mm),
         tuple(held.not_commanded) if differs else (),
+        any(said.endswith(CAMERA_SIDE) for said in held.not_commanded) and bool(report.findings),
     )
 
 

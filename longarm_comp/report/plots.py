@@ -263,9 +263,10 @@ def place(found: Marked) -> Figure:
             markeredgewidth=2.2,
         )  # fmt: skip
         label = ", ".join(where.rsplit(" ", 1)[-1] for where in near)
+        left_half = x < (low[0] + high[0]) / 2
         axes.annotate(
-            label, (x, z), (8, 9), textcoords="offset points", fontsize=10, color=INK,
-            fontweight="bold",
+            label, (x, z), (8 if left_half else -8, 9), textcoords="offset points", fontsize=10,
+            color=INK, fontweight="bold", ha="left" if left_half else "right",
         )  # fmt: skip
     room = 0.14 * max(float((high - low).max()), 1e-3)
     axes.set(

@@ -20,6 +20,7 @@ from longarm_comp.core.model.model import Model
 
 TOLD = ("t_s", "temperature_c", "payload_kg")
 """Circumstances that a command is told, besides inclinations: by topics, or by its target."""
+CAMERA_SIDE, NEVER_TOLD = "(camera side)", "(a circumstance that no command is told)"
 
 
 def commanded_errors(model: Model, session: Session) -> np.ndarray:
@@ -55,7 +56,7 @@ def own_way(session: Session) -> Session:
 def not_commanded(model: Model, session: Session) -> list[str]:
     """What `commanded_errors` leaves out of a model at these rows, in words."""
     said = [
-        f"{term.name} (camera side)" if isinstance(term, Bias) else f"{term.name} (never told)"
+        f"{term.name} {CAMERA_SIDE if isinstance(term, Bias) else NEVER_TOLD}"
         for term in model.terms
         if not term.geometry and not commandable(term)
     ]

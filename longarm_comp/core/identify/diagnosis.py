@@ -417,7 +417,8 @@ def _summary(found: Diagnosis) -> str:
         text = f"Effects were found in the fitted poses but their gain on the held-out ones {why}"
         return f"{text}; the model was left as it was.{unnamed}{learned}"
     if found.verdict == "noise":
-        return f"After calibration nothing but noise is left; no effect was added. {gain}."
+        text = "After calibration nothing but noise is left; no effect was added."
+        return f"{text} {gain} by the calibration."
     if found.verdict == "unknown":
         text = f"The model lacks something that no effect of the library explains: {left}."
         return text + learned
