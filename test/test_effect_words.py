@@ -6,14 +6,14 @@ import math
 
 import pytest
 
-from longarm_comp.core.effects.catalogue import registered
+from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
 from longarm_comp.core.effects.units import for_people
 
 
-@pytest.mark.parametrize("name", registered())
+@pytest.mark.parametrize("name", BUILT_IN)
 def test_every_effect_has_a_title_and_an_action_of_its_own(name: str) -> None:
-    kind = registered()[name]
+    kind = BUILT_IN[name]
     for field in ("title", "action"):
         assert field in vars(kind), f"{name} declares no {field} in its own file"
     assert kind.title == kind.heading() and "_" not in kind.title
@@ -22,7 +22,7 @@ def test_every_effect_has_a_title_and_an_action_of_its_own(name: str) -> None:
 
 
 def test_titles_tell_effects_apart() -> None:
-    titles = [kind.title for kind in registered().values()]
+    titles = [kind.title for kind in BUILT_IN.values()]
     assert len(set(titles)) == len(titles)
 
 
