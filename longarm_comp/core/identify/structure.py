@@ -39,6 +39,7 @@ class Structure:
             (1 when nothing else is left).
         groups: (what, standardised statistic) of every group tested.
         at: the joint that the strongest of them moves; empty where it is the tip.
+        sign: where it shows, if another sign than this test tells it: ``shows in held-out poses``.
     """
 
     flag: bool
@@ -48,6 +49,7 @@ class Structure:
     share_explained: float
     groups: tuple[tuple[str, float], ...]
     at: str = ""
+    sign: str = ""
 
 
 def examine(fit: ModelFit, base: ModelFit, rng: np.random.Generator) -> Structure:
