@@ -15,22 +15,19 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nodes_bench import ROOT, Bench, bench
 from sensor_msgs.msg import Imu, Temperature
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.moves import sweep
 from longarm_comp.core.effects import catalogue
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.messages import joints_message, trajectory_message
+from longarm_comp.nodes.messages import joints_message
 from longarm_interfaces.srv import Compensate
 
 
@@ -275,41 +272,3 @@ def test_what_the_model_needs_must_be_told_and_nonsense_is_only_counted(
     stage.spin(lambda: stories and stories[-1].temperature_c == 40.0)
     np.testing.assert_allclose(stories[-1].ideal.position, arm.mid, atol=1e-3)
     assert node.poll() is None
-
-
-def test_a_move_that_the_driver_lost_leaves_the_history_unknown(
-    stage: Bench, arm: Arm, demo_arm_path: Path, tmp_path: Path
-) -> None:
-    path = tmp_path / "model.yaml"
-    friction = FrictionHysteresis(joint=2, width=0.02, inner=0.01, outer=0.01)
-    save_model(path, store(declared_model(arm).plus(friction)))
-    options = {"arm": demo_arm_path, "model": path, "method": "deflection", "run_up": False}
-    stage.start("kinematics", options)
-    client = graph.COMPENSATE.client(stage.node)
-    topics = (graph.JOINT_STATES, graph.JOINT_TRAJECTORY, graph.LOST_MOVE)
-    joints, trajectories, lost = (topic.publisher(stage.node) for topic in topics)
-    for publisher in (joints, trajectories, lost):
-        stage.connected(publisher)
-    target = declared_model(arm).pose(arm.mid)
-
-    def said() -> Compensate.Response:
-        joints.publish(joints_message(arm, arm.mid))
-        return stage.call(client, request(target, arm))
-
-    def doubts(expected: bool) -> Compensate.Response:
-        """An answer that says, or does not say, that the tip depends on what is not known."""
-        found: list[Compensate.Response] = []
-
-        def heard() -> bool:
-            found[:] = [said()]
-            return found[0].success and ("not known" in found[0].message) is expected
-
-        stage.spin(heard)
-        return found[0]
-
-    doubts(True)
-    for _ in range(2):
-        trajectories.publish(trajectory_message(arm, sweep(arm, arm.mid), 0.1))
-        doubts(False)
-        lost.publish(String(data="refused: the driver is not active"))
-        assert doubts(True).sigma > 1e-3

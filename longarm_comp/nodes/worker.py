@@ -63,6 +63,7 @@ class Worker:
         self._bell = GuardCondition(None, None, context=node.context)
         self._closing = False
         self._thread: threading.Thread | None = None
+        self._inlets: _Inlets | None = None
 
     @property
     def waiting(self) -> int:
@@ -78,8 +79,8 @@ class Worker:
         The callbacks run on the thread, before the next job.  The callback of a service gets the
         request and a function that sends the response.
         """
-        inlets = _Inlets(self._context, self._bell, topics, services)
-        self._thread = threading.Thread(target=self._run, args=(inlets,), daemon=True)
+        self._inlets = _Inlets(self._context, self._bell, topics, services)
+        self._thread = threading.Thread(target=self._run, args=(self._inlets,), daemon=True)
         self._thread.start()
 
     def submit(self, job: Job) -> bool:
@@ -103,6 +104,18 @@ class Worker:
             self._executor.wake()
 
         return future if self.submit(answer) else None
+
+    def take(self, until: Callable[[], bool], within_s: float) -> bool:
+        """Take messages and requests, inside a job, until a condition holds; whether it does."""
+        end = time.monotonic() + within_s
+        assert self._inlets is not None
+        while not (done := until()) and not self._closing:
+            left = end - time.monotonic()
+            if left <= 0.0:
+                break
+            self._inlets.wait(max(1, int(1e9 * left)))
+            self._inlets.empty(self._capacity)
+        return done
 
     def close(self) -> None:
         """Finish the current job and drop the others."""
@@ -144,7 +157,7 @@ class _Inlets:
                 len(self._topics), 1, 0, 0, len(self._services), 0, context.handle
             )
 
-    def wait(self) -> None:
+    def wait(self, at_most_ns: int = -1) -> None:
         """Sleep until a message, a request or a trigger of the guard condition arrives."""
         self._set.clear_entities()
         self._set.add_guard_condition(self._bell.handle)
@@ -152,7 +165,7 @@ class _Inlets:
             self._set.add_subscription(topic.handle)
         for service in self._services:
             self._set.add_service(service.handle)
-        self._set.wait(_FOREVER_NS)
+        self._set.wait(at_most_ns)
 
     def empty(self, at_most: int) -> None:
         """Run the callbacks of everything received, so that no middleware queue overflows."""
@@ -170,9 +183,6 @@ class _Inlets:
                 if header is None:
                     break
                 service.callback(request, partial(_send, service, header))
-
-
-_FOREVER_NS = -1
 
 
 def _send(service: Service, header: Any, response: Any) -> None:
