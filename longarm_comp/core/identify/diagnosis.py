@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.holdout import Sealed, blocked_split
+from longarm_comp.core.data.holdout import Sealed, blocked_split, spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.aliasing import MOST_NAMES, EffectFinding, findings, on_few_levels
@@ -18,11 +18,13 @@ from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.confirm import Confirmed, confirm
 from longarm_comp.core.identify.fit import ModelFit, fit
 from longarm_comp.core.identify.in_words import sentence
+from longarm_comp.core.identify.minor import Minor, settled
 from longarm_comp.core.identify.next_poses import NextPoses, next_poses
 from longarm_comp.core.identify.noise import from_repeats
-from longarm_comp.core.identify.plausible import check_noise, check_sizes, check_worth
+from longarm_comp.core.identify.plausible import check_fits, check_noise, check_sizes, check_worth
 from longarm_comp.core.identify.proof import LearnedCorrection, Proof, prove
 from longarm_comp.core.identify.search import SearchResult, search
+from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.identify.structure import Structure, examine
 from longarm_comp.core.identify.wind_up import WindUp, as_fitted, refined, wind_up, with_run_ups
 from longarm_comp.core.model.model import Model
@@ -53,6 +55,7 @@ class Diagnosis:
         network: the learned correction of what is left, where it helped.
         split_by: poses per set.
         not_testable: (effect, why).
+        minor: what the fitted rows ask for but does not matter; not in the model.
         train: rows that were fitted.
         held_out: the rows of the proof.
         holdout_uses: what the hold-out was opened for.
@@ -70,6 +73,7 @@ class Diagnosis:
     network: LearnedCorrection | None
     split_by: tuple[NextPoses, ...]
     not_testable: tuple[tuple[str, str], ...]
+    minor: tuple[Minor, ...]
     train: Session
     held_out: Session
     holdout_uses: tuple[str, ...]
@@ -96,8 +100,9 @@ class Diagnosis:
 
     @property
     def summary(self) -> str:
-        """The verdict in one sentence."""
-        return _summary(self)
+        """The verdict in one sentence, and what was left out."""
+        gone = "; ".join(f"{m.name} at {', '.join(m.where)}: {m.why}" for m in self.minor)
+        return _summary(self) + (f" Not named: {gone}." if gone else "")
 
 
 def diagnose(
@@ -154,7 +159,7 @@ def diagnose(
     opened = sealed.open("proof")
     held_out = opened.take(opened.seen)
     models = {
-        "nominal": nominal,
+        "nominal": standing(nominal, train)[0],
         "frames_only": staged["frames_only"].model,
         "calibrated": calibrated,
         "with_effects": identified.search.fit.model,
@@ -183,6 +188,7 @@ def diagnose(
             if f.alternatives
         ),
         not_testable=candidates.not_testable,
+        minor=identified.minor,
         train=train,
         held_out=held_out,
         holdout_uses=sealed.uses,
@@ -197,6 +203,7 @@ def _check(found: Diagnosis) -> None:
     final = "calibrated" if found.rolled_back else "with_effects"
     left, source = found.proof.errors, found.train.source
     check_worth(left[final], left["frames_only"], source)
+    check_fits(found.model, found.train)
     check_sizes(found.model, source)
     if found.verdict == "noise":
         check_noise(found.search.noise.sigma, found.train)
@@ -216,6 +223,7 @@ class _Identified:
         structure: what the fit with effects leaves.
         confirmed: intervals and doubts.
         candidates: the library, with the radii that the joints' memory was found to have.
+        minor: what does not matter.
         memory: these radii and the length of unrecorded run-ups, where joints remember.
     """
 
@@ -225,6 +233,7 @@ class _Identified:
     structure: Structure
     confirmed: Confirmed
     candidates: tuple[Candidate, ...]
+    minor: tuple[Minor, ...]
     memory: WindUp | None
 
 
@@ -245,10 +254,13 @@ def _identify(
     memory = wind_up(start, rows, candidates)
     if memory is not None:
         candidates, train = memory.candidates(candidates), rows(memory.run_up)
-    searched = search(start, train, candidates, known_noise=from_repeats(train), progress=say)
+    searched = search(
+        start, train, candidates, known_noise=from_repeats(start, train), progress=say
+    )
     if memory is not None:
         searched, memory = refined(searched, memory, rows)
         candidates, train = memory.candidates(candidates), rows(memory.run_up)
+    searched, minor = settled(searched, say)
     say("look-alikes")
     result, found = findings(searched, candidates)
     say("structure")
@@ -257,7 +269,7 @@ def _identify(
     calibrated = fit(start, train, sigma=noise.sigma, rho=noise.rho, weights=weights)
     structure = examine(result.fit, calibrated, rng)
     confirmed = confirm(result, list(found), candidates, rng)
-    return _Identified(calibrated, result, found, structure, confirmed, candidates, memory)
+    return _Identified(calibrated, result, found, structure, confirmed, candidates, minor, memory)
 
 
 @dataclass(frozen=True)
@@ -344,7 +356,17 @@ def _all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Stru
     return structure
 
 
+MOST_ROWS = 2000
+"""Rows that are fitted at most. A hundred parameters are then known to a few percent of the noise;
+further rows cost time and change nothing."""
+
+
 def _split(session: Session, test: Session | None, seed: int) -> tuple[Session, Session]:
+    train, rest = _divided(session, test, seed)
+    return spread(train, MOST_ROWS), rest
+
+
+def _divided(session: Session, test: Session | None, seed: int) -> tuple[Session, Session]:
     if test is not None:
         return session, test
     roles = session.labels.get("role")
@@ -379,4 +401,7 @@ def _summary(found: Diagnosis) -> str:
         text += ", either alone explains most of what both do"
     before, after = (proof.rows[k].mean for k in ("calibrated", "with_effects"))
     text += f". Held-out mean error {1e3 * before:.2f} -> {1e3 * after:.2f} mm"
+    if proof.set_aside:
+        text += f", {proof.set_aside} of {len(found.held_out)} rows set aside, "
+        text += "which no model explains"
     return f"{text}; {unnamed}" if left else f"{text}."

@@ -10,6 +10,8 @@ from longarm_comp.core.identify.fit import ModelFit
 def sentence(finding: EffectFinding, fit: ModelFit, confirmed: Confirmed) -> str:
     """What was found, where, how large, with its interval, and what else it could be.
 
+    A parameter at its bound is no estimate and is left out.
+
     Args:
         finding: one effect.
         fit: the final one, which holds its terms.
@@ -20,6 +22,8 @@ def sentence(finding: EffectFinding, fit: ModelFit, confirmed: Confirmed) -> str
     for k, slot in enumerate(fit.slots):
         if (slot.owner.name, slot.owner.where) in places:
             i = confirmed.intervals[k]
+            if i.at_bound:
+                continue
             p = slot.parameter
             values.append(
                 f"{slot.owner.where} {p.name} {i.value:.3g} {p.unit} [{i.low:.3g}, {i.high:.3g}]"
