@@ -162,6 +162,9 @@ def test_what_the_driver_accepted_is_the_history_of_the_joints(
         stage.spin(heard)
         return found[0]
 
+    driver.event = Motion.REFUSED
+    ask = request(target, arm, execute=True)
+    stage.spin(lambda: stage.call(client, ask).status == STATUS.NOT_ACCEPTED)  # it knows of "c"
     doubts(True)
     way = trajectory_message(arm, sweep(arm, arm.mid), 0.1)
     for event in (Motion.BROKEN_OFF, Motion.REPLACED):

@@ -14,6 +14,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nodes_bench import ROOT, Bench, bench
+from rclpy.duration import Duration
 from sensor_msgs.msg import Imu, Temperature
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -134,12 +135,23 @@ def test_of_a_burst_every_target_and_request_is_answered_once(
     stage.spin(heard)
     stage.spin(lambda: stories[-1].status == Compensate.Response.SUCCESS)
     del stories[:]
-    for target in asked:
-        targets.publish(target)
-    stage.spin(lambda: len(stories) == 150)
-    sent = [s for s in stories if s.status == Compensate.Response.SUCCESS]
-    assert len(sent) >= 40
-    assert all(s.message for s in stories if s not in sent)
+    del trajectories[:]
+    others = graph.TARGET_POSE.publisher(stage.node)
+    stage.connected(others)
+    for i in range(1000):
+        target = asked[i % len(asked)]
+        target.header.stamp.nanosec = i  # a name; 0 s is within the age, as the clock is the test's
+        target.header.stamp.sec = int(stage.node.get_clock().now().nanoseconds // 10**9)
+        (targets, others)[i % 2].publish(target)
+    told = lambda: [s for s in stories if s.target.header.stamp.sec]  # noqa: E731
+    stage.spin(lambda: len(told()) >= 1000, within=60.0)
+    names = [story.target.header.stamp.nanosec for story in told()]
+    assert sorted(names) == list(range(1000))
+    sent = [s for s in told() if s.status == Compensate.Response.SUCCESS]
+    others_told = {s.status for s in told()} - {Compensate.Response.SUCCESS}
+    assert others_told == {Compensate.Response.SUPERSEDED}
+    assert all(s.message for s in told() if s.status != Compensate.Response.SUCCESS)
+    assert sent[-1].target.header.stamp.nanosec >= 998  # the last of either publisher
     stage.spin(lambda: len(trajectories) == len(sent))
 
 
@@ -156,8 +168,33 @@ def test_every_refusal_has_a_status_and_a_reason(
     def ask(matrix: np.ndarray, **more: object) -> Compensate.Response:
         return stage.call(client, request(matrix, arm, execute=True, **more))
 
+    joints = graph.JOINT_STATES.publisher(stage.node)
+    stage.connected(joints)
     unseeded = Compensate.Request(target=pose(reach), execute=True)
     assert stage.call(client, unseeded).status == status.NOT_READY
+    assert ask(reach).status == status.NOT_READY  # a seed does not say where the arm stands
+
+    def stands(q: np.ndarray, words: str, age_s: float = 0.0) -> None:
+        """Tell joints until an executed target is refused with these words; "": it is not."""
+        now = stage.node.get_clock().now() - Duration(seconds=age_s)
+
+        def heard() -> bool:
+            joints.publish(joints_message(arm, arm.mid))
+            joints.publish(joints_message(arm, q, now.to_msg() if age_s else None))
+            answer = ask(reach)
+            refused = answer.status == status.NOT_READY
+            return refused == bool(words) and words in answer.message
+
+        stage.spin(heard)
+
+    stands(np.where(np.arange(arm.n) == 3, 50.0, arm.mid), "joint4: 50")
+    stands(arm.mid + 0.8 * (arm.upper - arm.mid), "jumped")
+    stands(arm.mid, "100.0 s old", age_s=100.0)
+    stands(arm.mid, "")
+    stage.spin(lambda: trajectories)
+    stage.spin(lambda: stories[-1].executed.position)
+    del trajectories[:]
+    count = len(stories)
     lost = reach.copy()
     lost[0, 3] = math.nan
     assert ask(lost).status == status.BAD_TARGET
@@ -175,14 +212,26 @@ def test_every_refusal_has_a_status_and_a_reason(
     answer = stage.call(client, foreign)
     assert answer.status == status.BAD_TARGET
     assert "elbow" in answer.message
+    wild = request(reach, arm)
+    wild.seed.position[2] = 50.0
+    answer = stage.call(client, wild)
+    assert answer.status == status.BAD_TARGET
+    assert "joint3: 50" in answer.message
+    for age_s, words in ((100.0, "100.0 s old"), (-100.0, "in the future")):
+        old = request(reach, arm, execute=True)
+        then = stage.node.get_clock().now() - Duration(seconds=age_s)
+        old.target.header.stamp = then.to_msg()
+        answer = stage.call(client, old)
+        assert answer.status == status.STALE_TARGET
+        assert words in answer.message
     far = reach.copy()
     far[0, 3] += 3.0
     answer = stage.call(client, request(far, arm, execute=True, position_only=True), within=40.0)
     assert answer.status == status.UNREACHABLE
     assert not answer.command.position
     assert not trajectories
-    stage.spin(lambda: len(stories) == 7)
-    assert all(story.message and not story.executed.position for story in stories)
+    stage.spin(lambda: len(stories) == count + 9)
+    assert all(story.message and not story.executed.position for story in stories[count:])
 
     quiet = ask(reach)
     assert quiet.status == status.NO_PREDICTOR

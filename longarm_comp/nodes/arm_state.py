@@ -12,9 +12,11 @@ from sensor_msgs.msg import Imu, JointState, Temperature
 from std_msgs.msg import Float64
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.compensation.joint_trust import JointTrust
 from longarm_comp.core.compensation.online import Readings
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.images import stamp_ns
 from longarm_comp.nodes.messages import joints_of, tilt_of
 
 NO_JOINTS = "no joint_states yet"
@@ -26,7 +28,9 @@ class ArmState:
 
     Args:
         refused: called for every message that is refused, with its kind and the reason.
-        moved: called with every joint reading (n,).
+        moved: called with every joint reading (n,) that is believed.
+        max_age_s: older joint readings are not believed.
+        rate: ranges of a joint per second; readings that move faster are not believed.
     """
 
     def __init__(
@@ -35,7 +39,11 @@ class ArmState:
         arm: Arm,
         refused: Callable[[str, str], None],
         moved: Callable[[np.ndarray], None],
+        max_age_s: float,
+        rate: float,
     ) -> None:
+        self._trust, self._max_age_s = JointTrust(arm, rate), max_age_s
+        self._clock = node.get_clock()
         self._arm, self._refused = arm, refused
         self._on_moved = moved
         self.readings = Readings(started_s=time.monotonic())
@@ -63,8 +71,29 @@ class ArmState:
         except InputError as error:
             self._refused("bad joint_states", str(error))
             return
-        self._joints = q, time.monotonic()
-        self._on_moved(q)
+        stamp, now = stamp_ns(message.header.stamp), time.monotonic()
+        if stamp and (why := self.untimely(stamp, self._max_age_s)):
+            self._trust.distrust(f"joint_states are doubtful: the last {why}")
+        elif self._trust.read(q, 1e-9 * stamp if stamp else now):
+            self._joints = q, now
+            self._on_moved(q)
+            return
+        self._refused("doubtful joint_states", self._trust.doubt)
+
+    @property
+    def doubt(self) -> str:
+        """Why the arm must not be moved from where `joints` say that it is; empty if it may."""
+        if self._joints is None:
+            return self._trust.doubt or NO_JOINTS
+        old = f"the last joint_states is {self.age_s:.1f} s old"
+        return self._trust.doubt or (old if self.age_s > self._max_age_s else "")
+
+    def untimely(self, stamp: int, max_age_s: float) -> str:
+        """Why a message of that stamp (ns) is too old, or of the future; empty if it is not."""
+        age = 1e-9 * (self._clock.now().nanoseconds - stamp)
+        if abs(age) <= max_age_s:
+            return ""
+        return f"is {age:.1f} s old" if age > 0 else f"lies {-age:.1f} s in the future"
 
     def _on_temperature(self, message: Temperature) -> None:
         self._read("temperature", {"temperature_c": message.temperature})

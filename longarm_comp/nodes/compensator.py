@@ -12,10 +12,11 @@ import numpy as np
 from rclpy.node import Node
 
 from longarm_comp.core.compensation.compensate import Method, Settling, Status
+from longarm_comp.core.compensation.joint_trust import check_inside
 from longarm_comp.core.compensation.online import CompensationOptions, StaleContext, compensate_now
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.expansion import Nearby
-from longarm_comp.nodes.arm_state import NO_JOINTS, ArmState
+from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.driver_link import DriverLink
 from longarm_comp.nodes.messages import Answer, FileHashes, Refusal, joints_of, target_of
 from longarm_comp.nodes.model_files import ModelFiles
@@ -34,7 +35,6 @@ PARAMS = (
     Param("run_up", True, "joints run up to their target where the model needs a side", live=True),
     Param("realisable", True, "choose joints among the steps that the arm declares", live=True),
     Param("context_max_age_s", 60.0, "older temperature, payload, tilt are stale", 0.1, 1e6),
-    Param("joints_max_age_s", 5.0, "older joint_states are no seed", 0.1, 1e6),
 )
 
 
@@ -55,11 +55,16 @@ class Compensator:
         self._node, self._files, self._state = node, files, state
         self._predictor, self._driver, self._survived = predictor, driver, survived
         self._base_frame: str = p["base_frame"]
-        self._max_age_s, self._joints_age_s = p["context_max_age_s"], p["joints_max_age_s"]
+        self._max_age_s = p["context_max_age_s"]
         self._settling = Settling(
             tol_m=p["tolerance_m"], max_passes=p["max_passes"],
             max_correction_m=p["max_correction_m"],
         )  # fmt: skip
+
+    @property
+    def learned(self) -> bool:
+        """Whether a predictor is on the graph."""
+        return self._predictor.present
 
     def answer(self, name: str, request: Compensate.Request) -> Answer:
         """The answer to a request; a refusal is one too. ``name``: id of the target."""
@@ -93,12 +98,13 @@ class Compensator:
     def _compensate(self, name: str, request: Compensate.Request) -> Answer:
         target = target_of(request.target, self._base_frame, request.position_only)
         options = self._options()
-        start = self._start(request)
+        start, seed = self._start(request)
         if request.execute and self._driver.refusal:
             raise Refusal(Status.NO_DRIVER, f"not sent: {self._driver.refusal}")
         loaded = self._files.loaded
         known: dict[str, Any] = {
             "start": start,
+            "seed": seed,
             "history": self._driver.history,
             "readings": self._state.readings,
             "now_s": time.monotonic(),
@@ -140,17 +146,23 @@ class Compensator:
             realisable=bool(value("realisable")),
         )
 
-    def _start(self, request: Compensate.Request) -> np.ndarray:
-        """Joints (n,) to start from: the request's seed, else the last joint_states.
+    def _start(self, request: Compensate.Request) -> tuple[np.ndarray, np.ndarray | None]:
+        """Where the move starts and where the search does, (n,) each.
+
+        Without a seed both are the joints. A move that is executed starts at the joints also with
+        one; only a computation may start elsewhere.
 
         Raises:
-            Refusal: there are none, or they are too old.
+            Refusal: the joints are not known, too old or doubtful.
+            InputError: the seed is of another arm, or outside the limits.
         """
+        seed = None
         if request.seed.name:
-            return joints_of(request.seed, self._files.arm, "seed")
-        q, age = self._state.joints, self._state.age_s
-        if q is None:
-            raise Refusal(Status.NOT_READY, f"{NO_JOINTS}, and no seed was given")
-        if age > self._joints_age_s:
-            raise Refusal(Status.NOT_READY, f"the last joint_states is {age:.1f} s old")
-        return q
+            seed = joints_of(request.seed, self._files.arm, "seed")
+            check_inside(seed, self._files.arm, "seed")
+        if seed is not None and not request.execute:
+            return seed, seed
+        doubt, q = self._state.doubt, self._state.joints
+        if doubt or q is None:
+            raise Refusal(Status.NOT_READY, doubt)
+        return q, seed

@@ -19,6 +19,7 @@ from longarm_comp.nodes.messages import Answer, joints_message, vector_message
 from longarm_comp.nodes.monitoring import Sighted
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.steady import steady_timer
+from longarm_comp.nodes.targets import Request, Targets
 from longarm_interfaces.action import Reach
 from longarm_interfaces.msg import Motion
 from longarm_interfaces.srv import Compensate
@@ -32,11 +33,9 @@ PARAMS = (
 class Site(Protocol):
     """What the action needs of `kinematics`."""
 
-    def execute(self, request: Compensate.Request) -> Future | None:
-        """Compute and send a target in its turn: its `Answer`, and whether it was accepted."""
-
-    def halt(self, name: str) -> None:
-        """Stop the arm smoothly, by a trajectory of that id."""
+    @property
+    def targets(self) -> Targets:
+        """Where targets are asked for."""
 
     @property
     def joints(self) -> np.ndarray | None:
@@ -90,6 +89,11 @@ class ReachServer:
 
     async def _serve(self, goal: Any) -> Reach.Result:
         turn = object()
+        request = self._site.targets.asked(
+            Compensate.Request(
+                target=goal.request.target, position_only=goal.request.position_only, execute=True
+            )
+        )
         self._turns.append(turn)
         self._timer.reset()
         try:
@@ -99,22 +103,20 @@ class ReachServer:
                     return Reach.Result(message="cancelled before it was begun", **_unseen())
                 self._feedback(goal, Reach.Feedback.WAITING, None)
                 await self._next_tick()
-            return await self._reach(goal)
+            return await self._reach(goal, request)
         finally:
             self._turns.remove(turn)
             if not self._turns:
                 self._timer.cancel()
 
-    async def _reach(self, goal: Any) -> Reach.Result:
+    async def _reach(self, goal: Any, request: Request) -> Reach.Result:
         if self._site.no_driver:
             goal.abort()
             status = Compensate.Response.NO_DRIVER
             return Reach.Result(status=status, message=self._site.no_driver, **_unseen())
         before = self._site.sighted
-        request = Compensate.Request(
-            target=goal.request.target, position_only=goal.request.position_only, execute=True
-        )
-        asked = self._site.execute(request)
+        self.follow(request.name)
+        asked = self._site.targets.execute(request)
         if asked is None:
             goal.abort()
             return Reach.Result(
@@ -125,6 +127,7 @@ class ReachServer:
             status=int(answer.status), message=answer.message, id=answer.name, **_unseen()
         )
         if not answer.status.success or answer.outcome is None:
+            self._forget(request.name)
             goal.abort()
             return result
         command = answer.outcome.command
@@ -147,7 +150,7 @@ class ReachServer:
             if goal.is_cancel_requested and not halted:
                 halted, name = True, f"{name} halt"
                 self.follow(name)
-                self._site.halt(name)
+                self._site.targets.halt(name)
             self._feedback(goal, Reach.Feedback.MOVING, command)
             await self._next_tick()
         self._forget(name)

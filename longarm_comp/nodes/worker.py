@@ -24,6 +24,8 @@ from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
+from longarm_comp.nodes.loss import SequenceWatch
+
 Job = Callable[[], Any]
 
 
@@ -69,6 +71,11 @@ class Worker:
     def waiting(self) -> int:
         """Number of waiting jobs."""
         return len(self._jobs)
+
+    @property
+    def lost(self) -> int:
+        """Messages that full queues have dropped."""
+        return 0 if self._inlets is None else self._inlets.lost
 
     def start(self, topics: Sequence[Subscription] = (), services: Sequence[Service] = ()) -> None:
         """Start the thread, once.
@@ -152,10 +159,16 @@ class _Inlets:
         services: Sequence[Service],
     ) -> None:
         self._bell, self._topics, self._services = bell, tuple(topics), tuple(services)
+        self._watches = [SequenceWatch() for _ in self._topics]
         with context.handle:
             self._set = rclpy_implementation.WaitSet(
                 len(self._topics), 1, 0, 0, len(self._services), 0, context.handle
             )
+
+    @property
+    def lost(self) -> int:
+        """Messages that full queues have dropped."""
+        return sum(watch.lost for watch in self._watches)
 
     def wait(self, at_most_ns: int = -1) -> None:
         """Sleep until a message, a request or a trigger of the guard condition arrives."""
@@ -169,13 +182,17 @@ class _Inlets:
 
     def empty(self, at_most: int) -> None:
         """Run the callbacks of everything received, so that no middleware queue overflows."""
-        for topic in self._topics:
-            for _ in range(at_most):
+        for topic, watch in zip(self._topics, self._watches, strict=True):
+            depth = max(at_most, topic.qos_profile.depth)
+            numbers: list[int] = []
+            for _ in range(depth):
                 with topic.handle:
                     taken = topic.handle.take_message(topic.msg_type, topic.raw)
                 if taken is None:
                     break
+                numbers.append(taken[1]["publication_sequence_number"] or 0)
                 topic.callback(taken[0])
+            watch.taken(numbers, full=len(numbers) >= topic.qos_profile.depth > 1)
         for service in self._services:
             for _ in range(at_most):
                 with service.handle:
