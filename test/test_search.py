@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from demo_rows import N, session_of
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
@@ -16,7 +17,6 @@ from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_gain import JointGain
-from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.link_stiffness import LinkStiffness
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
@@ -30,21 +30,11 @@ from longarm_comp.core.identify.search import SearchResult, search
 from longarm_comp.core.model.model import Model
 
 KINDS = (JointCompliance, JointGain, GearEccentricity, ThermalGrowth)
-N = 90
 
 
 @pytest.fixture(scope="module")
 def arm(demo_arm_path: Path) -> Arm:
     return Arm.load(demo_arm_path)
-
-
-def session_of(arm: Arm, seed: int, *hidden: Effect) -> Session:
-    """Poses of an arm with geometry errors, 0.4 mm of noise and what is hidden."""
-    rng = np.random.default_rng(seed)
-    q = rng.uniform(arm.lower, arm.upper, (N, arm.n))
-    zeros = tuple(JointZero(row, offset=3e-3 * rng.standard_normal()) for row in (1, 2, 4, 5, 6))
-    truth = Model(arm, (LinkDeflection(), *zeros, *hidden))
-    return Session.record(q, truth.tip(q) + 4e-4 * rng.standard_normal((N, 3)))
 
 
 def searched(arm: Arm, session: Session) -> SearchResult:

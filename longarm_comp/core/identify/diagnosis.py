@@ -23,6 +23,7 @@ from longarm_comp.core.identify.next_poses import NextPoses, next_poses
 from longarm_comp.core.identify.noise import from_repeats
 from longarm_comp.core.identify.plausible import check_noise, check_sizes, check_worth
 from longarm_comp.core.identify.proof import LearnedCorrection, Proof, prove
+from longarm_comp.core.identify.remainder import without_remainders
 from longarm_comp.core.identify.search import SearchResult, search
 from longarm_comp.core.identify.structure import Structure, examine
 from longarm_comp.core.identify.wind_up import WindUp, as_fitted, refined, wind_up, with_run_ups
@@ -257,6 +258,8 @@ def _identify(
         searched, memory = refined(searched, memory, rows)
         candidates, train = memory.candidates(candidates), rows(memory.run_up)
     searched, minor = settled(searched, say)
+    searched, remainders = without_remainders(searched, say)
+    minor += remainders
     say("look-alikes")
     result, found = findings(searched, candidates)
     say("structure")

@@ -69,6 +69,15 @@ def marginal_without(
     return Marginal(fitted.design[:, kept], data)
 
 
+def shift_of(fitted: ModelFit, columns: CandidateColumns, terms: Sequence[Term]) -> np.ndarray:
+    """(N, d) what fitted terms add to the rows, m or rad."""
+    slots = slots_of(fitted.model.arm, terms)
+    values = np.array([getattr(s.owner, s.parameter.name) for s in slots]) / priors(slots)
+    moved = columns.of(terms) @ values
+    fixed = [t for t in terms if not slots_of(fitted.model.arm, [t])]
+    return np.asarray(moved + columns.shift(fixed) if fixed else moved)
+
+
 def score(
     fitted: ModelFit, marginal: Marginal, candidate: Candidate, columns: CandidateColumns
 ) -> Score:
