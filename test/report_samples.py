@@ -87,6 +87,7 @@ def error_rows(rows: SeenRows) -> list[dict[str, Any]]:
                 "mean_abs_z_mm": float(np.abs(error[:, 2]).mean() * 1e3),
                 "variance_mm2": float(error.var(axis=0).mean() * 1e6),
                 "excess_mm": float(np.sqrt(max(0.0, rms**2 - np.square(SIGMA_MM).sum()))),
+                "mean_mrad": None,
             }
         )
     return made

@@ -14,6 +14,7 @@ from test_circumstances import circumstances, models
 import longarm_comp as la
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.spatial import Frame
+from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.registration import Sightings, register
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.base_pose import BasePose
@@ -22,9 +23,10 @@ from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.tip_offset import TipOffset
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify import plausible
-from longarm_comp.core.identify.calibrate import errors, frames, ladder, stages
+from longarm_comp.core.identify.calibrate import ladder, stages
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.placement import placed
+from longarm_comp.core.identify.standing import frames
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
 from longarm_comp.studies.real_sessions import justin, laser_tracked

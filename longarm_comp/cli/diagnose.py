@@ -75,7 +75,10 @@ def command(
 
 
 def _print(report: dict[str, Any]) -> None:
-    print_rows(f"Held-out errors ({report['held_out']['n']} rows)", report["held_out"]["rows"])
+    rows = report["held_out"]["rows"]
+    absent = {name for name in rows[0] if all(row[name] is None for row in rows)}
+    shown = [{k: v for k, v in row.items() if k not in absent} for row in rows]
+    print_rows(f"Held-out errors ({report['held_out']['n']} rows)", shown)
     cells = [
         (f["effect"], p["where"], p["name"], *_value(p))
         for f in report["findings"]

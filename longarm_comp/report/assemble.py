@@ -158,6 +158,7 @@ def _error_row(name: str, errors: Errors, sigma: np.ndarray | None) -> dict[str,
         "mean_abs_z_mm": 1e3 * errors.mean_abs_z,
         "variance_mm2": 1e6 * errors.variance,
         "excess_mm": 1e3 * float(np.sqrt(max(0.0, errors.rms**2 - floor))),
+        "mean_mrad": None if errors.angle is None else 1e3 * errors.angle,
     }
 
 

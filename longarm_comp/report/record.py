@@ -93,6 +93,7 @@ class ErrorRow(_Record):
     mean_abs_z_mm: float = Field(ge=0)
     variance_mm2: float = Field(ge=0)
     excess_mm: float = Field(ge=0)
+    mean_mrad: float | None = Field(ge=0)
 
 
 class HeldOut(_Record):

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.measurement import errors
-from longarm_comp.core.identify.calibrate import Errors
+from longarm_comp.core.data.measurement import errors, turns
+from longarm_comp.core.identify.calibrate import Errors, errors_of
+from longarm_comp.core.identify.plausible import check_placed
+from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.training_rows import fitted_to
 from longarm_comp.workflows.error_table import ErrorTable
@@ -36,16 +38,22 @@ class Evaluation(ErrorTable):
     `network` (with a predictor).
 
     Attributes:
+        placed: whether the declared arm was placed by the rows first: they see it somewhere else.
         outside: number of poses outside the network's training data, where physics is used alone.
         fitted: ``model``, ``predictor`` where it was fitted to this session (known for files).
     """
 
     outside: int = 0
+    placed: bool = False
     fitted: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        said = f"\n{self.outside} poses outside the network's training data: physics only"
-        return f"{super().__repr__()}{said if self.outside else ''}"
+        said = super().__repr__()
+        if self.placed:
+            said += "\nthe declared arm was placed by these rows first"
+        if self.outside:
+            said += f"\n{self.outside} poses outside the network's training data: physics only"
+        return said
 
 
 def evaluate(
@@ -69,14 +77,18 @@ def evaluate(
     Raises:
         InputError: the session was refused; the model or the predictor is for another arm, or
             the predictor for another model.
+        JobError: the arm does not stand where the model says.
     """
     calibrated = None if model is None else physics(arm, model)
     session = admitted(test, arm, calibrated, min_poses=1, note=note)
-    stages = {"rigid": errors(physics(arm, None, False), session)}
+    rigid, placed = standing(physics(arm, None, False), session)
+    table = {"rigid": errors_of(rigid, session)}
     if arm.links:
-        stages["deflection"] = errors(physics(arm, None), session)
+        sagging = physics(arm, None)
+        table["deflection"] = errors_of(standing(sagging, session)[0], session)
     if calibrated is not None:
-        stages["calibrated"] = errors(calibrated, session)
+        check_placed(calibrated, session)
+        table["calibrated"] = errors_of(calibrated, session)
     outside, learned = 0, None
     if predictor is not None:
         learned = predictor_of(predictor, arm, model)
@@ -86,7 +98,10 @@ def evaluate(
         outside = int((~inside).sum())
         inside = inside & session.located[session.placed]
         taken_off = np.where(inside[:, None], found.error, 0.0)
-        stages["network"] = errors(physics(arm, model, beside), session) - taken_off
+        beneath = physics(arm, model, beside)
+        if model is None:
+            beneath = standing(beneath, session)[0]
+        left = errors(beneath, session) - taken_off
+        table["network"] = Errors.of(left, turns(beneath, session))
     file = None if model is None or isinstance(model, Model) else Path(model)
-    table = {name: Errors.of(error) for name, error in stages.items()}
-    return Evaluation(table, outside, tuple(fitted_to(session, file, learned)))
+    return Evaluation(table, outside, placed, tuple(fitted_to(session, file, learned)))

@@ -40,6 +40,15 @@ def onward(legs: Sequence[float], way: float) -> list[float]:
     return made[: LEGS - 1]
 
 
+def moved(side: float, legs: list[float], ways: Sequence[float]) -> tuple[float, list[float]]:
+    """Side of arrival and legs of a joint after some ways (rad, m), one after the other."""
+    for way in ways:
+        if abs(way) >= SAME_POSE:
+            side = 1.0 if way > 0 else -1.0
+            legs = onward(legs, way)
+    return side, legs
+
+
 def play(legs: Sequence[Scalar], radius: Scalar) -> tuple[Scalar, Scalar]:
     """Least and largest state that a play operator can have after some legs; equal where known.
 
@@ -82,16 +91,13 @@ class History:
             start: (n,) where the joints stood; None: nobody knows, nor how they came there.
         """
         path = points if start is None else np.vstack([start, points])
-        side = self.approach
-        legs = np.zeros_like(self.legs) if start is None else self.legs.copy()
-        for step in np.diff(path, axis=0):
-            side = np.where(np.abs(step) < SAME_POSE, side, np.sign(step))
-        for joint, ways in enumerate(np.diff(path, axis=0).T.tolist()):
-            made = [leg for leg in legs[joint].tolist() if leg]
-            for way in ways:
-                made = onward(made, way)
-            legs[joint] = made + [0.0] * (LEGS - len(made))
-        return History(side, legs)
+        ways = np.diff(path, axis=0).T.tolist()
+        legs = np.zeros_like(self.legs) if start is None else self.legs
+        sides, made = self.approach.astype(float), np.zeros_like(self.legs)
+        for joint, held in enumerate(legs.tolist()):
+            side, after = moved(float(sides[joint]), [leg for leg in held if leg], ways[joint])
+            sides[joint], made[joint, : len(after)] = side, after
+        return History(sides, made)
 
     def told(self, sides: np.ndarray) -> History:
         """Where a side (n,) of +-1 is told but not from how far: the legs are not known."""
@@ -144,12 +150,20 @@ def recorded(
         told = np.zeros_like(told)
     via = np.where(np.isnan(begun), q, begun)
     sides, legs = np.zeros(q.shape), np.zeros((*q.shape, LEGS))
-    now = nothing = History.unknown(q.shape[1])
-    for i in range(len(q)):
-        gap = i == 0 or not 0 <= index[i] - index[i - 1] <= 1
-        path = np.stack([via[i], q[i]])
-        now = (nothing if gap else now).after(path, None if gap else q[i - 1]).told(told[i])
-        sides[i], legs[i] = now.approach, now.legs
+    gap = np.ones(len(q), dtype=bool)
+    gap[1:] = ~np.isin(np.diff(index), (0, 1))
+    for joint in range(q.shape[1]):
+        before, side, now = 0.0, 0.0, list[float]()
+        rows = zip(*(a[:, joint].tolist() for a in (q, via, told)), gap.tolist(), strict=True)
+        for i, (here, turn, mark, unknown) in enumerate(rows):
+            if unknown:
+                side, now = moved(0.0, [], [here - turn])
+            else:
+                side, now = moved(side, now, [turn - before, here - turn])
+            if mark:
+                side, now = mark, []
+            before = here
+            sides[i, joint], legs[i, joint, : len(now)] = side, now
     return History(sides, legs)
 
 

@@ -39,6 +39,19 @@ def random_split(
     return _split(session, fraction, min_poses, rng, blocks=None)
 
 
+RUN = 50
+"""Rows in a run of `spread`: short beside a session, long beside the memory of its noise."""
+
+
+def spread(session: Session, most: int) -> Session:
+    """At most so many rows: runs of neighbours, evenly over the session; all where they are few."""
+    runs = most // RUN
+    if len(session) <= most:
+        return session
+    starts = np.linspace(0, len(session) - RUN, runs).round().astype(int)
+    return session.take(np.unique(starts[:, None] + np.arange(RUN)))
+
+
 def _split(
     session: Session,
     fraction: float,

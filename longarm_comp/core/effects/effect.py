@@ -276,6 +276,9 @@ class _Term:
         """Commanded joints (0-based) whose history it reads."""
         return ()
 
+    def check(self, arm: Arm, where: str) -> None:
+        """Raise `InputError` if its fields, read from `where`, mean nothing on an arm."""
+
     def require(self, context: Context) -> None:
         """Raise `InputError` if an input that it needs was not recorded."""
         for name in self.needs:
@@ -290,6 +293,10 @@ class Effect(_Term, ABC):
     @abstractmethod
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Small twist ``[d; delta]`` (m, rad) by station, each in its station's axes."""
+
+    def outside(self, posture: Posture) -> str:
+        """What of one posture (floats) lies outside the data that it was found in; or ``""``."""
+        return ""
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
         """Masses that this effect adds to the arm (kg at a point of a station)."""

@@ -13,9 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
+from longarm_comp.core.identify.candidates import Candidate, Term
 from longarm_comp.core.identify.evidence import (
     IMPLAUSIBLE,
+    FitColumns,
+    FitMarginal,
     Score,
     columns_at,
     key,
@@ -24,7 +26,6 @@ from longarm_comp.core.identify.evidence import (
     reshaped,
     score,
 )
-from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.minor import share, worth
 from longarm_comp.core.identify.search import SearchResult
 from longarm_comp.core.identify.search_state import ODDS
@@ -175,7 +176,7 @@ def are_aliases(one: Term, other: Term) -> bool:
 def _finding(
     result: SearchResult,
     candidates: Sequence[Candidate],
-    columns: CandidateColumns,
+    columns: FitColumns,
     name: str,
     terms: tuple[Term, ...],
 ) -> EffectFinding:
@@ -243,19 +244,19 @@ def _size(result: SearchResult, candidate: Candidate) -> int:
 
 
 def _plausible(
-    result: SearchResult, marginal: Marginal, columns: CandidateColumns, candidate: Candidate
+    result: SearchResult, marginal: FitMarginal, columns: FitColumns, candidate: Candidate
 ) -> bool:
     """Whether it explains what it can without a size that nobody believes.
 
     Estimated with priors that are as wide as that, so that they hardly pull.
     """
-    s, t = marginal.normal(result.fit.whitened(columns.of(candidate.terms)))
+    s, t = marginal.of(columns.white(candidate))
     size = np.linalg.solve(s + np.eye(len(t)) / IMPLAUSIBLE**2, t)
     return bool((np.abs(size) <= IMPLAUSIBLE).all())
 
 
 def _likelihood(
-    result: SearchResult, marginal: Marginal, columns: CandidateColumns, candidate: Candidate
+    result: SearchResult, marginal: FitMarginal, columns: FitColumns, candidate: Candidate
 ) -> float:
     """Gain in log likelihood with the candidate's own priors taken away."""
     if not _size(result, candidate):
@@ -272,7 +273,7 @@ def _likelihood(
 def _partial_aliases(
     result: SearchResult,
     candidates: Sequence[Candidate],
-    columns: CandidateColumns,
+    columns: FitColumns,
     terms: Sequence[Term],
     known: Set[str],
 ) -> tuple[PartialAlias, ...]:
@@ -294,7 +295,7 @@ def _partial_aliases(
     best: dict[str, PartialAlias] = {}
     for part, taken in _slots_of_parts(result, terms).items():
         rest = np.setdiff1d(np.arange(len(fit.slots)), taken)
-        marginal = Marginal(fit.design[:, rest], fit.data)
+        marginal = FitMarginal(fit, rest)
         own = marginal.added(fit.design[:, taken]).log_bayes_factor
         if own < result.threshold:
             continue

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.holdout import Sealed, blocked_split
+from longarm_comp.core.data.holdout import Sealed, blocked_split, spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.aliasing import MOST_NAMES, EffectFinding, findings, on_few_levels
@@ -21,10 +21,11 @@ from longarm_comp.core.identify.in_words import sentence
 from longarm_comp.core.identify.minor import Minor, settled
 from longarm_comp.core.identify.next_poses import NextPoses, next_poses
 from longarm_comp.core.identify.noise import from_repeats
-from longarm_comp.core.identify.plausible import check_noise, check_sizes, check_worth
+from longarm_comp.core.identify.plausible import check_fits, check_noise, check_sizes, check_worth
 from longarm_comp.core.identify.proof import LearnedCorrection, Proof, prove
 from longarm_comp.core.identify.remainder import without_remainders
 from longarm_comp.core.identify.search import SearchResult, search
+from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.identify.structure import Structure, examine
 from longarm_comp.core.identify.wind_up import WindUp, as_fitted, refined, wind_up, with_run_ups
 from longarm_comp.core.model.model import Model
@@ -159,7 +160,7 @@ def diagnose(
     opened = sealed.open("proof")
     held_out = opened.take(opened.seen)
     models = {
-        "nominal": nominal,
+        "nominal": standing(nominal, train)[0],
         "frames_only": staged["frames_only"].model,
         "calibrated": calibrated,
         "with_effects": identified.search.fit.model,
@@ -203,6 +204,7 @@ def _check(found: Diagnosis) -> None:
     final = "calibrated" if found.rolled_back else "with_effects"
     left, source = found.proof.errors, found.train.source
     check_worth(left[final], left["frames_only"], source)
+    check_fits(found.model, found.train)
     check_sizes(found.model, source)
     if found.verdict == "noise":
         check_noise(found.search.noise.sigma, found.train)
@@ -253,7 +255,9 @@ def _identify(
     memory = wind_up(start, rows, candidates)
     if memory is not None:
         candidates, train = memory.candidates(candidates), rows(memory.run_up)
-    searched = search(start, train, candidates, known_noise=from_repeats(train), progress=say)
+    searched = search(
+        start, train, candidates, known_noise=from_repeats(start, train), progress=say
+    )
     if memory is not None:
         searched, memory = refined(searched, memory, rows)
         candidates, train = memory.candidates(candidates), rows(memory.run_up)
@@ -355,7 +359,17 @@ def _all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Stru
     return structure
 
 
+MOST_ROWS = 2000
+"""Rows that are fitted at most. A hundred parameters are then known to a few percent of the noise;
+further rows cost time and change nothing."""
+
+
 def _split(session: Session, test: Session | None, seed: int) -> tuple[Session, Session]:
+    train, rest = _divided(session, test, seed)
+    return spread(train, MOST_ROWS), rest
+
+
+def _divided(session: Session, test: Session | None, seed: int) -> tuple[Session, Session]:
     if test is not None:
         return session, test
     roles = session.labels.get("role")

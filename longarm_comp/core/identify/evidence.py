@@ -12,22 +12,67 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import log_ndtr
 
-from longarm_comp.core.data.measurement import posture
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
 from longarm_comp.core.identify.fit import ModelFit, priors
-from longarm_comp.core.identify.linear import Added, Marginal
+from longarm_comp.core.identify.linear import Added, Marginal, Products
 from longarm_comp.core.model.model import Slot, slots_of
 
 LOCATED = 2.0
 """Within an effect, a place must be this much (log) more probable with it than without."""
 
 
-def columns_at(fitted: ModelFit) -> CandidateColumns:
+def columns_at(fitted: ModelFit) -> FitColumns:
     """Columns of any candidate at the rows and the solution of a fit."""
-    rows = fitted.session
-    return CandidateColumns(fitted.model, posture(fitted.model, rows), rows)
+    return FitColumns(fitted)
+
+
+class FitColumns(CandidateColumns):
+    """Columns of candidates at a fit, and their products with its design: each computed once."""
+
+    def __init__(self, fitted: ModelFit) -> None:
+        super().__init__(fitted.model, fitted.posture, fitted.session)
+        self._fitted = fitted
+        self._products: dict[tuple[object, ...], Products] = {}
+
+    def white(self, candidate: Candidate) -> Products:
+        """Its prior-scaled columns in units of the noise, with their products."""
+        parts = [self._white(term) for term in candidate.terms]
+        if len(parts) == 1:
+            return parts[0]
+        b = np.concatenate([part.b for part in parts], axis=1)
+        return Products(b, b.T @ b, np.concatenate([part.cross for part in parts], axis=1))
+
+    def _white(self, term: Term) -> Products:
+        known = (term.name, *term.placement.values())
+        if known not in self._products:
+            b = self._fitted.whitened(self.of([term]))
+            self._products[known] = Products(b, b.T @ b, self._fitted.design.T @ b)
+        return self._products[known]
+
+
+class FitMarginal(Marginal):
+    """Evidence on top of a fit, or of a part of it.
+
+    Args:
+        fitted: the fit.
+        kept: positions of its parameters that stay, all else left out; all of them by default.
+        data: (m,) instead of the fit's own.
+    """
+
+    def __init__(
+        self, fitted: ModelFit, kept: ArrayLike | None = None, data: np.ndarray | None = None
+    ) -> None:
+        every = np.arange(len(fitted.slots))
+        self._kept = every if kept is None else np.array(kept, dtype=int)
+        gram = fitted.gram[np.ix_(self._kept, self._kept)]
+        super().__init__(fitted.design[:, self._kept], fitted.data if data is None else data, gram)
+
+    def of(self, white: Products) -> tuple[np.ndarray, np.ndarray]:
+        """`normal` of columns whose products with the fit's whole design are known."""
+        return self.normal(Products(white.b, white.gram, white.cross[self._kept]))
 
 
 @dataclass(frozen=True)
@@ -56,7 +101,7 @@ def key(term: Term) -> tuple[str, str]:
 
 def marginal_without(
     fitted: ModelFit, columns: CandidateColumns, places: set[tuple[str, str]]
-) -> Marginal:
+) -> FitMarginal:
     """Evidence on top of a fit, the terms at some places taken out of it.
 
     A term with parameters leaves with its columns; one without gives its shift back to the data.
@@ -66,7 +111,7 @@ def marginal_without(
     for term in fitted.model.terms:
         if key(term) in places and not slots_of(fitted.model.arm, [term]):
             data = data + fitted.whitened(columns.shift([term])[..., None])[:, 0]
-    return Marginal(fitted.design[:, kept], data)
+    return FitMarginal(fitted, kept, data)
 
 
 def shift_of(fitted: ModelFit, columns: CandidateColumns, terms: Sequence[Term]) -> np.ndarray:
@@ -79,18 +124,17 @@ def shift_of(fitted: ModelFit, columns: CandidateColumns, terms: Sequence[Term])
 
 
 def score(
-    fitted: ModelFit, marginal: Marginal, candidate: Candidate, columns: CandidateColumns
+    fitted: ModelFit, marginal: FitMarginal, candidate: Candidate, columns: FitColumns
 ) -> Score:
     """Evidence of a candidate on top of a marginal."""
     slots = candidate.slots(fitted.model.arm)
     if not slots:
         return _fixed(fitted, marginal, candidate, columns)
-    scaled = columns.of(candidate.terms)
-    white = fitted.whitened(scaled)
-    if not np.isfinite(white).all() or not white.any():
+    white = columns.white(candidate)
+    if not np.isfinite(white.gram).all() or not white.gram.any():
         zero = np.zeros(len(slots))
         return Score(candidate, 0.0, 0.0, zero, 0.0)
-    added = marginal.added(white)
+    added = Added.of(*marginal.of(white))
     lower, upper = _bounds(slots)
     mean = np.clip(added.mean, lower, upper)
     return Score(
@@ -98,12 +142,12 @@ def score(
         _bounded(added, lower, upper),
         added.fit_gain,
         mean * priors(slots),
-        _rms(fitted, scaled @ mean),
+        _rms(fitted, columns.of(candidate.terms) @ mean),
     )
 
 
 def pruned(
-    fitted: ModelFit, marginal: Marginal, candidate: Candidate, columns: CandidateColumns
+    fitted: ModelFit, marginal: FitMarginal, candidate: Candidate, columns: FitColumns
 ) -> Candidate:
     """A family without the places that bring less than `LOCATED`, the least first.
 
@@ -113,7 +157,7 @@ def pruned(
     owner = [candidate.terms.index(s.owner) for s in slots]
     if len(candidate.terms) < 2 or set(owner) != set(range(len(candidate.terms))):
         return candidate
-    s, t = marginal.normal(fitted.whitened(columns.of(candidate.terms)))
+    s, t = marginal.of(columns.white(candidate))
     lower, upper = _bounds(slots)
 
     def evidence(terms: Sequence[int]) -> float:
@@ -155,7 +199,7 @@ def _log_mass(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
 
 
 def _fixed(
-    fitted: ModelFit, marginal: Marginal, candidate: Candidate, columns: CandidateColumns
+    fitted: ModelFit, marginal: Marginal, candidate: Candidate, columns: FitColumns
 ) -> Score:
     """An effect without parameters: it is there, whole, or it is not."""
     shift = columns.shift(candidate.terms)
@@ -199,8 +243,8 @@ class Smallest:
 
 def smallest(
     fit: ModelFit,
-    marginal: Marginal,
-    columns: CandidateColumns,
+    marginal: FitMarginal,
+    columns: FitColumns,
     candidate: Candidate,
     threshold: float,
 ) -> Smallest:
@@ -240,7 +284,7 @@ def detectable(
     fit: ModelFit, candidates: Sequence[Candidate], threshold: float
 ) -> tuple[Smallest, ...]:
     """`smallest` of candidates on top of everything that was fitted, in the order given."""
-    columns, marginal = columns_at(fit), Marginal(fit.design, fit.data)
+    columns, marginal = columns_at(fit), FitMarginal(fit)
     return tuple(smallest(fit, marginal, columns, c, threshold) for c in candidates)
 
 
@@ -279,8 +323,8 @@ def reshaped(terms: Sequence[Term], candidates: Sequence[Candidate]) -> list[Can
 
 def refined(
     fit: ModelFit,
-    marginal: Marginal,
-    columns: CandidateColumns,
+    marginal: FitMarginal,
+    columns: FitColumns,
     term: Term,
     candidates: Sequence[Candidate],
 ) -> Score:

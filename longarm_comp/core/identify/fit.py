@@ -1,8 +1,10 @@
 """Robust joint fit of a model to a session: geometry and effects together.
 
-Gauss-Newton on the posterior mode.  Every parameter has a prior (a tolerance), which is
-what holds the gauge freedoms of a redundant geometry; sign bounds are kept exactly; rows
-that no model of this kind explains get weight 0, anew at every step.
+Gauss-Newton on the posterior mode, each step shortened until it lowers the cost.  Every parameter
+has a prior (a tolerance), which is what holds the gauge freedoms of a redundant geometry; that of
+an unknown placement lies around its start, so that what the rows do not determine stays there.
+Sign bounds are kept exactly; rows that no model of this kind explains get weight 0, anew at every
+step.
 """
 
 from __future__ import annotations
@@ -15,13 +17,21 @@ from functools import cached_property
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Scalar
-from longarm_comp.core.data.measurement import equations, metres
+from longarm_comp.core.data.measurement import equations, metres, posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify import linear
 from longarm_comp.core.identify.linear import inliers, spread, whiten
 from longarm_comp.core.model.model import Model, Slot, unstack
+
+CLOSE = 0.01
+"""A fit has converged when its last step was below so many standard errors."""
+SHORTEST = 1e-3
+"""Share of a Gauss-Newton step below which no shorter one is tried."""
+WORSE = 1e-6
+"""Rise of the cost, as a share of it, that is no more than rounding."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +49,7 @@ class ModelFit:
         sigma: (d,) noise per channel, m or rad; infinite where nothing was measured.
         effective: number of parameters that the data determine.
         iterations: Gauss-Newton steps taken.
-        converged: whether the last step was below a hundredth of the standard errors.
+        converged: whether the last step was small enough.
         rho: correlation of the noise from one row to the next.
     """
 
@@ -80,6 +90,11 @@ class ModelFit:
         return self.residual.shape[1]
 
     @cached_property
+    def posture(self) -> Posture:
+        """The arm at the rows."""
+        return posture(self.model, self.session)
+
+    @cached_property
     def metres(self) -> np.ndarray:
         """(d,) length (m) that a unit of each channel stands for; 0 where it is none."""
         return metres(self.model, self.session)
@@ -88,6 +103,11 @@ class ModelFit:
     def design(self) -> np.ndarray:
         """(dM, p) whitened, prior-scaled design."""
         return self.whitened(self.columns * priors(self.slots))
+
+    @cached_property
+    def gram(self) -> np.ndarray:
+        """(p, p) product of the design with itself."""
+        return np.asarray(self.design.T @ self.design)
 
     @cached_property
     def data(self) -> np.ndarray:
@@ -110,6 +130,8 @@ def fit(
     robust: bool = True,
     weights: np.ndarray | None = None,
     max_iterations: int = 25,
+    close: float = CLOSE,
+    begun: ModelFit | None = None,
 ) -> ModelFit:
     """Fit all free parameters of a model to one session.
 
@@ -122,13 +144,17 @@ def fit(
         robust: give outliers weight 0, anew at every step.
         weights: (N of seen rows,) fixed weights instead.
         max_iterations: bound on the Gauss-Newton steps.
+        close: the last step must be below so many standard errors.
+        begun: what `unfitted` returned of the same model and session, if it is known.
 
     Raises:
         InputError: fewer than four seen rows, or an input that a term needs is missing.
         JobError: the fit did not stay finite.
     """
     part = _SessionProblem.of(model, session, sigma, weights, robust, rho)
-    return _fit_parts([part], max_iterations)[0]
+    if begun is not None:
+        part.took(begun)
+    return _fit_parts([part], max_iterations, close)[0]
 
 
 def unfitted(model: Model, session: Session) -> ModelFit:
@@ -136,19 +162,7 @@ def unfitted(model: Model, session: Session) -> ModelFit:
     part = _SessionProblem.of(model, session, None, None, False)
     part.look()
     part.weigh(settled=False)
-    prior = np.diag(priors(model.slots) ** 2)
-    return ModelFit(
-        model,
-        part.seen,
-        part.residual,
-        part.columns,
-        prior,
-        part.weights,
-        part.noise,
-        0.0,
-        0,
-        False,
-    )
+    return part.fitted(np.diag(priors(model.slots) ** 2))
 
 
 def fit_together(
@@ -169,7 +183,7 @@ def fit_together(
         InputError, JobError: as `fit`.
     """
     made = [_SessionProblem.of(model, session, None, None, True) for model, session in parts]
-    return _fit_parts(made, max_iterations, own)
+    return _fit_parts(made, max_iterations, CLOSE, own)
 
 
 @dataclass
@@ -189,6 +203,8 @@ class _SessionProblem:
     columns: np.ndarray
     effective: float = 0.0
     rho: float = 0.0
+    posture: Posture | None = None
+    looked: Model | None = None
 
     @classmethod
     def of(
@@ -226,10 +242,48 @@ class _SessionProblem:
 
     def look(self) -> None:
         """Residual and design of the model as it is now."""
-        found = equations(self.model, self.seen, self.model.posture(self.q, self.context))
-        self.residual, self.columns = found.residual, found.columns
+        if self.looked is self.model:
+            return
+        self.posture = self.model.posture(self.q, self.context)
+        found = equations(self.model, self.seen, self.posture)
+        self.residual, self.columns, self.looked = found.residual, found.columns, self.model
         if not (np.isfinite(self.residual).all() and np.isfinite(self.columns).all()):
             raise JobError("the fit did not stay finite", session=self.seen.source)
+
+    def took(self, begun: ModelFit) -> None:
+        """Residual and design as they were found before."""
+        self.residual, self.columns, self.looked = begun.residual, begun.columns, self.model
+
+    def fitted(
+        self, covariance: np.ndarray, iterations: int = 0, converged: bool = False
+    ) -> ModelFit:
+        """The model as it is now."""
+        found = ModelFit(
+            self.model,
+            self.seen,
+            self.residual,
+            self.columns,
+            covariance,
+            self.weights,
+            self.noise,
+            self.effective,
+            iterations,
+            converged,
+            self.rho,
+        )
+        if self.posture is not None:
+            found.__dict__["posture"] = self.posture
+        return found
+
+    def moved(self, values: np.ndarray) -> None:
+        """Take other parameter values."""
+        self.model = self.model.with_values(values)
+        self.look()
+
+    def cost(self) -> float:
+        """Squared residual of the inliers in units of the noise."""
+        white = whiten(self.residual[..., None], self.weights, self.noise, self.rho, self.seen.mask)
+        return float((white**2).sum())
 
     def weigh(self, settled: bool) -> None:
         """Outliers and noise for the residual as it is now."""
@@ -254,16 +308,19 @@ class _SessionProblem:
             made.append(np.full(len(mine), common))
         return np.concatenate(made)
 
-    def whitened(self, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def whitened(self, scale: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(dN, p) prior-scaled design and (dN,) linearised data, in units of the noise."""
-        y = self.residual + self.columns @ self.model.values
+        y = self.residual + self.columns @ (self.model.values - centre)
         both = np.concatenate([self.columns * scale, y[..., None]], axis=-1)
         white = whiten(both, self.weights, self.noise, self.rho, self.seen.mask)
         return white[:, :-1], white[:, -1]
 
 
 def _fit_parts(
-    parts: list[_SessionProblem], max_iterations: int, own: Callable[[Slot], bool] | None = None
+    parts: list[_SessionProblem],
+    max_iterations: int,
+    close: float,
+    own: Callable[[Slot], bool] | None = None,
 ) -> list[ModelFit]:
     """Gauss-Newton on the posterior mode of all parts at once."""
     place: dict[tuple[object, ...], int] = {}
@@ -278,16 +335,20 @@ def _fit_parts(
             places.append(place[key])
         maps.append(np.array(places, dtype=int))
     scale = priors(tuple(chosen))
-    lower = np.array([s.parameter.lower for s in chosen]) / scale
-    upper = np.array([s.parameter.upper for s in chosen]) / scale
+    now = np.array([getattr(s.owner, s.parameter.name) for s in chosen], dtype=float)
+    centre = np.where([s.parameter.unknown for s in chosen], now, 0.0)
+    lower = (np.array([s.parameter.lower for s in chosen]) - centre) / scale
+    upper = (np.array([s.parameter.upper for s in chosen]) - centre) / scale
     converged, step = False, 0
+    adapting = any(part.sigma is None or part.fixed is None for part in parts)
+    for part in parts:
+        part.look()
     posterior = linear.Posterior(np.zeros(0), np.zeros((0, 0)), 0.0)
     for step in range(1, max_iterations + 1):
         designs, data = [], []
         for part, mine in zip(parts, maps, strict=True):
-            part.look()
             part.weigh(settled=step > 2)
-            a, y = part.whitened(scale[mine])
+            a, y = part.whitened(scale[mine], centre[mine])
             designs.append(_placed(a, mine, len(scale)))
             data.append(y)
         try:
@@ -296,39 +357,59 @@ def _fit_parts(
             rows = sum(len(part.seen) for part in parts)
             text = f"{rows} rows do not determine the {len(scale)} parameters of the model"
             raise JobError(text, session=parts[0].seen.source) from None
-        se = np.sqrt(np.diag(posterior.covariance))
-        small = True
-        for part, mine in zip(parts, maps, strict=True):
-            values = posterior.u[mine] * scale[mine]
-            change = np.abs(values - part.model.values) / scale[mine]
-            small &= bool((change <= 0.01 * se[mine]).all())
-            part.model = part.model.with_values(values)
+        goal = centre + posterior.u * scale
+        small = np.abs(goal - now) <= close * np.sqrt(np.diag(posterior.covariance)) * scale
+        now = _stepped(parts, maps, now, goal, centre, scale)
+        for part in parts:
             part.effective = posterior.effective * len(part.seen) / sum(len(p.seen) for p in parts)
-        if step > 2 and small:
+        if small.all() and (step > 2 or not adapting):
             converged = True
             break
     made = []
     for part, mine in zip(parts, maps, strict=True):
-        part.look()
         if part.sigma is None:
             part.noise = part.spread()
         size = np.outer(scale[mine], scale[mine])
-        made.append(
-            ModelFit(
-                part.model,
-                part.seen,
-                part.residual,
-                part.columns,
-                posterior.covariance[np.ix_(mine, mine)] * size,
-                part.weights,
-                part.noise,
-                part.effective,
-                step,
-                converged,
-                part.rho,
-            )
-        )
+        covariance = posterior.covariance[np.ix_(mine, mine)] * size
+        made.append(part.fitted(covariance, step, converged))
     return made
+
+
+def _stepped(
+    parts: list[_SessionProblem],
+    maps: list[np.ndarray],
+    now: np.ndarray,
+    goal: np.ndarray,
+    centre: np.ndarray,
+    scale: np.ndarray,
+) -> np.ndarray:
+    """Go towards a goal, all the way or as far as lowers the cost; the values reached.
+
+    Raises:
+        JobError: the fit is not finite however short the step.
+    """
+
+    def cost(values: np.ndarray) -> float:
+        return sum(p.cost() for p in parts) + float((((values - centre) / scale) ** 2).sum())
+
+    def move(values: np.ndarray) -> None:
+        for part, mine in zip(parts, maps, strict=True):
+            part.moved(values[mine])
+
+    before, share, failed = cost(now), 1.0, None
+    while share > SHORTEST:
+        values = now + share * (goal - now)
+        try:
+            move(values)
+            if cost(values) <= (1.0 + WORSE) * before + WORSE:
+                return values
+        except JobError as error:
+            failed = error
+        share *= 0.5
+    if failed is not None:
+        raise failed
+    move(now)
+    return now
 
 
 def _placed(columns: np.ndarray, places: np.ndarray, width: int) -> np.ndarray:

@@ -7,6 +7,7 @@ deviations, so that the prior is the unit normal.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
@@ -55,25 +56,54 @@ class Marginal:
     With ``y = A u + B v + e`` and everything unit normal, the log Bayes factor of B against
     nothing is ``t'(I+S)^-1 t / 2 - ln|I+S| / 2``, ``S = B'PB``, ``t = B'Py``,
     ``P = I - A (I + A'A)^-1 A'``.  One Marginal serves any number of candidates.
+
+    Args:
+        a: (m, p) columns that are there already.
+        y: (m,) data.
+        gram: A'A, where it is known.
     """
 
-    def __init__(self, a: np.ndarray, y: np.ndarray) -> None:
+    def __init__(self, a: np.ndarray, y: np.ndarray, gram: np.ndarray | None = None) -> None:
         self.a, self.y = a, y
-        self._factor = cho_factor(a.T @ a + np.eye(a.shape[1]), lower=True)
-        self.py = self.project(y)
+        gram = a.T @ a if gram is None else gram
+        self._factor = cho_factor(gram + np.eye(a.shape[1]), lower=True, check_finite=False)
+        self._coefficients = self._solved(a.T @ y)
+
+    @cached_property
+    def py(self) -> np.ndarray:
+        """(m,) P y."""
+        return self.y - self.a @ self._coefficients
 
     def project(self, b: np.ndarray) -> np.ndarray:
         """P b: what the columns already there cannot (cheaply) take up."""
-        return b - self.a @ cho_solve(self._factor, self.a.T @ b)
+        return b - self.a @ self._solved(self.a.T @ b)
 
     def added(self, b: np.ndarray) -> Added:
         """Score of the columns b, (m, k)."""
-        return Added.of(*self.normal(b))
+        return Added.of(*self.normal(Products(b, b.T @ b, self.a.T @ b)))
 
-    def normal(self, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """``S`` (k, k) and ``t`` (k,) of the columns b, (m, k)."""
-        s = b.T @ self.project(b)
-        return (s + s.T) / 2, b.T @ self.py
+    def normal(self, of: Products) -> tuple[np.ndarray, np.ndarray]:
+        """``S`` (k, k) and ``t`` (k,) of columns whose products are known."""
+        s = of.gram - of.cross.T @ self._solved(of.cross)
+        return (s + s.T) / 2, of.b.T @ self.y - of.cross.T @ self._coefficients
+
+    def _solved(self, right: np.ndarray) -> np.ndarray:
+        return np.asarray(cho_solve(self._factor, right, check_finite=False))
+
+
+@dataclass(frozen=True)
+class Products:
+    """Further columns and their products with themselves and with the columns already there.
+
+    Attributes:
+        b: (m, k).
+        gram: (k, k) B'B.
+        cross: (p, k) A'B.
+    """
+
+    b: np.ndarray
+    gram: np.ndarray
+    cross: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -97,12 +127,11 @@ class Added:
         """From the normal equations (`Marginal.normal`)."""
         k = len(t)
         factor = np.linalg.cholesky(np.eye(k) + s)
-        z = solve_triangular(factor, t, lower=True)
-        mean = solve_triangular(factor.T, z, lower=False)
-        covariance = cho_solve((factor, True), np.eye(k))
+        inverse = np.linalg.inv(factor)
+        z = inverse @ t
         half_log_det = float(np.log(np.diag(factor)).sum())
         gain = float(z @ z) / 2
-        return cls(gain - half_log_det, gain, mean, covariance)
+        return cls(gain - half_log_det, gain, inverse.T @ z, inverse.T @ inverse)
 
 
 OUTLIER = 4.2
@@ -200,6 +229,12 @@ def median(values: np.ndarray) -> np.ndarray:
         return np.asarray(np.median(values, axis=0))
     columns = (column[~np.isnan(column)] for column in values.T)
     return np.array([np.median(column) if len(column) else 0.0 for column in columns])
+
+
+def mean(values: np.ndarray) -> np.ndarray:
+    """(d,) means of (N, d) over what is not NaN; 0 of nothing."""
+    held = np.isfinite(values)
+    return np.asarray(np.where(held, values, 0.0).sum(0) / np.maximum(held.sum(0), 1))
 
 
 def _only(values: np.ndarray, measured: np.ndarray | None) -> np.ndarray:

@@ -11,9 +11,9 @@ import numpy as np
 from scipy.special import gammaincinv, ndtri
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.data.measurement import equations, errors, metres, posture
+from longarm_comp.core.data.measurement import equations, errors, metres, posture, turns
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.calibrate import Errors
+from longarm_comp.core.identify.calibrate import Errors, errors_of
 from longarm_comp.core.identify.fit import ModelFit
 from longarm_comp.core.identify.linear import MAD, OUTLIER, median
 from longarm_comp.core.model.model import Model
@@ -93,7 +93,7 @@ class Proof:
         return dataclasses.replace(
             self,
             errors={**self.errors, NETWORK: error},
-            rows={**self.rows, NETWORK: Errors.of(error)},
+            rows={**self.rows, NETWORK: Errors.of(error, turns(model, rows))},
         )
 
     def network_helps(self, beside: str) -> bool:
@@ -132,7 +132,7 @@ def prove(
     share = 1.0 - (misfit["with_effects"][1] / max(misfit["calibrated"][1], 1e-12)) ** 2
     return Proof(
         left,
-        {name: Errors.of(error) for name, error in left.items()},
+        {name: errors_of(model, rows) for name, model in models.items()},
         (float(low), float(high)),
         better,
         *final,

@@ -16,9 +16,8 @@ from itertools import combinations
 
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.candidates import Candidate, Term
-from longarm_comp.core.identify.evidence import Score, columns_at, key, reshaped, score
+from longarm_comp.core.identify.evidence import FitMarginal, Score, columns_at, key, reshaped, score
 from longarm_comp.core.identify.fit import ModelFit, fit
-from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.noise import NoiseEstimate
 from longarm_comp.core.identify.search_state import SearchState
 from longarm_comp.core.model.model import Model
@@ -61,7 +60,7 @@ class SearchResult:
         )
         refitted = fit(model, was.session, sigma=was.sigma, rho=was.rho, weights=was.weights)
         chosen = tuple(t for t in self.chosen if key(t) not in places)
-        columns, marginal = columns_at(refitted), Marginal(refitted.design, refitted.data)
+        columns, marginal = columns_at(refitted), FitMarginal(refitted)
         gone = [Candidate(t.name, (t,)) for t in self.chosen if key(t) in places]
         again = [score(refitted, marginal, each, columns) for each in gone]
         return dataclasses.replace(self, fit=refitted, chosen=chosen, last=(*self.last, *again))

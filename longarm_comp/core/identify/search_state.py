@@ -15,6 +15,8 @@ from longarm_comp.core.identify import noise as noise_step
 from longarm_comp.core.identify.candidates import Candidate, Term
 from longarm_comp.core.identify.evidence import (
     LOCATED,
+    FitColumns,
+    FitMarginal,
     Score,
     columns_at,
     key,
@@ -24,7 +26,6 @@ from longarm_comp.core.identify.evidence import (
     score,
 )
 from longarm_comp.core.identify.fit import fit, unfitted
-from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.noise import NoiseEstimate
 from longarm_comp.core.model.model import Model, slots_of
 
@@ -36,6 +37,8 @@ MOST_ACCEPTED = 10
 """Effects that are tried on in all; a residual that asks for more is none of the library's."""
 STEPS = 6
 """Iterations of an intermediate fit; only the final fit converges."""
+NEAR = 0.3
+"""Its last step, in standard errors: the next would be a tenth of it or less."""
 MOST_TERMS = 72
 
 
@@ -59,37 +62,40 @@ class SearchState:
         self.refinements: Counter[tuple[str, str]] = Counter()
 
     def refit(self) -> None:
-        """Judge the noise by all that the library could explain, then fit geometry and terms."""
+        """Judge the noise by all that the library could explain, then fit geometry and terms.
+
+        The library's columns at the last fit will do for the noise.
+        """
         first = (
             unfitted(self._start, self.session) if self.chosen else fit(self._start, self.session)
         )
-        every = columns_at(first).of(_distinct(self.candidates, self.chosen))
+        at: FitColumns = self.columns if self.chosen else columns_at(first)
+        every = at.of(_distinct(self.candidates, self.chosen))
         judged, weights = noise_step.from_residual(first, every)
         if self.known is not None:
             judged = noise_step.agreed(self.known, judged)
         self.noise = judged
         self.fit = fit(
             first.model, self.session, sigma=judged.sigma, rho=judged.rho, weights=weights,
-            max_iterations=STEPS,
+            max_iterations=STEPS, close=NEAR, begun=first,
         )  # fmt: skip
         self._start = self.fit.model
         self._look()
 
     def _look(self) -> None:
         """Columns of every candidate at the fit, all at once: much faster than one by one."""
-        self.columns = columns_at(self.fit)
+        self.columns: FitColumns = columns_at(self.fit)
         self.columns.of(_distinct(self.candidates, self.chosen))
 
     def settle(self) -> None:
         """Take the last fit to its end."""
         was = self.fit
-        if not was.converged:
-            self.fit = fit(
-                was.model, self.session, sigma=was.sigma, rho=was.rho, weights=was.weights
-            )
-            self._look()
+        self.fit = fit(
+            was.model, self.session, sigma=was.sigma, rho=was.rho, weights=was.weights, begun=was
+        )
+        self._look()
 
-    def marginal(self, without: Sequence[tuple[str, str]] = ()) -> Marginal:
+    def marginal(self, without: Sequence[tuple[str, str]] = ()) -> FitMarginal:
         """Evidence on top of all but some chosen terms."""
         return marginal_without(self.fit, self.columns, set(without))
 
@@ -104,11 +110,11 @@ class SearchState:
                 made.append(self.score(marginal, Candidate(candidate.name, new)))
         return tuple(sorted(made, key=lambda s: -s.log_bayes_factor))
 
-    def score(self, marginal: Marginal, candidate: Candidate) -> Score:
+    def score(self, marginal: FitMarginal, candidate: Candidate) -> Score:
         """One candidate on top of a marginal."""
         return score(self.fit, marginal, candidate, self.columns)
 
-    def pruned(self, marginal: Marginal, candidate: Candidate) -> Candidate:
+    def pruned(self, marginal: FitMarginal, candidate: Candidate) -> Candidate:
         """A family without the places that bring nothing on top of a marginal."""
         return pruned(self.fit, marginal, candidate, self.columns)
 
@@ -163,7 +169,7 @@ class SearchState:
             del self.chosen[place]
         self.accept(found)
 
-    def family(self, name: str) -> tuple[list[tuple[str, str]], Marginal, Score]:
+    def family(self, name: str) -> tuple[list[tuple[str, str]], FitMarginal, Score]:
         """Where an effect is chosen, the model without it, and its evidence there."""
         places = [place for place in self.chosen if place[0] == name]
         marginal = self.marginal(places)

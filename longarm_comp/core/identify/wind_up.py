@@ -11,7 +11,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 import numpy as np
@@ -134,6 +134,7 @@ class _Evidence:
     rows: Callable[[float], Session]
     terms: tuple[FrictionHysteresis, ...]
     side_alone: float = 0.0
+    known: dict[float, CandidateColumns] = field(default_factory=dict)
 
     @classmethod
     def of_fit(
@@ -187,17 +188,21 @@ class _Evidence:
             for change in (factor, 1 / factor):
                 while True:
                     moved = dataclasses.replace(best, **{name: getattr(best, name) * change})
-                    inside = moved.near >= NEAR[0] * moved.run_up and moved.far <= FARTHEST
+                    if moved.near < NEAR[0] * moved.run_up or moved.far > FARTHEST:
+                        break
                     columns = self._columns(moved.run_up)
                     found = self._at(moved.near, moved.far, moved.run_up, columns)
-                    if not inside or found.log_bayes_factor < best.log_bayes_factor + _WORTH:
+                    if found.log_bayes_factor < best.log_bayes_factor + _WORTH:
                         break
                     best = found
         return best
 
     def _columns(self, run_up: float) -> CandidateColumns:
-        session = self.rows(run_up)
-        return columns_at(dataclasses.replace(self.fitted, session=session.take(session.seen)))
+        if run_up not in self.known:
+            session = self.rows(run_up)
+            seen = dataclasses.replace(self.fitted, session=session.take(session.seen))
+            self.known[run_up] = columns_at(seen)
+        return self.known[run_up]
 
     def _at(self, near: float, far: float, run_up: float, columns: CandidateColumns) -> WindUp:
         shape = WindUp(near, far, run_up)

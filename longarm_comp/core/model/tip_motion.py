@@ -142,14 +142,15 @@ def moved(
     computed at once, as arrays (k, N).
     """
     made = [Moved(spatial.ZERO, spatial.ZERO)] * len(ends)
-    for station in sorted({s for e in ends for s in (*e.raised, *e.lowered)}):
-        changes: dict[int, Twist] = {}
-        for k, e in enumerate(ends):
+    at: dict[int, dict[int, Twist]] = {}
+    for k, e in enumerate(ends):
+        for station in {*e.raised, *e.lowered}:
             up = e.raised.get(station, spatial.ZERO_TWIST)
             down = e.lowered.get(station, spatial.ZERO_TWIST)
-            change = tuple(0.5 * (a - b) for a, b in zip(up, down, strict=True))
-            if not all(type(c) is float and c == 0.0 for c in change):
-                changes[k] = change  # type: ignore[assignment]
+            change = tuple([0.5 * (a - b) for a, b in zip(up, down, strict=True)])
+            if any(type(c) is not float or c != 0.0 for c in change):
+                at.setdefault(station, {})[k] = change  # type: ignore[assignment]
+    for station, changes in sorted(at.items()):
         count = max(1, _AT_ONCE // max(np.size(c) for t in [tip, *changes.values()] for c in t))
         keys = list(changes)
         for some in (keys[n : n + count] for n in range(0, len(keys), count)):
@@ -158,7 +159,7 @@ def moved(
             shift, turn = _carried(posture, tip, station, now, together, turns)
             for row, k in enumerate(some):
                 here = spatial.scale(ends[k].per, _row(shift, row))
-                spun = spatial.scale(ends[k].per, _row(turn, row))
+                spun = spatial.scale(ends[k].per, _row(turn, row)) if turns else spatial.ZERO
                 made[k] = Moved(spatial.add(made[k].shift, here), spatial.add(made[k].turn, spun))
     return made
 
