@@ -37,11 +37,8 @@ class Uneven(JointCompliance):
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         j = posture.arm.commanded.index(self.joint)
-        middle, half = (
-            (posture.arm.upper + posture.arm.lower) / 2,
-            (posture.arm.upper - posture.arm.lower) / 2,
-        )
-        x = (posture.q[j] - middle[j]) / half[j]
+        low, high = posture.arm.lower[j], posture.arm.upper[j]
+        x = (2.0 * posture.q[j] - low - high) / (high - low)
         even = self.compliance * self.load(posture)
         return self.motion(posture, even * (1.0 + 0.35 * (1.5 * x * x - 0.5 + 0.5 * x)))
 

@@ -23,9 +23,8 @@ from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.identify.aliasing import findings
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.candidates import Candidate, library
-from longarm_comp.core.identify.evidence import columns_at, score
+from longarm_comp.core.identify.evidence import FitMarginal, columns_at, score
 from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.search import SearchResult, search
 from longarm_comp.core.model.model import Model
 
@@ -66,7 +65,7 @@ def test_evidence_counts_the_bounds_of_a_parameter(arm: Arm, scale: float) -> No
     rigid = scale * (truth.tip(fitted.session.q) - fitted.model.tip(fitted.session.q))
     softer = Candidate("link_stiffness", (LinkStiffness(beam=arm.links[-1].name),))
     columns = columns_at(fitted)
-    marginal = Marginal(fitted.design, fitted.data + fitted.whitened(rigid[..., None])[:, 0])
+    marginal = FitMarginal(fitted, data=fitted.data + fitted.whitened(rigid[..., None])[:, 0])
     white = fitted.whitened(columns.of(softer.terms))[:, 0]
     u = np.linspace(-0.9 / 0.5, 8.0, 400_001)
     s, t = white @ marginal.project(white), white @ marginal.py

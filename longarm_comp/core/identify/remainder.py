@@ -1,8 +1,8 @@
 """Remainders: a weak effect may be no more than the misfit of a stronger one's form.
 
-No real part follows its formula exactly.  A stronger effect may differ from its form along its
-joint and its load.  A weaker name that loses most of its evidence to such differences is withdrawn,
-if the rest would not be accepted or the differences alone explain more than the name alone.  What it
+No real part follows its formula exactly: a stronger effect may differ from it along its joint and
+its load.  A weaker name that loses most of its evidence to such differences is withdrawn, if the
+rest would not be accepted, or if the differences alone explain more than the name alone.  What it
 stood for stays in the residual, as structure.
 """
 
@@ -15,10 +15,9 @@ import numpy as np
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
 from longarm_comp.core.identify.evidence import columns_at, key, marginal_without, score, shift_of
 from longarm_comp.core.identify.fit import ModelFit
-from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.minor import Minor, families, worth
 from longarm_comp.core.identify.search import SearchResult
-from longarm_comp.core.identify.structure import curve
+from longarm_comp.core.identify.structure import smooth_in
 
 VARIES = 0.3
 """Share by which the shift of an effect may differ from its form (prior standard deviation)."""
@@ -57,7 +56,7 @@ def _weakest(result: SearchResult) -> tuple[tuple[Term, ...], Minor] | None:
         stronger = [t for other in order[k + 1 :] for t in found[other]]
         marginal = marginal_without(fit, columns, {key(t) for t in terms})
         forms = variations(fit, columns, stronger)
-        bent = Marginal(np.concatenate([marginal.a, forms], axis=1), marginal.y)
+        bent = marginal_without(fit, columns, {key(t) for t in terms}, forms)
         left = score(fit, bent, Candidate(name, terms), columns).log_bayes_factor
         alone = marginal.added(forms).log_bayes_factor
         if left < SHARED * own[name] and (left < result.threshold or alone > own[name]):
@@ -78,7 +77,7 @@ def variations(fit: ModelFit, columns: CandidateColumns, terms: Sequence[Term]) 
         station = columns.posture.bearing(term.joints[0]) if term.joints else 0
         moment = np.broadcast_arrays(*columns.posture.moment(station), rows.q[:, 0])[:3]
         inputs.append(np.linalg.norm(moment, axis=0))
-        along = np.concatenate([curve(values)[:, :BENDS] for values in inputs], axis=1)
+        along = np.concatenate([smooth_in(values)[:, :BENDS] for values in inputs], axis=1)
         along *= VARIES
         made.append(moved[..., None] * along[:, None, :])
     return fit.whitened(np.concatenate(made, axis=-1))
