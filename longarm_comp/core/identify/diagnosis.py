@@ -25,6 +25,7 @@ from longarm_comp.core.identify.noise import from_repeats
 from longarm_comp.core.identify.plausible import check_fits, check_noise, check_sizes, check_worth
 from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.proof import NETWORK, LearnedCorrection, Proof, prove
+from longarm_comp.core.identify.remainder import without_remainders
 from longarm_comp.core.identify.search import SearchResult, search
 from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.identify.structure import Structure, examine
@@ -315,6 +316,8 @@ def _identify(
         searched, memory = refined(searched, memory, rows)
         candidates, train = memory.candidates(candidates), rows(memory.run_up)
     searched, minor = settled(searched, say)
+    searched, remainders = without_remainders(searched, say)
+    minor += remainders
     say("look-alikes")
     result, found = findings(searched, candidates)
     say("structure")
