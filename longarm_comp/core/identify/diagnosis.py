@@ -36,6 +36,9 @@ LEAST_SHARE = 0.5
 MOST_OUTLIERS = 0.16
 """More rejected rows than this are not outliers but something that the model lacks."""
 
+DISCOVERED = "with_discovered"
+"""Name of the stage with causes without a name."""
+
 Train = Callable[[Model, Session], LearnedCorrection]
 Progress = Callable[[str], None]
 
@@ -217,6 +220,7 @@ def diagnose(
 def _check(found: Diagnosis) -> None:
     """Refuse an outcome that may not be believed."""
     final = "calibrated" if found.rolled_back else "with_effects"
+    final = DISCOVERED if found.added is not None else final
     left, source = found.proof.errors, found.train.source
     check_worth(left[final], left["frames_only"], source)
     check_fits(found.model, found.train)
@@ -378,16 +382,15 @@ def _with_discovery(
     outcome: _Outcome, found: Discovery, learn: _Learner, held_out: Session
 ) -> _Outcome:
     """The outcome with what was found: a network comes after it, of what that leaves."""
-    name = "with_discovered"
     before = outcome.proof
     errors = {k: e for k, e in before.errors.items() if k != NETWORK}
-    errors[name] = found.proof.errors["with_effects"]
+    errors[DISCOVERED] = found.proof.errors["with_effects"]
     rows = {k: r for k, r in before.rows.items() if k != NETWORK}
-    rows[name] = found.proof.rows["with_effects"]
+    rows[DISCOVERED] = found.proof.rows["with_effects"]
     proof = dataclasses.replace(before, errors=errors, rows=rows)
     network = learn.on(found.fit.model, found.structure)
     tested = proof.with_network(found.fit.model, network, held_out)
-    kept = network if tested.network_helps(name) else None
+    kept = network if tested.network_helps(DISCOVERED) else None
     findings = tuple(f for f in outcome.findings if f.name not in found.without)
     return dataclasses.replace(outcome, findings=findings, network=kept, proof=tested)
 

@@ -244,7 +244,7 @@ class _State:
         """Replace groups by better ones, given the rest."""
         changed = False
         for k in range(len(self.groups)):
-            if len(self.groups) < 2 or k >= len(self.groups):
+            if k >= len(self.groups):
                 break
             now, best = self.evidence(k), self.best([k])
             if best is not None and best.log_evidence > now.log_evidence + SWAP:
