@@ -52,10 +52,13 @@ COMMANDS = (
     Entry("soak", "soak", "Hours of targets on a simulated arm, with random faults."),
     Entry("effects", "effects", "The library of effects: parameters, units, priors, inputs."),
     Entry("schema", "schema", "JSON schema of arm.yaml, for editors."),
+    Entry("compare", "compare", "Two diagnoses, models or sessions side by side."),
+    Entry("report compare", "report_compare", "Two diagnoses side by side."),
     Entry("undo", "undo", "Restore the version of a model.yaml before the last change."),
 )
 
 GROUPS = {
+    "report": "Reports of diagnoses.",
     "bag": "Sessions as rosbag2.",
     "study": "Studies: Table I, real arms, realisable joints, a day of work, closing the loop.",
 }

@@ -6,16 +6,21 @@ not named: it is taken out of the model again and listed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
 
 from longarm_comp.core.identify.candidates import CandidateColumns, Term
-from longarm_comp.core.identify.evidence import columns_at, key, marginal_without
+from longarm_comp.core.identify.evidence import (
+    IMPLAUSIBLE,
+    columns_at,
+    key,
+    marginal_without,
+    shift_of,
+)
 from longarm_comp.core.identify.fit import ModelFit, priors
 from longarm_comp.core.identify.search import SearchResult
-from longarm_comp.core.model.model import slots_of
 
 SMALLEST_M = 5e-5
 """An effect that is worth less at the tip does not matter: no servo and no camera knows better."""
@@ -54,12 +59,7 @@ def worth(fit: ModelFit, columns: CandidateColumns, terms: Sequence[Term]) -> fl
         columns: of candidates at the fit's rows.
         terms: as fitted.
     """
-    slots = slots_of(fit.model.arm, terms)
-    fixed = [t for t in terms if not slots_of(fit.model.arm, [t])]
-    values = np.array([getattr(s.owner, s.parameter.name) for s in slots]) / priors(slots)
-    moved = columns.of(terms) @ values
-    if fixed:
-        moved = moved + columns.shift(fixed)
+    moved = shift_of(fit, columns, terms)
     marginal = marginal_without(fit, columns, {key(t) for t in terms})
     alone = marginal.project(fit.whitened(moved[..., None])[:, 0])
     return float(np.sqrt(((alone.reshape(-1, fit.width) * _unit(fit)) ** 2).sum(1).mean()))
@@ -88,38 +88,61 @@ def settled(
     """The search's result without the terms that do not matter, the rest fitted again, and these.
 
     Taken out, one after the other, is an effect or a place at the limit of what is possible, or
-    worth too little.
+    worth too little.  What another effect can only stand for with a size that nobody believes
+    stays, however little its own part is.
     """
     gone: list[Minor] = []
+    needed: set[tuple[str, str]] = set()
     while True:
-        found = _worst(result)
+        found = _worst(result, needed)
         if found is None:
             return result, tuple(gone)
         terms, minor = found
+        places = {key(t) for t in terms}
+        without = result.without(places)
+        if _unbelievable(without.fit) > _unbelievable(result.fit):
+            needed |= places
+            continue
         say(f"without {minor.name} ({', '.join(minor.where)}): {minor.why}")
-        result = result.without({key(t) for t in terms})
+        result = without
         gone.append(minor)
 
 
-def _worst(result: SearchResult) -> tuple[tuple[Term, ...], Minor] | None:
-    """What to take out next: whole effects before single places.
+def families(result: SearchResult) -> dict[str, tuple[Term, ...]]:
+    """The found terms, as fitted, by effect."""
+    held = {key(t) for t in result.chosen}
+    found: dict[str, list[Term]] = {}
+    for term in result.fit.model.terms:
+        if key(term) in held:
+            found.setdefault(term.name, []).append(term)
+    return {name: tuple(terms) for name, terms in found.items()}
+
+
+def _unbelievable(fit: ModelFit) -> int:
+    """Number of parameters of a size that nobody believes."""
+    sizes = fit.model.values / priors(fit.slots)
+    return int((np.abs(sizes) > IMPLAUSIBLE).sum())
+
+
+def _worst(
+    result: SearchResult, needed: Set[tuple[str, str]]
+) -> tuple[tuple[Term, ...], Minor] | None:
+    """What to take out next, but for what is needed: whole effects before single places.
 
     A place of an effect that jumps stays: at poses between the fitted ones it is of another size.
     """
     fit, columns, limit = result.fit, columns_at(result.fit), smallest(result.fit)
-    families: dict[str, list[Term]] = {}
-    held = {key(t) for t in result.chosen}
-    for term in fit.model.terms:
-        if key(term) in held:
-            families.setdefault(term.name, []).append(term)
-    options = [(tuple(terms), 1) for terms in families.values()]
+    found = families(result)
+    options = [(terms, 1) for terms in found.values()]
     options += [
         ((t,), len(terms))
-        for terms in families.values()
+        for terms in found.values()
         for t in terms
         if len(terms) > 1 and t.continuous
     ]
     for terms, mates in options:
+        if needed >= {key(t) for t in terms}:
+            continue
         length = worth(fit, columns, terms)
         why = _impossible(fit, terms[0]) if len(terms) == 1 else ""
         if length < limit / np.sqrt(mates):

@@ -16,6 +16,7 @@ from longarm_comp.core.identify.discover.search import SearchedFunctions, key_of
 from longarm_comp.core.identify.fit import ModelFit
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.noise import NoiseEstimate
+from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.proof import Proof, prove
 from longarm_comp.core.identify.structure import Structure, examine
 
@@ -140,7 +141,8 @@ def discover(
     proof = prove(
         {"calibrated": base.model, "with_effects": best.fit.model}, base, best.fit, held_out, rng
     )
-    kept = proof.better and proof.gain_ci95[0] > 0
+    gain = Gain.of(proof.errors["calibrated"], proof.errors["with_effects"])
+    kept = proof.better and gain.ci95[0] > 0
     held = {t.name for t in start.model.terms}
     gone = tuple(dict.fromkeys(t.name for t in base.model.terms if t.name not in held))
     structure = examine(best.fit, start, rng)
