@@ -151,8 +151,14 @@ def _add(made: list[Argument], name: str, values: np.ndarray, arm: Arm | None) -
         against = other.values - other.values.mean()
         if abs(float(centred @ against)) > ALIKE * size * float(np.linalg.norm(against)):
             return
-    levels = len(np.unique(np.round(_FINE * (values - values.min()) / span)))
+    levels = levels_of(values)
     found = quantity(name)
     circular = arm is not None and found is not None and name.startswith("q")
     circular = circular and found is not None and arm is not None and found.unit(arm) == "rad"
     made.append(Argument(name, np.ascontiguousarray(values), levels, circular))
+
+
+def levels_of(values: np.ndarray) -> int:
+    """Number of distinct values, to a fiftieth of their range."""
+    span = float(np.ptp(values)) or 1.0
+    return len(np.unique(np.round(_FINE * (values - values.min()) / span)))
