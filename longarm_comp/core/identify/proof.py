@@ -105,16 +105,13 @@ class Proof:
     def network_helps(self, beside: str) -> bool:
         """Whether the network's mean error is below that of a model without it, beyond chance.
 
-        By blocks of the hold-out: 95 %, one-sided.
+        Paired block bootstrap: 95 %, one-sided.
         """
         if NETWORK not in self.errors:
             return False
         without, learned = (np.linalg.norm(self.errors[k], axis=1) for k in (beside, NETWORK))
-        blocks = np.array_split(without - learned, min(BLOCKS, len(learned)))
-        gains = np.array([block.mean() for block in blocks])
-        if len(gains) < 2:
-            return bool(gains.sum() > 0)
-        return bool(gains.mean() > ndtri(0.95) * gains.std(ddof=1) / np.sqrt(len(gains)))
+        drawn = block_means(without - learned, np.random.default_rng(0))
+        return bool(np.percentile(drawn, 5.0) > 0)
 
 
 def prove(

@@ -13,7 +13,8 @@ from longarm_comp.core.identify.discover import words
 from longarm_comp.core.identify.discover.bank import Weighed
 from longarm_comp.core.identify.discover.banks import CAMERA
 from longarm_comp.core.identify.discover.propose import doubts, proposed
-from longarm_comp.core.identify.discover.search import SearchedFunctions, key_of, search, terms_of
+from longarm_comp.core.identify.discover.search import SearchedFunctions, search
+from longarm_comp.core.identify.discover.terms import key_of, terms_of
 from longarm_comp.core.identify.fit import ModelFit
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.noise import NoiseEstimate
@@ -227,4 +228,5 @@ def _one(result: SearchedFunctions, k: int) -> Cause:
 
 def _places(group: Weighed, others: Sequence[Weighed]) -> list[str]:
     mine = dict.fromkeys(words.where(p) for p, _ in group.candidate.members)
-    return [" and ".join(mine), *(words.where(o.candidate.members[0][0]) for o in others)]
+    others_ = [words.where(o.candidate.members[0][0]) for o in others]
+    return [" and ".join(mine), *words.seen_alike(group.candidate), *others_]
