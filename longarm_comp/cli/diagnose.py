@@ -75,6 +75,9 @@ def command(
 
 
 def _print(report: dict[str, Any]) -> None:
+    from longarm_comp.report.cards import cards
+    from longarm_comp.report.record import checked
+
     print_rows(f"Held-out errors ({report['held_out']['n']} rows)", report["held_out"]["rows"])
     cells = [
         (f["effect"], p["where"], p["name"], *_value(p))
@@ -84,6 +87,9 @@ def _print(report: dict[str, Any]) -> None:
     if cells:
         header = ("effect", "where", "parameter", "value", "95 % interval", "unit")
         print_table("Effects added", header, cells)
+    for card in cards(checked(report)):
+        said = (card.tip, card.sure, card.action, card.software, card.improves)
+        click.echo(f"{card.title}: {'; '.join(filter(None, said))}")
     click.echo(f"{report['verdict']}: {report['summary']}")
 
 
