@@ -14,8 +14,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.quaternion import from_rotation
-from longarm_comp.core.arm.spatial import IDENTITY
-from longarm_comp.core.data.alignment import roll_pitch_yaw
+from longarm_comp.core.arm.spatial import IDENTITY, roll_pitch_yaw
 
 
 class Peer(Protocol):

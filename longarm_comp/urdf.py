@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.core.data.alignment import roll_pitch_yaw
+from longarm_comp.core.arm.spatial import roll_pitch_yaw
 from longarm_comp.urdf_file import MOVING, UrdfJoint, UrdfRobot, resting, turn_z_to
 
 

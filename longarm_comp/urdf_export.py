@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm, Joint
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.spatial import roll_pitch_yaw
 from longarm_comp.core.compensation.compensate import rigid
-from longarm_comp.core.data.alignment import roll_pitch_yaw
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model, unstack
 

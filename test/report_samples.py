@@ -89,6 +89,7 @@ def error_rows(rows: SeenRows) -> list[dict[str, Any]]:
                 "mean_abs_z_mm": float(np.abs(error[:, 2]).mean() * 1e3),
                 "variance_mm2": float(error.var(axis=0).mean() * 1e6),
                 "excess_mm": float(np.sqrt(max(0.0, rms**2 - np.square(SIGMA_MM).sum()))),
+                "mean_mrad": None,
             }
         )
     return made
@@ -183,6 +184,7 @@ def base(rng: np.random.Generator) -> Diagnosis:
             {"index": 17, "why": "residual of 31 mm, 58 robust standard deviations"},
             {"index": 203, "why": "residual of 12 mm, 22 robust standard deviations"},
         ],
+        "discovered": [],
         "provenance": {
             "seed": 7,
             "data_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
@@ -268,7 +270,7 @@ def named(rng: np.random.Generator) -> Diagnosis:
         joints=JOINTS,
         joint_units=UNITS,
         held_out=rows,
-        marked={"backlash": Marked(line, {"joint 2": line[2]})},
+        marked=(Marked(line, {"joint 2": line[2]}),),
         train=held_out_rows(rng, 240),
         guilty=("approach", "q2"),
         correlation=Correlation(
@@ -369,6 +371,7 @@ def bad_data(rng: np.random.Generator) -> Diagnosis:
         "noise": {"sigma_mm": None, "source": None, "rho": None},
         "held_out": held_out(None, None, None, None),
         "outliers": [],
+        "discovered": [],
     }
     report["structure_left"] = report["structure_left"] | {"p_value": None}
     return report, Detail(title="samples.csv")

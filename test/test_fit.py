@@ -23,11 +23,12 @@ from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.effects.tip_offset import TipOffset
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify import linear
-from longarm_comp.core.identify.calibrate import frames, geometry
+from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.fit import fit, fit_together
 from longarm_comp.core.identify.linear import whiten
 from longarm_comp.core.identify.noise import from_repeats, lag_correlation
 from longarm_comp.core.identify.placement import placed
+from longarm_comp.core.identify.standing import frames
 from longarm_comp.core.model.model import Model
 
 SIGMA = 4e-4
@@ -283,7 +284,9 @@ def test_noise_of_repeats_leaves_out_the_side(rng: np.random.Generator) -> None:
     side = np.tile([1, 1, 1, -1, -1, -1], 8)
     xyz = Model(SMALL).tip(q) + 1e-3 * side[:, None] + 1e-4 * rng.standard_normal((48, 3))
     xyz[7] += 0.03
-    noise = from_repeats(Session.record(q, xyz, approach=side))
+    noise = from_repeats(Model(SMALL), Session.record(q, xyz, approach=side))
     assert noise is not None
     assert noise.sigma == pytest.approx(1e-4, rel=0.35)
-    assert from_repeats(Session.record(q[:6], xyz[:6], approach=side[:6])) is None  # too few
+    assert (
+        from_repeats(Model(SMALL), Session.record(q[:6], xyz[:6], approach=side[:6])) is None
+    )  # too few

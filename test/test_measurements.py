@@ -14,6 +14,7 @@ from sensed_arm import (
     GAIN,
     SIGMA,
     SIGMA_ROT,
+    Sensed,
     declared,
     miss,
     nowhere,
@@ -35,6 +36,7 @@ from longarm_comp.core.effects.tip_orientation import TipOrientation
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.noise import from_repeats
 from longarm_comp.core.identify.sensor_frames import started
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
@@ -284,3 +286,34 @@ def test_what_cannot_be_is_refused() -> None:
     rays = read(rows, readings={"ray": np.ones((6, 3))}, labels={"sensor": np.full(6, "hall")})
     with pytest.raises(InputError, match=r"hall.*boom, wall"):
         la.calibrate(cameras(), rays)
+
+
+def test_repeats_tell_the_noise_of_every_kind_in_enough_of_them() -> None:
+    """Ten poses, each measured six times: poses, and a wire to one of two anchors."""
+    one = sensed(n=10)
+    again = np.repeat(np.arange(10), 6)
+    rows = Sensed(one.q[again], one.xyz[again], one.axes[again], one.rng)
+    names = np.where(np.arange(60) % 2 == 0, "left", "right")
+    wires = rows.distance(names)
+    wires[5] += 0.02
+    xyz = rows.position()
+    xyz[8:, 2] = np.nan  # too few of them
+    readings = {"orientation": rows.quaternion(), "distance": wires}
+    session = read(rows, xyz=xyz, readings=readings, labels={"anchor": names})
+    model = started(declared_model(ARM).plus(*geometry(ARM, session)), session)
+    noise = from_repeats(model, session)
+    assert noise is not None
+    told = dict(zip(session.channels, noise.sigma, strict=True))
+    for name, sigma in (("x", SIGMA), ("rz", SIGMA_ROT), ("distance", SIGMA)):
+        assert told[name] == pytest.approx(sigma, rel=0.35)
+    assert np.isinf(told["z"])
+
+
+def test_a_network_learns_from_whole_positions_and_says_what_it_leaves_out() -> None:
+    session = mixture()
+    model = la.calibrate(ARM, session).model
+    said: list[str] = []
+    learned = la.train(ARM, session, model=model, ensemble=1, init="xavier", note=said.append)
+    assert learned.samples == session.located.sum() < len(session)
+    left = int((session.seen & ~session.located).sum())
+    assert any(f"{left} rows hold no whole position" in text for text in said)

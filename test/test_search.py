@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -9,15 +10,22 @@ import pytest
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.base_compliance import BaseCompliance
+from longarm_comp.core.effects.bearing_tilt import BearingTilt
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.link_stiffness import LinkStiffness
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.identify.aliasing import findings
 from longarm_comp.core.identify.calibrate import geometry
-from longarm_comp.core.identify.candidates import library
+from longarm_comp.core.identify.candidates import Candidate, library
+from longarm_comp.core.identify.evidence import columns_at, score
+from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.search import SearchResult, search
 from longarm_comp.core.model.model import Model
 
@@ -60,6 +68,25 @@ def test_the_place_follows_the_effect(arm: Arm) -> None:
     assert [(t.name, t.where) for t in result.chosen] == [("joint_gain", "joint 5")]
 
 
+@pytest.mark.parametrize("scale", [0.2, 1.0, 30.0])
+def test_evidence_counts_the_bounds_of_a_parameter(arm: Arm, scale: float) -> None:
+    """Against the integral over the possible values: a beam cannot be ten times stiffer."""
+    truth = dataclasses.replace(Model(arm), effects=())
+    fitted = fit(Model(arm, (LinkDeflection(),)), session_of(arm, 7), sigma=np.full(3, 4e-4))
+    rigid = scale * (truth.tip(fitted.session.q) - fitted.model.tip(fitted.session.q))
+    softer = Candidate("link_stiffness", (LinkStiffness(beam=arm.links[-1].name),))
+    columns = columns_at(fitted)
+    marginal = Marginal(fitted.design, fitted.data + fitted.whitened(rigid[..., None])[:, 0])
+    white = fitted.whitened(columns.of(softer.terms))[:, 0]
+    u = np.linspace(-0.9 / 0.5, 8.0, 400_001)
+    s, t = white @ marginal.project(white), white @ marginal.py
+    log = u * t - 0.5 * u * u * (1.0 + s)
+    whole = np.trapezoid(np.exp(log - log.max()), u) / np.trapezoid(np.exp(-0.5 * u * u), u)
+    found = score(fitted, marginal, softer, columns)
+    assert found.log_bayes_factor == pytest.approx(np.log(whole) + log.max(), abs=0.02)
+    assert found.mean[0] >= -0.9
+
+
 @pytest.mark.parametrize("seed", [3, 4])
 def test_geometry_and_noise_alone_name_nothing(arm: Arm, seed: int) -> None:
     result = searched(arm, session_of(arm, seed))
@@ -77,3 +104,34 @@ def test_correlated_noise_is_no_effect_and_reaches_the_fit(arm: Arm) -> None:
     assert result.chosen == ()
     assert result.noise.rho > 0.3
     assert result.fit.rho == result.noise.rho
+
+
+# ------------------------------------------------------------------ one name, or a set
+
+
+def named(arm: Arm, session: Session, *kinds: type[Effect]) -> list[tuple[str, ...]]:
+    base = Model(arm, (LinkDeflection(), *geometry(arm, session)))
+    candidates = library(arm, session.context(), kinds, base.terms).testable
+    return [f.names for f in findings(search(base, session, candidates), candidates)[1]]
+
+
+def test_a_rival_is_compared_without_its_idle_places(arm: Arm) -> None:
+    """Seven bearings would be worse than soft beams by 4.6; the two that matter are as good."""
+    soft = [LinkStiffness(beam=beam.name, softness=0.5) for beam in arm.links[1:]]
+    found = named(arm, session_of(arm, 16, *soft), LinkStiffness, BearingTilt, JointCompliance)
+    assert found == [("link_stiffness", "bearing_tilt")]
+
+
+ELASTIC = (BaseCompliance, BearingTilt, JointCompliance, LinkStiffness)
+
+
+def test_a_soft_base_and_the_bearing_above_it_are_a_set(arm: Arm) -> None:
+    """A column 10 times softer would do as well, and nobody believes it."""
+    soft = BaseCompliance(about_x=2e-3, about_y=2e-3)
+    found = named(arm, session_of(arm, 1, soft), *ELASTIC)
+    assert [set(names) for names in found] == [{"base_compliance", "bearing_tilt"}]
+
+
+def test_poses_tell_a_soft_base_from_a_bearing_that_turns(arm: Arm) -> None:
+    tilting = BearingTilt(2, about_x=6e-3, about_y=6e-3)
+    assert named(arm, session_of(arm, 1, tilting), *ELASTIC) == [("bearing_tilt",)]

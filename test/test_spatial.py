@@ -127,6 +127,8 @@ def test_roll_pitch_yaw_is_fixed_axis(rng: np.random.Generator) -> None:
         want = Rotation.from_euler("xyz", angles).as_matrix()  # lower case: fixed axes
         np.testing.assert_allclose(got[:3, :3], want, atol=1e-15)
         np.testing.assert_array_equal(got[:3, 3], [0.1, 0.2, 0.3])
+        back = spatial.rpy_frame((0.0, 0.0, 0.0), spatial.roll_pitch_yaw(want)).matrix()
+        np.testing.assert_allclose(back[:3, :3], want, atol=1e-14)
 
 
 def test_a_shifted_twist_is_the_motion_of_another_point(rng: np.random.Generator) -> None:

@@ -69,6 +69,10 @@ def command(
             progress=show,
         )
     calibration.save(output)
+    if calibration.placed:
+        note("the nominal arm was placed by the rows first: they see it somewhere else")
+    for place in calibration.untold:
+        note(f"the rows do not tell {place}: left as declared")
     for name in calibration.not_helping:
         note(f"{name} did not lower the held-out error: better left out")
     rows, final = calibration.held_out.rows, calibration.fit
@@ -104,4 +108,6 @@ def _facts(calibration: Calibration) -> dict[str, Any]:
         "outliers": final.session.index[final.outliers],
         "converged": final.converged,
         "session_hash": calibration.session.hash,
+        "placed": calibration.placed,
+        "untold": calibration.untold,
     }

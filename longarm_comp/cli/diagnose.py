@@ -78,7 +78,10 @@ def _print(report: dict[str, Any]) -> None:
     from longarm_comp.report.cards import cards
     from longarm_comp.report.record import checked
 
-    print_rows(f"Held-out errors ({report['held_out']['n']} rows)", report["held_out"]["rows"])
+    rows = report["held_out"]["rows"]
+    absent = {name for name in rows[0] if all(row[name] is None for row in rows)}
+    shown = [{k: v for k, v in row.items() if k not in absent} for row in rows]
+    print_rows(f"Held-out errors ({report['held_out']['n']} rows)", shown)
     cells = [
         (f["effect"], p["where"], p["name"], *_value(p))
         for f in report["findings"]
@@ -94,5 +97,5 @@ def _print(report: dict[str, Any]) -> None:
 
 
 def _value(p: dict[str, Any]) -> tuple[str, str, str]:
-    low, high = p["ci95"]
-    return f"{p['value']:.4g}", f"{low:.4g} .. {high:.4g}", p["unit"]
+    span = "at its bound" if p["ci95"] is None else "{:.4g} .. {:.4g}".format(*p["ci95"])
+    return f"{p['value']:.4g}", span, p["unit"]

@@ -37,8 +37,14 @@ def command(
     rows = evaluation.rows
     if evaluation.fitted:
         note(f"the {' and the '.join(evaluation.fitted)} came from this session: use other poses")
+    if evaluation.placed:
+        note("the declared arm was placed by these rows first: they see it somewhere else")
     if as_json:
-        facts = {"outside_training_data": evaluation.outside, "fitted_to_test": evaluation.fitted}
+        facts = {
+            "outside_training_data": evaluation.outside,
+            "fitted_to_test": evaluation.fitted,
+            "placed": evaluation.placed,
+        }
         print_json({"test": str(test), "rows": rows, **facts})
         return
     print_rows(f"Errors on {test} ({rows[0]['n']} poses)", rows)

@@ -17,6 +17,7 @@ from longarm_comp.core.identify.in_words import left_in_words
 from longarm_comp.core.identify.practical import Gain, practical
 from longarm_comp.report.candidate_states import candidate_rows, sizes
 from longarm_comp.report.detail import Detail
+from longarm_comp.report.discovered import discovered
 from longarm_comp.report.drawing import SPLITS, detail
 from longarm_comp.report.noise_floor import ErrorFigures, NoiseFloor, excess, noise_floor
 from longarm_comp.report.record import SCHEMA
@@ -85,6 +86,7 @@ def record_of(
             for q in by.q
         ],
         "outliers": _outliers(diagnosis),
+        "discovered": discovered(diagnosis.discovery),
         "provenance": _provenance(diagnosis.seed, data_sha256, len(diagnosis.holdout_uses)),
     }
 
@@ -104,6 +106,7 @@ def refused(
         "held_out": {"n": 0, "rows": [], "before_after_ci95_mm": None},
         "next_poses": [],
         "outliers": [],
+        "discovered": [],
         "provenance": _provenance(seed, data_sha256, 0),
     }
     return report, Detail(title=title)
@@ -131,12 +134,13 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding) -> dict[str, Any]:
                 "where": slot.owner.where,
                 "value": interval.value,
                 "unit": slot.parameter.unit,
-                "ci95": [interval.low, interval.high],
+                "ci95": None if interval.at_bound else [interval.low, interval.high],
                 "prior_scale": slot.parameter.prior,
             }
         )
     runner, first = found.runner_up, found.terms[0]
-    real = practical(diagnosis.fit, found.terms, diagnosis.held_out)
+    final = diagnosis.fit if diagnosis.added is None else diagnosis.added.fit
+    real = practical(final, found.terms, diagnosis.held_out)
     tip_mm = 1e3 * real.tip_m
     return {
         "effect": found.name,
@@ -172,7 +176,7 @@ def _position_noise(diagnosis: Diagnosis) -> np.ndarray | None:
 
 def _held_out(diagnosis: Diagnosis, sigma: np.ndarray | None) -> dict[str, Any]:
     """Figures of all stages, and what was gained, as seen and as commanded."""
-    rows = {name: Errors.of(error) for name, error in diagnosis.errors.items()}
+    rows = diagnosis.rows
     floor = None
     if sigma is not None:
         left = (rows["with_effects"].rms, diagnosis.structure.size_m)
@@ -216,6 +220,7 @@ def _error_row(
         "mean_abs_z_mm": 1e3 * errors.mean_abs_z,
         "variance_mm2": 1e6 * errors.variance,
         "excess_mm": 1e3 * excess(errors.rms, floor),
+        "mean_mrad": None if errors.angle is None else 1e3 * errors.angle,
     }
 
 

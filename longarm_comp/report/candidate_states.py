@@ -18,6 +18,7 @@ from longarm_comp.core.identify.evidence import (
     marginal_without,
     score,
 )
+from longarm_comp.core.identify.minor import Minor
 from longarm_comp.core.identify.search_state import ODDS
 
 Label = tuple[str, str]
@@ -81,6 +82,9 @@ def _chosen(diagnosis: Diagnosis) -> dict[Label, dict[str, Any]]:
             )
             state = "rejected"
             why += f"; rolled back: held-out mean error {before:.3f} -> {after:.3f} mm"
+        elif diagnosis.added is not None and term.name in diagnosis.added.without:
+            state = "rejected"
+            why += "; what was found without a name explains its part better"
         accepted[label(single)] = _row(label(single), gain, state, why)
     return accepted
 
@@ -92,6 +96,9 @@ def _judged(diagnosis: Diagnosis, one: Smallest, first: float | None) -> tuple[s
     need = result.threshold
     if one.candidate.name in names:
         need = math.log(sum(s.candidate.name == one.candidate.name for s in result.first)) + ODDS
+    minor = next((m for m in diagnosis.minor if _gone(m, one.candidate)), None)
+    if minor is not None:
+        return "rejected", minor.why
     alike = [f for f in diagnosis.findings if one.candidate.name in f.names[1:]]
     if alike and _overlaps(alike[0], one.candidate):
         return "rejected", f"these data cannot tell it from {alike[0].name}, which was added"
@@ -108,6 +115,11 @@ def _judged(diagnosis: Diagnosis, one: Smallest, first: float | None) -> tuple[s
 def _overlaps(found: EffectFinding, candidate: Candidate) -> bool:
     """Whether a look-alike sits at a place of the finding, or has no place of its own."""
     return bool(set(candidate.where) & set(found.where)) or "arm" in candidate.where
+
+
+def _gone(minor: Minor, candidate: Candidate) -> bool:
+    """Whether a candidate is an effect that was taken out again, at one of its places."""
+    return candidate.name == minor.name and set(candidate.where) <= set(minor.where)
 
 
 def _unseen(one: Smallest) -> str:

@@ -16,7 +16,9 @@ DIGITS = 12
 
 Verdict = Literal["noise", "named", "set", "partly", "unknown", "bad_data"]
 CandidateState = Literal["accepted", "rejected", "not_testable", "invisible"]
-Stage = Literal["nominal", "frames_only", "calibrated", "with_effects", "with_network"]
+Stage = Literal[
+    "nominal", "frames_only", "calibrated", "with_effects", "with_discovered", "with_network"
+]
 Interval = tuple[float, float]
 
 
@@ -114,6 +116,7 @@ class ErrorRow(_Record):
     mean_abs_z_mm: float = Field(ge=0)
     variance_mm2: float = Field(ge=0)
     excess_mm: float = Field(ge=0)
+    mean_mrad: float | None = Field(ge=0)
 
 
 class HeldOut(_Record):
@@ -140,6 +143,43 @@ class Outlier(_Record):
     why: str
 
 
+class DiscoveredTerm(_Record):
+    """A coefficient of a cause without a name: value x function, at a place."""
+
+    where: str
+    function: str
+    value: float
+    ci95: Interval
+    unit: str
+
+
+class TipShift(_Record):
+    """Shift of the tip over the fitted rows."""
+
+    rms: float = Field(ge=0)
+    max: float = Field(ge=0)
+
+
+class ReportDiscovered(_Record):
+    """A cause without a name. `set`: places that explain it alike; `kept`: it is in the model."""
+
+    frame: str
+    component: str
+    set: list[str]
+    formula: str
+    terms: list[DiscoveredTerm]
+    ci95: list[Interval]
+    domain: list[str]
+    reading: str
+    title: str = ""
+    action: str = ""
+    log_evidence: float
+    tip_mm: TipShift
+    held_out_rms_mm: tuple[float, float]
+    compensated: bool
+    kept: bool
+
+
 class ReportProvenance(_Record):
     """What is needed to repeat the diagnosis to the byte."""
 
@@ -162,6 +202,7 @@ class DiagnosisReport(_Record):
     held_out: HeldOut
     next_poses: list[list[float]]
     outliers: list[Outlier]
+    discovered: list[ReportDiscovered] = Field(default_factory=list)
     provenance: ReportProvenance
 
 

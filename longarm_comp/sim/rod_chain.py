@@ -208,6 +208,8 @@ class Walk:
 
     def _give(self, walker: Walker, place: Place) -> None:
         for effect in reversed(self._hidden):
+            for force, at in effect.push(place, self._state):
+                walker.push(force, at)
             vector = effect.give(place, walker, self._state)
             if vector is not None:
                 walker.give(vector)

@@ -49,6 +49,7 @@ class Walker:
         self._v[:, _GRAVITY] = gamma
         self._point = np.zeros(2)
         self.mass: Array | float = 0.0
+        self._pushed: int | None = None
         self._trace = trace
         self.line: list[int] = []
 
@@ -59,13 +60,17 @@ class Walker:
 
     @property
     def moment(self) -> Array:
-        """Moment of the weight beyond about this section, (3, B, N) N m."""
+        """Moment of all forces beyond about this section, (3, B, N) N m."""
         return self._v[:, _MOMENT]
 
     @property
     def force(self) -> Array:
-        """Weight beyond, (3, B, N) N."""
-        return self.mass * self.gravity
+        """Force of all beyond, (3, B, N) N: weight, and what pushes besides."""
+        return self._force(self._v, self.mass)
+
+    def _force(self, v: Array, mass: Array | float) -> Array:
+        weight = mass * v[:, _GRAVITY]
+        return weight if self._pushed is None else weight + v[:, 2 + self._pushed]
 
     def seen(self, index: int) -> Array:
         """Marked point or direction number `index` from here, (3, B, N)."""
@@ -89,10 +94,19 @@ class Walker:
         self._v[:, _MOMENT] += cross(_column(at), mass * self.gravity)
         self.mass = self.mass + mass
 
+    def push(self, force: Array, at: Sequence[float] | Array, moment: Array | float = 0.0) -> None:
+        """Apply a force (3, N) N at a position (m), and a moment (3, N) N m, in these axes."""
+        if self._pushed is None:
+            self._pushed = self.mark((0.0, 0.0, 0.0), point=False)
+        applied = _column(force)
+        self._v[:, 2 + self._pushed] += applied
+        self._v[:, _MOMENT] += cross(_column(at), applied + 0 * self.gravity)
+        self._v[:, _MOMENT] += _column(moment) if isinstance(moment, np.ndarray) else moment
+
     def shift(self, offset: Array) -> None:
         """Go back along a rigid piece, (3, ...) m from the new section to this one."""
         v = _column(offset)
-        self._v[:, _MOMENT] += cross(v, self.mass * self.gravity)
+        self._v[:, _MOMENT] += cross(v, self.force)
         self._v += v[:, None] * self._point[:, None, None]
 
     def turn(self, axis: int, angle: Array | float) -> None:
@@ -147,15 +161,15 @@ class Walker:
         def rate(v: Array, mass: Array | float) -> Array:
             kappa = c * v[:, _MOMENT]
             out = cross(kappa[:, None], v)
-            g, m = v[:, _GRAVITY], sign * mass
+            f = self._force(v, mass)
             i, j = (axis + 1) % 3, (axis + 2) % 3
-            out[i, _MOMENT] -= m * g[j]
-            out[j, _MOMENT] += m * g[i]
+            out[i, _MOMENT] -= sign * f[j]
+            out[j, _MOMENT] += sign * f[i]
             out[axis] += sign * self._point[:, None, None]
             if stretch is not None:
-                strain = np.reshape(stretch, (3, 1, 1)) * mass * g
+                strain = np.reshape(stretch, (3, 1, 1)) * f
                 out += strain[:, None] * self._point[:, None, None]
-                out[:, _MOMENT] += cross(strain, mass * g)
+                out[:, _MOMENT] += cross(strain, f)
             return out
 
         v, mass = self._v, self.mass

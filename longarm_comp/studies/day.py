@@ -25,7 +25,7 @@ from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.identify.calibrate import with_geometry
+from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.search import search
 from longarm_comp.core.model.declared_model import declared_model
@@ -276,7 +276,7 @@ def one_day(setting: DaySetting, seed: int, ways: Sequence[Way] = WAYS) -> DayOu
 
 def identified(known: Model, session: Session, setting: DaySetting) -> tuple[Model, np.ndarray]:
     """What is known fitted again, with what it lacks; and its noise, (3,) m."""
-    base = with_geometry(known, session)
+    base = dict(stages(known, session))["geometry"].model
     candidates = library(setting.arm, session.context(), setting.kinds, base.terms)
     found = search(base, session, candidates.testable)
     return found.fit.model, found.fit.sigma

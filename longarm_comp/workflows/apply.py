@@ -126,7 +126,11 @@ def nothing_to_apply(diagnosis: Path, report: DiagnosisReport) -> str:
     """
     if report.verdict == "bad_data":
         return report.summary
-    if report.findings or (diagnosis / PREDICTOR).is_file():
+    if (
+        report.findings
+        or any(d.kept for d in report.discovered)
+        or (diagnosis / PREDICTOR).is_file()
+    ):
         return ""
     commanded, seen = mean_errors(report)
     pair = commanded or seen
@@ -147,7 +151,8 @@ def mean_errors(report: DiagnosisReport) -> tuple[Pair | None, Pair | None]:
     None where the report does not say it.
     """
     rows = {row.model: row for row in report.held_out.rows}
-    before, after = rows.get("nominal"), rows.get("with_effects")
+    before = rows.get("nominal")
+    after = rows.get("with_discovered") or rows.get("with_effects")
     if before is None or after is None:
         return None, None
     seen = (before.mean_mm, after.mean_mm)

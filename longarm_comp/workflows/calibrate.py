@@ -9,14 +9,21 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.holdout import blocked_split
-from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.measurement import errors, turns
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.base_pose import BasePose
 from longarm_comp.core.effects.catalogue import effect_class
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import Rung, ladder
 from longarm_comp.core.identify.fit import ModelFit, fit
-from longarm_comp.core.identify.plausible import check_carries_over, check_sizes, check_worth
+from longarm_comp.core.identify.plausible import (
+    check_carries_over,
+    check_fits,
+    check_sizes,
+    check_worth,
+)
+from longarm_comp.core.identify.standing import untold
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.version import __version__
@@ -92,6 +99,16 @@ class Calibration:
         )
 
     @property
+    def placed(self) -> bool:
+        """Whether the nominal arm was placed by the rows first, as they see it somewhere else."""
+        return any(isinstance(e, BasePose) for e in self.rungs[0].model.effects)
+
+    @property
+    def untold(self) -> tuple[str, ...]:
+        """What of the placement the rows do not tell; it was left as declared."""
+        return untold(self.fit)
+
+    @property
     def not_helping(self) -> tuple[str, ...]:
         """Effects that did not lower the held-out RMS error and are better left out."""
         first = len(self.rungs) - self.effect_rungs
@@ -122,9 +139,10 @@ class Calibration:
     def summary(self) -> str:
         """Result of the calibration in one sentence."""
         first, last = self.rungs[0], self.rungs[-1]
+        before, after = (r.commanded if r.commanded.n else r.held_out for r in (first, last))
         return (
-            f"held-out mean error as commanded {1e3 * first.commanded.mean:.2f} mm "
-            f"({first.name}) -> {1e3 * last.commanded.mean:.2f} mm ({last.name}), "
+            f"held-out mean error as commanded {before.said} ({first.name}) -> "
+            f"{after.said} ({last.name}), "
             f"{len(self.fit.slots)} parameters fitted to {len(self.fit.session)} rows"
         )
 
@@ -196,12 +214,15 @@ def calibrate(
         deflection=deflection,
         progress=lambda name: progress(name, next(done) / steps),
     )
-    last, held = rungs[-1].model, errors(rungs[-1].model, held_out)
-    check_worth(held, errors(rungs[1].model, held_out), whole.source)
-    check_worth(held, errors(rungs[0].model, held_out), whole.source, "the declared arm")
-    check_carries_over(errors(last, train), held, whole.source)
+    last = rungs[-1].model
+    size, unit = (errors, "mm") if held_out.placed.any() else (turns, "mrad")
+    held = size(last, held_out)
+    for rung, than in ((rungs[1], "placed frames alone"), (rungs[0], "the declared arm")):
+        check_worth(held, size(rung.model, held_out), whole.source, than, unit)
+    check_carries_over(size(last, train), held, whole.source, unit)
     progress("all rows", (steps - 1) / steps)
     final = fit(last, whole)
+    check_fits(final.model, whole)
     check_sizes(final.model, whole.source)
     return Calibration(tuple(rungs), len(chosen), len(held_out), final, whole, seed)
 

@@ -147,6 +147,10 @@ def diagnose(
     known = None if model is None else physics(arm, model)
     whole = admitted(session, arm, known, FEW_POSES, note)
     held_out = None if test is None else admitted(test, arm, known, 1, note)
+    for rows in (whole, held_out):
+        if rows is not None and not rows.placed.any():
+            allowed = "rows that say where the tip is (longarm calibrate takes orientations alone)"
+            raise InputError(rows.source, "x, y, z", "blank in all rows", allowed)
     found = core.diagnose(
         arm,
         whole,

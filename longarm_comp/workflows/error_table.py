@@ -9,14 +9,11 @@ from typing import Any
 from longarm_comp.core.identify.calibrate import Errors
 
 ERROR_COLUMNS = (
-    "mean_mm",
-    "commanded_mean_mm",
-    "rms_mm",
-    "p95_mm",
-    "max_mm",
-    "mean_abs_z_mm",
-    "variance_mm2",
+    *("mean_mm", "commanded_mean_mm", "rms_mm", "p95_mm", "max_mm"),
+    *("mean_abs_z_mm", "variance_mm2"),
 )
+ANGLE = "mean_mrad"
+"""Column of the mean error of the orientation, where it was measured."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -42,15 +39,16 @@ class ErrorTable(Mapping[str, Errors]):
 
     @property
     def rows(self) -> list[dict[str, Any]]:
-        """One row a model, in millimetres, under the names of report.json."""
+        """One row a model, in millimetres (and mrad), under the names of report.json."""
         return [_row(name, self[name], self.commanded[name]) for name in self]
 
     def __repr__(self) -> str:
         width = max(map(len, ("model", *self)))
-        head = (f"{column:>18}" for column in ERROR_COLUMNS)
+        columns = list(self.rows[0])[2:] if self.errors else []
+        head = (f"{column:>18}" for column in columns)
         lines = ["".join([f"{'model':<{width}}", f"{'n':>6}", *head])]
         for row in self.rows:
-            cells = (f"{row[column]:18.3f}" for column in ERROR_COLUMNS)
+            cells = (f"{row[column]:18.3f}" for column in columns)
             lines.append("".join([f"{row['model']:<{width}}", f"{row['n']:6d}", *cells]))
         return "\n".join(lines)
 
@@ -58,4 +56,5 @@ class ErrorTable(Mapping[str, Errors]):
 def _row(name: str, errors: Errors, commanded: Errors) -> dict[str, Any]:
     mm = (errors.mean, commanded.mean, errors.rms, errors.p95, errors.max, errors.mean_abs_z)
     values = [*(1e3 * v for v in mm), 1e6 * errors.variance]
-    return {"model": name, "n": errors.n, **dict(zip(ERROR_COLUMNS, values, strict=True))}
+    row = {"model": name, "n": errors.n, **dict(zip(ERROR_COLUMNS, values, strict=True))}
+    return row if errors.angle is None else {**row, ANGLE: 1e3 * errors.angle}

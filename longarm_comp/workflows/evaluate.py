@@ -10,8 +10,10 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.commanded import commanded_errors
-from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.measurement import errors, turns
 from longarm_comp.core.identify.calibrate import Errors
+from longarm_comp.core.identify.plausible import check_placed
+from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.training_rows import fitted_to
 from longarm_comp.workflows.error_table import ErrorTable
@@ -37,16 +39,22 @@ class Evaluation(ErrorTable):
     `network` (with a predictor).
 
     Attributes:
+        placed: whether the declared arm was placed by the rows first: they see it somewhere else.
         outside: number of poses outside the network's training data, where physics is used alone.
         fitted: ``model``, ``predictor`` where it was fitted to this session (known for files).
     """
 
     outside: int = 0
+    placed: bool = False
     fitted: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        said = f"\n{self.outside} poses outside the network's training data: physics only"
-        return f"{super().__repr__()}{said if self.outside else ''}"
+        said = super().__repr__()
+        if self.placed:
+            said += "\nthe declared arm was placed by these rows first"
+        if self.outside:
+            said += f"\n{self.outside} poses outside the network's training data: physics only"
+        return said
 
 
 def evaluate(
@@ -70,13 +78,16 @@ def evaluate(
     Raises:
         InputError: the session was refused; the model or the predictor is for another arm, or
             the predictor for another model.
+        JobError: the arm does not stand where the model says.
     """
     calibrated = None if model is None else physics(arm, model)
     session = admitted(test, arm, calibrated, min_poses=1, note=note)
-    models = {"rigid": physics(arm, None, False)}
+    rigid, placed = standing(physics(arm, None, False), session)
+    models = {"rigid": rigid}
     if arm.links:
-        models["deflection"] = physics(arm, None)
+        models["deflection"] = standing(physics(arm, None), session)[0]
     if calibrated is not None:
+        check_placed(calibrated, session)
         models["calibrated"] = calibrated
     taken_off = {name: np.zeros(3) for name in models}
     outside, learned = 0, None
@@ -87,11 +98,15 @@ def evaluate(
         inside = np.asarray(found.in_domain)
         outside = int((~inside).sum())
         inside = inside & session.located[session.placed]
-        models["network"] = physics(arm, model, beside)
+        beneath = physics(arm, model, beside)
+        models["network"] = beneath if model is not None else standing(beneath, session)[0]
         taken_off["network"] = np.where(inside[:, None], found.error, 0.0)
     file = None if model is None or isinstance(model, Model) else Path(model)
     seen, commanded = (
-        {name: Errors.of(left(each, session) - taken_off[name]) for name, each in models.items()}
+        {
+            name: Errors.of(left(each, session) - taken_off[name], turns(each, session))
+            for name, each in models.items()
+        }
         for left in (errors, commanded_errors)
     )
-    return Evaluation(seen, commanded, outside, tuple(fitted_to(session, file, learned)))
+    return Evaluation(seen, commanded, outside, placed, tuple(fitted_to(session, file, learned)))

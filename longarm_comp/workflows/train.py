@@ -108,7 +108,10 @@ def train(
     base = physics(arm, model, deflection)
     whole = admitted(session, arm, None if model is None else base, note=note)
     rows = training_rows(base, whole)
-    check_placed(rows[1], whole)
+    located = whole.take(whole.located)
+    check_placed(base, located)
+    if partly := int((whole.seen & ~whole.located).sum()):
+        note(f"{whole.source}: {partly} rows hold no whole position: the network leaves them out")
     origin = Provenance(arm.hash, whole.hash, arm.joint_names, physics_mark(model, deflection))
     predictor = networks.train(
         *rows,
@@ -117,13 +120,13 @@ def train(
         seed=seed,
         ensemble=ensemble,
         hidden=hidden,
-        weights=None if weights is None else _of_rows(weights, whole.seen),
+        weights=None if weights is None else _of_rows(weights, whole.located),
         progress=lambda k, of: progress(f"{k} of {of} networks", k / of),
         provenance=origin,
         device=device,
     )
     residual = rows[1]
-    left = residual - expected(predictor, whole).error
+    left = residual - expected(predictor, located).error
     return TrainedPredictor(
         **{f.name: getattr(predictor, f.name) for f in dataclasses.fields(predictor)},
         samples=len(residual),

@@ -287,3 +287,13 @@ def rpy_frame(xyz: Vec, rpy: Vec) -> Frame:
         (cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr),
         (float(xyz[0]), float(xyz[1]), float(xyz[2])),
     )
+
+
+def roll_pitch_yaw(rotation: np.ndarray) -> tuple[float, float, float]:
+    """Fixed-axis angles (rad) of ``Rz(yaw) Ry(pitch) Rx(roll)``, exact at pitch +-90 deg too."""
+    yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
+    c, s = np.cos(yaw), np.sin(yaw)
+    level = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ rotation
+    pitch = np.arctan2(-level[2, 0], level[0, 0])
+    roll = np.arctan2(-level[1, 2], level[1, 1])
+    return float(roll), float(pitch), float(yaw)

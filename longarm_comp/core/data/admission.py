@@ -14,13 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.spatial import Frame
+from longarm_comp.core.arm.spatial import Frame, roll_pitch_yaw
 from longarm_comp.core.data.alignment import (
     Alignment,
     align,
     best_axes,
     best_rotation,
-    roll_pitch_yaw,
 )
 from longarm_comp.core.data.belonging import STRAYS, believe
 from longarm_comp.core.data.session import INCLINATION, Session
@@ -247,7 +246,8 @@ def _measured_at_all(case: _Case) -> Iterator[AdmissionFinding]:
     if lost == len(case.session):
         raise case.refuse(field, f"blank in all {lost} rows", "measured tip positions (m)")
     if not case.session.placed.any():
-        raise case.refuse("x, y, z", "blank in all rows", "something that says where the tip is")
+        text = "nothing says where the tip is: its place and the base's stay as declared"
+        yield AdmissionFinding("blanks", "x, y, z", text)
     if lost:
         share = lost / len(case.session)
         yield AdmissionFinding("blanks", field, f"marker lost in {lost} rows ({share:.0%})")
@@ -342,10 +342,15 @@ def _frame_of(
         yield AdmissionFinding("outliers", field, text)
 
 
-def _belongs(case: _Case) -> None:
+def _belongs(case: _Case) -> Iterator[AdmissionFinding]:
     """Whether the arm makes these rows, wherever it stands; with the likely mistake if not."""
     belief = believe(case.model, case.session)
-    if belief is None or belief.belong:
+    if belief is None:
+        return
+    for j, moved in belief.signs:
+        text = f"its sign cannot be told: negated it moves the tip by {1e3 * moved:.2g} mm only"
+        yield AdmissionFinding("sign", f"q{j + 1}", text)
+    if belief.belong:
         return
     ours = f"rows of arm {case.arm.name}; nothing was changed"
     if belief.mistake:

@@ -33,6 +33,17 @@ class Alignment:
         return float(np.arccos(np.clip((np.trace(self.rotation) - 1) / 2, -1, 1)))
 
 
+def kabsch(
+    points: np.ndarray, seen: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation (3, 3) and offset (3,) of (N, 3) points to sightings, weighted (Kabsch 1976)."""
+    share = (weights / weights.sum())[:, None]
+    a, b = (share * points).sum(0), (share * seen).sum(0)
+    u, _, vt = np.linalg.svd((share * (seen - b)).T @ (points - a))
+    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return rotation, b - rotation @ a
+
+
 def align(predicted: np.ndarray, measured: np.ndarray, rotation: np.ndarray) -> Alignment:
     """The given rotation with its best (median) offset."""
     turned = predicted @ rotation.T
@@ -41,7 +52,7 @@ def align(predicted: np.ndarray, measured: np.ndarray, rotation: np.ndarray) -> 
 
 
 def best_rotation(predicted: np.ndarray, measured: np.ndarray) -> Alignment:
-    """Least squares over rotations (Kabsch 1976), repeated without the worst points.
+    """Least squares over rotations, repeated without the worst points.
 
     Args:
         predicted: (N, 3), m.
@@ -49,10 +60,7 @@ def best_rotation(predicted: np.ndarray, measured: np.ndarray) -> Alignment:
     """
     kept = np.ones(len(predicted), dtype=bool)
     for _ in range(4):
-        a, b = predicted[kept].mean(0), measured[kept].mean(0)
-        u, _s, vt = np.linalg.svd((measured[kept] - b).T @ (predicted[kept] - a))
-        rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-        offset = b - rotation @ a
+        rotation, offset = kabsch(predicted[kept], measured[kept], np.ones(int(kept.sum())))
         distance = np.linalg.norm(measured - predicted @ rotation.T - offset, axis=1)
         kept = distance <= max(4 * np.median(distance), 1e-12)
     return Alignment(rotation, offset, _misfit(measured - predicted @ rotation.T - offset))
@@ -70,16 +78,6 @@ def best_axes(predicted: np.ndarray, measured: np.ndarray) -> tuple[Alignment, s
             )
             fits.append((align(predicted, measured, rotation), name))
     return min(fits, key=lambda pair: pair[0].misfit)
-
-
-def roll_pitch_yaw(rotation: np.ndarray) -> tuple[float, float, float]:
-    """Fixed-axis angles (rad) of ``Rz(yaw) Ry(pitch) Rx(roll)``, exact at pitch +-90 deg too."""
-    yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
-    c, s = np.cos(yaw), np.sin(yaw)
-    level = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ rotation
-    pitch = np.arctan2(-level[2, 0], level[0, 0])
-    roll = np.arctan2(-level[1, 2], level[1, 1])
-    return float(roll), float(pitch), float(yaw)
 
 
 def _misfit(residual: np.ndarray) -> float:

@@ -129,7 +129,7 @@ class Distance(Kind):
         self, motion: TipMotion, values: np.ndarray, arm: Arm, labels: Labels
     ) -> Equations:
         point, columns = motion.point(self.name)
-        places = _by_name(arm.anchor, labels[self.label])
+        places = by_name(arm.anchor, labels[self.label])
         away = point - places
         length = np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
         pull = (away / length)[:, None, :]
@@ -156,15 +156,15 @@ class Ray(Kind):
         self, motion: TipMotion, values: np.ndarray, arm: Arm, labels: Labels
     ) -> Equations:
         point, columns = motion.point(self.name)
-        frames = _by_name(arm.camera_frame, labels[self.label])
+        frames = by_name(arm.camera_frame, labels[self.label])
         local = np.einsum("nji,nj->ni", frames[:, :, :3], point - frames[:, :, 3])
         length = np.maximum(np.linalg.norm(local, axis=1, keepdims=True), 1e-9)
         seen = local / length
-        across = _across(values)
+        sideways = across(values)
         flat = np.eye(3) - seen[:, :, None] * seen[:, None, :]
-        turned = across @ flat / length[..., None]
+        turned = sideways @ flat / length[..., None]
         pull = np.einsum("nki,nji->nkj", turned, frames[:, :, :3])
-        residual = -np.einsum("nki,ni->nk", across, seen)
+        residual = -np.einsum("nki,ni->nk", sideways, seen)
         return Equations(residual, pull @ columns, pull)
 
 
@@ -172,7 +172,7 @@ KINDS: Mapping[str, Kind] = {k.name: k for k in (Position(), Orientation(), Dist
 """Every kind by name; positions come first in the channels of a session."""
 
 
-def _across(directions: np.ndarray) -> np.ndarray:
+def across(directions: np.ndarray) -> np.ndarray:
     """Two unit axes (N, 2, 3) across directions (N, 3), which NaN may stand for."""
     known = np.where(np.isfinite(directions), directions, 1.0)
     along = known / np.linalg.norm(known, axis=1, keepdims=True)
@@ -195,7 +195,7 @@ def matrices(quaternions: np.ndarray) -> np.ndarray:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-def _by_name(declared: Callable[[str], Any], names: np.ndarray) -> np.ndarray:
+def by_name(declared: Callable[[str], Any], names: np.ndarray) -> np.ndarray:
     """What is declared under each of (N,) names, (N, ...)."""
     known, which = np.unique(names, return_inverse=True)
     return np.array([declared(str(name)) for name in known])[which]

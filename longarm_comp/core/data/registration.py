@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from longarm_comp.core.data.alignment import kabsch
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.model.model import Model, unstack
 
@@ -122,17 +123,6 @@ def register(rows: Sightings, tips: bool = True) -> Registration:
         other = best if linear is None else _refined(rows, linear, tips)
         best = min(best, other, key=lambda r: r.misfit)
     return best
-
-
-def kabsch(
-    points: np.ndarray, seen: np.ndarray, weights: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (3, 3) and offset (3,) of (N, 3) points to sightings, weighted (Kabsch 1976)."""
-    share = (weights / weights.sum())[:, None]
-    a, b = (share * points).sum(0), (share * seen).sum(0)
-    u, _, vt = np.linalg.svd((share * (seen - b)).T @ (points - a))
-    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    return rotation, b - rotation @ a
 
 
 def _weights(residual: np.ndarray) -> np.ndarray:

@@ -31,6 +31,7 @@ from longarm_comp.core.effects.camera_scale import CameraScale
 from longarm_comp.core.effects.column_bending import ColumnBending
 from longarm_comp.core.effects.creep import Creep
 from longarm_comp.core.effects.dh_error import DhError
+from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
@@ -96,6 +97,8 @@ _OURS: tuple[Kind, ...] = (
     CameraScale,
     CameraRadial,
     CameraDrift,
+    Discovered,
+    DiscoveredView,
 )
 BUILT_IN: dict[str, Kind] = {kind.name: kind for kind in _OURS}
 """The effects of this package, in the order of listing and search."""

@@ -13,7 +13,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.effects.effect import Effect, form, parameter
-from longarm_comp.core.effects.link_deflection import cantilever
+from longarm_comp.core.effects.link_deflection import extra_sag
 
 TIMES_S = (900.0, 3600.0, 14400.0)
 
@@ -43,8 +43,4 @@ class Creep(Effect):
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """The declared cantilever twist times the grown share."""
         grown = self.amount * (1.0 - np.exp(-posture.context.column("t_s", 0.0) / self.time))
-        elements = (e for row in posture.chain.rows for e in row.elements_a + row.elements_d)
-        return {
-            e.station: tuple(grown * t for t in cantilever(posture, e))  # type: ignore[misc]
-            for e in elements
-        }
+        return extra_sag(posture, grown)

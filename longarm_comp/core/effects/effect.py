@@ -168,6 +168,7 @@ class _Term:
             other effects.
         displaces_joint: its only parameter displaces one joint. Its column is then the effect of
             any displacement of that joint at the tip, and remaining structure is sought in it.
+        bounded: holds within the data that it was found in only (`Effect.outside`).
     """
 
     name: ClassVar[str]
@@ -183,6 +184,7 @@ class _Term:
     limit_aliases: ClassVar[tuple[str, ...]] = ()
     free_levels: ClassVar[int] = 0
     displaces_joint: ClassVar[bool] = False
+    bounded: ClassVar[bool] = False
 
     @classmethod
     def heading(cls) -> str:
@@ -291,6 +293,9 @@ class _Term:
         """Commanded joints (0-based) whose history it reads."""
         return ()
 
+    def check(self, arm: Arm, where: str) -> None:
+        """Raise `InputError` if its fields, read from `where`, mean nothing on an arm."""
+
     def require(self, context: Context) -> None:
         """Raise `InputError` if an input that it needs was not recorded."""
         for name in self.needs:
@@ -305,6 +310,10 @@ class Effect(_Term, ABC):
     @abstractmethod
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Small twist ``[d; delta]`` (m, rad) by station, each in its station's axes."""
+
+    def outside(self, posture: Posture) -> tuple[str, ...]:
+        """What of one posture (floats) lies outside the data that it was found in, in words."""
+        return ()
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
         """Masses that this effect adds to the arm (kg at a point of a station)."""

@@ -61,7 +61,7 @@ class JointTerm(Effect):
         Passive joints coupled to it (mimic) follow.
         """
         twists: dict[int, Twist] = {}
-        for row, weight in self._coupled(posture.arm):
+        for row, weight in _coupled(posture.arm, self.joint):
             moved = amount if weight == 1.0 else weight * amount
             if posture.arm.joints[row - 1].type == "prismatic":
                 twists[posture.bearing(row)] = (0.0, 0.0, moved, 0.0, 0.0, 0.0)
@@ -74,13 +74,7 @@ class JointTerm(Effect):
 
         By virtual work it includes the loads of passive joints coupled to it.
         """
-        total: Scalar = 0.0
-        for row, weight in self._coupled(posture.arm):
-            station = posture.bearing(row)
-            sliding = posture.arm.joints[row - 1].type == "prismatic"
-            share = posture.force(station)[2] if sliding else posture.moment(station)[2]
-            total = total + (share if weight == 1.0 else weight * share)
-        return total
+        return joint_load(posture, self.joint)
 
     def side(self, posture: Posture, gate: float, blend: float = BLEND) -> Scalar:
         """Resting side of a joint with play or a deadband, -1 to +1.
@@ -107,13 +101,6 @@ class JointTerm(Effect):
         share = 0.5 + 0.5 * spatial.tanh(settled)
         return share * spatial.sign(load) - (1.0 - share) * self.direction(posture)
 
-    def _coupled(self, arm: Arm) -> list[tuple[int, float]]:
-        """(row, how far it moves per unit of this joint), this joint's own row first."""
-        if self.joint not in arm.commanded:
-            return [(self.joint, 1.0)]
-        weights = arm.mixing[0][:, arm.commanded.index(self.joint)]
-        return [(row, float(w)) for row, w in enumerate(weights, 1) if w != 0.0]
-
     def direction(self, posture: Posture) -> Scalar:
         """Side that the joint arrived from, -1, 0 (unknown) or +1."""
         return self._history(posture, "approach")[0]
@@ -132,6 +119,28 @@ class JointTerm(Effect):
 
     def _history(self, posture: Posture, name: str) -> tuple[Scalar, ...]:
         return posture.context.of_joint(name, posture.arm.commanded.index(self.joint))
+
+
+def joint_load(posture: Posture, joint: int) -> Scalar:
+    """Gravity torque (N m) about, or force (N) along, the z axis of a row's joint.
+
+    By virtual work it includes the loads of passive joints coupled to it.
+    """
+    total: Scalar = 0.0
+    for row, weight in _coupled(posture.arm, joint):
+        station = posture.bearing(row)
+        sliding = posture.arm.joints[row - 1].type == "prismatic"
+        share = posture.force(station)[2] if sliding else posture.moment(station)[2]
+        total = total + (share if weight == 1.0 else weight * share)
+    return total
+
+
+def _coupled(arm: Arm, joint: int) -> list[tuple[int, float]]:
+    """(row, how far it moves per unit of a joint), the joint's own row first."""
+    if joint not in arm.commanded:
+        return [(joint, 1.0)]
+    weights = arm.mixing[0][:, arm.commanded.index(joint)]
+    return [(row, float(w)) for row, w in enumerate(weights, 1) if w != 0.0]
 
 
 def with_prior(parameters: tuple[Parameter, ...], **changes: object) -> tuple[Parameter, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -26,11 +26,26 @@ class LinkDeflection(Effect):
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Cantilever twist of every beam element at its end station."""
-        return {
-            e.station: cantilever(posture, e)
-            for row in posture.chain.rows
-            for e in row.elements_a + row.elements_d
-        }
+        return {e.station: cantilever(posture, e) for e in _elements(posture)}
+
+
+def extra_sag(posture: Posture, share: Scalar, beam: str = "") -> Mapping[int, Twist]:
+    """A share of the declared cantilever twist, at the end of every element.
+
+    Args:
+        posture: the arm under its load.
+        share: factor, a number or one per row.
+        beam: name of the only beam that sags more; all where empty.
+    """
+    return {
+        e.station: tuple(share * t for t in cantilever(posture, e))  # type: ignore[misc]
+        for e in _elements(posture)
+        if not beam or e.beam.name == beam
+    }
+
+
+def _elements(posture: Posture) -> Iterator[Element]:
+    return (e for row in posture.chain.rows for e in row.elements_a + row.elements_d)
 
 
 def cantilever(posture: Posture, element: Element) -> Twist:
@@ -53,15 +68,9 @@ def cantilever(posture: Posture, element: Element) -> Twist:
 
 def _cantilever(posture: Posture, element: Element) -> Twist:
     station, axis = element.station, element.axis
-    signed = posture.lengths[station]
-    length = abs_(signed)
-    sign = -1.0 if signed is not length and signed != length else 1.0
-    u = [0.0, 0.0, 0.0]
-    u[axis] = sign
+    length, axis_u, inverse = _beam(posture, element)
     force, moment = posture.force(station), posture.moment(station)
     gravity = posture.gravity_in(station)
-    first, second, torsion = element.beam.stiffness
-    inverse = _by_axis(axis, 1 / first, 1 / second, 1 / torsion)
 
     # moments of w = 1 over the last h: integrals of M(s) and of M(s) (l - s)
     slope_w: Scalar = 0.0
@@ -79,11 +88,10 @@ def _cantilever(posture: Posture, element: Element) -> Twist:
             - h * (length * length - h * h) / 4
         )
 
-    axis_u: Vec = (u[0], u[1], u[2])
-    uf, uw = cross(axis_u, force), cross(axis_u, gravity)
-    l1, l2, l3 = length, 0.5 * length * length, length * length * length / 3
-    theta = [(l1 * moment[k] + l2 * uf[k] + slope_w * uw[k]) * inverse[k] for k in range(3)]
-    bend = [(l2 * moment[k] + l3 * uf[k] + sag_w * uw[k]) * inverse[k] for k in range(3)]
+    uw = cross(axis_u, gravity)
+    slope, sag = _end_loaded(length, axis_u, force, moment)
+    theta = [(slope[k] + slope_w * uw[k]) * inverse[k] for k in range(3)]
+    bend = [(sag[k] + sag_w * uw[k]) * inverse[k] for k in range(3)]
     bend[axis] = 0.0
     d = cross((bend[0], bend[1], bend[2]), axis_u)
     half = (0.5 * theta[0], 0.5 * theta[1], 0.5 * theta[2])
@@ -97,6 +105,38 @@ def _cantilever(posture: Posture, element: Element) -> Twist:
         theta[1] + turned_w[1],
         theta[2] + turned_w[2],
     )
+
+
+def bent(posture: Posture, element: Element, force: Vec, moment: Vec) -> Twist:
+    """Twist at the end of a beam element under a force (N) and moment (N m) there, first order.
+
+    Both in the axes of the element's end.
+    """
+    length, axis_u, inverse = _beam(posture, element)
+    slope, sag = _end_loaded(length, axis_u, force, moment)
+    theta = [slope[k] * inverse[k] for k in range(3)]
+    bend = [sag[k] * inverse[k] for k in range(3)]
+    bend[element.axis] = 0.0
+    d = cross((bend[0], bend[1], bend[2]), axis_u)
+    return (d[0], d[1], d[2], theta[0], theta[1], theta[2])
+
+
+def _beam(posture: Posture, element: Element) -> tuple[Scalar, Vec, tuple[float, float, float]]:
+    """Length (m), direction and compliances about x, y, z (1/(N m^2)) of a beam element."""
+    signed = posture.lengths[element.station]
+    length = abs_(signed)
+    u = [0.0, 0.0, 0.0]
+    u[element.axis] = -1.0 if signed is not length and signed != length else 1.0
+    first, second, torsion = element.beam.stiffness
+    return length, (u[0], u[1], u[2]), _by_axis(element.axis, 1 / first, 1 / second, 1 / torsion)
+
+
+def _end_loaded(length: Scalar, u: Vec, force: Vec, moment: Vec) -> tuple[list[Scalar], ...]:
+    """Integrals over the length of the bending moment ``M(s)`` and of ``M(s) (l - s)``."""
+    uf = cross(u, force)
+    l1, l2, l3 = length, 0.5 * length * length, length * length * length / 3
+    slope = [l1 * moment[k] + l2 * uf[k] for k in range(3)]
+    return slope, [l2 * moment[k] + l3 * uf[k] for k in range(3)]
 
 
 def _by_axis(axis: int, first: float, second: float, along: float) -> tuple[float, float, float]:

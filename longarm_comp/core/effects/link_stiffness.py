@@ -12,7 +12,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.effects.effect import Effect, beams, parameter, place
-from longarm_comp.core.effects.link_deflection import cantilever
+from longarm_comp.core.effects.link_deflection import extra_sag
 
 
 @dataclass(frozen=True)
@@ -42,9 +42,4 @@ class LinkStiffness(Effect):
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """The declared cantilever twist, times the softness."""
-        elements = (e for row in posture.chain.rows for e in row.elements_a + row.elements_d)
-        return {
-            e.station: tuple(self.softness * t for t in cantilever(posture, e))  # type: ignore[misc]
-            for e in elements
-            if e.beam.name == self.beam
-        }
+        return extra_sag(posture, self.softness, self.beam)

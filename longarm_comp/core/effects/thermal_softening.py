@@ -12,7 +12,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.effects.effect import Effect, parameter
-from longarm_comp.core.effects.link_deflection import cantilever
+from longarm_comp.core.effects.link_deflection import extra_sag
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,4 @@ class ThermalSoftening(Effect):
         """The declared cantilever twist times the extra share."""
         reference = posture.arm.reference_temperature_c
         share = self.softening * (posture.context.column("temperature_c", reference) - reference)
-        elements = (e for row in posture.chain.rows for e in row.elements_a + row.elements_d)
-        return {
-            e.station: tuple(share * t for t in cantilever(posture, e))  # type: ignore[misc]
-            for e in elements
-        }
+        return extra_sag(posture, share)

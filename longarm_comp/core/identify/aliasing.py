@@ -15,15 +15,18 @@ import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate, Term
 from longarm_comp.core.identify.evidence import (
+    IMPLAUSIBLE,
     FitColumns,
     FitMarginal,
     Score,
     columns_at,
     key,
     marginal_without,
+    pruned,
     reshaped,
     score,
 )
+from longarm_comp.core.identify.minor import share, worth
 from longarm_comp.core.identify.search import SearchResult
 from longarm_comp.core.identify.search_state import ODDS
 
@@ -69,6 +72,8 @@ class EffectFinding:
         alternatives: other effects that explain the same, best first.
         runner_up: the best other effect, an alternative or not; None if there is none.
         effect_m: RMS shift of the tip that it stands for, m.
+        worth_m: the same without what geometry and other effects could take up, m.
+        share: what it takes of the mean squared error that the fitted rows would have without it.
         partial_aliases: effects that could stand for a part of it, best first.
     """
 
@@ -78,6 +83,8 @@ class EffectFinding:
     alternatives: tuple[Score, ...]
     runner_up: Score | None
     effect_m: float
+    worth_m: float
+    share: float
     partial_aliases: tuple[PartialAlias, ...] = ()
 
     @property
@@ -188,16 +195,23 @@ def _finding(
             continue
         option = Candidate(other.name, new)
         scored = score(result.fit, marginal, option, columns)
+        if len(new) > 1 and scored.fit_gain > own.log_bayes_factor - CLOSE:
+            fewer = pruned(result.fit, marginal, option, columns)
+            again = score(result.fit, marginal, fewer, columns)
+            if again.log_bayes_factor > scored.log_bayes_factor:
+                option, scored = fewer, again
         if other.name not in best or scored.log_bayes_factor > best[other.name].log_bayes_factor:
             best[other.name] = scored
         alike = scored.log_bayes_factor > own.log_bayes_factor - CLOSE
-        if not alike and _size(result, option) <= _size(result, mine) + 1:
+        small = _size(result, option) <= _size(result, mine) + 1
+        if not alike and small and _plausible(result, marginal, columns, option):
             alike = _likelihood(result, marginal, columns, option) > limit - CLOSE
         alias = are_aliases(terms[0], new[0])
         known = close.get(other.name)
         if (alike or alias) and (known is None or scored.log_bayes_factor > known.log_bayes_factor):
             close[other.name] = scored
     ranked = sorted(best.values(), key=lambda s: -s.log_bayes_factor)
+    value = worth(result.fit, columns, terms)
     alternatives = sorted(close.values(), key=lambda s: -s.log_bayes_factor)
     return EffectFinding(
         name,
@@ -206,6 +220,8 @@ def _finding(
         tuple(alternatives),
         ranked[0] if ranked else None,
         own.effect_m,
+        value,
+        share(result.fit, value),
     )
 
 
@@ -225,6 +241,18 @@ def _others(candidates: Sequence[Candidate], name: str, terms: tuple[Term, ...])
 
 def _size(result: SearchResult, candidate: Candidate) -> int:
     return len(candidate.slots(result.fit.model.arm))
+
+
+def _plausible(
+    result: SearchResult, marginal: FitMarginal, columns: FitColumns, candidate: Candidate
+) -> bool:
+    """Whether it explains what it can without a size that nobody believes.
+
+    Estimated with priors that are as wide as that, so that they hardly pull.
+    """
+    s, t = marginal.of(columns.white(candidate))
+    size = np.linalg.solve(s + np.eye(len(t)) / IMPLAUSIBLE**2, t)
+    return bool((np.abs(size) <= IMPLAUSIBLE).all())
 
 
 def _likelihood(

@@ -9,27 +9,26 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.commanded import commanded_errors
-from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.measurement import errors, turns
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.base_pose import BasePose
 from longarm_comp.core.effects.dh_error import DhError
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.joint_zero import JointZero
-from longarm_comp.core.effects.tip_offset import TipOffset
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.fit import ModelFit, fit
-from longarm_comp.core.identify.placement import placed
-from longarm_comp.core.identify.sensor_frames import framed, reference, sensor_frames, started
+from longarm_comp.core.identify.standing import frames, standing, with_frames
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Position errors over a set of poses, in m (and m^2).
+    """Position errors over a set of poses, in m (and m^2), and of orientations, in rad.
 
     `mean`, `rms`, `p95`, `max` are of the 3-D length; `mean_abs_z` and `variance` (average of
-    the three axes') are the columns of the paper's Table I.
+    the three axes') are the columns of the paper's Table I.  They are NaN where no row says where
+    the tip is.  `angle` is the mean turn of the measured against the predicted axes, None where no
+    row measured them.
     """
 
     n: int
@@ -39,10 +38,24 @@ class Errors:
     max: float
     mean_abs_z: float
     variance: float
+    angle: float | None = None
+
+    @property
+    def said(self) -> str:
+        """The mean with its unit: mm, or mrad where only orientations were measured."""
+        if self.n or self.angle is None:
+            return f"{1e3 * self.mean:.2f} mm"
+        return f"{1e3 * self.angle:.2f} mrad"
 
     @classmethod
-    def of(cls, error: np.ndarray) -> Errors:
-        """From (N, 3) errors in m."""
+    def of(cls, error: np.ndarray, turn: np.ndarray | None = None) -> Errors:
+        """From (N, 3) errors in m, and (M, 3) turns in rad."""
+        mean_turn = None
+        if turn is not None and len(turn):
+            mean_turn = float(np.linalg.norm(turn, axis=1).mean())
+        if not len(error):
+            nan = float("nan")
+            return cls(0, nan, nan, nan, nan, nan, nan, mean_turn)
         length = np.linalg.norm(error, axis=1)
         return cls(
             len(error),
@@ -52,7 +65,13 @@ class Errors:
             float(length.max()),
             float(np.abs(error[:, 2]).mean()),
             float(error.var(axis=0).mean()),
+            mean_turn,
         )
+
+
+def errors_of(model: Model, session: Session) -> Errors:
+    """Errors of a model over the rows of a session, of positions and of orientations."""
+    return Errors.of(errors(model, session), turns(model, session))
 
 
 @dataclass(frozen=True)
@@ -75,24 +94,6 @@ def geometry(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
     return (*frames(arm, session), *JointZero.for_arm(arm), *DhError.for_arm(arm))
 
 
-def frames(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
-    """Base placement(s), markers and what the sensors leave open: what any measurement needs."""
-    groups = sorted(set(session.labels["group"])) if "group" in session.labels else []
-    bases = tuple(BasePose(group=str(g)) for g in groups) if len(groups) > 1 else (BasePose(),)
-    placed = bases if framed(arm, session) else ()
-    return (*placed, *TipOffset.for_arm(arm), *sensor_frames(arm, session))
-
-
-def with_geometry(model: Model, session: Session) -> Model:
-    """The model with all of its geometry free, where it does not hold it already."""
-    return _with_missing(model, geometry(model.arm, session))
-
-
-def _with_missing(model: Model, terms: Sequence[Effect | Bias]) -> Model:
-    known = {(t.name, t.where) for t in model.terms}
-    return model.plus(*(t for t in terms if (t.name, t.where) not in known))
-
-
 def stages(
     model: Model, session: Session, progress: Callable[[str], None] | None = None
 ) -> Iterator[tuple[str, ModelFit]]:
@@ -110,8 +111,7 @@ def stages(
         InputError, JobError: as `fit`.
     """
     base = frames(model.arm, session)
-    start = placed(_with_missing(model, base), reference(session))
-    start = started(start, session)
+    start = with_frames(model, session)
     for name, terms in (
         ("frames_only", base),
         ("joint_zeros", (*base, *JointZero.for_arm(model.arm))),
@@ -119,7 +119,7 @@ def stages(
     ):
         if progress is not None:
             progress(name)
-        fitted = fit(warm(_with_missing(model, terms), start), session)
+        fitted = fit(warm(model.with_missing(terms), start), session)
         start = fitted.model
         yield name, fitted
 
@@ -135,6 +135,8 @@ def ladder(
 ) -> list[Rung]:
     """Nominal, frames only, joint zeros, full geometry, then each effect on top of the last.
 
+    The nominal arm is placed first where the rows see it somewhere else (`standing`).
+
     Args:
         arm: as declared.
         train: rows to fit.
@@ -146,11 +148,10 @@ def ladder(
     Raises:
         InputError: too few rows, or an input that an effect needs is missing.
     """
-    if not train.placed.any() or not held_out.placed.any():
-        allowed = "rows that say where the tip is, to train and to hold out"
-        raise InputError(train.source, "xyz", "no seen rows", allowed)
+    if not train.seen.any() or not held_out.seen.any():
+        raise InputError(train.source, "xyz", "no seen rows", "some to train and to hold out")
     base = declared_model(arm, deflection=deflection)
-    rungs = [_rung("nominal", base, None, train, held_out)]
+    rungs = [_rung("nominal", standing(base, train)[0], None, train, held_out)]
     for name, fitted in stages(base, train, progress):
         rungs.append(_rung(name, fitted.model, fitted, train, held_out))
     for name, terms in effects:
@@ -177,7 +178,7 @@ def _rung(
         name,
         model,
         fitted,
-        Errors.of(errors(model, train)),
-        Errors.of(errors(model, held_out)),
+        errors_of(model, train),
+        errors_of(model, held_out),
         Errors.of(commanded_errors(model, held_out)),
     )

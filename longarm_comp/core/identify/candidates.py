@@ -58,7 +58,7 @@ class Library:
     """The candidates that the data can speak of, and those that they cannot.
 
     Attributes:
-        testable: hypotheses whose inputs were recorded.
+        testable: hypotheses whose inputs were recorded and varied.
         not_testable: (effect, why).
     """
 
@@ -73,6 +73,8 @@ def library(
     declared: Sequence[Term] = (),
 ) -> Library:
     """Every form of every effect, singly and as a whole family.
+
+    An effect whose input was not recorded, or never changed, is not testable.
 
     Args:
         arm: decides the places.
@@ -96,7 +98,7 @@ def library(
                 continue
             try:
                 for term in group:
-                    term.require(context)
+                    _require(term, context)
             except InputError as error:
                 why = str(error)
                 continue
@@ -105,6 +107,15 @@ def library(
             missing.append((kind.name, why))
         testable += usable + _families(usable)
     return Library(tuple(testable), tuple(missing))
+
+
+def _require(term: Term, context: Context) -> None:
+    """Raise `InputError` where an input that a term needs was not recorded, or never changed."""
+    term.require(context)
+    for name in term.inputs:
+        if name in context.columns and np.ptp(np.asarray(context.columns[name])) == 0.0:
+            value = f"{np.ravel(context.columns[name])[0]:g} in all rows"
+            raise InputError(term.name, name, value, "a column that changes")
 
 
 def _families(singles: list[Candidate]) -> list[Candidate]:

@@ -21,6 +21,8 @@ RESAMPLES = 300
 BLOCKS = 30
 LOOSE = 3.0
 """Times a found value that its prior must reach, so that it hardly pulls at the interval."""
+TOUCHES = 0.05
+"""Share of an interval within which a value is at its bound."""
 HOLDS = 3.0
 """Log Bayes factor above which the evidence of a resample holds."""
 TOGETHER = 0.95
@@ -31,11 +33,17 @@ SHARED = 0.5
 
 @dataclass(frozen=True)
 class Interval:
-    """A parameter with its 95 % interval: the wider of Laplace and block bootstrap (SI)."""
+    """A parameter with its 95 % interval: the wider of Laplace and block bootstrap (SI).
+
+    Attributes:
+        at_bound: the value is at a bound of the parameter, as far as the interval can tell: it is
+            no estimate, and only the other end of the interval says something.
+    """
 
     value: float
     low: float
     high: float
+    at_bound: bool = False
 
 
 @dataclass(frozen=True)
@@ -123,9 +131,9 @@ def _intervals(
     for k, (slot, value) in enumerate(zip(fit.slots, fit.model.values, strict=True)):
         low, high = min(centre[k] - half[k], value), max(centre[k] + half[k], value)
         bounds = slot.parameter
-        made[k] = Interval(
-            float(value), max(float(low), bounds.lower), min(float(high), bounds.upper)
-        )
+        low, high = max(float(low), bounds.lower), min(float(high), bounds.upper)
+        room = min(float(value) - bounds.lower, bounds.upper - float(value))
+        made[k] = Interval(float(value), low, high, room <= TOUCHES * (high - low))
     return made
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,17 +14,20 @@ from longarm_comp.core.data.holdout import Sealed, blocked_split, spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.aliasing import MOST_NAMES, EffectFinding, findings, on_few_levels
-from longarm_comp.core.identify.calibrate import declared_model, stages
+from longarm_comp.core.identify.calibrate import Errors, declared_model, stages
 from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.confirm import Confirmed, confirm
+from longarm_comp.core.identify.discover.discovery import Discovery, discover
 from longarm_comp.core.identify.fit import ModelFit, fit
 from longarm_comp.core.identify.in_words import improvement, left_in_words, sentence
+from longarm_comp.core.identify.minor import Minor, settled
 from longarm_comp.core.identify.next_poses import NextPoses, next_poses
 from longarm_comp.core.identify.noise import from_repeats
-from longarm_comp.core.identify.plausible import check_noise, check_sizes, check_worth
+from longarm_comp.core.identify.plausible import check_fits, check_noise, check_sizes, check_worth
 from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.proof import NETWORK, LearnedCorrection, Proof, prove
 from longarm_comp.core.identify.search import SearchResult, search
+from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.identify.structure import Structure, examine
 from longarm_comp.core.identify.wind_up import WindUp, as_fitted, refined, wind_up, with_run_ups
 from longarm_comp.core.model.model import Model
@@ -33,6 +37,10 @@ LEAST_SHARE = 0.5
 """Where structure is left, names that took less than this of the held-out error are withdrawn."""
 MOST_OUTLIERS = 0.16
 """More rejected rows than this are not outliers but something that the model lacks."""
+
+DISCOVERED = "with_discovered"
+"""Name of the stage with causes that have no name."""
+T = TypeVar("T")
 
 Train = Callable[[Model, Session], LearnedCorrection]
 Progress = Callable[[str], None]
@@ -54,6 +62,8 @@ class Diagnosis:
         network: the learned correction of what is left, where it helped.
         split_by: poses per set.
         not_testable: (effect, why).
+        minor: what the fitted rows ask for but does not matter; not in the model.
+        discovery: causes without a name, where structure was left; None where none was found.
         train: rows that were fitted.
         held_out: the rows of the proof.
         holdout_uses: what the hold-out was opened for.
@@ -71,15 +81,22 @@ class Diagnosis:
     network: LearnedCorrection | None
     split_by: tuple[NextPoses, ...]
     not_testable: tuple[tuple[str, str], ...]
+    minor: tuple[Minor, ...]
     train: Session
     held_out: Session
     holdout_uses: tuple[str, ...]
     seed: int
+    discovery: Discovery | None = None
 
     @property
     def model(self) -> Model:
         """The model to use from now on."""
-        return self.models["with_effects"]
+        return self.models["with_effects"] if self.added is None else self.added.fit.model
+
+    @property
+    def added(self) -> Discovery | None:
+        """Causes without a name that are in the model: those that the hold-out bears out."""
+        return self.discovery if self.discovery is not None and self.discovery.kept else None
 
     @property
     def fit(self) -> ModelFit:
@@ -97,7 +114,7 @@ class Diagnosis:
 
     @property
     def errors(self) -> dict[str, np.ndarray]:
-        """Held-out errors (M, 3) as seen, m, by stage; ``with_effects`` is `model`."""
+        """Held-out errors (M, 3) as seen, m, by stage; the last model of them is `model`."""
         return self._in_use(self.proof.errors)
 
     @property
@@ -105,17 +122,28 @@ class Diagnosis:
         """The same as a command would have them (`core/data/commanded.py`)."""
         return self._in_use(self.proof.commanded)
 
-    def _in_use(self, left: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def _in_use(self, left: Mapping[str, T]) -> dict[str, T]:
         """Without a network that was not kept; effects that were taken back leave no errors."""
         made = {k: v for k, v in left.items() if k != NETWORK or self.network is not None}
         return {**made, "with_effects": left["calibrated"]} if self.rolled_back else made
+
+    @property
+    def rows(self) -> dict[str, Errors]:
+        """Figures of `errors` by stage."""
+        return self._in_use(self.proof.rows)
+
+    @property
+    def stage(self) -> str:
+        """The stage whose errors are those of `model`."""
+        return "with_effects" if self.added is None else DISCOVERED
 
     @property
     def compared(self) -> tuple[str, str]:
         """The stages before and after what was added; the calibration where nothing was."""
         if self.network is not None:
             return "calibrated", NETWORK
-        return ("calibrated", "with_effects") if self.findings else ("nominal", "calibrated")
+        added = self.findings or self.added is not None
+        return ("calibrated", self.stage) if added else ("nominal", "calibrated")
 
     @property
     def seen_gain(self) -> Gain:
@@ -129,8 +157,9 @@ class Diagnosis:
 
     @property
     def summary(self) -> str:
-        """The verdict in one sentence."""
-        return _summary(self)
+        """The verdict in one sentence, and what was left out."""
+        gone = "; ".join(f"{m.name} at {', '.join(m.where)}: {m.why}" for m in self.minor)
+        return _summary(self) + (f" Not named: {gone}." if gone else "")
 
 
 def diagnose(
@@ -187,13 +216,20 @@ def diagnose(
     opened = sealed.open("proof")
     held_out = opened.take(opened.seen)
     models = {
-        "nominal": nominal,
+        "nominal": standing(nominal, train)[0],
         "frames_only": staged["frames_only"].model,
         "calibrated": calibrated,
         "with_effects": identified.search.fit.model,
     }
     proof = prove(models, identified.calibrated, identified.search.fit, held_out, rng)
     outcome = _judge(identified, calibrated, proof, network, learn, held_out, rng)
+    structure = _all_signs(outcome.structure, identified.search, outcome.proof)
+    discovery = None
+    if structure.flag:
+        opened = sealed.open("functions without a name").take(opened.seen)
+        discovery = _discover(identified, outcome, opened, rng, say)
+    if discovery is not None and discovery.kept:
+        outcome = _with_discovery(outcome, discovery, learn, held_out)
     looked_at = np.concatenate([train.q, held_out.q])
     found = tuple(
         on_few_levels(identified.search, identified.candidates, f, looked_at)
@@ -205,7 +241,7 @@ def diagnose(
         search=identified.search,
         findings=found,
         confirmed=identified.confirmed,
-        structure=_all_signs(outcome.structure, identified.search, outcome.proof),
+        structure=structure,
         proof=outcome.proof,
         rolled_back=outcome.rolled_back,
         models={**models, "with_effects": outcome.model},
@@ -216,10 +252,12 @@ def diagnose(
             if f.alternatives
         ),
         not_testable=candidates.not_testable,
+        minor=identified.minor,
         train=train,
         held_out=held_out,
         holdout_uses=sealed.uses,
         seed=seed,
+        discovery=discovery,
     )
     _check(diagnosis)
     return diagnosis
@@ -230,6 +268,7 @@ def _check(found: Diagnosis) -> None:
     final = "calibrated" if found.rolled_back else "with_effects"
     left, source = found.proof.errors, found.train.source
     check_worth(left[final], left["frames_only"], source)
+    check_fits(found.model, found.train)
     check_sizes(found.model, source)
     if found.verdict == "noise":
         check_noise(found.search.noise.sigma, found.train)
@@ -249,6 +288,7 @@ class _Identified:
         structure: what the fit with effects leaves.
         confirmed: intervals and doubts.
         candidates: the library, with the radii that the joints' memory was found to have.
+        minor: what does not matter.
         memory: these radii and the length of unrecorded run-ups, where joints remember.
     """
 
@@ -258,6 +298,7 @@ class _Identified:
     structure: Structure
     confirmed: Confirmed
     candidates: tuple[Candidate, ...]
+    minor: tuple[Minor, ...]
     memory: WindUp | None
 
 
@@ -278,10 +319,13 @@ def _identify(
     memory = wind_up(start, rows, candidates)
     if memory is not None:
         candidates, train = memory.candidates(candidates), rows(memory.run_up)
-    searched = search(start, train, candidates, known_noise=from_repeats(train), progress=say)
+    searched = search(
+        start, train, candidates, known_noise=from_repeats(start, train), progress=say
+    )
     if memory is not None:
         searched, memory = refined(searched, memory, rows)
         candidates, train = memory.candidates(candidates), rows(memory.run_up)
+    searched, minor = settled(searched, say)
     say("look-alikes")
     result, found = findings(searched, candidates)
     say("structure")
@@ -290,7 +334,7 @@ def _identify(
     calibrated = fit(start, train, sigma=noise.sigma, rho=noise.rho, weights=weights)
     structure = examine(result.fit, calibrated, rng)
     confirmed = confirm(result, list(found), candidates, rng)
-    return _Identified(calibrated, result, found, structure, confirmed, candidates, memory)
+    return _Identified(calibrated, result, found, structure, confirmed, candidates, minor, memory)
 
 
 @dataclass(frozen=True)
@@ -362,6 +406,46 @@ def _roll_back(
     return _Outcome(model, (), structure, kept, tested, True)
 
 
+def _discover(
+    identified: _Identified,
+    outcome: _Outcome,
+    held_out: Session,
+    rng: np.random.Generator,
+    say: Progress,
+) -> Discovery | None:
+    """Functions without a name for what is left, beside the effects or in their place."""
+    named, plain = identified.search.fit, identified.calibrated
+    known = from_repeats(plain.model, plain.session)
+    bare = outcome.rolled_back or not outcome.findings
+    count = len(identified.candidates)
+    if bare:
+        return discover(plain, None, count, held_out, known, rng, say)
+    return discover(named, plain, count, held_out, known, rng, say)
+
+
+def _with_discovery(
+    outcome: _Outcome, found: Discovery, learn: _Learner, held_out: Session
+) -> _Outcome:
+    """The outcome with what was found: a network comes after it, of what that leaves."""
+    before, after = outcome.proof, found.proof
+    proof = dataclasses.replace(
+        before,
+        errors={**_models(before.errors), DISCOVERED: after.errors["with_effects"]},
+        commanded={**_models(before.commanded), DISCOVERED: after.commanded["with_effects"]},
+        rows={**_models(before.rows), DISCOVERED: after.rows["with_effects"]},
+    )
+    network = learn.on(found.fit.model, found.structure)
+    tested = proof.with_network(found.fit.model, network, held_out)
+    kept = network if tested.network_helps(DISCOVERED) else None
+    findings = tuple(f for f in outcome.findings if f.name not in found.without)
+    return dataclasses.replace(outcome, findings=findings, network=kept, proof=tested)
+
+
+def _models(left: Mapping[str, T]) -> dict[str, T]:
+    """Without the network."""
+    return {k: v for k, v in left.items() if k != NETWORK}
+
+
 def _all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Structure:
     """The structure, also where other signs than the test of the fitted rows show some."""
     out = result.fit.weights == 0
@@ -407,21 +491,38 @@ def _divided(session: Session, test: Session | None, seed: int) -> tuple[Session
 
 
 def _summary(found: Diagnosis) -> str:
+    text = _named(found)
+    return text if found.discovery is None else f"{text} {found.discovery.sentence}."
+
+
+def _change(found: Diagnosis) -> str:
+    """Before and after, also where only orientations were measured."""
+    before, after = (found.rows[stage] for stage in found.compared)
+    if not before.n:
+        return f"{before.said} -> {after.said}"
+    return improvement(found.seen_gain, found.commanded_gain)
+
+
+def _named(found: Diagnosis) -> str:
     left = left_in_words(found.structure)
     unnamed = f" {left} and has no name." if left else ""
-    gain = f"Held-out mean error {improvement(found.seen_gain, found.commanded_gain)}"
-    learned = f" The network lowers it: {gain[0].lower()}{gain[1:]}." if found.network else ""
+    gain = f"Held-out mean error {_change(found)}"
+    if found.proof.set_aside:
+        gain += f", {found.proof.set_aside} of {len(found.held_out)} rows set aside, "
+        gain += "which no model explains"
+    added = found.compared[1] != "calibrated"
+    besides = f" {gain}." if added else ""
     if found.rolled_back:
         small = found.proof.better
         why = "is less than half of what is wrong" if small else "is not beyond chance"
         text = f"Effects were found in the fitted poses but their gain on the held-out ones {why}"
-        return f"{text}; the model was left as it was.{unnamed}{learned}"
+        return f"{text}; the model was left as it was.{unnamed}{besides}"
     if found.verdict == "noise":
         text = "After calibration nothing but noise is left; no effect was added."
         return f"{text} {gain} by the calibration."
     if found.verdict == "unknown":
         text = f"The model lacks something that no effect of the library explains: {left}."
-        return text + learned
+        return text + besides
     text = "; ".join(sentence(f, found.fit, found.confirmed) for f in found.findings)
     for overlap in found.confirmed.overlaps:
         text += f"; {overlap.names[0]} and {overlap.names[1]} overlap"

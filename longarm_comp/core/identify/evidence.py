@@ -18,7 +18,10 @@ from scipy.special import log_ndtr
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
 from longarm_comp.core.identify.fit import ModelFit, priors
 from longarm_comp.core.identify.linear import Added, Marginal, Products
-from longarm_comp.core.model.model import slots_of
+from longarm_comp.core.model.model import Slot, slots_of
+
+LOCATED = 2.0
+"""Within an effect, a place must be this much (log) more probable with it than without."""
 
 
 def columns_at(fitted: ModelFit) -> FitColumns:
@@ -67,9 +70,9 @@ class FitMarginal(Marginal):
         gram = fitted.gram[np.ix_(self._kept, self._kept)]
         super().__init__(fitted.design[:, self._kept], fitted.data if data is None else data, gram)
 
-    def of(self, white: Products) -> Added:
-        """Score of columns whose products with the fit's whole design are known."""
-        return self.known(Products(white.b, white.gram, white.cross[self._kept]))
+    def of(self, white: Products) -> tuple[np.ndarray, np.ndarray]:
+        """`normal` of columns whose products with the fit's whole design are known."""
+        return self.normal(Products(white.b, white.gram, white.cross[self._kept]))
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ class Score:
 
     Attributes:
         candidate: the hypothesis.
-        log_bayes_factor: evidence gained, sign bounds counted.
+        log_bayes_factor: evidence gained, bounds of the parameters counted.
         fit_gain: gain in penalised log likelihood.
         mean: (k,) parameter estimates (SI).
         effect_m: RMS tip shift that it stands for, m, as far as it was measured.
@@ -122,19 +125,68 @@ def score(
     if not np.isfinite(white.gram).all() or not white.gram.any():
         zero = np.zeros(len(slots))
         return Score(candidate, 0.0, 0.0, zero, 0.0)
-    added = marginal.of(white)
-    sd = np.sqrt(np.diag(added.covariance))
-    bounded = np.array([s.parameter.lower == 0.0 for s in slots])
-    sided = (math.log(2.0) + log_ndtr(added.mean / sd))[bounded].sum()
-    mean = np.where(bounded, np.maximum(added.mean, 0.0), added.mean)
-    scale = priors(slots)
+    added = Added.of(*marginal.of(white))
+    lower, upper = _bounds(slots)
+    mean = np.clip(added.mean, lower, upper)
     return Score(
         candidate,
-        added.log_bayes_factor + float(sided),
+        _bounded(added, lower, upper),
         added.fit_gain,
-        mean * scale,
+        mean * priors(slots),
         _rms(fitted, columns.of(candidate.terms) @ mean),
     )
+
+
+def pruned(
+    fitted: ModelFit, marginal: FitMarginal, candidate: Candidate, columns: FitColumns
+) -> Candidate:
+    """A family without the places that bring less than `LOCATED`, the least first.
+
+    So a rival is compared as it would be if it had been chosen.
+    """
+    slots = candidate.slots(fitted.model.arm)
+    owner = [candidate.terms.index(s.owner) for s in slots]
+    if len(candidate.terms) < 2 or set(owner) != set(range(len(candidate.terms))):
+        return candidate
+    s, t = marginal.of(columns.white(candidate))
+    lower, upper = _bounds(slots)
+
+    def evidence(terms: Sequence[int]) -> float:
+        own = np.flatnonzero(np.isin(owner, terms))
+        return _bounded(Added.of(s[np.ix_(own, own)], t[own]), lower[own], upper[own])
+
+    left = list(range(len(candidate.terms)))
+    here = evidence(left)
+    while len(left) > 1:
+        without = {k: evidence([other for other in left if other != k]) for k in left}
+        least = max(without, key=lambda k: without[k])
+        if here - without[least] >= LOCATED:
+            break
+        left.remove(least)
+        here = without[least]
+    return Candidate(candidate.name, tuple(candidate.terms[k] for k in left))
+
+
+def _bounds(slots: Sequence[Slot]) -> tuple[np.ndarray, np.ndarray]:
+    """(k,) lower and upper bounds in prior standard deviations."""
+    scale = priors(tuple(slots))
+    lower = np.array([s.parameter.lower for s in slots]) / scale
+    return lower, np.array([s.parameter.upper for s in slots]) / scale
+
+
+def _bounded(added: Added, lower: np.ndarray, upper: np.ndarray) -> float:
+    """Log Bayes factor, bounds of the parameters counted."""
+    sd = np.sqrt(np.diag(added.covariance))
+    inside = _log_mass((lower - added.mean) / sd, (upper - added.mean) / sd)
+    return added.log_bayes_factor + float((inside - _log_mass(lower, upper)).sum())
+
+
+def _log_mass(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Log of the unit normal's mass between bounds."""
+    flip = lower > -upper  # the smaller tail, where differences keep their digits
+    low, high = np.where(flip, -upper, lower), np.where(flip, -lower, upper)
+    mass = log_ndtr(high)
+    return np.asarray(mass + np.log1p(-np.exp(np.minimum(log_ndtr(low) - mass, -1e-300))))
 
 
 def _fixed(

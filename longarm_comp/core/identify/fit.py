@@ -1,8 +1,10 @@
 """Robust joint fit of a model to a session: geometry and effects together.
 
-Gauss-Newton on the posterior mode.  Every parameter has a prior (a tolerance), which is
-what holds the gauge freedoms of a redundant geometry; sign bounds are kept exactly; rows
-that no model of this kind explains get weight 0, anew at every step.
+Gauss-Newton on the posterior mode, each step shortened until it does not raise the cost.  Every
+parameter has a prior (a tolerance), which is what holds the gauge freedoms of a redundant geometry;
+that of an unknown placement lies around its start, so that what the rows do not determine stays
+there.  Sign bounds are kept exactly; rows that no model of this kind explains get weight 0, anew at
+every step.
 """
 
 from __future__ import annotations
@@ -26,6 +28,11 @@ from longarm_comp.core.model.model import Model, Slot, unstack
 
 CLOSE = 0.01
 """A fit has converged when its last step was below so many standard errors."""
+SHORTEST = 1e-3
+"""Share of a Gauss-Newton step below which no shorter one is tried."""
+WORSE = 0.1
+"""Rise of the cost, as a share of it, from which a step is shortened.  Columns leave out how loads
+follow a change, so that close to the solution a good step may raise the cost a little."""
 
 
 @dataclass(frozen=True)
@@ -269,6 +276,16 @@ class _SessionProblem:
             found.__dict__["posture"] = self.posture
         return found
 
+    def moved(self, values: np.ndarray) -> None:
+        """Take other parameter values."""
+        self.model = self.model.with_values(values)
+        self.look()
+
+    def cost(self) -> float:
+        """Squared residual of the inliers in units of the noise."""
+        white = whiten(self.residual[..., None], self.weights, self.noise, self.rho, self.seen.mask)
+        return float((white**2).sum())
+
     def weigh(self, settled: bool) -> None:
         """Outliers and noise for the residual as it is now."""
         if self.robust and self.fixed is None:
@@ -292,9 +309,9 @@ class _SessionProblem:
             made.append(np.full(len(mine), common))
         return np.concatenate(made)
 
-    def whitened(self, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def whitened(self, scale: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(dN, p) prior-scaled design and (dN,) linearised data, in units of the noise."""
-        y = self.residual + self.columns @ self.model.values
+        y = self.residual + self.columns @ (self.model.values - centre)
         both = np.concatenate([self.columns * scale, y[..., None]], axis=-1)
         white = whiten(both, self.weights, self.noise, self.rho, self.seen.mask)
         return white[:, :-1], white[:, -1]
@@ -319,17 +336,20 @@ def _fit_parts(
             places.append(place[key])
         maps.append(np.array(places, dtype=int))
     scale = priors(tuple(chosen))
-    lower = np.array([s.parameter.lower for s in chosen]) / scale
-    upper = np.array([s.parameter.upper for s in chosen]) / scale
+    now = np.array([getattr(s.owner, s.parameter.name) for s in chosen], dtype=float)
+    centre = np.where([s.parameter.unknown for s in chosen], now, 0.0)
+    lower = (np.array([s.parameter.lower for s in chosen]) - centre) / scale
+    upper = (np.array([s.parameter.upper for s in chosen]) - centre) / scale
     converged, step = False, 0
     adapting = any(part.sigma is None or part.fixed is None for part in parts)
+    for part in parts:
+        part.look()
     posterior = linear.Posterior(np.zeros(0), np.zeros((0, 0)), 0.0)
     for step in range(1, max_iterations + 1):
         designs, data = [], []
         for part, mine in zip(parts, maps, strict=True):
-            part.look()
             part.weigh(settled=step > 2)
-            a, y = part.whitened(scale[mine])
+            a, y = part.whitened(scale[mine], centre[mine])
             designs.append(_placed(a, mine, len(scale)))
             data.append(y)
         try:
@@ -338,26 +358,59 @@ def _fit_parts(
             rows = sum(len(part.seen) for part in parts)
             text = f"{rows} rows do not determine the {len(scale)} parameters of the model"
             raise JobError(text, session=parts[0].seen.source) from None
-        se = np.sqrt(np.diag(posterior.covariance))
-        small = True
-        for part, mine in zip(parts, maps, strict=True):
-            values = posterior.u[mine] * scale[mine]
-            change = np.abs(values - part.model.values) / scale[mine]
-            small &= bool((change <= close * se[mine]).all())
-            part.model = part.model.with_values(values)
+        goal = centre + posterior.u * scale
+        small = np.abs(goal - now) <= close * np.sqrt(np.diag(posterior.covariance)) * scale
+        now = _stepped(parts, maps, now, goal, centre, scale)
+        for part in parts:
             part.effective = posterior.effective * len(part.seen) / sum(len(p.seen) for p in parts)
-        if small and (step > 2 or not adapting):
+        if small.all() and (step > 2 or not adapting):
             converged = True
             break
     made = []
     for part, mine in zip(parts, maps, strict=True):
-        part.look()
         if part.sigma is None:
             part.noise = part.spread()
         size = np.outer(scale[mine], scale[mine])
         covariance = posterior.covariance[np.ix_(mine, mine)] * size
         made.append(part.fitted(covariance, step, converged))
     return made
+
+
+def _stepped(
+    parts: list[_SessionProblem],
+    maps: list[np.ndarray],
+    now: np.ndarray,
+    goal: np.ndarray,
+    centre: np.ndarray,
+    scale: np.ndarray,
+) -> np.ndarray:
+    """Go towards a goal, all the way or as far as does not raise the cost; the values reached.
+
+    Raises:
+        JobError: the fit is not finite however short the step.
+    """
+
+    def cost(values: np.ndarray) -> float:
+        return sum(p.cost() for p in parts) + float((((values - centre) / scale) ** 2).sum())
+
+    def move(values: np.ndarray) -> None:
+        for part, mine in zip(parts, maps, strict=True):
+            part.moved(values[mine])
+
+    before, share, failed = cost(now), 1.0, None
+    while share > SHORTEST:
+        values = now + share * (goal - now)
+        try:
+            move(values)
+            if cost(values) <= (1.0 + WORSE) * before + 1.0:
+                return values
+        except JobError as error:
+            failed = error
+        share *= 0.5
+    if failed is not None:
+        raise failed
+    move(now)
+    return now
 
 
 def _placed(columns: np.ndarray, places: np.ndarray, width: int) -> np.ndarray:

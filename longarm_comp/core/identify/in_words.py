@@ -18,6 +18,8 @@ _SAME_MM = 0.005
 def sentence(finding: EffectFinding, fit: ModelFit, confirmed: Confirmed) -> str:
     """What was found, where, how large, with its interval, and what else it could be.
 
+    A parameter at its bound is no estimate and is left out.
+
     Args:
         finding: one effect.
         fit: the final one, which holds its terms.
@@ -27,7 +29,10 @@ def sentence(finding: EffectFinding, fit: ModelFit, confirmed: Confirmed) -> str
     places = {(t.name, t.where) for t in finding.terms}
     for k, slot in enumerate(fit.slots):
         if (slot.owner.name, slot.owner.where) in places:
-            shown = value_in_words(confirmed.intervals[k], slot.parameter.unit)
+            interval = confirmed.intervals[k]
+            if interval.at_bound:
+                continue
+            shown = value_in_words(interval, slot.parameter.unit)
             values.append(f"{slot.owner.where} {slot.parameter.name} {shown}")
     readings = dict.fromkeys(t.reading for t in finding.terms if t.reading)
     if not values:

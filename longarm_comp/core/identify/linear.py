@@ -80,19 +80,12 @@ class Marginal:
 
     def added(self, b: np.ndarray) -> Added:
         """Score of the columns b, (m, k)."""
-        return self.known(Products(b, b.T @ b, self.a.T @ b))
+        return Added.of(*self.normal(Products(b, b.T @ b, self.a.T @ b)))
 
-    def known(self, of: Products) -> Added:
-        """Score of columns whose products are known."""
+    def normal(self, of: Products) -> tuple[np.ndarray, np.ndarray]:
+        """``S`` (k, k) and ``t`` (k,) of columns whose products are known."""
         s = of.gram - of.cross.T @ self._solved(of.cross)
-        t = of.b.T @ self.y - of.cross.T @ self._coefficients
-        k = len(t)
-        factor = np.linalg.cholesky(np.eye(k) + (s + s.T) / 2)
-        inverse = np.linalg.inv(factor)
-        z = inverse @ t
-        half_log_det = float(np.log(np.diag(factor)).sum())
-        gain = float(z @ z) / 2
-        return Added(gain - half_log_det, gain, inverse.T @ z, inverse.T @ inverse)
+        return (s + s.T) / 2, of.b.T @ self.y - of.cross.T @ self._coefficients
 
     def _solved(self, right: np.ndarray) -> np.ndarray:
         return np.asarray(cho_solve(self._factor, right, check_finite=False))
@@ -128,6 +121,17 @@ class Added:
     fit_gain: float
     mean: np.ndarray
     covariance: np.ndarray
+
+    @classmethod
+    def of(cls, s: np.ndarray, t: np.ndarray) -> Added:
+        """From the normal equations (`Marginal.normal`)."""
+        k = len(t)
+        factor = np.linalg.cholesky(np.eye(k) + s)
+        inverse = np.linalg.inv(factor)
+        z = inverse @ t
+        half_log_det = float(np.log(np.diag(factor)).sum())
+        gain = float(z @ z) / 2
+        return cls(gain - half_log_det, gain, inverse.T @ z, inverse.T @ inverse)
 
 
 OUTLIER = 4.2
@@ -225,6 +229,12 @@ def median(values: np.ndarray) -> np.ndarray:
         return np.asarray(np.median(values, axis=0))
     columns = (column[~np.isnan(column)] for column in values.T)
     return np.array([np.median(column) if len(column) else 0.0 for column in columns])
+
+
+def mean(values: np.ndarray) -> np.ndarray:
+    """(d,) means of (N, d) over what is not NaN; 0 of nothing."""
+    held = np.isfinite(values)
+    return np.asarray(np.where(held, values, 0.0).sum(0) / np.maximum(held.sum(0), 1))
 
 
 def _only(values: np.ndarray, measured: np.ndarray | None) -> np.ndarray:

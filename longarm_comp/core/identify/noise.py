@@ -7,13 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import fdtri
 
+from longarm_comp.core.data.measurement import equations, posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify import linear
 from longarm_comp.core.identify.fit import ModelFit, priors
-from longarm_comp.core.identify.linear import MAD, OUTLIER, freedom, median, whiten
+from longarm_comp.core.identify.linear import MAD, OUTLIER, freedom, mean, median, whiten
+from longarm_comp.core.model.model import Model
 
 ENOUGH_REPEATS = 15
 """Degrees of freedom that repeats must have to be trusted."""
+PLACES = ("group", "marker", "sensor", "anchor")
+"""Text columns that say what is measured, and from where."""
 
 
 @dataclass(frozen=True)
@@ -33,37 +37,58 @@ class NoiseEstimate:
     degrees: float
 
 
-def from_repeats(session: Session) -> NoiseEstimate | None:
+def from_repeats(model: Model, session: Session) -> NoiseEstimate | None:
     """Pure error of repeated poses that were reached from the same side, if there are enough.
 
-    Of whole positions by one sensor; where anything else was measured the residual has to tell.
+    What a model predicts for a pose is taken off, which leaves the same scatter whatever the model.
+    Repeats from different sides differ by hysteresis too, so each side is a group of its own, as
+    is each anchor, marker and base.  Deviations beyond 4.2 robust standard deviations are left out.
 
-    Repeats from different sides differ by hysteresis too, so each side is a group of its own.
-    Deviations beyond 4.2 robust standard deviations are left out.
+    Args:
+        model: predicts what is measured.
+        session: rows of any kind.
+
+    Returns:
+        The noise, infinite in channels of too few repeats; None where all have too few.
     """
-    if not session.plain:
-        return None
     seen = session.take(session.seen)
-    keys = np.column_stack([seen.pose_id, seen.approach])
+    texts = [np.unique(seen.labels[k], return_inverse=True)[1] for k in PLACES if k in seen.labels]
+    keys = np.column_stack([seen.pose_id, seen.approach, *texts])
     _, group = np.unique(keys, axis=0, return_inverse=True)
-    group = group.reshape(-1)
-    deviation, freedom = [], []
+    if seen.plain:
+        values = seen.xyz
+    else:
+        residual = equations(model, seen, posture(model, seen), ()).residual
+        values = np.where(seen.measured, residual, np.nan)
+    scatter, share = _deviations(values, group.reshape(-1))
+    robust = MAD * median(np.abs(scatter)) / np.sqrt(np.maximum(mean(share), 1e-9))
+    kept = (np.nan_to_num(np.abs(scatter)) <= OUTLIER * np.maximum(robust, 1e-9)).all(axis=1)
+    degrees = np.nansum(share[kept], axis=0)
+    enough = degrees >= ENOUGH_REPEATS
+    if not enough.any():
+        return None
+    size = np.sqrt(np.nansum(scatter[kept] ** 2, axis=0) / np.maximum(degrees, 1e-9))
+    sigma = np.where(enough, np.maximum(size, 1e-7), np.inf)
+    return NoiseEstimate(sigma, "repeats", 0.0, float(degrees[enough].min()))
+
+
+def _deviations(values: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N, d) deviations from the middle of their group, and the degrees of freedom that each is.
+
+    NaN where a channel was not measured, or once only.
+    """
+    scatter, share = np.full(values.shape, np.nan), np.full(values.shape, np.nan)
     for g in np.unique(group):
-        rows = seen.xyz[group == g]
-        if len(rows) > 1:
-            centre = np.median(rows, axis=0) if len(rows) > 2 else rows.mean(0)
-            deviation.append(rows - centre)
-            freedom.append((len(rows) - 1) / len(rows) * np.ones(len(rows)))
-    if not deviation:
-        return None
-    scatter, share = np.concatenate(deviation), np.concatenate(freedom)
-    robust = MAD * np.median(np.abs(scatter), axis=0) / np.sqrt(share.mean())
-    kept = (np.abs(scatter) <= OUTLIER * np.maximum(robust, 1e-9)).all(axis=1)
-    degrees = float(share[kept].sum())
-    if degrees < ENOUGH_REPEATS:
-        return None
-    sigma = np.sqrt((scatter[kept] ** 2).sum(0) / degrees)
-    return NoiseEstimate(np.maximum(sigma, 1e-7), "repeats", 0.0, degrees)
+        rows = values[group == g]
+        count = np.isfinite(rows).sum(axis=0)
+        again = count > 1
+        if not again.any():
+            continue
+        middle = np.where(count > 2, median(rows), mean(rows))
+        scatter[group == g] = np.where(again, rows - middle, np.nan)
+        freedom = np.where(again, (count - 1) / np.maximum(count, 1), np.nan)
+        share[group == g] = np.where(np.isfinite(rows), freedom, np.nan)
+    return scatter, share
 
 
 def from_residual(

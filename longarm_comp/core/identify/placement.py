@@ -11,6 +11,9 @@ import dataclasses
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from longarm_comp.core.data.kinds import matrices
+from longarm_comp.core.data.lifted_base import lifted_base
+from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.registration import Registration, Sightings, register
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.base_pose import BasePose
@@ -21,6 +24,8 @@ from longarm_comp.core.model.model import Model, slots_of
 
 CLEARLY = 2.0
 """A placement that the model holds is kept unless the solved one fits so many times better."""
+ENOUGH = 4
+"""Rows with a full position, at least, to register bases and markers to them."""
 BEYOND, ROUGHLY = 10.0, 0.2
 """Standard deviations that a known base may be off, and m or rad for what registration misses."""
 
@@ -30,7 +35,8 @@ def placed(model: Model, session: Session) -> Model:
 
     Args:
         model: holds a `base_pose` per group and the markers' `tip_offset`.
-        session: measured rows; those without a full position do not count.
+        session: measured rows. Where hardly any holds a full position, the bases are placed by
+            what else was measured, and the markers are left as they are.
 
     Raises:
         InputError: a base is far beyond its declared tolerance.
@@ -39,8 +45,10 @@ def placed(model: Model, session: Session) -> Model:
     frames = [e for e in model.effects if isinstance(e, BasePose | TipOffset)]
     tips = any(isinstance(e, TipOffset) and _unknown(model, e) for e in frames)
     held = [e for e in frames if isinstance(e, BasePose) or tips]
-    if len(seen) < 4 or not held:
+    if not held:
         return model
+    if len(seen) < ENOUGH:
+        return _lifted(model, session)
     kept = tuple(e for e in model.effects if not any(e is h for h in held))
     markers = sorted({e.marker for e in held if isinstance(e, TipOffset)}) or [""]
     groups = sorted({e.group for e in held if isinstance(e, BasePose)}) or [""]
@@ -60,6 +68,36 @@ def placed(model: Model, session: Session) -> Model:
         elif isinstance(effect, BasePose):
             _check_tolerance(model, effect, solved, session.source)
     return dataclasses.replace(model, effects=tuple(effects))
+
+
+def _lifted(model: Model, session: Session) -> Model:
+    """Unknown bases put where coordinates, distances, rays and axes say, where that fits better."""
+    effects = list(model.effects)
+    for k, effect in enumerate(effects):
+        if not (isinstance(effect, BasePose) and _unknown(model, effect)):
+            continue
+        rows = session.where("group", effect.group) if effect.group else session
+        rows = rows.take(rows.seen)
+        bare = dataclasses.replace(model, effects=tuple(e for e in effects if e is not effect))
+        pose = bare.pose(rows.q, rows.context())
+        found = lifted_base(model.arm, pose[:, :3, 3], pose[:, :3, :3], rows)
+        put = effects.copy()
+        put[k] = _at(effect, *found, model)
+        there = dataclasses.replace(model, effects=tuple(put))
+        if _misfit(dataclasses.replace(model, effects=tuple(effects)), rows) > CLEARLY * _misfit(
+            there, rows
+        ):
+            effects = put
+    return dataclasses.replace(model, effects=tuple(effects))
+
+
+def _misfit(model: Model, rows: Session) -> float:
+    """Median error of the rows (m); of axes alone, how the body turns on the tip (rad)."""
+    if rows.placed.any():
+        return float(np.median(np.linalg.norm(errors(model, rows), axis=1)))
+    axes = model.pose(rows.q, rows.context())[:, :3, :3]
+    body = Rotation.from_matrix(np.swapaxes(axes, 1, 2) @ matrices(rows.readings["orientation"]))
+    return float(np.median((body * body.mean().inv()).magnitude()))
 
 
 def _check_tolerance(model: Model, declared: Effect, solved: Effect, source: str) -> None:
@@ -86,9 +124,14 @@ def _put(
         )
     assert isinstance(effect, BasePose)
     g = groups.index(effect.group)
+    return _at(effect, found.rotation[g], found.offset[g], model)
+
+
+def _at(effect: Effect, rotation: np.ndarray, offset: np.ndarray, model: Model) -> Effect:
+    """The base that takes what stands at the declared one there."""
     home = model.arm.base.frame().matrix()
     moved = np.eye(4)
-    moved[:3, :3], moved[:3, 3] = found.rotation[g], found.offset[g]
+    moved[:3, :3], moved[:3, 3] = rotation, offset
     d, w = twist_of(np.linalg.inv(home) @ moved @ home)
     return effect.with_values(dict(zip(("x", "y", "z", "rx", "ry", "rz"), (*d, *w), strict=True)))
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import JobError
+from longarm_comp.core.identify.standing import misplaced
 from longarm_comp.core.model.model import Model
 
 WORSE = 1.5
@@ -16,22 +18,25 @@ ENOUGH = 15
 """Held-out rows, at least, that such a comparison takes."""
 NO_NOISE = 0.05
 """Noise, as a share of the sightings' spread, that no instrument has."""
-MISPLACED = 0.25
-"""Error, as a share of the sightings' spread, of an arm that stands somewhere else."""
 INCREDIBLE = 15.0
 """Size of an effect, in its prior standard deviations, that no arm has."""
 
 
 def check_worth(
-    held_out: np.ndarray, plain: np.ndarray, source: str, than: str = "placed frames alone"
+    held_out: np.ndarray,
+    plain: np.ndarray,
+    source: str,
+    than: str = "placed frames alone",
+    unit: str = "mm",
 ) -> None:
     """A model must not be worse on unseen rows than a plainer one.
 
     Args:
-        held_out: (M, 3) its errors there, m.
-        plain: (M, 3) errors of the plainer model, m.
+        held_out: (M, 3) its errors there, m or rad.
+        plain: (M, 3) errors of the plainer model, m or rad.
         source: file of the rows, for the message.
         than: the plainer model.
+        unit: of a thousandth of these errors.
 
     Raises:
         JobError: it is worse.
@@ -40,18 +45,21 @@ def check_worth(
     if len(held_out) >= ENOUGH and there > WORSE * here:
         raise JobError(
             f"calibration is worse on unseen rows than {than}: {here:.3g} -> "
-            f"{there:.3g} mm; the rows do not determine the geometry, or are not this arm's",
+            f"{there:.3g} {unit}; the rows do not determine the geometry, or are not this arm's",
             session=source,
         )
 
 
-def check_carries_over(fitted: np.ndarray, held_out: np.ndarray, source: str) -> None:
+def check_carries_over(
+    fitted: np.ndarray, held_out: np.ndarray, source: str, unit: str = "mm"
+) -> None:
     """A model must do on unseen rows what it does on those that it was fitted to.
 
     Args:
-        fitted: (N, 3) its errors on the fitted rows, m.
-        held_out: (M, 3) its errors on the others, m.
+        fitted: (N, 3) its errors on the fitted rows, m or rad.
+        held_out: (M, 3) its errors on the others, m or rad.
         source: file of the rows, for the message.
+        unit: of a thousandth of these errors.
 
     Raises:
         JobError: its error rises.
@@ -59,28 +67,46 @@ def check_carries_over(fitted: np.ndarray, held_out: np.ndarray, source: str) ->
     here, there = 1e3 * _median(fitted), 1e3 * _median(held_out)
     if len(held_out) >= ENOUGH and there > RISES * here:
         raise JobError(
-            f"calibration does not carry over to unseen rows: {here:.3g} -> {there:.3g} mm; "
+            f"calibration does not carry over to unseen rows: {here:.3g} -> {there:.3g} {unit}; "
             "the rows are too few, or something changed between them",
             session=source,
         )
 
 
-def check_placed(error: np.ndarray, session: Session) -> None:
-    """What a model leaves is learned only where the arm is where the model says.
+def check_placed(model: Model, session: Session) -> None:
+    """Errors are shown, and what a model leaves is learned, only where the arm is where it says.
 
     Args:
-        error: (N, 3) measured - predicted of the seen rows, m.
+        model: predicts.
         session: the rows.
 
     Raises:
         JobError: the base, or the tip, is somewhere else.
     """
-    seen = session.xyz[session.seen]
-    size, spread = _median(error), _median(seen - np.median(seen, axis=0))
-    if len(error) >= ENOUGH and size > MISPLACED * spread:
+    rows = session.take(session.placed)
+    if len(rows) >= ENOUGH and misplaced(model, rows):
         raise JobError(
-            f"the arm is {1e3 * size:.3g} mm from where the model puts it; calibrate first, which "
-            "solves where base and tip are, and use that model",
+            f"the arm is {1e3 * _median(errors(model, rows)):.3g} mm from where the model puts it; "
+            "calibrate first, which solves where base and tip are, and use that model",
+            session=session.source,
+        )
+
+
+def check_fits(model: Model, session: Session) -> None:
+    """A fitted arm must be where the rows see it, whatever they measure.
+
+    Args:
+        model: fitted to them.
+        session: the rows.
+
+    Raises:
+        JobError: it is not, so the rows are not this arm's.
+    """
+    rows = session.take(session.placed)
+    if len(rows) >= ENOUGH and misplaced(model, rows):
+        raise JobError(
+            f"{1e3 * _median(errors(model, rows)):.3g} mm is left after calibration; the rows are "
+            "not this arm's: look at their order, the units and the names of joints and anchors",
             session=session.source,
         )
 

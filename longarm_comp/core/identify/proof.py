@@ -12,10 +12,11 @@ from scipy.special import gammaincinv, ndtri
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.data.commanded import commanded_errors
-from longarm_comp.core.data.measurement import equations, errors, metres, posture
+from longarm_comp.core.data.measurement import equations, errors, metres, posture, turns
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.calibrate import Errors
+from longarm_comp.core.identify.calibrate import Errors, errors_of
 from longarm_comp.core.identify.fit import ModelFit
+from longarm_comp.core.identify.linear import MAD, OUTLIER, median
 from longarm_comp.core.model.model import Model
 
 OFF = 1.5
@@ -23,6 +24,8 @@ OFF = 1.5
 DECIDES = (4 * ndtri(0.95)) ** 2
 """Gain in squared error, in units of the noise, from which on a real effect of the fitted size
 would pass a 95 % test 95 times in 100: the gain scatters by twice its root."""
+AGAINST = np.log(20.0)
+"""Log odds against the effects from which on such a hold-out withdraws them all the same."""
 NETWORK = "with_network"
 """Name of the stage with a learned correction on top of the model."""
 RESAMPLES = 2000
@@ -53,27 +56,26 @@ class Proof:
         errors: by model name, (M, 3) measured - predicted of the rows that say where the tip is,
             m (`core/data/measurement.py`).
         commanded: the same as a command would have them (`core/data/commanded.py`).
+        rows: by model name, figures of `errors`, and of orientations.
         better: whether the effects lowered the held-out squared error, each axis in units of its
-            noise, beyond chance (95 %, one-sided), or at all where the hold-out is too small to
-            show effects of their size; a model may not grow on a gain that the hold-out does not
-            support.
+            noise, beyond chance (95 %, one-sided). Where the hold-out is too small to show effects
+            of their size: whether it does not speak against them by odds of 20.
         misfit: median held-out error of the final model over what noise and the fit's own
             uncertainty would give.
         excess_m: its RMS beyond the noise, outliers clipped, m.
         share: of the squared held-out error beyond the noise, what the effects took.
+        set_aside: number of held-out rows that the models miss both with and without effects; they
+            do not count for `better`.
     """
 
     errors: Mapping[str, np.ndarray]
     commanded: Mapping[str, np.ndarray]
+    rows: Mapping[str, Errors]
     better: bool
     misfit: float
     excess_m: float
     share: float
-
-    @property
-    def rows(self) -> dict[str, Errors]:
-        """Figures of `errors` by model name."""
-        return {name: Errors.of(error) for name, error in self.errors.items()}
+    set_aside: int = 0
 
     @property
     def off(self) -> bool:
@@ -88,10 +90,12 @@ class Proof:
         expected = network.predict(rows.q, rows.context())
         known = expected.in_domain & rows.located
         learned = np.where(known[:, None], expected.error, 0.0)
+        error = errors(model, rows) - learned
         return dataclasses.replace(
             self,
-            errors={**self.errors, NETWORK: errors(model, rows) - learned},
+            errors={**self.errors, NETWORK: error},
             commanded={**self.commanded, NETWORK: commanded_errors(model, rows) - learned},
+            rows={**self.rows, NETWORK: Errors.of(error, turns(model, rows))},
         )
 
     def network_helps(self, beside: str) -> bool:
@@ -121,16 +125,19 @@ def prove(
         "calibrated": _Unseen.of(calibrated, rows),
         "with_effects": _Unseen.of(with_effects, rows),
     }
-    better = _better(unseen["calibrated"], unseen["with_effects"], rng)
+    kept = ~(unseen["calibrated"].missed & unseen["with_effects"].missed)
+    better = _better(unseen["calibrated"].take(kept), unseen["with_effects"].take(kept), rng)
     misfit = {name: _misfit(one) for name, one in unseen.items()}
     final = misfit["with_effects" if better else "calibrated"]
     share = 1.0 - (misfit["with_effects"][1] / max(misfit["calibrated"][1], 1e-12)) ** 2
     return Proof(
         left,
         {name: commanded_errors(model, rows) for name, model in models.items()},
+        {name: errors_of(model, rows) for name, model in models.items()},
         better,
         *final,
         share,
+        int((~kept).sum()),
     )
 
 
@@ -163,18 +170,32 @@ class _Unseen:
         spread = np.sqrt(np.where(np.isfinite(sigma), sigma, 1.0) ** 2 + own)
         return cls(found.residual * held, spread, held, metres(fitted.model, rows))
 
+    def take(self, rows: np.ndarray) -> _Unseen:
+        """Some of the rows."""
+        return dataclasses.replace(
+            self, residual=self.residual[rows], spread=self.spread[rows], held=self.held[rows]
+        )
+
+    @property
+    def missed(self) -> np.ndarray:
+        """(N,) rows that are outliers beside what the model leaves of the other rows."""
+        white = np.abs(self.residual) / self.spread
+        usual = MAD * median(np.where(self.held, white, np.nan))
+        return np.asarray((white > OUTLIER * np.maximum(usual, 1.0)).any(axis=1))
+
 
 def _better(before: _Unseen, after: _Unseen, rng: np.random.Generator) -> bool:
     """Whether the squared errors, in units of the noise, fell beyond chance (95 %, one-sided).
 
-    Where so few poses could not show an effect of the fitted size, though it be real, the errors
-    must have fallen at all: then it is the evidence of the fitted rows that counts.
+    Where so few poses could not show an effect of the fitted size, though it be real, it is the
+    evidence of the fitted rows that counts, unless the hold-out speaks against the effects by odds
+    of 20. The log odds are half the gain.
     """
     spread = after.spread
     gain = ((before.residual**2 - after.residual**2) / spread**2).sum(axis=1)
     expected = float((((before.residual - after.residual) / spread) ** 2).sum())
     if expected < DECIDES:
-        return bool(gain.sum() > 0)
+        return bool(gain.sum() / 2 > -AGAINST)
     return bool(np.percentile(block_means(gain, rng), 5.0) > 0)
 
 

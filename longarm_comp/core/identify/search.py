@@ -16,7 +16,7 @@ from itertools import combinations
 
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.candidates import Candidate, Term
-from longarm_comp.core.identify.evidence import Score, key, reshaped
+from longarm_comp.core.identify.evidence import FitMarginal, Score, columns_at, key, reshaped, score
 from longarm_comp.core.identify.fit import ModelFit, fit
 from longarm_comp.core.identify.noise import NoiseEstimate
 from longarm_comp.core.identify.search_state import SearchState
@@ -48,7 +48,10 @@ class SearchResult:
     exhausted: bool = False
 
     def without(self, places: set[tuple[str, str]]) -> SearchResult:
-        """The same search with some of the found terms taken out again, the rest refitted."""
+        """The same search with some of the found terms taken out again, the rest refitted.
+
+        These are candidates again, scored last.
+        """
         was = self.fit
         model = dataclasses.replace(
             was.model,
@@ -57,7 +60,10 @@ class SearchResult:
         )
         refitted = fit(model, was.session, sigma=was.sigma, rho=was.rho, weights=was.weights)
         chosen = tuple(t for t in self.chosen if key(t) not in places)
-        return dataclasses.replace(self, fit=refitted, chosen=chosen)
+        columns, marginal = columns_at(refitted), FitMarginal(refitted)
+        gone = [Candidate(t.name, (t,)) for t in self.chosen if key(t) in places]
+        again = [score(refitted, marginal, each, columns) for each in gone]
+        return dataclasses.replace(self, fit=refitted, chosen=chosen, last=(*self.last, *again))
 
 
 def search(
@@ -147,9 +153,15 @@ def swap(state: SearchState, say: Callable[[str], None]) -> bool:
         places, marginal, now = state.family(name)
         terms = now.candidate.terms
         shaped = [state.score(marginal, c) for c in reshaped(terms, state.candidates)]
-        options = sorted((*state.scores(places), *shaped), key=lambda s: -s.log_bayes_factor)
-        form = now.candidate.form
         surplus = now.log_bayes_factor - state.threshold
+        whole = (*state.scores(places), *shaped)
+        fewer = (
+            state.score(marginal, state.pruned(marginal, s.candidate))
+            for s in whole
+            if len(s.candidate.terms) > 1 and s.fit_gain > surplus + SWAP
+        )
+        options = sorted((*whole, *fewer), key=lambda s: -s.log_bayes_factor)
+        form = now.candidate.form
         for option in options:
             other = option.candidate
             if (other.name, other.form) == (name, form):

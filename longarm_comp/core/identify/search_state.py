@@ -14,12 +14,14 @@ from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify import noise as noise_step
 from longarm_comp.core.identify.candidates import Candidate, Term
 from longarm_comp.core.identify.evidence import (
+    LOCATED,
     FitColumns,
     FitMarginal,
     Score,
     columns_at,
     key,
     marginal_without,
+    pruned,
     refined,
     score,
 )
@@ -29,8 +31,6 @@ from longarm_comp.core.model.model import Model, slots_of
 
 ODDS = math.log(20.0)
 """An effect must be this much (log) more probable than none after paying for the choice."""
-LOCATED = 2.0
-"""Within an effect, a place must be this much (log) more probable with it than without."""
 REFINEMENTS = 4
 """Times that a term is refined at most, each with the rest as it has become."""
 MOST_ACCEPTED = 10
@@ -113,6 +113,10 @@ class SearchState:
     def score(self, marginal: FitMarginal, candidate: Candidate) -> Score:
         """One candidate on top of a marginal."""
         return score(self.fit, marginal, candidate, self.columns)
+
+    def pruned(self, marginal: FitMarginal, candidate: Candidate) -> Candidate:
+        """A family without the places that bring nothing on top of a marginal."""
+        return pruned(self.fit, marginal, candidate, self.columns)
 
     def need(self, name: str, without: Sequence[tuple[str, str]] = ()) -> float:
         """Evidence that pays for the choice: among all, or among the forms of a known effect."""

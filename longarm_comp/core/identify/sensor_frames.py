@@ -13,7 +13,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.alignment import kabsch
 from longarm_comp.core.data.kinds import matrices
+from longarm_comp.core.data.lifted_base import multilaterated
 from longarm_comp.core.data.measurement import posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.anchor_place import AnchorPlace
@@ -103,12 +105,10 @@ def _moved(term: SensorPlace, model: Model, session: Session) -> SensorPlace:
     tips = model.tip(rows.q, rows.context())
 
     def solved(kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        to, at = rows.xyz[kept].mean(axis=0), tips[kept].mean(axis=0)
-        turn, _ = Rotation.align_vectors(rows.xyz[kept] - to, tips[kept] - at)
-        shift = to - turn.apply(at)
-        left = rows.xyz - turn.apply(tips) - shift
         motion = np.eye(4)
-        motion[:3, :3], motion[:3, 3] = turn.as_matrix(), shift
+        turn, shift = kabsch(tips[kept], rows.xyz[kept], np.ones(int(kept.sum())))
+        motion[:3, :3], motion[:3, 3] = turn, shift
+        left = rows.xyz - tips @ turn.T - shift
         return np.concatenate(twist_of(motion)), np.linalg.norm(left, axis=1)
 
     names = ("x", "y", "z", "rx", "ry", "rz")
@@ -137,32 +137,14 @@ def _turned(term: TipOrientation, model: Model, session: Session) -> TipOrientat
 
 
 def _placed(term: AnchorPlace, model: Model, session: Session) -> AnchorPlace:
-    """Trilateration from the predicted tips: ``|p|^2 - d^2 = 2 p.a - |a|^2`` is linear in a.
-
-    It weighs far rows more than they deserve, so the distances themselves are fitted after it.
-    """
+    """Multilateration from the predicted tips."""
     measured = np.isfinite(session.readings["distance"][:, 0])
     rows = session.take(measured & (session.labels["anchor"] == term.anchor))
     if len(rows) < 4:
         allowed = "at least 4 where the anchor's place is to be solved"
         raise InputError(session.source, f"anchor {term.anchor}", f"{len(rows)} distances", allowed)
     tips = model.tip(rows.q, rows.context())
-    length = rows.readings["distance"][:, 0]
-    middle = tips.mean(axis=0)
-    local = tips - middle
-    design = np.column_stack([2.0 * local, -np.ones(len(rows))])
-    right = (local**2).sum(axis=1) - length**2
-
-    def solved(kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        place = np.linalg.lstsq(design[kept], right[kept], rcond=None)[0][:3]
-        for _ in range(_ROUNDS):
-            away = place - local[kept]
-            far = np.linalg.norm(away, axis=1)
-            short = length[kept] - far
-            place = place + np.linalg.lstsq(away / far[:, None], short, rcond=None)[0]
-        return place, np.abs(np.linalg.norm(local - place, axis=1) - length)
-
-    x, y, z = _robust(len(rows), solved) + middle
+    x, y, z = multilaterated(tips, rows.readings["distance"][:, 0])
     return dataclasses.replace(term, x=float(x), y=float(y), z=float(z))
 
 

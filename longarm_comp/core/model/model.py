@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -102,6 +102,11 @@ class Model:
         return self._with_terms(
             [t.with_values(c) if c else t for t, c in zip(self.terms, changes, strict=True)]
         )
+
+    def with_missing(self, terms: Iterable[Effect | Bias]) -> Model:
+        """A copy with those of the terms that it does not hold at their place already."""
+        known = {(t.name, t.where) for t in self.terms}
+        return self.plus(*(t for t in terms if (t.name, t.where) not in known))
 
     def _with_terms(self, terms: Sequence[Effect | Bias]) -> Model:
         model = dataclasses.replace(

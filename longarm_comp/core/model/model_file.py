@@ -7,6 +7,7 @@ byte.
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,6 +18,7 @@ import yaml
 from pydantic import Field, model_validator
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.spatial import roll_pitch_yaw
 from longarm_comp.core.effects.catalogue import effect_class, origin
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
@@ -145,16 +147,13 @@ def store(
 
 def _bases(model: Model) -> dict[str, StoredBase]:
     """Where every base stands, as `base` of arm.yaml would say it."""
-    from scipy.spatial.transform import Rotation  # not for a control program
-
     made = {}
     for effect in model.effects:
         frame = effect.base(model.arm)
         if frame is not None:
             matrix = frame.matrix()
-            rpy = Rotation.from_matrix(matrix[:3, :3]).as_euler("xyz", degrees=True)
             x, y, z = (round(float(v), 7) for v in matrix[:3, 3])
-            roll, pitch, yaw = (round(float(v), 6) for v in rpy)
+            roll, pitch, yaw = (round(math.degrees(v), 6) for v in roll_pitch_yaw(matrix[:3, :3]))
             made[effect.where] = StoredBase(xyz_m=(x, y, z), rpy_deg=(roll, pitch, yaw))
     return made
 
@@ -269,6 +268,7 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
             raise InputError(where, entry.effect, entry.form, str(error)) from error
         _check_form(term, where)
         _check_place(term, arm, where)
+        term.check(arm, where)
         same = (term.name, *map(str, term.placement.items()))
         if same in held:
             raise InputError(where, f"{term.name}, {term.where}", "twice", "each effect once")

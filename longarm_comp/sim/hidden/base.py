@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, TypeVar
 
@@ -89,6 +90,10 @@ class HiddenEffect:
     def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
         """Rotation vector (3, B, N), rad, of everything beyond the place."""
         return None
+
+    def push(self, place: Place, state: State) -> Sequence[tuple[Array, Array]]:
+        """Forces (3, N) N and where they act (3,) m or (3, N), in the place's axes."""
+        return ()
 
     def readings(self, state: State) -> dict[str, Array]:
         """Further session columns (N,) that such an arm would record, noise-free."""

@@ -1,0 +1,218 @@
+"""Where a base stands, from coordinates, distances, rays and axes, none of them a whole position.
+
+With the base's rotation R and place p as twelve free numbers ("lifting"), most readings of a tip
+whose place o in the base is predicted are linear: ``c . (R o + p) = v``.  A coordinate has c along
+its axis; a ray two of them across it, through its camera.  Distances to an anchor give its place
+in the base (multilateration), a point whose sighting is declared.  Axes give R alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.alignment import kabsch
+from longarm_comp.core.data.kinds import across, by_name, matrices
+from longarm_comp.core.data.session import Session
+
+ENOUGH = 4
+"""Distances to an anchor, or equations of a base, at least, to solve for it."""
+ROUNDS = 6
+"""Times that outlying equations are weighed down."""
+SEEN = 0.1
+"""Singular value of R, in the largest, below which its direction was not measured."""
+FAR = 6.0
+"""Misfit of a distance, in their median, from which it is left out."""
+SHORT, LONG = 0.05, 2.8
+"""Turns between two rows (rad) that tell the axis of the turn."""
+_RANK, _EXACT = 1e-6, 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class LinearEquations:
+    """``direction . (R point + p) = value``.
+
+    Attributes:
+        direction: (M, 3) unit vectors in the frame of the measurements.
+        point: (M, 3) m, in the base.
+        value: (M,) m.
+    """
+
+    direction: np.ndarray
+    point: np.ndarray
+    value: np.ndarray
+
+
+def lifted_base(
+    arm: Arm, points: np.ndarray, axes: np.ndarray, rows: Session
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation (3, 3) and place (3,) m of the base that agree with what rows measured.
+
+    What they do not determine is left as declared: the base unturned and at the origin.
+
+    Args:
+        arm: declares anchors and cameras.
+        points: (N, 3) predicted tips in the base, m.
+        axes: (N, 3, 3) predicted axes of the tip, in columns.
+        rows: N rows of one placement.
+
+    """
+    found = _linear(arm, points, rows)
+    turn = _by_axes(axes, rows)
+    if turn is None:
+        turn = _rotation(found) if len(found.value) >= ENOUGH else np.eye(3)
+    right = found.value - np.einsum("mi,ij,mj->m", found.direction, turn, found.point)
+    return turn, _robust(found.direction, right) if len(right) else np.zeros(3)
+
+
+def multilaterated(points: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """Place (3,) of the anchor at N >= 4 distances (N,) from points (N, 3), m, outliers apart."""
+    kept = np.ones(len(length), dtype=bool)
+    for _ in range(ROUNDS):
+        place = _anchor(points[kept], length[kept])
+        miss = np.abs(np.linalg.norm(points - place, axis=1) - length)
+        closer = miss <= max(FAR * float(np.median(miss)), _EXACT)
+        if closer.sum() < ENOUGH or (closer == kept).all():
+            break
+        kept = closer
+    return place
+
+
+def _anchor(points: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """Least squares of the distances.
+
+    ``|p|^2 - d^2 = 2 p.a - |a|^2`` is linear in a, but weighs far points more than they deserve, so
+    the distances themselves are fitted after it.  Points in a plane leave its side open.
+    """
+    middle = points.mean(axis=0)
+    local = points - middle
+    design = np.column_stack([2.0 * local, -np.ones(len(local))])
+    place = np.linalg.lstsq(design, (local**2).sum(axis=1) - length**2, rcond=None)[0][:3]
+    for _ in range(ROUNDS):
+        away = place - local
+        far = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
+        place = place + np.linalg.lstsq(away / far[:, None], length - far, rcond=None)[0]
+    return np.asarray(place + middle)
+
+
+# ------------------------------------------------------------------ equations
+
+
+def _linear(arm: Arm, points: np.ndarray, rows: Session) -> LinearEquations:
+    parts = [
+        *_coordinates(points, rows), *_rays(arm, points, rows), *_anchors(arm, points, rows)
+    ]  # fmt: skip
+    return LinearEquations(
+        np.concatenate([part.direction for part in parts]),
+        np.concatenate([part.point for part in parts]),
+        np.concatenate([part.value for part in parts]),
+    )
+
+
+def _coordinates(points: np.ndarray, rows: Session) -> Iterator[LinearEquations]:
+    for k, axis in enumerate(np.eye(3)):
+        held = np.isfinite(rows.xyz[:, k])
+        directions = np.broadcast_to(axis, (int(held.sum()), 3))
+        yield LinearEquations(directions, points[held], rows.xyz[held, k])
+
+
+def _rays(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[LinearEquations]:
+    if "ray" not in rows.readings:
+        return
+    held = np.isfinite(rows.readings["ray"]).all(axis=1)
+    frames = by_name(arm.camera_frame, rows.labels["sensor"][held])
+    for k in range(2):
+        local = across(rows.readings["ray"][held])[:, k]
+        directions = np.einsum("nij,nj->ni", frames[:, :, :3], local)
+        value = (directions * frames[:, :, 3]).sum(axis=1)
+        yield LinearEquations(directions, points[held], value)
+
+
+def _anchors(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[LinearEquations]:
+    """Declared anchors, each placed in the base by its distances, as points that were seen."""
+    if "distance" not in rows.readings:
+        return
+    length = rows.readings["distance"][:, 0]
+    for name, anchor in arm.anchors.items():
+        held = np.isfinite(length) & (rows.labels["anchor"] == name)
+        if anchor.xyz_m is None or held.sum() < ENOUGH:
+            continue
+        place = multilaterated(points[held], length[held])
+        count = int(held.sum())  # as many equations as distances
+        directions, value = np.tile(np.eye(3), (count, 1)), np.tile(anchor.xyz_m, count)
+        yield LinearEquations(directions, np.tile(place, (3 * count, 1)), value)
+
+
+# ------------------------------------------------------------------ solutions
+
+
+def _by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | None:
+    """R from axes ``A = R B X`` of any body X: turns between rows, ``A_i A_j' = R B_i B_j' R'``."""
+    turned = rows.take(rows.turned)
+    if len(turned) < ENOUGH:
+        return None
+    blank = np.full(len(turned), "")
+    body = np.char.add(turned.labels.get("marker", blank), turned.labels.get("sensor", blank))
+    seen, mine = matrices(turned.readings["orientation"]), axes[rows.turned]
+    pairs = (np.roll(a, 1, axis=0) @ np.swapaxes(a, 1, 2) for a in (seen, mine))
+    to, of = (Rotation.from_matrix(pair).as_rotvec() for pair in pairs)
+    angle = np.linalg.norm(of, axis=1)
+    told = (angle > SHORT) & (angle < LONG) & (np.roll(body, 1) == body)
+    if told.sum() < 2:
+        return None
+    of, to = np.concatenate([of[told], -of[told]]), np.concatenate([to[told], -to[told]])
+    weights = np.ones(len(of))
+    for _ in range(ROUNDS):
+        turn, _ = kabsch(of, to, weights)
+        weights = _share(np.linalg.norm(to - of @ turn.T, axis=1))
+    return turn
+
+
+def _rotation(found: LinearEquations) -> np.ndarray:
+    """R of the lifted problem, brought back to a rotation."""
+    middle = found.point.mean(axis=0)
+    local = found.point - middle
+    design = np.column_stack(
+        [(found.direction[:, :, None] * local[:, None, :]).reshape(-1, 9), found.direction]
+    )
+    origin = np.linalg.lstsq(found.direction, found.value, rcond=_RANK)[0]
+    value = found.value - found.direction @ origin
+    if np.abs(value).max() > _EXACT:
+        free = _robust(design, found.value)[:9].reshape(3, 3)
+    else:  # one camera: its rays fit at any scale
+        free = np.linalg.svd(design)[2][-1][:9].reshape(3, 3)
+        free = free * np.sign(np.linalg.det(free))
+    u, s, vt = np.linalg.svd(free)
+    if s[0] < _EXACT:
+        return np.eye(3)
+    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    if s[1] > SEEN * s[0]:
+        return np.asarray(turn)
+    return _least_turned(turn, u[:, 0])
+
+
+def _least_turned(turn: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """The rotation closest to none among those that differ about an axis that was not measured."""
+    cross = np.cross(np.eye(3), axis)  # the matrix of v -> axis x v
+    flat = np.eye(3) - np.outer(axis, axis)
+    angle = np.arctan2(np.trace(cross @ turn), np.trace(flat @ turn))
+    return np.asarray(Rotation.from_rotvec(angle * axis).as_matrix() @ turn)
+
+
+def _robust(design: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Least squares of smallest norm, the farther half of the equations counted less."""
+    weights = np.ones(len(right))
+    for _ in range(ROUNDS):
+        root = np.sqrt(weights)
+        x = np.linalg.lstsq(design * root[:, None], right * root, rcond=_RANK)[0]
+        weights = _share(np.abs(right - design @ x))
+    return np.asarray(x)
+
+
+def _share(miss: np.ndarray) -> np.ndarray:
+    """1 for the closer half, falling with the square of the misfit beyond."""
+    return 1.0 / np.maximum(1.0, miss / max(float(np.median(miss)), 1e-12)) ** 2

@@ -1,0 +1,167 @@
+"""Where a discovered effect acts and what it does there: a twist, or a wrench on the beams."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.posture import BASE, Posture
+from longarm_comp.core.arm.spatial import ZERO, Frame, Scalar, Twist, Vec
+from longarm_comp.core.effects.link_deflection import bent
+from longarm_comp.core.effects.quantities import AXES
+
+BASE_PLACE, TIP_PLACE = "base", "tip"
+
+
+def stations(arm: Arm) -> list[str]:
+    """Where something may act: the base, every joint's bearing, every row's end, the tip.
+
+    The axes are those of what the joint carries: they turn with it.
+    """
+    rows = [joint.id for joint in arm.joints]
+    return [
+        BASE_PLACE,
+        *(f"joint {row}" for row in rows),
+        *(f"frame {row}" for row in rows),
+        TIP_PLACE,
+    ]
+
+
+@dataclass(frozen=True)
+class Acting:
+    """A place at a posture.
+
+    Attributes:
+        station: the station that a twist acts at.
+        frame: pose of the place in the base frame: axes of the station; a wrench acts at its
+            origin.
+    """
+
+    station: int
+    frame: Frame
+
+    @classmethod
+    def of(cls, posture: Posture, place: str) -> Acting:
+        """The place of a name of `stations`."""
+        if place == TIP_PLACE:
+            tip = posture.arm.tip
+            station = posture.frame(tip.frame)
+            frame = posture.frames[station]
+            return cls(station, frame._replace(p=frame.transform(tip.position_m)))
+        kind, _, row = place.partition(" ")
+        stand = {"joint": posture.bearing, "frame": posture.frame}
+        station = stand[kind](int(row)) if row else BASE
+        return cls(station, posture.frames[station])
+
+
+@dataclass(frozen=True)
+class Component(ABC):
+    """One of the six unit twists, or of the six unit wrenches, at a place.
+
+    Attributes:
+        axis: 0, 1, 2.
+    """
+
+    word: ClassVar[str]
+    unit: ClassVar[str]
+
+    axis: int
+
+    @property
+    def name(self) -> str:
+        """As it is stored: ``force y``."""
+        return f"{self.word} {AXES[self.axis]}"
+
+    @abstractmethod
+    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Mapping[int, Twist]:
+        """Twists by station of `amount` of it."""
+
+    def _along(self, amount: Scalar) -> Vec:
+        made: list[Scalar] = [0.0, 0.0, 0.0]
+        made[self.axis] = amount
+        return (made[0], made[1], made[2])
+
+
+@dataclass(frozen=True)
+class Move(Component):
+    """A displacement."""
+
+    word: ClassVar[str] = "move"
+    unit: ClassVar[str] = "m"
+
+    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Mapping[int, Twist]:
+        return {at.station: (*self._along(amount), *ZERO)}
+
+
+@dataclass(frozen=True)
+class Turn(Component):
+    """A rotation."""
+
+    word: ClassVar[str] = "turn"
+    unit: ClassVar[str] = "rad"
+
+    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Mapping[int, Twist]:
+        return {at.station: (*ZERO, *self._along(amount))}
+
+
+@dataclass(frozen=True)
+class Wrench(Component):
+    """A load: it bends the declared beams between the base and the place."""
+
+    @abstractmethod
+    def loads(self, amount: Scalar) -> tuple[Vec, Vec]:
+        """Force (N) and moment (N m) in the place's axes."""
+
+    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Mapping[int, Twist]:
+        """To first order, every element as a cantilever under what the load makes of its end."""
+        pushed, turned = (at.frame.rotate(v) for v in self.loads(amount))
+        made: dict[int, Twist] = {}
+        for row in posture.chain.rows:
+            for element in row.elements_a + row.elements_d:
+                if element.station > at.station:
+                    continue
+                end = posture.frames[element.station]
+                lever = spatial.sub(at.frame.p, end.p)
+                moment = spatial.add(turned, spatial.cross(lever, pushed))
+                made[element.station] = bent(
+                    posture, element, end.unrotate(pushed), end.unrotate(moment)
+                )
+        return made
+
+
+@dataclass(frozen=True)
+class Force(Wrench):
+    """A force at the place."""
+
+    word: ClassVar[str] = "force"
+    unit: ClassVar[str] = "N"
+
+    def loads(self, amount: Scalar) -> tuple[Vec, Vec]:
+        return self._along(amount), ZERO
+
+
+@dataclass(frozen=True)
+class Moment(Wrench):
+    """A moment at the place."""
+
+    word: ClassVar[str] = "moment"
+    unit: ClassVar[str] = "N m"
+
+    def loads(self, amount: Scalar) -> tuple[Vec, Vec]:
+        return ZERO, self._along(amount)
+
+
+COMPONENTS: dict[str, Component] = {
+    component.name: component
+    for component in (kind(axis) for kind in (Move, Turn, Force, Moment) for axis in range(3))
+}
+"""Components by the name that stands for them in a model file."""
+
+
+def components(arm: Arm) -> list[str]:
+    """Names of the components that an arm can have: loads need declared beams to bend."""
+    return [n for n, c in COMPONENTS.items() if arm.links or not isinstance(c, Wrench)]

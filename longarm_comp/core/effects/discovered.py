@@ -1,0 +1,236 @@
+"""An effect that a diagnosis found and that has no name: place, component and function as data.
+
+One instance is one term: an amount times a function of the posture, acting as one component at
+one place.  `core/identify/discover` finds them; a model holds any number.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import PER_JOINT, Context
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.arm.spatial import Scalar, Twist, Vec
+from longarm_comp.core.effects.components import COMPONENTS, Acting, components, stations
+from longarm_comp.core.effects.effect import Bias, Effect, Parameter, form, parameter, place
+from longarm_comp.core.effects.quantities import (
+    AXES,
+    OfPosture,
+    Recorded,
+    SeenCoordinate,
+    SeenPoint,
+)
+from longarm_comp.core.effects.shapes import Function, FunctionError, function
+from longarm_comp.core.errors import InputError
+
+LARGEST = 1e9
+
+
+@dataclass(frozen=True)
+class Discovered(Effect):
+    """A cause without a name: an amount of a twist or load, as some function of the posture.
+
+    Attributes:
+        at: where it acts: ``base``, ``joint 3``, ``frame 3``, ``tip`` (`components.stations`).
+        component: what acts: ``move x``, ``turn z``, ``force y``, ``moment x``, ...
+        function: of quantities of the posture (`core/effects/shapes.py`).
+        domain: ranges of these in the data; outside, a quantity counts as at the end.
+        scale: prior standard deviation of the amount.
+    """
+
+    name: ClassVar[str] = "discovered"
+    title: ClassVar[str] = "cause without a name"
+    action: ClassVar[str] = "Look there for what it behaves like."
+    loaded: ClassVar[bool] = True
+    bounded: ClassVar[bool] = True
+    searched: ClassVar[bool] = False
+
+    at: str = place(stations, default="base")
+    component: str = place(components, default="move x")
+    function: str = place(default="1")
+    domain: str = place(default="")
+    scale: float = form(1e-3)
+    amount: float = parameter("of its component and function", "how much", prior=1e-3)
+
+    @cached_property
+    def of(self) -> Function:
+        """The function. Raises `FunctionError`."""
+        return function(self.function, self.domain)
+
+    @property
+    def where(self) -> str:
+        """``joint 5, force y``."""
+        return f"{self.at}, {self.component}"
+
+    @property
+    def place(self) -> str:
+        """Where it acts and how."""
+        return f"{self.where}, {self.function}"
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """The amount, in the units of its component and function."""
+        return _amount(self.declared(), COMPONENTS[self.component].unit, self.of, self.scale, arm)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Circumstances that its function reads."""
+        return _inputs(self.of)
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """The joint that it acts at."""
+        kind, _, row = self.at.partition(" ")
+        return (int(row),) if kind == "joint" else ()
+
+    def history_joints(self, arm: Arm) -> tuple[int, ...]:
+        """Joints whose side of arrival its function reads."""
+        return tuple(dict.fromkeys(j for q in self.of.quantities for j in q.joints))
+
+    def require(self, context: Context) -> None:
+        """What its function reads must be recorded."""
+        _require(self.name, self.inputs, context)
+
+    def check(self, arm: Arm, where: str) -> None:
+        """Its function must be one of what this arm has."""
+        _check(self.name, self, arm, where, OfPosture)
+
+    def outside(self, posture: Posture) -> tuple[str, ...]:
+        """Which quantities of one posture lie outside the data, and so count as at their end."""
+        made = []
+        for factor in {f.of: f for f in self.of.factors}.values():
+            x = float(factor.quantity.read(posture))  # type: ignore[attr-defined]
+            slack = _SLACK * (factor.high - factor.low)
+            if not factor.low - slack <= x <= factor.high + slack:
+                made.append(f"{factor.of} {x:.4g} ({factor.low:.4g}..{factor.high:.4g})")
+        return tuple(made)
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """Amount times function of its component."""
+        amount = self.amount * self.of.value(lambda q: q.read(posture))  # type: ignore[attr-defined]
+        at = Acting.of(posture, self.at)
+        return COMPONENTS[self.component].twists(posture, at, amount)
+
+
+@dataclass(frozen=True)
+class DiscoveredView(Bias):
+    """A camera-side cause without a name: the seen point is displaced by some function of it.
+
+    Attributes:
+        axis: ``x``, ``y`` or ``z`` of the base frame.
+        function: of the seen point and recorded columns.
+        domain, scale: as of `Discovered`.
+    """
+
+    name: ClassVar[str] = "discovered_view"
+    title: ClassVar[str] = "cause without a name in what the camera sees"
+    action: ClassVar[str] = "Check mount, lenses and calibration of the camera."
+    searched: ClassVar[bool] = False
+
+    axis: str = place(lambda arm: AXES, default="x")
+    function: str = place(default="1")
+    domain: str = place(default="")
+    scale: float = form(1e-3)
+    amount: float = parameter("of its function", "displacement of what is seen", prior=1e-3)
+
+    @cached_property
+    def of(self) -> Function:
+        """The function. Raises `FunctionError`."""
+        return function(self.function, self.domain)
+
+    @property
+    def where(self) -> str:
+        """``camera, x``."""
+        return f"camera, {self.axis}"
+
+    @property
+    def place(self) -> str:
+        """Which displacement, and how it depends."""
+        return f"{self.where}, {self.function}"
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """The amount, in m per unit of the function."""
+        return _amount(self.declared(), "m", self.of, self.scale, arm)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Columns that its function reads."""
+        return _inputs(self.of)
+
+    def require(self, context: Context) -> None:
+        """What its function reads must be recorded."""
+        _require(self.name, self.inputs, context)
+
+    def check(self, arm: Arm, where: str) -> None:
+        """Its function must be one of the seen point and of recorded columns."""
+        _check(self.name, self, arm, where, SeenCoordinate)
+
+    def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
+        """The point displaced along one axis."""
+        at = SeenPoint(point, context)
+        by: Scalar = self.amount * self.of.value(lambda q: q.read(at))  # type: ignore[attr-defined]
+        moved = list(point)
+        moved[AXES.index(self.axis)] = moved[AXES.index(self.axis)] + by
+        return (moved[0], moved[1], moved[2])
+
+
+_SLACK = 1e-6
+
+
+def _amount(
+    declared: tuple[Parameter, ...], unit: str, of: Function, scale: float, arm: Arm
+) -> tuple[Parameter, ...]:
+    return tuple(
+        dataclasses.replace(p, unit=quotient(unit, of.units(arm)), prior=scale) for p in declared
+    )
+
+
+def quotient(unit: str, over: list[str]) -> str:
+    """``N/(rad m)``, ``rad/rad^2``."""
+    powers = {u: over.count(u) for u in over}
+    below = [u if n == 1 else f"{_bracketed(u)}^{n}" for u, n in powers.items()]
+    if not below:
+        return unit
+    return f"{unit}/{below[0] if len(over) == 1 and ' ' not in below[0] else _all(below)}"
+
+
+def _bracketed(unit: str) -> str:
+    return f"({unit})" if " " in unit else unit
+
+
+def _all(units: list[str]) -> str:
+    return units[0] if len(units) == 1 and " " not in units[0] else f"({' '.join(units)})"
+
+
+def _inputs(of: Function) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(name for q in of.quantities for name in q.inputs))
+
+
+def _require(name: str, inputs: tuple[str, ...], context: Context) -> None:
+    for column in inputs:
+        if column not in PER_JOINT and not context.has(column):
+            raise InputError(name, column, "missing", "a recorded column of the session")
+
+
+def _check(name: str, term: Discovered | DiscoveredView, arm: Arm, where: str, kind: type) -> None:
+    try:
+        of = term.of
+    except FunctionError as error:
+        raise InputError(where, f"{name}.function", error.value, error.allowed) from error
+    for factor in of.factors:
+        usable = isinstance(factor.quantity, (kind, Recorded)) and factor.quantity.exists(arm)
+        if not usable:
+            allowed = "a quantity of this arm, or a recorded column"
+            raise InputError(where, f"{name}.function", factor.of, allowed)
+    for field in ("scale", "amount"):
+        value = getattr(term, field)
+        if not (np.isfinite(value) and abs(value) <= LARGEST):
+            raise InputError(where, f"{name}.{field}", value, f"a number within +-{LARGEST:g}")
+    if not term.scale > 0:
+        raise InputError(where, f"{name}.scale", term.scale, "above 0")

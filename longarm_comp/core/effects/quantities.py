@@ -1,0 +1,342 @@
+"""What a function of a discovered effect may depend on: quantities of a posture, by name.
+
+| name | quantity | unit |
+|---|---|---|
+| `q2` | position of commanded joint 2 | rad, m |
+| `load_2` | gravity torque about, or force along, commanded joint 2 | N m, N |
+| `sum_loads` | sum of the absolute torques of the turning commanded joints | N m |
+| `moment_3_x` | moment at the bearing of row 3 about its x axis (row 0: the base) | N m |
+| `gravity_3_x` | share of gravity along x of row 3's axes (row 0: the base) | 1 |
+| `distance_2_5` | distance between the bearings of rows 2 and 5 | m |
+| `side_2` | side that commanded joint 2 arrived from, -1 or +1; 0 unknown | 1 |
+| `warmth` | temperature above the arm's reference | K |
+| `seen_x` | coordinate of the seen point in the base frame (camera side only) | m |
+| any other | a recorded column of that name: `t_s`, `pump_bar` | of the column |
+"""
+
+from __future__ import annotations
+
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import ClassVar, Protocol
+
+import numpy as np
+
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.posture import BASE, Posture
+from longarm_comp.core.arm.spatial import Scalar, Vec
+from longarm_comp.core.effects.joint_term import joint_load
+
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class SeenPoint:
+    """What a camera-side function may depend on: the point and the circumstances."""
+
+    point: Vec
+    context: Context
+
+
+class Circumstances(Protocol):
+    """Whatever holds the recorded circumstances: a posture, a seen point."""
+
+    @property
+    def context(self) -> Context: ...
+
+
+@dataclass(frozen=True)
+class Quantity(ABC):
+    """A quantity of a posture (or of a seen point), by its name.
+
+    Attributes:
+        numbers: numbers in its name: joints, rows.
+        axis: 0, 1, 2, where its name has one.
+    """
+
+    pattern: ClassVar[str]
+    on_arm: ClassVar[bool] = True
+    on_camera: ClassVar[bool] = False
+
+    numbers: tuple[int, ...] = ()
+    axis: int = 0
+
+    @abstractmethod
+    def exists(self, arm: Arm) -> bool:
+        """Whether the arm has it."""
+
+    @abstractmethod
+    def unit(self, arm: Arm) -> str:
+        """SI unit; ``1`` for none."""
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Fields of the circumstances that it reads."""
+        return ()
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """Commanded joints (0-based) whose history it reads."""
+        return ()
+
+
+@dataclass(frozen=True)
+class OfPosture(Quantity):
+    """A quantity of the arm at a posture."""
+
+    @abstractmethod
+    def read(self, posture: Posture) -> Scalar:
+        """Its value."""
+
+
+@dataclass(frozen=True)
+class OfJoint(OfPosture):
+    """A quantity of one commanded joint."""
+
+    @property
+    def joint(self) -> int:
+        """Commanded joint, 0-based."""
+        return self.numbers[0] - 1
+
+    def row(self, arm: Arm) -> int:
+        """Row id of the joint."""
+        return arm.commanded[self.joint]
+
+    def exists(self, arm: Arm) -> bool:
+        return 0 <= self.joint < arm.n
+
+    def slides(self, arm: Arm) -> bool:
+        """Whether the joint is a slide."""
+        return arm.joints[self.row(arm) - 1].type == "prismatic"
+
+
+@dataclass(frozen=True)
+class JointPosition(OfJoint):
+    """Position of a commanded joint."""
+
+    pattern: ClassVar[str] = r"q(\d+)"
+
+    def unit(self, arm: Arm) -> str:
+        return "m" if self.slides(arm) else "rad"
+
+    def read(self, posture: Posture) -> Scalar:
+        return posture.q[self.joint]
+
+
+@dataclass(frozen=True)
+class JointLoad(OfJoint):
+    """Gravity load of a commanded joint."""
+
+    pattern: ClassVar[str] = r"load_(\d+)"
+
+    def unit(self, arm: Arm) -> str:
+        return "N" if self.slides(arm) else "N m"
+
+    def read(self, posture: Posture) -> Scalar:
+        return joint_load(posture, self.row(posture.arm))
+
+
+@dataclass(frozen=True)
+class JointSide(OfJoint):
+    """Side that a commanded joint arrived from."""
+
+    pattern: ClassVar[str] = r"side_(\d+)"
+
+    def unit(self, arm: Arm) -> str:
+        return "1"
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        return ("approach",)
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        return (self.joint,)
+
+    def read(self, posture: Posture) -> Scalar:
+        return posture.context.of_joint("approach", self.joint)[0]
+
+
+@dataclass(frozen=True)
+class LoadSum(OfPosture):
+    """Sum of the absolute torques of the turning commanded joints."""
+
+    pattern: ClassVar[str] = r"sum_loads"
+
+    def exists(self, arm: Arm) -> bool:
+        return bool(_turning(arm))
+
+    def unit(self, arm: Arm) -> str:
+        return "N m"
+
+    def read(self, posture: Posture) -> Scalar:
+        total: Scalar = 0.0
+        for row in _turning(posture.arm):
+            total = total + spatial.absolute(joint_load(posture, row))
+        return total
+
+
+@dataclass(frozen=True)
+class Warmth(OfPosture):
+    """Temperature above the arm's reference."""
+
+    pattern: ClassVar[str] = r"warmth"
+
+    def exists(self, arm: Arm) -> bool:
+        return True
+
+    def unit(self, arm: Arm) -> str:
+        return "K"
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        return ("temperature_c",)
+
+    def read(self, posture: Posture) -> Scalar:
+        return posture.context.column("temperature_c") - posture.arm.reference_temperature_c
+
+
+@dataclass(frozen=True)
+class OfRow(OfPosture):
+    """A quantity in the axes of one row's bearing, or of the base."""
+
+    def exists(self, arm: Arm) -> bool:
+        return 0 <= self.numbers[0] <= len(arm.joints)
+
+    def station(self, posture: Posture) -> int:
+        """Station of the bearing, or of the base."""
+        return _bearing(posture, self.numbers[0])
+
+
+@dataclass(frozen=True)
+class Moment(OfRow):
+    """Moment of all that is carried at a bearing, about one of its axes."""
+
+    pattern: ClassVar[str] = r"moment_(\d+)_([xyz])"
+
+    def unit(self, arm: Arm) -> str:
+        return "N m"
+
+    def read(self, posture: Posture) -> Scalar:
+        return posture.moment(self.station(posture))[self.axis]
+
+
+@dataclass(frozen=True)
+class Gravity(OfRow):
+    """Share of gravity along an axis of a row."""
+
+    pattern: ClassVar[str] = r"gravity_(\d+)_([xyz])"
+
+    def unit(self, arm: Arm) -> str:
+        return "1"
+
+    def read(self, posture: Posture) -> Scalar:
+        size = float(np.linalg.norm(posture.arm.gravity_mps2))
+        return posture.gravity_in(self.station(posture))[self.axis] * (1.0 / max(size, 1e-9))
+
+
+@dataclass(frozen=True)
+class Span(OfPosture):
+    """Distance between two bearings; row 0 is the base."""
+
+    pattern: ClassVar[str] = r"distance_(\d+)_(\d+)"
+
+    def exists(self, arm: Arm) -> bool:
+        first, last = self.numbers
+        return 0 <= first < last <= len(arm.joints)
+
+    def unit(self, arm: Arm) -> str:
+        return "m"
+
+    def read(self, posture: Posture) -> Scalar:
+        first, last = (posture.frames[_bearing(posture, row)].p for row in self.numbers)
+        way = spatial.sub(last, first)
+        return spatial.sqrt(spatial.dot(way, way) + _NO_LENGTH)
+
+
+@dataclass(frozen=True)
+class SeenCoordinate(Quantity):
+    """A coordinate of the seen point in the base frame."""
+
+    pattern: ClassVar[str] = r"seen_([xyz])"
+    on_arm: ClassVar[bool] = False
+    on_camera: ClassVar[bool] = True
+
+    def exists(self, arm: Arm) -> bool:
+        return True
+
+    def unit(self, arm: Arm) -> str:
+        return "m"
+
+    def read(self, seen: SeenPoint) -> Scalar:
+        """Its value."""
+        return seen.point[self.axis]
+
+
+@dataclass(frozen=True)
+class Recorded(Quantity):
+    """A recorded column."""
+
+    pattern: ClassVar[str] = r"[A-Za-z]\w*"
+    on_camera: ClassVar[bool] = True
+
+    column: str = ""
+
+    def exists(self, arm: Arm) -> bool:
+        return True
+
+    def unit(self, arm: Arm) -> str:
+        return _UNITS.get(self.column, f"[{self.column}]")
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        return (self.column,)
+
+    def read(self, at: Circumstances) -> Scalar:
+        """Its value."""
+        return at.context.column(self.column)
+
+
+_UNITS = {"t_s": "s", "temperature_c": "K", "payload_kg": "kg"}
+_NO_LENGTH = 1e-18  # m^2: keeps the root differentiable where two bearings coincide
+_KINDS: tuple[type[Quantity], ...] = (
+    JointPosition,
+    JointLoad,
+    JointSide,
+    LoadSum,
+    Warmth,
+    Moment,
+    Gravity,
+    Span,
+    SeenCoordinate,
+)
+
+
+@lru_cache(maxsize=4096)
+def quantity(name: str) -> Quantity | None:
+    """The quantity of a name; None where no quantity may have it."""
+    for kind in _KINDS:
+        found = re.fullmatch(kind.pattern, name)
+        if found:
+            letters = [text for text in found.groups() if text in AXES]
+            numbers = tuple(int(text) for text in found.groups() if text not in AXES)
+            return kind(numbers, AXES.index(letters[0]) if letters else 0)
+    return Recorded(column=name) if re.fullmatch(Recorded.pattern, name) else None
+
+
+def is_column(name: str) -> bool:
+    """Whether a recorded column of this name can be a quantity of its own."""
+    return isinstance(quantity(name), Recorded)
+
+
+def _turning(arm: Arm) -> Sequence[int]:
+    return [row for row in arm.commanded if arm.joints[row - 1].type == "revolute"]
+
+
+def _bearing(posture: Posture, row: int) -> int:
+    return BASE if row == 0 else posture.bearing(row)

@@ -1,0 +1,398 @@
+"""Functions of a discovered effect: products of one-dimensional shapes, written as text.
+
+A function is ``1`` or up to three factors joined by `` * ``; each is a shape of a quantity
+(`core/effects/quantities.py`), as in ``linear(q2) * switch(load_3, 1.2, 0.05)``.  A domain,
+``q2 -0.4..0.7; load_3 -2.1..1.8``, gives the range of each quantity in the data.  Outside it a
+quantity counts as at the end of its range.  Both are data: nothing is evaluated as code.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import ClassVar
+
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.spatial import Scalar
+from longarm_comp.core.effects.quantities import Quantity, quantity
+
+MOST_FACTORS = 3
+MOST_ORDER = 8
+LARGEST = 1e9
+"""Largest number that a function or a domain may hold."""
+
+Read = Callable[[Quantity], Scalar]
+
+
+class FunctionError(ValueError):
+    """A text is no function or no domain.
+
+    Attributes:
+        value: the part that is wrong.
+        allowed: what it may be.
+    """
+
+    def __init__(self, value: object, allowed: str) -> None:
+        super().__init__(f"{value}: {allowed}")
+        self.value, self.allowed = value, allowed
+
+
+@dataclass(frozen=True)
+class Shape(ABC):
+    """A function of one quantity.
+
+    Attributes:
+        of: name of the quantity.
+        low, high: its range in the data.
+    """
+
+    word: ClassVar[str]
+    power: ClassVar[int] = 0
+    """Power of the quantity's unit that a value has."""
+
+    of: str
+    low: float
+    high: float
+
+    @property
+    def quantity(self) -> Quantity:
+        """The quantity."""
+        found = quantity(self.of)
+        assert found is not None, "checked when the text was read"
+        return found
+
+    def at(self, x: Scalar) -> Scalar:
+        """Value where the quantity is x, kept within its range."""
+        return self.value(spatial.minimum(spatial.maximum(x, self.low), self.high))
+
+    @abstractmethod
+    def value(self, x: Scalar) -> Scalar:
+        """Value at x within the range."""
+
+    @property
+    @abstractmethod
+    def formula(self) -> str:
+        """For people."""
+
+    @property
+    def text(self) -> str:
+        """As it is stored."""
+        numbers = "".join(f", {float(getattr(self, name))!r}" for name in self.numbers())
+        return f"{self.word}({self.of}{numbers})"
+
+    @classmethod
+    def numbers(cls) -> tuple[str, ...]:
+        """Names of its own numbers, in the order of the text."""
+        return tuple(f.name for f in dataclasses.fields(cls) if f.name not in _COMMON)
+
+    def check(self) -> None:
+        """Raise `FunctionError` where a number is out of its bounds."""
+        for name in self.numbers():
+            number = getattr(self, name)
+            if not abs(number) <= LARGEST:
+                raise FunctionError(f"{self.word}: {name} {number}", f"within +-{LARGEST:g}")
+
+    @property
+    def centred(self) -> Scalar:
+        """Middle of the range."""
+        return 0.5 * (self.low + self.high)
+
+
+_COMMON = ("of", "low", "high")
+
+
+@dataclass(frozen=True)
+class Linear(Shape):
+    """x."""
+
+    word: ClassVar[str] = "linear"
+    power: ClassVar[int] = 1
+
+    def value(self, x: Scalar) -> Scalar:
+        return x
+
+    @property
+    def formula(self) -> str:
+        return self.of
+
+
+@dataclass(frozen=True)
+class Square(Shape):
+    """x^2."""
+
+    word: ClassVar[str] = "square"
+    power: ClassVar[int] = 2
+
+    def value(self, x: Scalar) -> Scalar:
+        return x * x
+
+    @property
+    def formula(self) -> str:
+        return f"{self.of}^2"
+
+
+@dataclass(frozen=True)
+class SignedSquare(Shape):
+    """x |x|."""
+
+    word: ClassVar[str] = "signed_square"
+    power: ClassVar[int] = 2
+
+    def value(self, x: Scalar) -> Scalar:
+        return x * spatial.absolute(x)
+
+    @property
+    def formula(self) -> str:
+        return f"{self.of} |{self.of}|"
+
+
+@dataclass(frozen=True)
+class Legendre(Shape):
+    """Legendre polynomial over the range."""
+
+    word: ClassVar[str] = "legendre"
+
+    order: float = 1.0
+
+    def value(self, x: Scalar) -> Scalar:
+        u = (x - self.centred) * (2.0 / (self.high - self.low))
+        before, now = 1.0, u
+        for n in range(1, int(self.order)):
+            before, now = now, ((2 * n + 1.0) * u * now - float(n) * before) * (1.0 / (n + 1))
+        return now
+
+    def check(self) -> None:
+        if self.order not in range(1, MOST_ORDER + 1):
+            raise FunctionError(f"{self.word}: order {self.order:g}", f"1, 2, ..., {MOST_ORDER}")
+
+    @property
+    def formula(self) -> str:
+        return f"P{self.order:g}({self.of})"
+
+
+@dataclass(frozen=True)
+class Wave(Shape):
+    """A harmonic of the quantity itself: so many periods in 2 pi."""
+
+    order: float = 1.0
+
+    def check(self) -> None:
+        if not 0 < self.order <= 1e3:
+            raise FunctionError(f"{self.word}: order {self.order}", "above 0, at most 1000")
+
+    @property
+    def formula(self) -> str:
+        return f"{self.word}({'' if self.order == 1 else f'{self.order:g} '}{self.of})"
+
+
+@dataclass(frozen=True)
+class Cosine(Wave):
+    """cos(order x)."""
+
+    word: ClassVar[str] = "cos"
+
+    def value(self, x: Scalar) -> Scalar:
+        return spatial.cos(self.order * x)
+
+
+@dataclass(frozen=True)
+class Sine(Wave):
+    """sin(order x)."""
+
+    word: ClassVar[str] = "sin"
+
+    def value(self, x: Scalar) -> Scalar:
+        return spatial.sin(self.order * x)
+
+
+@dataclass(frozen=True)
+class Threshold(Shape):
+    """Something that happens at one value of the quantity."""
+
+    threshold: float = 0.0
+
+
+@dataclass(frozen=True)
+class Switch(Threshold):
+    """-1 below the threshold, +1 above it, a ramp within `half` of it."""
+
+    word: ClassVar[str] = "switch"
+
+    half: float = 1.0
+
+    def value(self, x: Scalar) -> Scalar:
+        ramp = (x - self.threshold) * (1.0 / self.half)
+        return spatial.minimum(spatial.maximum(ramp, -1.0), 1.0)
+
+    def check(self) -> None:
+        super().check()
+        if not self.half > 1e-9:
+            raise FunctionError(f"{self.word}: half {self.half}", "above 1e-9")
+
+    @property
+    def formula(self) -> str:
+        return f"sign({self.of} - {self.threshold:.4g})"
+
+
+@dataclass(frozen=True)
+class Above(Threshold):
+    """How far the quantity is above the threshold, else 0: a contact, a taut cable."""
+
+    word: ClassVar[str] = "above"
+    power: ClassVar[int] = 1
+
+    def value(self, x: Scalar) -> Scalar:
+        return spatial.maximum(x - self.threshold, 0.0)
+
+    @property
+    def formula(self) -> str:
+        return f"max(0, {self.of} - {self.threshold:.4g})"
+
+
+@dataclass(frozen=True)
+class Below(Threshold):
+    """How far the quantity is below the threshold, else 0."""
+
+    word: ClassVar[str] = "below"
+    power: ClassVar[int] = 1
+
+    def value(self, x: Scalar) -> Scalar:
+        return spatial.maximum(self.threshold - x, 0.0)
+
+    @property
+    def formula(self) -> str:
+        return f"max(0, {self.threshold:.4g} - {self.of})"
+
+
+SHAPES: dict[str, type[Shape]] = {
+    kind.word: kind
+    for kind in (
+        Linear,
+        Square,
+        SignedSquare,
+        Legendre,
+        Cosine,
+        Sine,
+        Switch,
+        Above,
+        Below,
+    )
+}
+"""Shapes by the word that stands for them in a model file."""
+
+
+@dataclass(frozen=True)
+class Function:
+    """A product of shapes; 1 without any."""
+
+    factors: tuple[Shape, ...] = ()
+
+    def value(self, read: Read) -> Scalar:
+        """Its value, given how to read a quantity."""
+        product: Scalar = 1.0
+        for factor in self.factors:
+            product = product * factor.at(read(factor.quantity))
+        return product
+
+    @property
+    def text(self) -> str:
+        """As it is stored."""
+        return " * ".join(f.text for f in self.factors) or "1"
+
+    @property
+    def domain(self) -> str:
+        """Ranges of its quantities, as they are stored."""
+        held = {f.of: f"{f.of} {f.low!r}..{f.high!r}" for f in self.factors}
+        return "; ".join(held.values())
+
+    @property
+    def formula(self) -> str:
+        """For people; empty for the constant."""
+        return " x ".join(f.formula for f in self.factors)
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """What it depends on."""
+        return tuple(dict.fromkeys(f.quantity for f in self.factors))
+
+    def units(self, arm: Arm) -> list[str]:
+        """Units of its value, to be multiplied; empty for a number."""
+        made = []
+        for factor in self.factors:
+            unit = factor.quantity.unit(arm)
+            made += [unit] * factor.power if unit != "1" else []
+        return made
+
+
+_FACTOR = re.compile(r"([a-z_]+)\(([A-Za-z]\w*)((?:, [^,()]+)*)\)")
+_RANGE = re.compile(r"([A-Za-z]\w*) (\S+?)\.\.(\S+)")
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+
+
+@lru_cache(maxsize=4096)
+def function(text: str, domain: str) -> Function:
+    """The function of a text over a domain.
+
+    Raises:
+        FunctionError: a part that is no shape, quantity, number or range; too many factors; a
+            quantity without its range, or a range without its quantity.
+    """
+    ranges = _ranges(domain)
+    parts = [] if text == "1" else text.split(" * ")
+    if len(parts) > MOST_FACTORS:
+        raise FunctionError(f"{len(parts)} factors", f"at most {MOST_FACTORS}")
+    factors = tuple(_factor(part, ranges) for part in parts)
+    for name in ranges:
+        if all(f.of != name for f in factors):
+            raise FunctionError(f"domain of {name}", "quantities of the function only")
+    return Function(factors)
+
+
+def _factor(text: str, ranges: dict[str, tuple[float, float]]) -> Shape:
+    found = _FACTOR.fullmatch(text)
+    kind = SHAPES.get(found.group(1)) if found else None
+    if found is None or kind is None:
+        raise FunctionError(text, f"a shape of a quantity, as linear(q2); shapes: {_words()}")
+    name, listed = found.group(2), found.group(3).split(", ")[1:]
+    if name not in ranges:
+        raise FunctionError(f"domain without {name}", f"its range, as {name} -1.0..1.0")
+    if len(listed) != len(kind.numbers()):
+        allowed = ", ".join(("quantity", *kind.numbers()))
+        raise FunctionError(text, f"{kind.word}({allowed})")
+    made = kind(name, *ranges[name], *map(_number, listed))
+    made.check()
+    return made
+
+
+def _ranges(domain: str) -> dict[str, tuple[float, float]]:
+    made: dict[str, tuple[float, float]] = {}
+    for part in domain.split("; ") if domain else ():
+        found = _RANGE.fullmatch(part)
+        if found is None or quantity(found.group(1)) is None:
+            raise FunctionError(part, "a quantity and its range, as q2 -0.4..0.7")
+        low, high = _number(found.group(2)), _number(found.group(3))
+        if not (low < high and max(abs(low), abs(high)) <= LARGEST):
+            raise FunctionError(part, f"lower..upper with lower < upper, within +-{LARGEST:g}")
+        if found.group(1) in made:
+            raise FunctionError(part, "each quantity once")
+        made[found.group(1)] = (low, high)
+    return made
+
+
+def _number(text: str) -> float:
+    if not _NUMBER.fullmatch(text):
+        raise FunctionError(text, "a number")
+    value = float(text)
+    if not math.isfinite(value):
+        raise FunctionError(text, "a finite number")
+    return value
+
+
+def _words() -> str:
+    return ", ".join(SHAPES)

@@ -1,0 +1,266 @@
+"""The functions that are tried: shapes of the inputs, alone and in products, in groups."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+
+from longarm_comp.core.effects.quantities import Quantity
+from longarm_comp.core.effects.shapes import (
+    Above,
+    Below,
+    Cosine,
+    Function,
+    Legendre,
+    Linear,
+    Shape,
+    SignedSquare,
+    Sine,
+    Square,
+    Switch,
+    Threshold,
+    Wave,
+)
+from longarm_comp.core.identify.discover.inputs import Argument, Arguments
+
+ORDERS = 5
+"""Legendre orders of a smooth function of one input."""
+TOTAL = 3
+"""Highest sum of orders of a smooth function of two."""
+THRESHOLDS = 7
+"""Thresholds tried between the ends of an input; dense ones only for the best."""
+HARMONICS = 4
+"""Periods per turn of an angle, at most; half periods over the range of a column: twice these."""
+
+
+@dataclass(frozen=True)
+class FunctionFamily:
+    """A kind of function.
+
+    Attributes:
+        name: in words.
+        share: of the prior probability of all kinds.
+        sharp: has a threshold; must be clearly better than a smooth one.
+    """
+
+    name: str
+    share: float
+    sharp: bool = False
+
+
+OWN = ("q", "load_", "side_")
+"""What every joint has of its own: names, without its number."""
+
+CONSTANT = FunctionFamily("constant", 0.05)
+LINEAR = FunctionFamily("linear", 0.25)
+SQUARE = FunctionFamily("square", 0.08)
+PRODUCT = FunctionFamily("product", 0.22)
+WAVE = FunctionFamily("harmonic", 0.08)
+SMOOTH = FunctionFamily("smooth", 0.12)
+SMOOTH_PAIR = FunctionFamily("smooth in two", 0.05)
+SWITCH = FunctionFamily("switch", 0.08, sharp=True)
+EACH_JOINT = FunctionFamily("the same at each joint", 0.05)
+CONTACT = FunctionFamily("contact", 0.07, sharp=True)
+
+
+@dataclass(frozen=True)
+class FunctionGroup:
+    """Functions that are fitted together, with one amount each.
+
+    Attributes:
+        family: kind.
+        functions: numbers of the functions.
+        decay: of their priors, against the first.
+    """
+
+    family: FunctionFamily
+    functions: tuple[int, ...]
+    decay: tuple[float, ...]
+
+
+class Functions:
+    """Every function that is tried, at N rows.
+
+    Args:
+        inputs: what they depend on.
+        of: kind of quantity that each must depend on; any where None.
+
+    Attributes:
+        listed: the functions.
+        groups: those that are fitted together at one component.
+        each_joint: those that are fitted together, each (commanded joint, function) of it along
+            that joint's own axis.
+    """
+
+    def __init__(self, inputs: Arguments, of: type[Quantity] | None = None) -> None:
+        self.inputs, self._of = inputs, of
+        self.listed: list[Function] = []
+        self.groups: list[FunctionGroup] = []
+        self.each_joint: list[tuple[tuple[int, int], ...]] = []
+        self._values: list[np.ndarray] = []
+        self._shapes: dict[Shape, np.ndarray] = {}
+        self._numbers: dict[Function, int] = {}
+        self._make()
+
+    @cached_property
+    def values(self) -> np.ndarray:
+        """(N, G) values of all functions."""
+        return np.stack(self._values, axis=1)
+
+    def number(self, *factors: Shape) -> int:
+        """Number of a product of shapes, added where it is new."""
+        made = Function(factors)
+        if made not in self._numbers:
+            self._numbers[made] = len(self.listed)
+            self.listed.append(made)
+            self._values.append(self.of(made))
+        return self._numbers[made]
+
+    def _usable(self, made: Function) -> bool:
+        return self._of is None or any(isinstance(q, self._of) for q in made.quantities)
+
+    def of(self, made: Function) -> np.ndarray:
+        """(N,) values of any function of the inputs."""
+        values = np.ones(len(self.inputs.all[0].values)) if self.inputs.all else np.ones(0)
+        for factor in made.factors:
+            values = values * self._at(factor)
+        return values
+
+    def _at(self, shape: Shape) -> np.ndarray:
+        if shape not in self._shapes:
+            self._shapes[shape] = np.asarray(shape.at(self.inputs.by_name[shape.of].values))
+        return self._shapes[shape]
+
+    def _group(self, family: FunctionFamily, *numbers: int, decay: Sequence[float] = ()) -> None:
+        kept = [k for k, n in enumerate(numbers) if self._usable(self.listed[n])]
+        if not kept:
+            return
+        numbers, decay = tuple(numbers[k] for k in kept), [decay[k] for k in kept] if decay else ()
+        self.groups.append(FunctionGroup(family, numbers, tuple(decay) or (1.0,) * len(numbers)))
+
+    def _make(self) -> None:
+        inputs = self.inputs.all
+        self._group(CONSTANT, self.number())
+        for one in inputs:
+            self._group(LINEAR, self.number(_linear(one)))
+        for one in inputs:
+            if not one.curves:
+                continue
+            for kind in (Square, SignedSquare):
+                if kind is Square or one.low < 0 < one.high:
+                    self._group(SQUARE, self.number(kind(one.name, one.low, one.high)))
+            for order in orders(one):
+                pair = [self.number(k(one.name, one.low, one.high, order)) for k in (Cosine, Sine)]
+                self._group(WAVE, *pair)
+            self._smooth(one)
+            for threshold in thresholds(one):
+                self._group(SWITCH, self.number(switch(one, threshold)))
+                for side in (Above, Below):
+                    made = side(one.name, one.low, one.high, threshold)
+                    self._group(CONTACT, self.number(made))
+        for a, b in combinations(inputs, 2):
+            self._group(PRODUCT, self.number(_linear(a), _linear(b)))
+        for a, b in self._pairs():
+            self._smooth_pair(a, b)
+        self._each_joint()
+
+    def _smooth(self, one: Argument) -> None:
+        top = min(ORDERS, one.levels - 2)
+        if top < 2:
+            return
+        made = [self.number(legendre(one, n)) for n in range(1, top + 1)]
+        self._group(SMOOTH, *made, decay=[1.0 / n for n in range(1, top + 1)])
+
+    def _each_joint(self) -> None:
+        """One function for every joint: of its own, or of none, times what all joints share."""
+        held = self.inputs.by_name
+        joints = range(self.inputs.joints)
+        for shared in (held[name] for name in self.inputs.shared):
+            alone = self.number(_linear(shared))
+            self.each_joint.append(tuple((j, alone) for j in joints))
+            for word in OWN:
+                of = [(j, held[f"{word}{j + 1}"]) for j in joints if f"{word}{j + 1}" in held]
+                made = [(j, self.number(_linear(own), _linear(shared))) for j, own in of]
+                if len(made) > 1:
+                    self.each_joint.append(tuple(made))
+
+    def _pairs(self) -> Iterator[tuple[Argument, Argument]]:
+        """Pairs of joint positions, and of these with what all joints share."""
+        shared = set(self.inputs.shared)
+        plain = [i for i in self.inputs.all if i.name.startswith("q") or i.name in shared]
+        yield from ((a, b) for a, b in combinations(plain, 2) if a.levels > 1 and b.levels > 1)
+
+    def _smooth_pair(self, a: Argument, b: Argument) -> None:
+        numbers, decay = [], []
+        for i in range(TOTAL + 1):
+            for j in range(TOTAL + 1 - i):
+                if i + j == 0 or i >= max(a.levels - 1, 2) or j >= max(b.levels - 1, 2):
+                    continue
+                if (i > 1 and not a.curves) or (j > 1 and not b.curves):
+                    continue
+                factors = [legendre(one, n) for one, n in ((a, i), (b, j)) if n]
+                numbers.append(self.number(*factors))
+                decay.append(1.0 / (i + j))
+        if len(numbers) > 3:
+            self._group(SMOOTH_PAIR, *numbers, decay=decay)
+
+
+def _linear(one: Argument) -> Linear:
+    return Linear(one.name, one.low, one.high)
+
+
+def legendre(one: Argument, order: int) -> Legendre:
+    """Legendre polynomial of an input over its range."""
+    return Legendre(one.name, one.low, one.high, order)
+
+
+def switch(one: Argument, threshold: float) -> Switch:
+    """A switch at a threshold: a ramp over the gap in the data there."""
+    below = one.values[one.values < threshold]
+    above = one.values[one.values >= threshold]
+    half = 0.5 * float(above.min() - below.max()) if len(below) and len(above) else 0.0
+    middle = 0.5 * float(above.min() + below.max()) if len(below) and len(above) else threshold
+    return Switch(one.name, one.low, one.high, middle, max(half, 1e-4 * (one.high - one.low)))
+
+
+def orders(one: Argument) -> list[float]:
+    """Harmonics that are tried of an input."""
+    if one.circular:
+        return [float(n) for n in range(1, HARMONICS + 1)]
+    span = one.high - one.low
+    return [n * math.pi / span for n in range(2, 2 * HARMONICS + 1)]
+
+
+def thresholds(one: Argument) -> list[float]:
+    """Thresholds that are tried of an input: its quantiles, off the levels."""
+    shares = np.arange(1, THRESHOLDS + 1) / (THRESHOLDS + 1)
+    return [float(v) for v in np.unique(np.quantile(one.values, shares))[1:-1]]
+
+
+def nearby(shape: Shape, one: Argument, width: float, count: int = 30) -> list[Shape]:
+    """The same shape with other thresholds or orders around it.
+
+    Args:
+        shape: with a threshold or an order; nothing is near any other.
+        one: its input.
+        width: how far around, in steps between those that were tried.
+        count: of looks.
+    """
+    if isinstance(shape, Threshold):
+        place = float((one.values < shape.threshold).mean())
+        step = 1.3 * width / (THRESHOLDS + 1)
+        shares = np.clip(np.linspace(place - step, place + step, count), 0.02, 0.98)
+        made = np.unique(np.quantile(one.values, shares))
+        if isinstance(shape, Switch):
+            return [switch(one, float(v)) for v in made]
+        return [type(shape)(one.name, one.low, one.high, float(v)) for v in made]
+    if isinstance(shape, Wave) and not one.circular:
+        step = width * math.pi / (one.high - one.low)
+        made = np.linspace(shape.order - step, shape.order + step, count)
+        return [type(shape)(one.name, one.low, one.high, float(v)) for v in made if v > 0]
+    return []

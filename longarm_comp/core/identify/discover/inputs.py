@@ -1,0 +1,158 @@
+"""What the functions of a discovered effect may depend on, read at the rows of a session."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.quantities import (
+    OfPosture,
+    OfRow,
+    Quantity,
+    Recorded,
+    is_column,
+    quantity,
+)
+
+ALIKE = 0.9995
+"""Correlation from which on two inputs count as one."""
+LEAST_SPAN = 0.03
+"""Range of a moment or of gravity's direction, in the widest one, below which it is sag alone."""
+FEW_LEVELS = 3
+"""On no more positions than this nothing tells a curve of the joint from another."""
+_FINE = 50
+_BOOKKEEPING = ("index",)
+
+
+@dataclass(frozen=True)
+class Argument:
+    """One input at N rows.
+
+    Attributes:
+        name: of the quantity (`core/effects/quantities.py`).
+        values: (N,).
+        levels: number of distinct values, to a fiftieth of the range (a sagging arm blurs them).
+        circular: an angle, of which harmonics are natural.
+    """
+
+    name: str
+    values: np.ndarray
+    levels: int
+    circular: bool = False
+
+    @cached_property
+    def low(self) -> float:
+        """Least value in the data."""
+        return float(self.values.min())
+
+    @cached_property
+    def high(self) -> float:
+        """Largest value in the data."""
+        return float(self.values.max())
+
+    @property
+    def curves(self) -> bool:
+        """Whether the data can show more than a straight line in it."""
+        return self.levels > FEW_LEVELS
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Arguments that differ from each other, at the rows of a session.
+
+    Attributes:
+        all: the inputs.
+        shared: names of those that act on every joint alike (loads in all, time, columns).
+        joints: number of commanded joints.
+    """
+
+    all: tuple[Argument, ...]
+    shared: tuple[str, ...]
+    joints: int
+
+    @cached_property
+    def by_name(self) -> dict[str, Argument]:
+        """Arguments by name."""
+        return {i.name: i for i in self.all}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names, in the order of the inputs."""
+        return tuple(i.name for i in self.all)
+
+
+def arm_inputs(arm: Arm, posture: Posture, session: Session) -> Arguments:
+    """Arguments of the arm's side at the rows of a session."""
+    rows = len(session)
+    columns = tuple(
+        "warmth" if n == "temperature_c" else n
+        for n in session.columns
+        if n not in _BOOKKEEPING and is_column(n)
+    )
+    made: list[Argument] = []
+    read: list[tuple[str, Quantity, np.ndarray]] = []
+    widest: dict[type, float] = {}
+    for name in _names(arm, session, columns):
+        found = quantity(name)
+        if not isinstance(found, (OfPosture, Recorded)) or not found.exists(arm):
+            continue
+        values = np.broadcast_to(np.asarray(found.read(posture), float), (rows,))
+        largest = widest.setdefault(type(found), float(np.ptp(values)))
+        widest[type(found)] = max(largest, float(np.ptp(values)))
+        read.append((name, found, values))
+    for name, found, values in read:
+        if isinstance(found, OfRow) and np.ptp(values) < LEAST_SPAN * widest[type(found)]:
+            continue
+        _add(made, name, values, arm)
+    kept = {i.name for i in made}
+    return Arguments(tuple(made), tuple(n for n in ("sum_loads", *columns) if n in kept), arm.n)
+
+
+def camera_inputs(points: np.ndarray, session: Session) -> Arguments:
+    """Arguments of the camera's side: the seen point (N, 3) m, and recorded columns."""
+    made: list[Argument] = []
+    for axis, values in zip("xyz", points.T, strict=True):
+        _add(made, f"seen_{axis}", values, None)
+    for name, values in session.columns.items():
+        if name not in _BOOKKEEPING and is_column(name):
+            _add(made, name, values, None)
+    return Arguments(tuple(made), (), 0)
+
+
+def _names(arm: Arm, session: Session, columns: tuple[str, ...]) -> Iterator[str]:
+    """Names of what may be tried, the plainest first: of two that are alike the first stays."""
+    joints = range(1, arm.n + 1)
+    rows = [joint.id for joint in arm.joints]
+    yield from (f"q{j}" for j in joints)
+    yield from columns
+    if session.approach.any():
+        yield from (f"side_{j}" for j in joints)
+    yield from (f"load_{j}" for j in joints)
+    yield "sum_loads"
+    yield from (f"moment_{row}_{axis}" for row in rows for axis in "xyz")
+    yield from (f"gravity_{row}_{axis}" for row in (0, *rows) for axis in "xyz")
+    yield from (f"distance_{a}_{b}" for a in (0, *rows) for b in rows if b > a + 1)
+
+
+def _add(made: list[Argument], name: str, values: np.ndarray, arm: Arm | None) -> None:
+    """Add an input that varies and is not one of those before."""
+    span = float(np.ptp(values)) if np.isfinite(values).all() else 0.0
+    if span <= 1e-9 * max(1.0, float(np.abs(values).max(initial=0.0))):
+        return
+    centred = values - values.mean()
+    size = float(np.linalg.norm(centred))
+    for other in made:
+        against = other.values - other.values.mean()
+        if abs(float(centred @ against)) > ALIKE * size * float(np.linalg.norm(against)):
+            return
+    levels = len(np.unique(np.round(_FINE * (values - values.min()) / span)))
+    found = quantity(name)
+    circular = arm is not None and found is not None and name.startswith("q")
+    circular = circular and found is not None and arm is not None and found.unit(arm) == "rad"
+    made.append(Argument(name, np.ascontiguousarray(values), levels, circular))

@@ -1,0 +1,364 @@
+"""The search for effects without a name, on top of everything that has one."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.shapes import Function, Threshold, Wave
+from longarm_comp.core.errors import JobError
+from longarm_comp.core.identify import noise as noise_step
+from longarm_comp.core.identify.discover.bank import (
+    Bank,
+    Hypothesis,
+    Weighed,
+    weight,
+    whitened_design,
+)
+from longarm_comp.core.identify.discover.banks import banks, term_of
+from longarm_comp.core.identify.discover.functions import nearby
+from longarm_comp.core.identify.fit import ModelFit, fit
+from longarm_comp.core.identify.linear import Marginal
+from longarm_comp.core.identify.noise import NoiseEstimate
+from longarm_comp.core.model.model import Model
+
+ENOUGH = 2.5
+"""Log evidence, the choice paid for, from which on a term is added."""
+SHARP = 3.0
+"""A threshold must be this much better than the best function without one."""
+SWAP = 2.0
+"""A term must be this much better than the one whose place it takes."""
+MOST = 6
+ROUNDS = 3
+"""Terms at most."""
+SCREENED = 12
+DENSE = 8
+NEARBY = (1.0, 0.08)
+"""Reach of the looks around a threshold or frequency, in steps between those tried."""
+LOOKS = math.log(4.0)
+"""Paid for them, log odds."""
+STEPS = 6
+
+Term = Effect | Bias
+
+
+@dataclass(frozen=True)
+class SearchedFunctions:
+    """What was found.
+
+    Attributes:
+        fit: of the model with the terms.
+        groups: what was added, in the order of finding, with its evidence on top of the rest.
+        noise: as judged with the terms.
+        alternatives: by group, others that explain as much but for the odds of `PLACES`.
+    """
+
+    fit: ModelFit
+    groups: tuple[Weighed, ...]
+    noise: NoiseEstimate
+    alternatives: tuple[tuple[Weighed, ...], ...]
+
+
+PLACES = 3.0
+"""Log odds below which another place explains a term as well."""
+
+
+def search(
+    base: ModelFit, known: NoiseEstimate | None, say: Callable[[str], None] = lambda _: None
+) -> SearchedFunctions | None:
+    """Terms that explain what a fit leaves; None where nothing does.
+
+    Args:
+        base: fit of everything that has a name.
+        known: noise from repeats, where there is any.
+        say: told what is being looked at.
+    """
+    state = _State(base, known)
+    for _ in range(ROUNDS):
+        grown = state.grow(say)
+        if not grown or not (state.swap(say) | state.join(say)):
+            break
+    if not state.groups:
+        return None
+    groups = tuple(state.evidence(k) for k in range(len(state.groups)))
+    others = tuple(state.others(k, groups[k]) for k in range(len(groups)))
+    return SearchedFunctions(state.fit, groups, state.noise, others)
+
+
+class _State:
+    def __init__(self, base: ModelFit, known: NoiseEstimate | None) -> None:
+        self.base, self.known = base, known
+        self.groups: tuple[Weighed, ...] = ()
+        self.fit, self.noise = _refitted(base.model, base, known)
+        self.banks = banks(self.fit)
+
+    # ------------------------------------------------------------------ scoring
+
+    def best(self, without: Sequence[int] = ()) -> Weighed | None:
+        """The best candidate on top of the model without some groups."""
+        found = self.ranked(without)
+        sharp = [s for s in found if s.candidate.family.sharp]
+        smooth = [s for s in found if not s.candidate.family.sharp]
+        if not smooth or (sharp and sharp[0].log_evidence > smooth[0].log_evidence + SHARP):
+            return sharp[0] if sharp else None
+        return smooth[0]
+
+    def ranked(self, without: Sequence[int] = ()) -> list[Weighed]:
+        """Candidates of all banks, best first, thresholds and frequencies refined."""
+        kept = self._kept(without)
+        marginal, py = self._marginal(kept)
+        design = whitened_design(self.fit)[..., kept]
+        made: list[Weighed] = []
+        for bank in self.banks:
+            few = bank.screened(self.fit, design, py, SCREENED)
+            mine = [bank.score(marginal, self.fit, c) for c in few if not self._held(c, without)]
+            mine.sort(key=lambda s: -s.log_evidence)
+            for one in mine[:DENSE]:
+                mine += self._refined(bank, marginal, one)
+            made += mine
+        return sorted(made, key=lambda s: -s.log_evidence)
+
+    def _refined(self, bank: Bank, marginal: Marginal, one: Weighed) -> list[Weighed]:
+        """A candidate with other thresholds or frequencies, closer and closer to the best."""
+        made: list[Weighed] = []
+        prior = one.candidate.log_prior - LOOKS
+        for width in NEARBY:
+            few = (
+                dataclasses.replace(c, log_prior=prior) for c in _around(bank, one.candidate, width)
+            )
+            made += [bank.score(marginal, self.fit, c) for c in few]
+            one = max((one, *made), key=lambda s: s.log_evidence)
+        return made
+
+    def _held(self, candidate: Hypothesis, without: Sequence[int]) -> bool:
+        held = {
+            m for k, g in enumerate(self.groups) if k not in without for m in g.candidate.members
+        }
+        return bool(held & set(candidate.members))
+
+    def _kept(self, without: Sequence[int]) -> np.ndarray:
+        gone = {key_of(t) for k in without for t in terms_of(self.groups[k])}
+        return np.array([key_of(s.owner) not in gone for s in self.fit.slots])
+
+    def _marginal(self, kept: np.ndarray) -> tuple[Marginal, np.ndarray]:
+        """Evidence on top of some of the model's columns, without regard to correlated noise."""
+        inside = self.fit.weights > 0
+        weights = weight(self.fit)
+        design = whitened_design(self.fit)[inside]
+        data = (self.fit.residual + self.fit.columns @ self.fit.model.values) * weights
+        flat = design.reshape(-1, design.shape[-1])[:, kept]
+        marginal = Marginal(flat, data[inside].ravel())
+        py = np.zeros(data.shape)
+        py[inside] = marginal.py.reshape(-1, data.shape[1])
+        return marginal, py
+
+    def evidence(self, k: int) -> Weighed:
+        """A group on top of all others."""
+        marginal, _ = self._marginal(self._kept([k]))
+        return self._score(marginal, self.groups[k].candidate)
+
+    def _score(self, marginal: Marginal, candidate: Hypothesis) -> Weighed:
+        for bank in self.banks:
+            if candidate.members[0][0] in bank.places:
+                return bank.score(marginal, self.fit, candidate)
+        raise AssertionError(candidate)
+
+    def others(self, k: int, now: Weighed) -> tuple[Weighed, ...]:
+        """Other places (and components) of the same functions that do nearly as well."""
+        marginal, _ = self._marginal(self._kept([k]))
+        members = now.candidate.members
+        if len({p for p, _ in members}) > 1:
+            return ()
+        made = []
+        for bank in self.banks:
+            for place in bank.places:
+                if place != members[0][0] and members[0][0] in bank.places:
+                    moved = tuple((place, f) for _, f in members)
+                    other = bank.score(
+                        marginal, self.fit, dataclasses.replace(now.candidate, members=moved)
+                    )
+                    if other.log_evidence > now.log_evidence - PLACES:
+                        made.append(other)
+        return tuple(sorted(made, key=lambda s: -s.log_evidence))
+
+    # ------------------------------------------------------------------ steps
+
+    def grow(self, say: Callable[[str], None]) -> bool:
+        """Add groups until none pays; whether any was added."""
+        grown = False
+        while len(self.groups) < MOST:
+            best = self.best()
+            if best is None or best.log_evidence < ENOUGH:
+                break
+            say(_label(best.candidate))
+            before = self.groups
+            try:
+                self.take((*before, best))
+            except JobError:
+                self.take(before)
+                break
+            if len(self.groups) <= len(before):
+                break
+            grown = True
+        return grown
+
+    def take(self, groups: Sequence[Weighed]) -> None:
+        """Fit with some groups, judge the noise again, drop what no longer pays."""
+        while True:
+            self.groups = tuple(groups)
+            model = _with(self.base.model, self.fit.model, self.groups)
+            self.fit, self.noise = _refitted(model, self.fit, self.known)
+            groups = self._lasting()
+            if _same(groups, self.groups):
+                return
+
+    def _lasting(self) -> tuple[Weighed, ...]:
+        """The groups without members that are less than their own uncertainty, and without
+        the weakest group that does not pay."""
+        values = {
+            key_of(s.owner): (getattr(s.owner, s.parameter.name), se)
+            for s, se in zip(self.fit.slots, self.fit.standard_errors, strict=True)
+        }
+        made, weakest, low = [], None, ENOUGH
+        for k, group in enumerate(self.groups):
+            sure = [
+                i
+                for i, t in enumerate(terms_of(group))
+                if abs(values[key_of(t)][0]) > values[key_of(t)][1]
+            ]
+            if not sure:
+                continue
+            made.append(_part(group, sure))
+            evidence = self.evidence(k).log_evidence
+            if evidence < low:
+                weakest, low = made[-1], evidence
+        return tuple(g for g in made if g is not weakest)
+
+    def swap(self, say: Callable[[str], None]) -> bool:
+        """Replace groups by better ones, given the rest."""
+        changed = False
+        for k in range(len(self.groups)):
+            if len(self.groups) < 2 or k >= len(self.groups):
+                break
+            now, best = self.evidence(k), self.best([k])
+            if best is not None and best.log_evidence > now.log_evidence + SWAP:
+                say(f"{_label(best.candidate)} instead")
+                self.take((*self.groups[:k], best, *self.groups[k + 1 :]))
+                changed = True
+        return changed
+
+    def join(self, say: Callable[[str], None]) -> bool:
+        """One group in the place of two, where it is better than both."""
+        for i, j in combinations(range(len(self.groups)), 2):
+            best = self.best([i, j])
+            marginal, _ = self._marginal(self._kept([i, j]))
+            first = self._score(marginal, self.groups[i].candidate)
+            now = first.log_evidence + self.evidence(j).log_evidence
+            if best is not None and best.log_evidence > now + SWAP:
+                say(f"{_label(best.candidate)} instead of two")
+                kept = [g for k, g in enumerate(self.groups) if k not in (i, j)]
+                self.take((*kept, best))
+                return True
+        return False
+
+
+# ------------------------------------------------------------------ terms and fits
+
+
+def key_of(term: Term) -> tuple[str, str]:
+    """An effect at a place, with its function."""
+    return term.name, term.place
+
+
+def terms_of(group: Weighed) -> list[Term]:
+    """The terms of a model that a group stands for."""
+    return [
+        term_of(place, f.text, f.domain, float(scale), float(amount))
+        for (place, f), scale, amount in zip(
+            group.candidate.members, group.scale, group.mean, strict=True
+        )
+    ]
+
+
+def _with(base: Model, now: Model, groups: Sequence[Weighed]) -> Model:
+    """The base with the groups' terms, started from the values of the model as it is now."""
+    known = {key_of(t): t for t in now.terms}
+    added = [t for g in groups for t in terms_of(g)]
+    terms = [known.get(key_of(t), t) for t in (*base.terms, *added)]
+    return dataclasses.replace(
+        base,
+        effects=tuple(t for t in terms if isinstance(t, Effect)),
+        biases=tuple(t for t in terms if isinstance(t, Bias)),
+    )
+
+
+def _refitted(
+    model: Model, last: ModelFit, known: NoiseEstimate | None
+) -> tuple[ModelFit, NoiseEstimate]:
+    """Fit, noise and inliers judged by what it leaves, and fit again."""
+    session = last.session
+    first = fit(
+        model, session, sigma=last.sigma, rho=last.rho, weights=last.weights, max_iterations=STEPS
+    )
+    nothing = np.zeros((*first.residual.shape, 0))
+    judged, weights = noise_step.from_residual(first, nothing)
+    if known is not None:
+        judged = noise_step.agreed(known, judged)
+    again = fit(
+        first.model,
+        session,
+        sigma=judged.sigma,
+        rho=judged.rho,
+        weights=weights,
+        max_iterations=STEPS,
+    )
+    return again, judged
+
+
+def _part(group: Weighed, members: Sequence[int]) -> Weighed:
+    if len(members) == len(group.candidate.members):
+        return group
+    candidate = dataclasses.replace(
+        group.candidate,
+        members=tuple(group.candidate.members[i] for i in members),
+        decay=tuple(group.candidate.decay[i] for i in members),
+    )
+    at = list(members)
+    return Weighed(candidate, group.log_evidence, group.mean[at], group.scale[at])
+
+
+def _same(a: Sequence[Weighed], b: Sequence[Weighed]) -> bool:
+    return [g.candidate.members for g in a] == [g.candidate.members for g in b]
+
+
+def _around(bank: Bank, candidate: Hypothesis, width: float) -> Iterator[Hypothesis]:
+    """The same candidate with thresholds or frequencies near its own."""
+    factors = {f for function in candidate.functions for f in function.factors}
+    bent = [f for f in factors if isinstance(f, (Threshold, Wave))]
+    by_name = bank.functions.inputs.by_name
+    if len(bent) == 1:
+        for other in nearby(bent[0], by_name[bent[0].of], width):
+            yield _renamed(candidate, {bent[0]: other})
+    elif len(bent) == 2 and all(isinstance(f, Wave) for f in bent):
+        first, second = (nearby(f, by_name[f.of], width) for f in bent)
+        for pair in zip(first, second, strict=True):
+            yield _renamed(candidate, dict(zip(bent, pair, strict=True)))
+
+
+def _renamed(candidate: Hypothesis, other: dict) -> Hypothesis:
+    members = tuple(
+        (place, Function(tuple(other.get(f, f) for f in function.factors)))
+        for place, function in candidate.members
+    )
+    return dataclasses.replace(candidate, members=members)
+
+
+def _label(candidate: Hypothesis) -> str:
+    place, function = candidate.members[0]
+    return f"{place.at}, {place.component}: {function.formula}"

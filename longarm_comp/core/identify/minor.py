@@ -1,0 +1,161 @@
+"""The practical size of an effect: what it is worth at the tip, beside how sure it is.
+
+Many rows make the smallest effect certain.  One that moves the tip by less than anybody needs is
+not named: it is taken out of the model again and listed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence, Set
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.identify.candidates import CandidateColumns, Term
+from longarm_comp.core.identify.evidence import IMPLAUSIBLE, columns_at, key, marginal_without
+from longarm_comp.core.identify.fit import ModelFit, priors
+from longarm_comp.core.identify.search import SearchResult
+from longarm_comp.core.model.model import slots_of
+
+SMALLEST_M = 5e-5
+"""An effect that is worth less at the tip does not matter: no servo and no camera knows better."""
+OF_SPREAD = 2e-4
+"""On a small arm: the same as a share of the median distance of the sightings from their middle."""
+OF_NOISE = 0.1
+"""Nor does an effect matter that is worth less than this share of the noise."""
+AT_BOUND = 1e-6
+"""Distance from a bound, in prior standard deviations, that is none."""
+
+
+@dataclass(frozen=True)
+class Minor:
+    """Terms of an effect that the data ask for, but that were taken out of the model again.
+
+    Attributes:
+        name: canonical name.
+        where: places, in order.
+        worth_m: RMS length at the tip that only they explain, m.
+        why: in words.
+    """
+
+    name: str
+    where: tuple[str, ...]
+    worth_m: float
+    why: str
+
+
+def worth(fit: ModelFit, columns: CandidateColumns, terms: Sequence[Term]) -> float:
+    """RMS length at the tip (m) of what only some fitted terms explain.
+
+    What the geometry and the other effects would take up without them is left out.
+
+    Args:
+        fit: that holds the terms.
+        columns: of candidates at the fit's rows.
+        terms: as fitted.
+    """
+    slots = slots_of(fit.model.arm, terms)
+    fixed = [t for t in terms if not slots_of(fit.model.arm, [t])]
+    values = np.array([getattr(s.owner, s.parameter.name) for s in slots]) / priors(slots)
+    moved = columns.of(terms) @ values
+    if fixed:
+        moved = moved + columns.shift(fixed)
+    marginal = marginal_without(fit, columns, {key(t) for t in terms})
+    alone = marginal.project(fit.whitened(moved[..., None])[:, 0])
+    return float(np.sqrt(((alone.reshape(-1, fit.width) * _unit(fit)) ** 2).sum(1).mean()))
+
+
+def share(fit: ModelFit, worth_m: float) -> float:
+    """What an effect takes of the mean squared error that the fitted rows would have without it."""
+    left = fit.residual[fit.weights > 0] * fit.metres
+    return float(worth_m**2 / max(worth_m**2 + (left**2).sum(1).mean(), 1e-30))
+
+
+def smallest(fit: ModelFit) -> float:
+    """Worth (m) below which an effect does not matter."""
+    rows = fit.session.take(fit.session.located)
+    limit = SMALLEST_M
+    if len(rows) > 1:
+        middle = np.median(rows.xyz, axis=0)
+        spread = np.median(np.linalg.norm(rows.xyz - middle, axis=1))
+        limit = min(limit, OF_SPREAD * float(spread))
+    return max(limit, OF_NOISE * float(np.linalg.norm(_unit(fit))))
+
+
+def settled(
+    result: SearchResult, say: Callable[[str], None]
+) -> tuple[SearchResult, tuple[Minor, ...]]:
+    """The search's result without the terms that do not matter, the rest fitted again, and these.
+
+    Taken out, one after the other, is an effect or a place at the limit of what is possible, or
+    worth too little.  What another effect can only stand for with a size that nobody believes
+    stays, however little its own part is.
+    """
+    gone: list[Minor] = []
+    needed: set[tuple[str, str]] = set()
+    while True:
+        found = _worst(result, needed)
+        if found is None:
+            return result, tuple(gone)
+        terms, minor = found
+        places = {key(t) for t in terms}
+        without = result.without(places)
+        if _unbelievable(without.fit) > _unbelievable(result.fit):
+            needed |= places
+            continue
+        say(f"without {minor.name} ({', '.join(minor.where)}): {minor.why}")
+        result = without
+        gone.append(minor)
+
+
+def _unbelievable(fit: ModelFit) -> int:
+    """Number of parameters of a size that nobody believes."""
+    sizes = fit.model.values / priors(fit.slots)
+    return int((np.abs(sizes) > IMPLAUSIBLE).sum())
+
+
+def _worst(
+    result: SearchResult, needed: Set[tuple[str, str]]
+) -> tuple[tuple[Term, ...], Minor] | None:
+    """What to take out next, but for what is needed: whole effects before single places.
+
+    A place of an effect that jumps stays: at poses between the fitted ones it is of another size.
+    """
+    fit, columns, limit = result.fit, columns_at(result.fit), smallest(result.fit)
+    families: dict[str, list[Term]] = {}
+    held = {key(t) for t in result.chosen}
+    for term in fit.model.terms:
+        if key(term) in held:
+            families.setdefault(term.name, []).append(term)
+    options = [(tuple(terms), 1) for terms in families.values()]
+    options += [
+        ((t,), len(terms))
+        for terms in families.values()
+        for t in terms
+        if len(terms) > 1 and t.continuous
+    ]
+    for terms, mates in options:
+        if needed >= {key(t) for t in terms}:
+            continue
+        length = worth(fit, columns, terms)
+        why = _impossible(fit, terms[0]) if len(terms) == 1 else ""
+        if length < limit / np.sqrt(mates):
+            why = f"worth {1e3 * length:.2g} mm at the tip, too small to matter"
+        if why:
+            places = tuple(dict.fromkeys(t.where for t in terms))
+            return terms, Minor(terms[0].name, places, length, why)
+    return None
+
+
+def _impossible(fit: ModelFit, term: Term) -> str:
+    """Which parameter of a term is at the limit of what is possible, which 0 is not; or empty."""
+    for p in term.parameters(fit.model.arm):
+        value = float(getattr(term, p.name))
+        if any(bound and abs(value - bound) < AT_BOUND * p.prior for bound in (p.lower, p.upper)):
+            return f"{p.name} {value:.3g} {p.unit} is the limit of what is possible"
+    return ""
+
+
+def _unit(fit: ModelFit) -> np.ndarray:
+    """(d,) noise of the channels as lengths at the tip, m; 0 where one is none."""
+    return np.where(np.isfinite(fit.sigma), fit.sigma, 0.0) * fit.metres

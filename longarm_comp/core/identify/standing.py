@@ -1,0 +1,108 @@
+"""Where an arm stands before anything is fitted, and what its rows can never tell of that."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.measurement import errors, turns
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.base_pose import BasePose
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.tip_offset import TipOffset
+from longarm_comp.core.effects.tip_orientation import TipOrientation
+from longarm_comp.core.identify.fit import ModelFit
+from longarm_comp.core.identify.placement import placed
+from longarm_comp.core.identify.sensor_frames import framed, reference, sensor_frames, started
+from longarm_comp.core.model.model import Model
+
+MISPLACED = 0.25
+"""Median error, as a share of the tips' spread (or in rad), of an arm that stands elsewhere."""
+UNTOLD = 0.1
+"""Posterior standard deviation, in that of a prior that knows nothing, of what rows do not tell."""
+_H = 1e-6
+
+
+def frames(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
+    """Base placement(s), markers and what the sensors leave open: what any measurement needs."""
+    groups = sorted(set(session.labels["group"])) if "group" in session.labels else []
+    bases = tuple(BasePose(group=str(g)) for g in groups) if len(groups) > 1 else (BasePose(),)
+    placed = bases if framed(arm, session) else ()
+    return (*placed, *TipOffset.for_arm(arm), *sensor_frames(arm, session))
+
+
+def with_frames(model: Model, session: Session) -> Model:
+    """The model with bases, markers and sensors where the rows say, in closed form."""
+    whole = model.with_missing(frames(model.arm, session))
+    return started(placed(whole, reference(session)), session)
+
+
+def standing(model: Model, session: Session) -> tuple[Model, bool]:
+    """A model as its errors may be shown: placed by the rows where they see it somewhere else.
+
+    The axes of a tracked body are never declared, so how they sit on the tip is always solved.
+
+    Args:
+        model: the arm as declared, or a model of it.
+        session: measured rows.
+
+    Returns:
+        The model, and whether it was placed.
+    """
+    bodies = [t for t in frames(model.arm, session) if isinstance(t, TipOrientation)]
+    whole = model.with_missing(bodies)
+    axes = model if whole.terms == model.terms else started(whole, session)
+    groups = (session.take(session.frames == name) for name in np.unique(session.frames))
+    if any(misplaced(axes, rows) for rows in groups):
+        return with_frames(model, session), True
+    return axes, False
+
+
+def misplaced(model: Model, session: Session) -> bool:
+    """Whether the rows see the arm somewhere else than a model puts it."""
+    if not session.placed.any():
+        return bool(session.turned.any()) and _median(turns(model, session)) > MISPLACED
+    rows = session.take(session.placed)
+    tips = model.tip(rows.q, rows.context())
+    return _median(errors(model, rows)) > MISPLACED * _median(tips - np.median(tips, axis=0))
+
+
+def untold(fit: ModelFit) -> tuple[str, ...]:
+    """What of bases, markers and sensors the fitted rows do not tell: ``base: x, y, turn about z``.
+
+    It was left where it was declared.  A base's directions are those of the measurements' frame.
+    """
+    found = []
+    for k, term in enumerate(fit.model.terms):
+        mine = [i for i, slot in enumerate(fit.slots) if slot.term == k and slot.parameter.unknown]
+        if not mine:
+            continue
+        names = [fit.slots[i].parameter.name for i in mine]
+        covariance = fit.covariance[np.ix_(mine, mine)]
+        if isinstance(term, BasePose) and len(mine) == 6:
+            motion = _motion(term, fit.model.arm)
+            covariance = motion @ covariance @ motion.T
+            names = ["x", "y", "z", "turn about x", "turn about y", "turn about z"]
+        widths = np.array([fit.slots[i].parameter.width for i in mine])
+        open_ = np.sqrt(np.diag(covariance)) > UNTOLD * widths
+        if open_.any():
+            which = ", ".join(name for name, left in zip(names, open_, strict=True) if left)
+            found.append(f"{term.where}: {which}")
+    return tuple(found)
+
+
+def _motion(base: BasePose, arm: Arm) -> np.ndarray:
+    """(6, 6) shift (m) and turn (rad) of the base, in the measurements' frame, by its values."""
+    names = ("x", "y", "z", "rx", "ry", "rz")
+    made = np.zeros((6, 6))
+    for k, name in enumerate(names):
+        value = getattr(base, name)
+        ends = [base.with_values({name: value + s * _H}).base(arm).matrix() for s in (1.0, -1.0)]
+        change = (ends[0] - ends[1]) / (2 * _H)
+        turn = change[:3, :3] @ base.base(arm).matrix()[:3, :3].T
+        made[:, k] = (*change[:3, 3], turn[2, 1], turn[0, 2], turn[1, 0])
+    return made
+
+
+def _median(error: np.ndarray) -> float:
+    return float(np.median(np.linalg.norm(error, axis=1)))
