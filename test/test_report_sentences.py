@@ -177,12 +177,12 @@ def test_a_cause_without_a_name_has_a_card_and_is_counted(told: list[Told]) -> N
         )
         said, made = cards.meaning(found), cards.cards(found)
         assert len(made) == 1 + kept
-        assert ("two without a name were" in said) == kept and "none was added" not in said
+        assert ("two causes without a name were" in said) == kept and "none was added" not in said
     (card,) = made
     assert card.title == "Cause without a name, joint 5" and card.action == cause.action
     assert card.tip == "1.25 mm at the tip, up to 3.75 mm"
     assert card.sure == "certain; the place is open" and "joint 6, force y" in card.because
-    assert card.improves == "1.39 → 0.11 mm (RMS)" and "compensates it" in card.software
+    assert card.improves == "1.39 → 0.11 mm" and "compensates it" in card.software
 
 
 def test_the_figures_of_the_first_screen_are_those_of_the_table(told: list[Told]) -> None:

@@ -8,6 +8,7 @@ from math import log
 
 from longarm_comp.core.data.commanded import CAMERA_SIDE
 from longarm_comp.core.effects.units import for_people
+from longarm_comp.core.identify.candidates import NO_PLACE
 from longarm_comp.report.detail import Detail, SetSplit
 from longarm_comp.report.record import (
     DiagnosisReport,
@@ -61,6 +62,7 @@ class Card:
         action: at the arm.
         software: what a command does about it.
         improves: held-out error without and with it.
+        figure: which figure of the error that is.
     """
 
     title: str
@@ -76,6 +78,7 @@ class Card:
     action: str
     software: str
     improves: str
+    figure: str = "mean error without → with it"
 
 
 def cards(report: DiagnosisReport) -> list[Card]:
@@ -90,26 +93,23 @@ def _unnamed(found: ReportDiscovered) -> Card:
     said = f"Odds of {odds(found.log_evidence)} for it, the choice among all functions paid for."
     if others:
         said += f" Places that explain it as well: {_listed(others)}."
-    sizes = tuple(
-        Size(t.where, t.function, f"{number(t.value, 3)} {t.unit}", interval(t.ci95, 3))
-        for t in found.terms
-    )
     tip = f"{millimetres(found.tip_mm.rms)} at the tip, up to {millimetres(found.tip_mm.max)}"
     held = "Inside the range of the data the new model.yaml compensates it."
     return Card(
         title=f"{(found.title or 'cause without a name').capitalize()}, {found.frame}",
         names="discovered",
         where=found.frame,
-        sizes=sizes[:MOST_SIZES],
-        more=max(0, len(sizes) - MOST_SIZES),
-        reading=f"{found.formula}; {found.reading}",
+        sizes=(),
+        more=0,
+        reading=f"{found.formula}. {found.reading[:1].upper()}{found.reading[1:]}.",
         tip=tip,
         sure=word + ("; the place is open" if others else ""),
         because=said,
         doubts=(),
         action=found.action,
         software=held if found.compensated else "Commands leave it out.",
-        improves=f"{change(found.held_out_rms_mm)} (RMS)",
+        improves=change(found.held_out_rms_mm),
+        figure="RMS error without → with all that was found without a name",
     )
 
 
@@ -236,8 +236,8 @@ def meaning(report: DiagnosisReport) -> str:
     """The verdict in one sentence."""
     n, open_ = len(report.findings), sum(len(f.set) > 1 for f in report.findings)
     left, unnamed = report.structure_left, sum(found.kept for found in report.discovered)
-    none = f"{_count(unnamed).lower()} without a name was found and added"
-    none = none.replace("was", "were") if unnamed > 1 else none
+    none = f"{_count(unnamed).lower()} cause without a name was found and added"
+    none = none.replace("cause", "causes").replace("was", "were") if unnamed > 1 else none
     added = none if unnamed else "none was added"
     return {
         "noise": "Nothing beyond the noise was found; nothing was added.",
@@ -348,9 +348,11 @@ def open_questions(report: DiagnosisReport, detail: Detail) -> list[Open]:
         if len(f.set) > 1 and tuple(f.set) not in split
     ]
     rows = report.candidates
-    untested = tuple(f"{c.effect}: {c.why}" for c in rows if c.state == "not_testable")
+    untested = tuple(
+        f"{c.effect}: {c.why}" for c in rows if c.state == "not_testable" and c.why != NO_PLACE
+    )
     if untested:
-        made.append(Open("Not testable with this session or on this arm:", untested))
+        made.append(Open("Not testable with this session:", untested))
     unseen = tuple(f"{c.effect}, {c.where}: {c.why}" for c in rows if c.state == "invisible")
     if unseen:
         made.append(Open("May be there, but would not show at its usual size:", unseen))

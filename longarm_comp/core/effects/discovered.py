@@ -47,7 +47,7 @@ class Discovered(Effect):
 
     name: ClassVar[str] = "discovered"
     title: ClassVar[str] = "cause without a name"
-    action: ClassVar[str] = "Look there for what it behaves like."
+    action: ClassVar[str] = "Look there for something that acts like this."
     loaded: ClassVar[bool] = True
     bounded: ClassVar[bool] = True
     searched: ClassVar[bool] = False
