@@ -18,7 +18,6 @@ from hidden_arm import at, session
 from report_pages import Page
 from small_arm import ARM
 
-from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.diagnosis import Diagnosis, diagnose
 from longarm_comp.core.identify.evidence import Score
 from longarm_comp.core.identify.practical import practical
@@ -88,7 +87,7 @@ def drawn(seed: int) -> Diagnosis:
             base.proof,
             errors=seen,
             commanded=commanded,
-            rows={stage: Errors.of(error) for stage, error in seen.items()},
+            turned=dict.fromkeys(seen, np.zeros((0, 3))),
         ),
         discovery=None,
         rolled_back=rolled_back,

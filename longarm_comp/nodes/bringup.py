@@ -98,9 +98,11 @@ class BringUp:
 
     def _faster(self, node: str) -> dict[str, Any]:
         """Velocities of the servos and the driver's limits, scaled by the same factor."""
-        if node not in ("servo_driver", "simulated_arm"):
+        if node not in ("servo_driver", "simulated_arm", "kinematics"):
             return {}
         given = _ros_parameters(self.file(node))
+        if node == "kinematics":
+            return {"joints_max_rate": self.speed * float(given.get("joints_max_rate", 5.0))}
         if node == "servo_driver":
             return {
                 f"joints.{name}.max_velocity": self.speed * float(joint["max_velocity"])

@@ -17,7 +17,7 @@ from longarm_comp.core.identify.in_words import left_in_words
 from longarm_comp.core.identify.practical import Gain, practical
 from longarm_comp.report.candidate_states import candidate_rows, sizes
 from longarm_comp.report.detail import Detail
-from longarm_comp.report.discovered import discovered
+from longarm_comp.report.discovered import KEY, discovered
 from longarm_comp.report.drawing import SPLITS, detail
 from longarm_comp.report.noise_floor import ErrorFigures, NoiseFloor, excess, noise_floor
 from longarm_comp.report.record import SCHEMA
@@ -86,7 +86,7 @@ def record_of(
             for q in by.q
         ],
         "outliers": _outliers(diagnosis),
-        "discovered": discovered(diagnosis.discovery),
+        KEY: discovered(diagnosis.discovery),
         "provenance": _provenance(diagnosis.seed, data_sha256, len(diagnosis.holdout_uses)),
     }
 
@@ -106,7 +106,7 @@ def refused(
         "held_out": {"n": 0, "rows": [], "before_after_ci95_mm": None},
         "next_poses": [],
         "outliers": [],
-        "discovered": [],
+        KEY: [],
         "provenance": _provenance(seed, data_sha256, 0),
     }
     return report, Detail(title=title)

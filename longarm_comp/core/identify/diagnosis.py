@@ -26,6 +26,7 @@ from longarm_comp.core.identify.noise import from_repeats
 from longarm_comp.core.identify.plausible import check_fits, check_noise, check_sizes, check_worth
 from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.proof import NETWORK, LearnedCorrection, Proof, prove
+from longarm_comp.core.identify.remainder import without_remainders
 from longarm_comp.core.identify.search import SearchResult, search
 from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.identify.structure import Structure, examine
@@ -38,12 +39,12 @@ LEAST_SHARE = 0.5
 MOST_OUTLIERS = 0.16
 """More rejected rows than this are not outliers but something that the model lacks."""
 
-DISCOVERED = "with_discovered"
-"""Name of the stage with causes that have no name."""
 T = TypeVar("T")
-
 Train = Callable[[Model, Session], LearnedCorrection]
 Progress = Callable[[str], None]
+Left = Mapping[str, np.ndarray]
+DISCOVERED = "with_discovered"
+"""Name of the stage with causes that have no name."""
 
 
 @dataclass(frozen=True)
@@ -326,6 +327,8 @@ def _identify(
         searched, memory = refined(searched, memory, rows)
         candidates, train = memory.candidates(candidates), rows(memory.run_up)
     searched, minor = settled(searched, say)
+    searched, remainders = without_remainders(searched, say)
+    minor += remainders
     say("look-alikes")
     result, found = findings(searched, candidates)
     say("structure")
@@ -427,23 +430,23 @@ def _with_discovery(
     outcome: _Outcome, found: Discovery, learn: _Learner, held_out: Session
 ) -> _Outcome:
     """The outcome with what was found: a network comes after it, of what that leaves."""
-    before, after = outcome.proof, found.proof
+    before = outcome.proof
+
+    def joined(before: Left, after: Left) -> Left:
+        kept = {stage: left for stage, left in before.items() if stage != NETWORK}
+        return {**kept, DISCOVERED: after["with_effects"]}
+
     proof = dataclasses.replace(
         before,
-        errors={**_models(before.errors), DISCOVERED: after.errors["with_effects"]},
-        commanded={**_models(before.commanded), DISCOVERED: after.commanded["with_effects"]},
-        rows={**_models(before.rows), DISCOVERED: after.rows["with_effects"]},
+        errors=joined(before.errors, found.proof.errors),
+        commanded=joined(before.commanded, found.proof.commanded),
+        turned=joined(before.turned, found.proof.turned),
     )
     network = learn.on(found.fit.model, found.structure)
     tested = proof.with_network(found.fit.model, network, held_out)
     kept = network if tested.network_helps(DISCOVERED) else None
     findings = tuple(f for f in outcome.findings if f.name not in found.without)
     return dataclasses.replace(outcome, findings=findings, network=kept, proof=tested)
-
-
-def _models(left: Mapping[str, T]) -> dict[str, T]:
-    """Without the network."""
-    return {k: v for k, v in left.items() if k != NETWORK}
 
 
 def _all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Structure:

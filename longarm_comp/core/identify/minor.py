@@ -12,10 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.identify.candidates import CandidateColumns, Term
-from longarm_comp.core.identify.evidence import IMPLAUSIBLE, columns_at, key, marginal_without
+from longarm_comp.core.identify.evidence import (
+    IMPLAUSIBLE,
+    columns_at,
+    key,
+    marginal_without,
+    shift_of,
+)
 from longarm_comp.core.identify.fit import ModelFit, priors
 from longarm_comp.core.identify.search import SearchResult
-from longarm_comp.core.model.model import slots_of
 
 SMALLEST_M = 5e-5
 """An effect that is worth less at the tip does not matter: no servo and no camera knows better."""
@@ -54,12 +59,7 @@ def worth(fit: ModelFit, columns: CandidateColumns, terms: Sequence[Term]) -> fl
         columns: of candidates at the fit's rows.
         terms: as fitted.
     """
-    slots = slots_of(fit.model.arm, terms)
-    fixed = [t for t in terms if not slots_of(fit.model.arm, [t])]
-    values = np.array([getattr(s.owner, s.parameter.name) for s in slots]) / priors(slots)
-    moved = columns.of(terms) @ values
-    if fixed:
-        moved = moved + columns.shift(fixed)
+    moved = shift_of(fit, columns, terms)
     marginal = marginal_without(fit, columns, {key(t) for t in terms})
     alone = marginal.project(fit.whitened(moved[..., None])[:, 0])
     return float(np.sqrt(((alone.reshape(-1, fit.width) * _unit(fit)) ** 2).sum(1).mean()))
@@ -108,6 +108,16 @@ def settled(
         gone.append(minor)
 
 
+def families(result: SearchResult) -> dict[str, tuple[Term, ...]]:
+    """The found terms, as fitted, by effect."""
+    held = {key(t) for t in result.chosen}
+    found: dict[str, list[Term]] = {}
+    for term in result.fit.model.terms:
+        if key(term) in held:
+            found.setdefault(term.name, []).append(term)
+    return {name: tuple(terms) for name, terms in found.items()}
+
+
 def _unbelievable(fit: ModelFit) -> int:
     """Number of parameters of a size that nobody believes."""
     sizes = fit.model.values / priors(fit.slots)
@@ -122,15 +132,11 @@ def _worst(
     A place of an effect that jumps stays: at poses between the fitted ones it is of another size.
     """
     fit, columns, limit = result.fit, columns_at(result.fit), smallest(result.fit)
-    families: dict[str, list[Term]] = {}
-    held = {key(t) for t in result.chosen}
-    for term in fit.model.terms:
-        if key(term) in held:
-            families.setdefault(term.name, []).append(term)
-    options = [(tuple(terms), 1) for terms in families.values()]
+    found = families(result)
+    options = [(terms, 1) for terms in found.values()]
     options += [
         ((t,), len(terms))
-        for terms in families.values()
+        for terms in found.values()
         for t in terms
         if len(terms) > 1 and t.continuous
     ]

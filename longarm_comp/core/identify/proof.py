@@ -14,7 +14,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import equations, errors, metres, posture, turns
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.calibrate import Errors, errors_of
+from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.fit import ModelFit
 from longarm_comp.core.identify.linear import MAD, OUTLIER, median
 from longarm_comp.core.model.model import Model
@@ -56,7 +56,7 @@ class Proof:
         errors: by model name, (M, 3) measured - predicted of the rows that say where the tip is,
             m (`core/data/measurement.py`).
         commanded: the same as a command would have them (`core/data/commanded.py`).
-        rows: by model name, figures of `errors`, and of orientations.
+        turned: by model name, (K, 3) of the rows that say how the tip is turned, rad.
         better: whether the effects lowered the held-out squared error, each axis in units of its
             noise, beyond chance (95 %, one-sided). Where the hold-out is too small to show effects
             of their size: whether it does not speak against them by odds of 20.
@@ -70,12 +70,17 @@ class Proof:
 
     errors: Mapping[str, np.ndarray]
     commanded: Mapping[str, np.ndarray]
-    rows: Mapping[str, Errors]
+    turned: Mapping[str, np.ndarray]
     better: bool
     misfit: float
     excess_m: float
     share: float
     set_aside: int = 0
+
+    @property
+    def rows(self) -> dict[str, Errors]:
+        """Figures of `errors` by model name."""
+        return {name: Errors.of(error, self.turned[name]) for name, error in self.errors.items()}
 
     @property
     def off(self) -> bool:
@@ -90,12 +95,11 @@ class Proof:
         expected = network.predict(rows.q, rows.context())
         known = expected.in_domain & rows.located
         learned = np.where(known[:, None], expected.error, 0.0)
-        error = errors(model, rows) - learned
         return dataclasses.replace(
             self,
-            errors={**self.errors, NETWORK: error},
+            errors={**self.errors, NETWORK: errors(model, rows) - learned},
             commanded={**self.commanded, NETWORK: commanded_errors(model, rows) - learned},
-            rows={**self.rows, NETWORK: Errors.of(error, turns(model, rows))},
+            turned={**self.turned, NETWORK: turns(model, rows)},
         )
 
     def network_helps(self, beside: str) -> bool:
@@ -133,7 +137,7 @@ def prove(
     return Proof(
         left,
         {name: commanded_errors(model, rows) for name, model in models.items()},
-        {name: errors_of(model, rows) for name, model in models.items()},
+        {name: turns(model, rows) for name, model in models.items()},
         better,
         *final,
         share,

@@ -76,11 +76,13 @@ class FunctionGroup:
         family: kind.
         functions: numbers of the functions.
         decay: of their priors, against the first.
+        rare: number of quantities that a cause is not likely to depend on.
     """
 
     family: FunctionFamily
     functions: tuple[int, ...]
     decay: tuple[float, ...]
+    rare: int = 0
 
 
 class Functions:
@@ -141,7 +143,10 @@ class Functions:
         if not kept:
             return
         numbers, decay = tuple(numbers[k] for k in kept), [decay[k] for k in kept] if decay else ()
-        self.groups.append(FunctionGroup(family, numbers, tuple(decay) or (1.0,) * len(numbers)))
+        used = {q for n in numbers for q in self.listed[n].quantities}
+        rare = sum(not q.plain for q in used)
+        decays = tuple(decay) or (1.0,) * len(numbers)
+        self.groups.append(FunctionGroup(family, numbers, decays, rare))
 
     def _make(self) -> None:
         inputs = self.inputs.all
