@@ -18,6 +18,7 @@ import rclpy
 from conftest import claimed_domain
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -43,7 +44,8 @@ class Bench:
         args = ["-m", f"longarm_comp.nodes.{node}", "--ros-args"]
         if namespace:
             args += ["-r", f"__ns:=/{namespace}"]
-        quick = {"compiled": False} if node == "kinematics" else {}
+        alone = {"compiled": False, "acknowledged": False}  # there is no driver
+        quick = alone if node == "kinematics" else {}
         for name, value in {**quick, **(params or {})}.items():
             text = str(value).lower() if isinstance(value, bool) else value
             args += ["-p", f"{name}:={text}"]
@@ -51,10 +53,14 @@ class Bench:
 
     def python(self, args: list[str]) -> subprocess.Popen[str]:
         """Start a Python program from the source tree."""
+        return self.program([sys.executable, *args], ROOT, ROOT)
+
+    def program(self, words: list[str], packages: Path, folder: Path) -> subprocess.Popen[str]:
+        """Start a program in a folder, with Python's packages from another one."""
         process = subprocess.Popen(
-            [sys.executable, *args],
-            cwd=ROOT,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            words,
+            cwd=folder,
+            env={**os.environ, "PYTHONPATH": str(packages)},
             text=True,
             stdout=(said := tempfile.TemporaryFile("w+")),  # noqa: SIM115
             stderr=subprocess.STDOUT,
@@ -67,7 +73,9 @@ class Bench:
         """Messages of a topic of the table, as they come."""
         got: list[Any] = []
         name = f"/{namespace}/{topic.name}" if namespace else topic.name
-        self.node.create_subscription(topic.type, name, got.append, topic.depth)
+        kept = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
+        qos = QoSProfile(depth=topic.depth, durability=kept)
+        self.node.create_subscription(topic.type, name, got.append, qos)
         return got
 
     def spin(self, until: Callable[[], Any], within: float = 30.0) -> Any:
@@ -128,6 +136,23 @@ class Bench:
         self.executor.shutdown(timeout_sec=1.0)
         self.node.destroy_node()
         self.context.try_shutdown()
+
+
+def children(process: subprocess.Popen[str]) -> list[int]:
+    """Process ids of what a process has started."""
+    return [
+        int(pid)
+        for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    ]
+
+
+def gone(pid: int) -> bool:
+    """Whether there is no such process."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    return False
 
 
 @contextlib.contextmanager

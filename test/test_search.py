@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from demo_rows import N, session_of
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
@@ -16,35 +17,23 @@ from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_gain import JointGain
-from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.link_stiffness import LinkStiffness
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.identify.aliasing import findings
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.candidates import Candidate, library
-from longarm_comp.core.identify.evidence import columns_at, score
+from longarm_comp.core.identify.evidence import FitMarginal, columns_at, score
 from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.search import SearchResult, search
 from longarm_comp.core.model.model import Model
 
 KINDS = (JointCompliance, JointGain, GearEccentricity, ThermalGrowth)
-N = 90
 
 
 @pytest.fixture(scope="module")
 def arm(demo_arm_path: Path) -> Arm:
     return Arm.load(demo_arm_path)
-
-
-def session_of(arm: Arm, seed: int, *hidden: Effect) -> Session:
-    """Poses of an arm with geometry errors, 0.4 mm of noise and what is hidden."""
-    rng = np.random.default_rng(seed)
-    q = rng.uniform(arm.lower, arm.upper, (N, arm.n))
-    zeros = tuple(JointZero(row, offset=3e-3 * rng.standard_normal()) for row in (1, 2, 4, 5, 6))
-    truth = Model(arm, (LinkDeflection(), *zeros, *hidden))
-    return Session.record(q, truth.tip(q) + 4e-4 * rng.standard_normal((N, 3)))
 
 
 def searched(arm: Arm, session: Session) -> SearchResult:
@@ -76,7 +65,7 @@ def test_evidence_counts_the_bounds_of_a_parameter(arm: Arm, scale: float) -> No
     rigid = scale * (truth.tip(fitted.session.q) - fitted.model.tip(fitted.session.q))
     softer = Candidate("link_stiffness", (LinkStiffness(beam=arm.links[-1].name),))
     columns = columns_at(fitted)
-    marginal = Marginal(fitted.design, fitted.data + fitted.whitened(rigid[..., None])[:, 0])
+    marginal = FitMarginal(fitted, data=fitted.data + fitted.whitened(rigid[..., None])[:, 0])
     white = fitted.whitened(columns.of(softer.terms))[:, 0]
     u = np.linspace(-0.9 / 0.5, 8.0, 400_001)
     s, t = white @ marginal.project(white), white @ marginal.py

@@ -19,7 +19,7 @@ from longarm_comp.devices.servo_bus import (
     ServoState,
 )
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.servo_follower import FollowerState, Step, TrajectoryFollower
+from longarm_comp.devices.servo_follower import Accepted, FollowerState, Step, TrajectoryFollower
 
 _DRIVEN_EVERY = 25  # cycles between two checks that the torque is still on
 _REOPEN_S = 0.5
@@ -27,10 +27,14 @@ _REOPEN_S = 0.5
 
 @dataclass(frozen=True)
 class JointReading:
-    """Position (rad or m) and velocity of one joint, as its servo reports them."""
+    """Position (rad or m), velocity and effort of one joint, as its servo reports them.
+
+    The effort (N m, N) is NaN where the configuration does not say what full effort is.
+    """
 
     position: float
     velocity: float
+    effort: float
 
 
 @dataclass(frozen=True)
@@ -103,7 +107,7 @@ class ServoArm:
         self.bus.torque(self._ids, on)
         self._powered, self._owing_off = on, False
 
-    def accept(self, trajectory: JointTrajectory, now: float) -> None:
+    def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
         """Start a trajectory.
 
         Raises:
@@ -111,7 +115,7 @@ class ServoArm:
         """
         if not self._powered:
             raise JobError("the torque is off")
-        self.follower.accept(trajectory, now)
+        return self.follower.accept(trajectory, now)
 
     def estop(self) -> None:
         """Torque off now, no commands until `release`. Raises as `power`."""
@@ -180,7 +184,9 @@ class ServoArm:
             if state is None:
                 return {}
             readings[name] = JointReading(
-                joint.to_si(state.position_ticks), joint.speed_to_si(state.velocity_ticks_s)
+                joint.to_si(state.position_ticks),
+                joint.speed_to_si(state.velocity_ticks_s),
+                joint.effort_to_si(state.load),
             )
         return readings
 

@@ -133,9 +133,11 @@ class BringUp:
         So is the error at which a joint counts as not following: a moving joint is behind by its
         velocity times the driver's cycle.
         """
-        if node not in ("servo_driver", "simulated_arm"):
+        if node not in ("servo_driver", "simulated_arm", "kinematics"):
             return {}
         given = _ros_parameters(self.file(node))
+        if node == "kinematics":
+            return {"joints_max_rate": self.speed * float(given.get("joints_max_rate", 5.0))}
         if node == "servo_driver":
             behind = float(given.get("follower", {}).get("lost_error_ticks", 400.0))
             return {"follower.lost_error_ticks": self.speed * behind} | {

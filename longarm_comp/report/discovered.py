@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.identify.discover.discovery import Cause, Discovery
+
+KEY = Discovered.name
+"""Causes without a name are called the same in model.yaml and in report.json."""
 
 
 def discovered(discovery: Discovery | None) -> list[dict[str, Any]]:
@@ -23,6 +27,8 @@ def _cause(found: Cause, discovery: Discovery) -> dict[str, Any]:
         "set": list(found.where),
         "formula": found.formula,
         "reading": found.reading,
+        "title": found.terms[0].heading(),
+        "action": found.terms[0].action,
         "domain": list(found.domain),
         "terms": [
             {

@@ -44,16 +44,35 @@ class RunnerUp(_Record):
     log_bayes_factor: float
 
 
+class TipSize(_Record):
+    """What an effect moves the seen tip by, over the fitted rows."""
+
+    median: float = Field(ge=0)
+    max: float = Field(ge=0)
+
+
 class ReportFinding(_Record):
-    """An effect that was added, or the set of effects that it cannot be distinguished from."""
+    """An effect that was added, or the set of effects that it cannot be distinguished from.
+
+    `seen_mm` and `commanded_mm` are mean held-out errors without it, the rest fitted again, and
+    with it: as measured, and as a command would have it.
+    """
 
     effect: str
+    title: str = ""
+    reading: str = ""
     set: list[str]
     where: list[str]
     log_bayes_factor: float
     parameters: list[FindingParameter]
     runner_up: RunnerUp | None
     compensated: bool
+    tip_mm: TipSize | None = None
+    seen_mm: Interval | None = None
+    commanded_mm: Interval | None = None
+    stable: float | None = Field(default=None, ge=0, le=1)
+    doubts: list[str] = []
+    action: str = ""
 
 
 class ReportCandidate(_Record):
@@ -67,9 +86,10 @@ class ReportCandidate(_Record):
 
 
 class StructureLeft(_Record):
-    """Dependence on the inputs that no accepted effect explains."""
+    """Dependence on the inputs that no accepted effect explains, also as a sentence."""
 
     flag: bool
+    text: str = ""
     p_value: float | None = Field(ge=0, le=1)
     share_explained: float | None
     inputs: list[str]
@@ -89,6 +109,7 @@ class ErrorRow(_Record):
 
     model: Stage
     mean_mm: float = Field(ge=0)
+    commanded_mean_mm: float | None = Field(default=None, ge=0)
     rms_mm: float = Field(ge=0)
     p95_mm: float = Field(ge=0)
     max_mm: float = Field(ge=0)
@@ -99,11 +120,20 @@ class ErrorRow(_Record):
 
 
 class HeldOut(_Record):
-    """Errors on the held-out rows, which were never fitted."""
+    """Errors on the held-out rows, which were never fitted.
+
+    The intervals are of what the mean error falls by from `before` to `after`, the stages that
+    the verdict compares: as seen, and as a command would have it. `not_commanded` says what the
+    latter leaves out.
+    """
 
     n: int = Field(ge=0)
     rows: list[ErrorRow]
+    before: Stage | None = None
+    after: Stage | None = None
     before_after_ci95_mm: Interval | None
+    commanded_ci95_mm: Interval | None = None
+    not_commanded: list[str] = []
 
 
 class Outlier(_Record):
@@ -141,6 +171,8 @@ class ReportDiscovered(_Record):
     ci95: list[Interval]
     domain: list[str]
     reading: str
+    title: str = ""
+    action: str = ""
     log_evidence: float
     tip_mm: TipShift
     held_out_rms_mm: tuple[float, float]

@@ -93,7 +93,10 @@ class Calibration:
     @property
     def held_out(self) -> ErrorTable:
         """Errors of every rung on the held-out rows."""
-        return ErrorTable({rung.name: rung.held_out for rung in self.rungs})
+        return ErrorTable(
+            {rung.name: rung.held_out for rung in self.rungs},
+            {rung.name: rung.commanded for rung in self.rungs},
+        )
 
     @property
     def placed(self) -> bool:
@@ -136,9 +139,10 @@ class Calibration:
     def summary(self) -> str:
         """Result of the calibration in one sentence."""
         first, last = self.rungs[0], self.rungs[-1]
+        before, after = (r.commanded if r.commanded.n else r.held_out for r in (first, last))
         return (
-            f"held-out mean error {first.held_out.said} ({first.name}) -> "
-            f"{last.held_out.said} ({last.name}), "
+            f"held-out mean error as commanded {before.said} ({first.name}) -> "
+            f"{after.said} ({last.name}), "
             f"{len(self.fit.slots)} parameters fitted to {len(self.fit.session)} rows"
         )
 

@@ -149,6 +149,9 @@ class _Term:
 
     Attributes:
         name: canonical name, used in files and reports.
+        title: what a mechanic calls it: ``play``.
+        action: what can be done about it at the arm, in one sentence. What software does about it
+            the report says by itself.
         needs: recorded inputs that every instance needs.
         geometry: always fitted, and never "named" by a diagnosis.
         seen_only: moves the frame of the measurements, and gravity with it.
@@ -169,6 +172,8 @@ class _Term:
     """
 
     name: ClassVar[str]
+    title: ClassVar[str] = ""
+    action: ClassVar[str] = "Look for its cause at that place."
     needs: ClassVar[tuple[str, ...]] = ()
     geometry: ClassVar[bool] = False
     seen_only: ClassVar[bool] = False
@@ -180,6 +185,11 @@ class _Term:
     free_levels: ClassVar[int] = 0
     displaces_joint: ClassVar[bool] = False
     bounded: ClassVar[bool] = False
+
+    @classmethod
+    def heading(cls) -> str:
+        """Its title, or its name in words."""
+        return cls.title or cls.name.replace("_", " ")
 
     @classmethod
     @cache
@@ -239,6 +249,11 @@ class _Term:
     def where(self) -> str:
         """Its places in words: ``joint 2``, ``joint 3, driver 1``; ``arm`` for the whole arm."""
         return ", ".join(f"{name} {value}" for name, value in self.places.items()) or "arm"
+
+    @property
+    def reading(self) -> str:
+        """What it says of itself besides its parameters: a form, a formula. Empty: nothing."""
+        return ""
 
     @property
     def place(self) -> str:

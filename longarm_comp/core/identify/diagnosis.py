@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,17 +14,19 @@ from longarm_comp.core.data.holdout import Sealed, blocked_split, spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.aliasing import MOST_NAMES, EffectFinding, findings, on_few_levels
-from longarm_comp.core.identify.calibrate import declared_model, stages
+from longarm_comp.core.identify.calibrate import Errors, declared_model, stages
 from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.confirm import Confirmed, confirm
 from longarm_comp.core.identify.discover.discovery import Discovery, discover
 from longarm_comp.core.identify.fit import ModelFit, fit
-from longarm_comp.core.identify.in_words import sentence
+from longarm_comp.core.identify.in_words import improvement, left_in_words, sentence
 from longarm_comp.core.identify.minor import Minor, settled
 from longarm_comp.core.identify.next_poses import NextPoses, next_poses
 from longarm_comp.core.identify.noise import from_repeats
 from longarm_comp.core.identify.plausible import check_fits, check_noise, check_sizes, check_worth
+from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.proof import NETWORK, LearnedCorrection, Proof, prove
+from longarm_comp.core.identify.remainder import without_remainders
 from longarm_comp.core.identify.search import SearchResult, search
 from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.identify.structure import Structure, examine
@@ -36,8 +39,12 @@ LEAST_SHARE = 0.5
 MOST_OUTLIERS = 0.16
 """More rejected rows than this are not outliers but something that the model lacks."""
 
+T = TypeVar("T")
 Train = Callable[[Model, Session], LearnedCorrection]
 Progress = Callable[[str], None]
+Left = Mapping[str, np.ndarray]
+DISCOVERED = "with_discovered"
+"""Name of the stage with causes that have no name."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +112,49 @@ class Diagnosis:
         if self.structure.flag or any(len(f.names) > MOST_NAMES for f in self.findings):
             return "partly"
         return "set" if any(f.alternatives for f in self.findings) else "named"
+
+    @property
+    def errors(self) -> dict[str, np.ndarray]:
+        """Held-out errors (M, 3) as seen, m, by stage; the last model of them is `model`."""
+        return self._in_use(self.proof.errors)
+
+    @property
+    def commanded(self) -> dict[str, np.ndarray]:
+        """The same as a command would have them (`core/data/commanded.py`)."""
+        return self._in_use(self.proof.commanded)
+
+    def _in_use(self, left: Mapping[str, T]) -> dict[str, T]:
+        """Without a network that was not kept; effects that were taken back leave no errors."""
+        made = {k: v for k, v in left.items() if k != NETWORK or self.network is not None}
+        return {**made, "with_effects": left["calibrated"]} if self.rolled_back else made
+
+    @property
+    def rows(self) -> dict[str, Errors]:
+        """Figures of `errors` by stage."""
+        return self._in_use(self.proof.rows)
+
+    @property
+    def stage(self) -> str:
+        """The stage whose errors are those of `model`."""
+        return "with_effects" if self.added is None else DISCOVERED
+
+    @property
+    def compared(self) -> tuple[str, str]:
+        """The stages before and after what was added; the calibration where nothing was."""
+        if self.network is not None:
+            return "calibrated", NETWORK
+        added = self.findings or self.added is not None
+        return ("calibrated", self.stage) if added else ("nominal", "calibrated")
+
+    @property
+    def seen_gain(self) -> Gain:
+        """Of the stages compared, as seen."""
+        return Gain.of(*(self.errors[stage] for stage in self.compared))
+
+    @property
+    def commanded_gain(self) -> Gain:
+        """Of the stages compared, as a command would have it."""
+        return Gain.of(*(self.commanded[stage] for stage in self.compared))
 
     @property
     def summary(self) -> str:
@@ -217,6 +267,7 @@ def diagnose(
 def _check(found: Diagnosis) -> None:
     """Refuse an outcome that may not be believed."""
     final = "calibrated" if found.rolled_back else "with_effects"
+    final = DISCOVERED if found.added is not None else final
     left, source = found.proof.errors, found.train.source
     check_worth(left[final], left["frames_only"], source)
     check_fits(found.model, found.train)
@@ -277,6 +328,8 @@ def _identify(
         searched, memory = refined(searched, memory, rows)
         candidates, train = memory.candidates(candidates), rows(memory.run_up)
     searched, minor = settled(searched, say)
+    searched, remainders = without_remainders(searched, say)
+    minor += remainders
     say("look-alikes")
     result, found = findings(searched, candidates)
     say("structure")
@@ -378,16 +431,21 @@ def _with_discovery(
     outcome: _Outcome, found: Discovery, learn: _Learner, held_out: Session
 ) -> _Outcome:
     """The outcome with what was found: a network comes after it, of what that leaves."""
-    name = "with_discovered"
     before = outcome.proof
-    errors = {k: e for k, e in before.errors.items() if k != NETWORK}
-    errors[name] = found.proof.errors["with_effects"]
-    rows = {k: r for k, r in before.rows.items() if k != NETWORK}
-    rows[name] = found.proof.rows["with_effects"]
-    proof = dataclasses.replace(before, errors=errors, rows=rows)
+
+    def joined(before: Left, after: Left) -> Left:
+        kept = {stage: left for stage, left in before.items() if stage != NETWORK}
+        return {**kept, DISCOVERED: after["with_effects"]}
+
+    proof = dataclasses.replace(
+        before,
+        errors=joined(before.errors, found.proof.errors),
+        commanded=joined(before.commanded, found.proof.commanded),
+        turned=joined(before.turned, found.proof.turned),
+    )
     network = learn.on(found.fit.model, found.structure)
     tested = proof.with_network(found.fit.model, network, held_out)
-    kept = network if tested.network_helps(name) else None
+    kept = network if tested.network_helps(DISCOVERED) else None
     findings = tuple(f for f in outcome.findings if f.name not in found.without)
     return dataclasses.replace(outcome, findings=findings, network=kept, proof=tested)
 
@@ -397,13 +455,20 @@ def _all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Stru
     out = result.fit.weights == 0
     lengths = result.fit.residual * result.fit.metres
     rejected = float(np.sqrt((lengths[out] ** 2).sum() / len(out)))
-    for shows, size, where in (
-        (out.mean() > MOST_OUTLIERS, rejected, "outliers"),
-        (proof.off, proof.excess_m, "unseen poses"),
-        (result.exhausted, proof.excess_m, "more than the library holds"),
+    for shows, size, where, sign in (
+        (out.mean() > MOST_OUTLIERS, rejected, "outliers", "shows in the rows left out"),
+        (proof.off, proof.excess_m, "unseen poses", "shows in the held-out poses"),
+        (
+            result.exhausted,
+            proof.excess_m,
+            "more than the library holds",
+            "would need more effects than may be added",
+        ),
     ):
         if shows and not structure.flag:
-            return dataclasses.replace(structure, flag=True, size_m=size, inputs=(where,))
+            return dataclasses.replace(
+                structure, flag=True, size_m=size, inputs=(where,), sign=sign
+            )
     return structure
 
 
@@ -434,30 +499,36 @@ def _summary(found: Diagnosis) -> str:
     return text if found.discovery is None else f"{text} {found.discovery.sentence}."
 
 
+def _change(found: Diagnosis) -> str:
+    """Before and after, also where only orientations were measured."""
+    before, after = (found.rows[stage] for stage in found.compared)
+    if not before.n:
+        return f"{before.said} -> {after.said}"
+    return improvement(found.seen_gain, found.commanded_gain)
+
+
 def _named(found: Diagnosis) -> str:
-    structure, proof = found.structure, found.proof
-    left = (
-        f"{1e3 * structure.size_m:.2f} mm of structure depends on {', '.join(structure.inputs)}"
-        + (f", as if {structure.at} moved" if structure.at else "")
-        if structure.flag
-        else ""
-    )
-    unnamed = f"{left} and has no name." if left else ""
+    left = left_in_words(found.structure)
+    unnamed = f" {left} and has no name." if left else ""
+    gain = f"Held-out mean error {_change(found)}"
+    if found.proof.set_aside:
+        gain += f", {found.proof.set_aside} of {len(found.held_out)} rows set aside, "
+        gain += "which no model explains"
+    added = found.compared[1] != "calibrated"
+    besides = f" {gain}." if added else ""
     if found.rolled_back:
-        why = "is less than half of what is wrong" if proof.better else "is not beyond chance"
+        small = found.proof.better
+        why = "is less than half of what is wrong" if small else "is not beyond chance"
         text = f"Effects were found in the fitted poses but their gain on the held-out ones {why}"
-        return f"{text}; the model was left as it was." + (f" {unnamed}" if left else "")
+        return f"{text}; the model was left as it was.{unnamed}{besides}"
     if found.verdict == "noise":
-        return "After calibration nothing but noise is left; no effect was added."
+        text = "After calibration nothing but noise is left; no effect was added."
+        return f"{text} {gain} by the calibration."
     if found.verdict == "unknown":
-        return f"The model lacks something that no effect of the library explains: {left}."
+        text = f"The model lacks something that no effect of the library explains: {left}."
+        return text + besides
     text = "; ".join(sentence(f, found.fit, found.confirmed) for f in found.findings)
     for overlap in found.confirmed.overlaps:
         text += f"; {overlap.names[0]} and {overlap.names[1]} overlap"
         text += ", either alone explains most of what both do"
-    before, after = (proof.rows[k].mean for k in ("calibrated", "with_effects"))
-    text += f". Held-out mean error {1e3 * before:.2f} -> {1e3 * after:.2f} mm"
-    if proof.set_aside:
-        text += f", {proof.set_aside} of {len(found.held_out)} rows set aside, "
-        text += "which no model explains"
-    return f"{text}; {unnamed}" if left else f"{text}."
+    return f"{text}. {gain}.{unnamed}"

@@ -60,19 +60,32 @@ class FitMarginal(Marginal):
         fitted: the fit.
         kept: positions of its parameters that stay, all else left out; all of them by default.
         data: (m,) instead of the fit's own.
+        beside: (m, e) columns that are there too, in units of the noise and of their priors.
     """
 
     def __init__(
-        self, fitted: ModelFit, kept: ArrayLike | None = None, data: np.ndarray | None = None
+        self,
+        fitted: ModelFit,
+        kept: ArrayLike | None = None,
+        data: np.ndarray | None = None,
+        beside: np.ndarray | None = None,
     ) -> None:
         every = np.arange(len(fitted.slots))
         self._kept = every if kept is None else np.array(kept, dtype=int)
-        gram = fitted.gram[np.ix_(self._kept, self._kept)]
-        super().__init__(fitted.design[:, self._kept], fitted.data if data is None else data, gram)
+        self._beside = beside
+        design, gram = fitted.design[:, self._kept], fitted.gram[np.ix_(self._kept, self._kept)]
+        if beside is not None:
+            cross = design.T @ beside
+            gram = np.block([[gram, cross], [cross.T, beside.T @ beside]])
+            design = np.concatenate([design, beside], axis=1)
+        super().__init__(design, fitted.data if data is None else data, gram)
 
     def of(self, white: Products) -> tuple[np.ndarray, np.ndarray]:
         """`normal` of columns whose products with the fit's whole design are known."""
-        return self.normal(Products(white.b, white.gram, white.cross[self._kept]))
+        cross = white.cross[self._kept]
+        if self._beside is not None:
+            cross = np.concatenate([cross, self._beside.T @ white.b])
+        return self.normal(Products(white.b, white.gram, cross))
 
 
 @dataclass(frozen=True)
@@ -100,9 +113,12 @@ def key(term: Term) -> tuple[str, str]:
 
 
 def marginal_without(
-    fitted: ModelFit, columns: CandidateColumns, places: set[tuple[str, str]]
+    fitted: ModelFit,
+    columns: CandidateColumns,
+    places: set[tuple[str, str]],
+    beside: np.ndarray | None = None,
 ) -> FitMarginal:
-    """Evidence on top of a fit, the terms at some places taken out of it.
+    """Evidence on top of a fit, the terms at some places taken out of it, other columns added.
 
     A term with parameters leaves with its columns; one without gives its shift back to the data.
     """
@@ -111,7 +127,16 @@ def marginal_without(
     for term in fitted.model.terms:
         if key(term) in places and not slots_of(fitted.model.arm, [term]):
             data = data + fitted.whitened(columns.shift([term])[..., None])[:, 0]
-    return FitMarginal(fitted, kept, data)
+    return FitMarginal(fitted, kept, data, beside)
+
+
+def shift_of(fitted: ModelFit, columns: CandidateColumns, terms: Sequence[Term]) -> np.ndarray:
+    """(N, d) what fitted terms add to the rows, m or rad."""
+    slots = slots_of(fitted.model.arm, terms)
+    values = np.array([getattr(s.owner, s.parameter.name) for s in slots]) / priors(slots)
+    moved = columns.of(terms) @ values
+    fixed = [t for t in terms if not slots_of(fitted.model.arm, [t])]
+    return np.asarray(moved + columns.shift(fixed) if fixed else moved)
 
 
 def score(

@@ -39,6 +39,7 @@ class Structure:
             (1 when nothing else is left).
         groups: (what, standardised statistic) of every group tested.
         at: the joint that the strongest of them moves; empty where it is the tip.
+        sign: where it shows, if another sign than this test tells it: ``shows in held-out poses``.
     """
 
     flag: bool
@@ -48,6 +49,7 @@ class Structure:
     share_explained: float
     groups: tuple[tuple[str, float], ...]
     at: str = ""
+    sign: str = ""
 
 
 def examine(fit: ModelFit, base: ModelFit, rng: np.random.Generator) -> Structure:
@@ -146,7 +148,7 @@ class Group:
 def groups(fit: ModelFit) -> list[Group]:
     """Everything that is tried: functions of each input, products of joints, seen or at a joint."""
     session = fit.session
-    curves = [_curve(session.q[:, j]) for j in range(session.n)]
+    curves = [smooth_in(session.q[:, j]) for j in range(session.n)]
     made = [
         Group(inputs, "", _of_channels(features, fit))
         for inputs, features in _of_the_tip(session, curves)
@@ -181,7 +183,7 @@ def _of_the_tip(session: Session, curves: list[np.ndarray]) -> Features:
         low, high = play(tuple(session.legs[:, j].T), radius)
         yield ("order", f"q{j + 1}"), _standard((low + high)[:, None] / radius)
     for name, values in session.columns.items():
-        yield (name,), _curve(values)[:, :3]
+        yield (name,), smooth_in(values)[:, :3]
 
 
 def _of_a_joint(curves: list[np.ndarray]) -> Features:
@@ -196,7 +198,7 @@ def _products(curves: list[np.ndarray]) -> Features:
         yield (f"q{k + 1}", f"q{j + 1}"), _standard(curves[j][:, :1] * curves[k][:, :1])
 
 
-def _curve(values: np.ndarray) -> np.ndarray:
+def smooth_in(values: np.ndarray) -> np.ndarray:
     """Up to six orthogonal functions of one input; as many as its distinct levels allow."""
     span = np.ptp(values)
     levels = len(np.unique(np.round(values / (span or 1.0), 3)))

@@ -14,8 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from longarm_comp.core.effects.shapes import Function
-from longarm_comp.core.identify.discover.functions import EACH_JOINT, FunctionFamily, Functions
+from longarm_comp.core.effects.function import Function
+from longarm_comp.core.identify.discover.functions import (
+    EACH_JOINT,
+    FunctionFamily,
+    FunctionGroup,
+    Functions,
+)
 from longarm_comp.core.identify.discover.score import many, rank_one
 from longarm_comp.core.identify.fit import ModelFit, priors
 from longarm_comp.core.identify.linear import Marginal
@@ -24,6 +29,8 @@ MOST_ROWS = 350
 """Rows that candidates are screened on; the best are scored on all."""
 FULL = 500
 """Groups of several columns that are screened in full, the best by their single columns."""
+RARE = 3.0
+"""Log odds against a quantity that a cause is not likely to depend on."""
 _WEAK = 1e-4
 """Share of a column that must be left beside the geometry."""
 
@@ -112,6 +119,10 @@ class Bank:
             counts[group.family] = counts.get(group.family, 0) + 1
         return {f: math.log(f.share / (2.0 * n * len(self.places))) for f, n in counts.items()}
 
+    def prior(self, group: FunctionGroup) -> float:
+        """Log prior of a group of functions at one component."""
+        return self.priors[group.family] - RARE * group.rare
+
     def columns(self, members: Sequence[tuple[Spot, Function]]) -> np.ndarray:
         """(N, d, r) columns per unit."""
         made = [
@@ -132,7 +143,9 @@ class Bank:
         """
         rows = _some(np.flatnonzero(fit.weights > 0))
         white = (self.units * weight(fit)[..., None])[rows].astype(np.float32)
-        values = self.functions.values[rows].astype(np.float32)
+        values = self.functions.values[rows]
+        size = np.sqrt((values**2).mean(axis=0))
+        values = (values / np.where(size > 0, size, 1.0)).astype(np.float32)
         flat = design[rows].reshape(-1, design.shape[-1])
         factor = cholesky(flat.T @ flat + np.eye(flat.shape[1]), lower=True)
         turned = np.einsum("ncp,nck->kpn", design[rows], white, optimize=True)
@@ -207,7 +220,7 @@ class _Screen:
     def _singles(self, count: int) -> Iterator[Hypothesis]:
         groups = [g for g in self.bank.functions.groups if len(g.functions) == 1]
         chosen = np.array([g.functions[0] for g in groups], dtype=int)
-        prior = np.array([self.bank.priors[g.family] for g in groups])
+        prior = np.array([self.bank.prior(g) for g in groups])
         evidence = rank_one(self.t[:, chosen], self.s[:, chosen], self.size2[:, chosen])
         table = np.where(self.usable[:, chosen], evidence + prior, -np.inf)
         sharp = np.array([g.family.sharp for g in groups])
@@ -227,7 +240,7 @@ class _Screen:
         made = []
         for _, k, g in ranked[:FULL]:
             members = tuple((k, f) for f in g.functions)
-            made.append((members, g.decay, g.family, self.bank.priors[g.family]))
+            made.append((members, g.decay, g.family, self.bank.prior(g)))
         yield from self._full(made, count)
 
     def _vectors(self, count: int) -> Iterator[Hypothesis]:
@@ -241,7 +254,7 @@ class _Screen:
             if f in singles:
                 g, ks = singles[f], self.bank.vectors[v]
                 members = tuple((k, f) for k in ks)
-                prior = self.bank.priors[g.family]
+                prior = self.bank.prior(g)
                 made.append((members, (1.0,) * 3, g.family, prior))
         yield from self._full(made, count)
         every = self.bank.functions.each_joint if self.bank.axes else []
