@@ -22,9 +22,10 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import OK, PERIOD, Health, Report
-from longarm_comp.nodes.images import image_message, info_message, stamp_of
+from longarm_comp.nodes.images import image_message, info_message
 from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.runner import run
+from longarm_comp.nodes.stamps import stamp_of
 from longarm_comp.nodes.worker import Worker
 from longarm_comp.sim.cameras import CameraPair, tag_plate
 from longarm_comp.sim.plant import Plant, PlantConfig, hidden_effects, mounting

@@ -10,6 +10,7 @@ from longarm_comp.core.data.commanded import CAMERA_SIDE
 from longarm_comp.core.effects.units import for_people
 from longarm_comp.core.identify.candidates import NO_PLACE
 from longarm_comp.report.detail import Detail, SetSplit
+from longarm_comp.report.discovered import KEY
 from longarm_comp.report.record import (
     DiagnosisReport,
     FindingParameter,
@@ -97,7 +98,7 @@ def _unnamed(found: ReportDiscovered) -> Card:
     held = "Inside the range of the data the new model.yaml compensates it."
     return Card(
         title=f"{(found.title or 'cause without a name').capitalize()}, {found.frame}",
-        names="discovered",
+        names=KEY,
         where=found.frame,
         sizes=(),
         more=0,
