@@ -169,7 +169,10 @@ def _graph(arm: Arm) -> Iterator[Callable[[Any], Any]]:
         file = ["-p", f"arm:='{demo_arm_file()}'"]
         commands = {
             "echo": [sys.executable, str(Path(__file__).with_name("ros_echo.py")), *ros],
-            "kinematics": [*module, "longarm_comp.nodes.kinematics", *ros, *file],
+            "kinematics": [
+                *(*module, "longarm_comp.nodes.kinematics", *ros, *file),
+                *("-p", "acknowledged:=false"),  # there is no driver
+            ],
             "error_predictor": [
                 *(*module, "longarm_comp.nodes.error_predictor", *ros, *file),
                 *("-p", f"predictor:='{predictor}'"),

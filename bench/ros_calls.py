@@ -167,18 +167,19 @@ class Calls:
 
     def rate(self, burst: int) -> float:
         """Targets per second that the graph processes from a queue; above it queues grow."""
-        return self._rate(burst, self._target, lambda: self._got)
+        return self._rate(burst, self._compensate)
 
     def echo_rate(self, burst: int) -> float:
         """The same of the echo."""
-        return self._rate(burst, self._echo_target, lambda: self._echoed)
+        return self._rate(burst, self._echo_compensate)
 
-    def _rate(self, burst: int, topic: Any, count: Callable[[], int]) -> float:
-        want = count() + burst
+    def _rate(self, burst: int, service: Any) -> float:
         begin = time.perf_counter()
-        for i in range(burst):
-            topic.publish(self._poses[i % _POSES])
-        self._until(lambda: count() >= want, 60.0)
+        asked = [
+            service.call_async(Compensate.Request(target=self._poses[i % _POSES], execute=True))
+            for i in range(burst)
+        ]
+        self._until(lambda: all(future.done() for future in asked), 60.0)
         return burst / (time.perf_counter() - begin)
 
 

@@ -18,6 +18,7 @@ import rclpy
 from conftest import claimed_domain
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -43,7 +44,8 @@ class Bench:
         args = ["-m", f"longarm_comp.nodes.{node}", "--ros-args"]
         if namespace:
             args += ["-r", f"__ns:=/{namespace}"]
-        quick = {"compiled": False} if node == "kinematics" else {}
+        alone = {"compiled": False, "acknowledged": False}  # there is no driver
+        quick = alone if node == "kinematics" else {}
         for name, value in {**quick, **(params or {})}.items():
             text = str(value).lower() if isinstance(value, bool) else value
             args += ["-p", f"{name}:={text}"]
@@ -67,7 +69,9 @@ class Bench:
         """Messages of a topic of the table, as they come."""
         got: list[Any] = []
         name = f"/{namespace}/{topic.name}" if namespace else topic.name
-        self.node.create_subscription(topic.type, name, got.append, topic.depth)
+        kept = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
+        qos = QoSProfile(depth=topic.depth, durability=kept)
+        self.node.create_subscription(topic.type, name, got.append, qos)
         return got
 
     def spin(self, until: Callable[[], Any], within: float = 30.0) -> Any:

@@ -14,6 +14,7 @@ from longarm_comp.report import (
     Detail,
     Detectable,
     Input,
+    Marked,
     SeenRows,
     SetSplit,
     SplitPose,
@@ -81,6 +82,7 @@ def error_rows(rows: SeenRows) -> list[dict[str, Any]]:
             {
                 "model": stage,
                 "mean_mm": float(length.mean()),
+                "commanded_mean_mm": float(length.mean()),
                 "rms_mm": rms,
                 "p95_mm": float(np.percentile(length, 95)),
                 "max_mm": float(length.max()),
@@ -91,6 +93,21 @@ def error_rows(rows: SeenRows) -> list[dict[str, Any]]:
             }
         )
     return made
+
+
+def held_out(
+    rows: SeenRows | None, before: str | None, after: str | None, ci95: list[float] | None
+) -> dict[str, Any]:
+    """What report.json says of the hold-out, where a command has what is seen."""
+    return {
+        "n": 0 if rows is None else len(rows.index),
+        "rows": [] if rows is None else error_rows(rows),
+        "before": before,
+        "after": after,
+        "before_after_ci95_mm": ci95,
+        "commanded_ci95_mm": ci95,
+        "not_commanded": [],
+    }
 
 
 def candidates(accepted: Mapping[tuple[str, str], float]) -> list[dict[str, Any]]:
@@ -154,18 +171,20 @@ def base(rng: np.random.Generator) -> Diagnosis:
         "candidates": candidates({}),
         "structure_left": {
             "flag": False,
+            "text": "",
             "p_value": 0.41,
             "share_explained": None,
             "inputs": [],
             "size_mm": None,
         },
         "noise": {"sigma_mm": list(SIGMA_MM), "source": "repeats", "rho": 0.03},
-        "held_out": {"n": 60, "rows": error_rows(rows), "before_after_ci95_mm": None},
+        "held_out": held_out(rows, "nominal", "calibrated", None),
         "next_poses": [],
         "outliers": [
             {"index": 17, "why": "residual of 31 mm, 58 robust standard deviations"},
             {"index": 203, "why": "residual of 12 mm, 22 robust standard deviations"},
         ],
+        "discovered": [],
         "provenance": {
             "seed": 7,
             "data_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
@@ -178,6 +197,8 @@ def base(rng: np.random.Generator) -> Diagnosis:
         joints=JOINTS,
         joint_units=UNITS,
         held_out=rows,
+        before="nominal",
+        after="calibrated",
         detectable=(
             Detectable("backlash", "joint 2", "gap", 0.0004, "rad", 0.31),
             Detectable("joint_compliance", "joint 2", "compliance", 2.1e-5, "rad/(N m)", 0.35),
@@ -204,6 +225,8 @@ def named(rng: np.random.Generator) -> Diagnosis:
         "findings": [
             {
                 "effect": "backlash",
+                "title": "play",
+                "reading": "",
                 "set": ["backlash"],
                 "where": ["joint 2"],
                 "log_bayes_factor": 214.6,
@@ -227,19 +250,27 @@ def named(rng: np.random.Generator) -> Diagnosis:
                 ],
                 "runner_up": {"effect": "friction_hysteresis", "log_bayes_factor": 136.2},
                 "compensated": True,
+                "tip_mm": {"median": 2.4, "max": 3.9},
+                "seen_mm": [2.41, 0.71],
+                "commanded_mm": [2.41, 0.71],
+                "stable": 1.0,
+                "doubts": [],
+                "action": "Tighten or replace the gear, coupling or clamp of the joint.",
             }
         ],
         "candidates": candidates({("backlash", "joint 2"): 214.6}),
-        "held_out": {"n": 60, "rows": error_rows(rows), "before_after_ci95_mm": [1.42, 1.93]},
+        "held_out": held_out(rows, "calibrated", "with_effects", [1.42, 1.93]),
     }
     report["structure_left"] = report["structure_left"] | {"share_explained": 0.97}
     geometry = tuple(f"dh_error joint {k} {p}" for k in range(1, 8) for p in ("a", "alpha", "d"))
     matrix = np.tanh(rng.normal(0, 0.4, (2, len(geometry))))
+    line = rows.arms_m[0]
     detail = Detail(
         title="samples.csv, arm of 7 joints",
         joints=JOINTS,
         joint_units=UNITS,
         held_out=rows,
+        marked={"backlash": Marked(line, {"joint 2": line[2]})},
         train=held_out_rows(rng, 240),
         guilty=("approach", "q2"),
         correlation=Correlation(
@@ -290,6 +321,7 @@ def partly(rng: np.random.Generator) -> Diagnosis:
         " temperature_c is left.",
         "structure_left": {
             "flag": True,
+            "text": "0.90 mm of structure depends on q4, temperature_c",
             "p_value": 0.0004,
             "share_explained": 0.71,
             "inputs": ["q4", "temperature_c"],
@@ -316,14 +348,17 @@ def unknown(rng: np.random.Generator) -> Diagnosis:
         "summary": "Structure of 2.1 mm over q5 and q6 that no effect of the library explains.",
         "structure_left": {
             "flag": True,
+            "text": "2.10 mm of structure depends on q5, q6",
             "p_value": 1e-7,
             "share_explained": 0.0,
             "inputs": ["q5", "q6"],
             "size_mm": 2.1,
         },
-        "held_out": {"n": 60, "rows": error_rows(rows), "before_after_ci95_mm": [-0.02, 1.1]},
+        "held_out": held_out(rows, "calibrated", "with_network", [-0.02, 1.1]),
     }
-    return report, _with(detail, held_out=rows, guilty=("q5", "q6"), after="with_network")
+    return report, _with(
+        detail, held_out=rows, guilty=("q5", "q6"), before="calibrated", after="with_network"
+    )
 
 
 def bad_data(rng: np.random.Generator) -> Diagnosis:
@@ -334,8 +369,9 @@ def bad_data(rng: np.random.Generator) -> Diagnosis:
         "summary": "samples.csv: x, y, z: tip at 812 m from the base; allowed: metres, not mm.",
         "candidates": [],
         "noise": {"sigma_mm": None, "source": None, "rho": None},
-        "held_out": {"n": 0, "rows": [], "before_after_ci95_mm": None},
+        "held_out": held_out(None, None, None, None),
         "outliers": [],
+        "discovered": [],
     }
     report["structure_left"] = report["structure_left"] | {"p_value": None}
     return report, Detail(title="samples.csv")

@@ -136,12 +136,17 @@ def test_a_diagnosis_older_than_the_model_at_work_is_refused(
 
 
 def held_out(folder: Path, nominal_mm: float, with_effects_mm: float) -> None:
-    """Writes these held-out means into the report of a diagnosis."""
+    """Writes these held-out means as commanded into a diagnosis; as seen they fall to a tenth."""
     report = record.read_report(folder)
     row = dict.fromkeys(record.ErrorRow.model_fields, 0.0)
     rows = [
-        record.ErrorRow.model_validate({**row, "model": name, "mean_mm": mean})
-        for name, mean in (("nominal", nominal_mm), ("with_effects", with_effects_mm))
+        record.ErrorRow.model_validate(
+            {**row, "model": name, "mean_mm": seen, "commanded_mean_mm": commanded}
+        )
+        for name, seen, commanded in (
+            ("nominal", 1.0, nominal_mm),
+            ("with_effects", 0.1, with_effects_mm),
+        )
     ]
     table = report.held_out.model_copy(update={"rows": rows})
     changed = report.model_copy(update={"held_out": table})
@@ -169,7 +174,8 @@ def test_a_calibration_that_lowers_the_error_is_worth_it(
     with pytest.raises(JobError, match="nothing to apply"):
         apply(folder, ARM, at_work(tmp_path), network=False)
     held_out(folder, 1.0, 0.85)
-    apply(folder, ARM, at_work(tmp_path), network=False)
+    done = apply(folder, ARM, at_work(tmp_path), network=False)
+    assert (done.commanded_mm, done.seen_mm) == ((1.0, 0.85), (1.0, 0.1))
 
 
 def test_other_arms_sessions_and_folders_are_refused(

@@ -14,12 +14,14 @@ import longarm_comp as la
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.admission import admit
 from longarm_comp.core.data.belonging import ENOUGH, believe, mistakes
+from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.registration import Sightings, register
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.base_pose import BasePose
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.model.model import Model
 from longarm_comp.studies.real_sessions import laser_tracked
 
@@ -128,6 +130,22 @@ def test_real_rows_are_told_from_spoilt_ones(data_dir: Path, name: str) -> None:
         assert spoil is not None
         with pytest.raises(InputError, match=text):
             admit(spoil(rows), arm)
+
+
+@pytest.mark.parametrize(("name", "last"), [("wam", "q7"), ("ur5", "q6")])
+def test_a_sign_that_does_not_move_the_tip_is_said_to_be_untold(
+    data_dir: Path, name: str, last: str
+) -> None:
+    """Negated, the last joint of either arm calibrates as well on unseen rows."""
+    (part,) = laser_tracked(data_dir / "real", name)
+    said = [f for f in admit(part.train, part.arm).findings if f.check == "sign"]
+    assert [f.field for f in said] == [last] and "cannot be told" in said[0].message
+    negated = joint(part.arm.n - 1, np.negative)
+    left = []
+    for train, test in ((part.train, part.test), (negated(part.train), negated(part.test))):
+        *_, (_, fitted) = stages(Model(part.arm), train)
+        left.append(np.linalg.norm(errors(fitted.model, test), axis=1).mean())
+    assert left[1] == pytest.approx(left[0], rel=0.02)
 
 
 def test_no_mistake_explains_real_or_simulated_rows_better(data_dir: Path) -> None:

@@ -93,6 +93,10 @@ READINGS = (
         ("train", ARM_FILE, "few.csv", "--ensemble", "1", "--hidden", "2", "-o", "p.npz"),
         ("few.csv",),
     ),
+    Reading(
+        ("diagnose", ARM_FILE, "few.csv", "--model", MODEL, "--no-network", "-o", "found"),
+        ("few.csv", ARM_FILE, MODEL),
+    ),
     Reading(("bag", "from-csv", ARM_FILE, "few.csv", "-o", "made_bag"), ("few.csv",)),
     Reading(
         ("bag", "to-csv", ARM_FILE, "bag", "-o", "b.csv"), ("bag/metadata.yaml", "bag/bag.mcap")

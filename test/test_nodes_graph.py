@@ -15,7 +15,10 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
+from action_msgs.msg import GoalStatus
+from geometry_msgs.msg import PoseStamped
 from nodes_bench import Bench, bench, own_graph
+from rclpy.action import ActionClient
 from visualization_msgs.msg import Marker
 
 from longarm_comp.cli.run import root
@@ -27,8 +30,9 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import SIMULATED, BringUp, running
 from longarm_comp.nodes.health import WARN
-from longarm_comp.nodes.messages import sighting_of, trajectory_message
+from longarm_comp.nodes.messages import pose_message, sighting_of, trajectory_message
 from longarm_comp.nodes.supervisor import Supervisor
+from longarm_interfaces.action import Reach
 from longarm_interfaces.srv import Compensate
 
 ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
@@ -128,12 +132,67 @@ def test_two_arms_side_by_side_survive_killed_nodes(stage: Bench, arm: Arm) -> N
         other = two.reach(0.3 * arm.lower + 0.7 * arm.upper)
         assert np.linalg.norm(other - tip) > 0.05
         shows_what_there_is(stage, one)
+        the_action_says_where_it_came_to_rest(stage, one)
         for node in SIMULATED:
             survives(stage, one, left, node)
         end_tidily(stage, one, left, said)
         one.reach(0.6 * arm.lower + 0.4 * arm.upper)
         pids = [s.pid(node) for s in (left, right) for node in SIMULATED]
     assert all(gone(pid) for pid in pids)
+
+
+def the_action_says_where_it_came_to_rest(stage: Bench, station: Station) -> None:
+    """One goal is reached and measured, another one cancelled on its way."""
+    arm, model = station.arm, station.model
+    client = ActionClient(stage.node, Reach, f"/{station.namespace}/reach")
+    stage.spin(client.server_is_ready)
+    heard: list[Reach.Feedback] = []
+
+    def goal(q: np.ndarray) -> Any:
+        target = PoseStamped(pose=pose_message(model.pose(q)))
+        target.header.frame_id = "base"
+        sent = client.send_goal_async(
+            Reach.Goal(target=target), feedback_callback=lambda m: heard.append(m.feedback)
+        )
+        stage.spin(sent.done)
+        assert sent.result().accepted
+        return sent.result()
+
+    q = 0.4 * arm.lower + 0.6 * arm.upper
+    first, second = goal(q), goal(arm.mid)  # in their order
+    cancelled = second.cancel_goal_async()
+    answer = first.get_result_async()
+    stage.spin(answer.done, within=60.0)
+    result = answer.result().result
+    assert answer.result().status == GoalStatus.STATUS_SUCCEEDED
+    assert result.success and result.seen and result.id, result.message
+    np.testing.assert_allclose(
+        model.tip(np.array(result.command.position)), model.tip(q), atol=1e-5
+    )
+    np.testing.assert_allclose(result.reached.position, result.command.position, atol=2e-3)
+    tip = np.array([result.tip.x, result.tip.y, result.tip.z])
+    miss = np.array([result.miss.x, result.miss.y, result.miss.z])
+    np.testing.assert_allclose(tip - model.tip(q), miss, atol=1e-9)
+    assert np.abs(miss).max() < 2e-3
+    moving = [feedback for feedback in heard if feedback.phase == Reach.Feedback.MOVING]
+    assert np.abs(moving[0].remaining).max() > np.abs(moving[-1].remaining).max()
+    assert any(feedback.phase == Reach.Feedback.LOOKING for feedback in heard)
+    stage.spin(cancelled.done)
+    dropped = second.get_result_async()
+    stage.spin(dropped.done)
+    assert dropped.result().status == GoalStatus.STATUS_CANCELED
+    assert not dropped.result().result.command.name  # it was not begun
+
+    third = goal(arm.mid)
+    heard.clear()
+    stage.spin(lambda: any(feedback.phase == Reach.Feedback.MOVING for feedback in heard))
+    cancelled = third.cancel_goal_async()
+    stage.spin(cancelled.done)
+    stopped = third.get_result_async()
+    stage.spin(stopped.done)
+    assert stopped.result().status == GoalStatus.STATUS_CANCELED
+    assert "cancelled" in stopped.result().result.message
+    assert np.abs(np.array(stopped.result().result.reached.position) - arm.mid).max() > 1e-3
 
 
 def survives(stage: Bench, station: Station, supervisor: Supervisor, node: str) -> None:

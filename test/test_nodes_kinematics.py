@@ -14,23 +14,21 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nodes_bench import ROOT, Bench, bench
+from rclpy.duration import Duration
 from sensor_msgs.msg import Imu, Temperature
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.moves import sweep
 from longarm_comp.core.effects import catalogue
-from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.messages import joints_message, trajectory_message
+from longarm_comp.nodes.messages import joints_message
 from longarm_interfaces.srv import Compensate
 
 
@@ -137,12 +135,23 @@ def test_of_a_burst_every_target_and_request_is_answered_once(
     stage.spin(heard)
     stage.spin(lambda: stories[-1].status == Compensate.Response.SUCCESS)
     del stories[:]
-    for target in asked:
-        targets.publish(target)
-    stage.spin(lambda: len(stories) == 150)
-    sent = [s for s in stories if s.status == Compensate.Response.SUCCESS]
-    assert len(sent) >= 40
-    assert all(s.message for s in stories if s not in sent)
+    del trajectories[:]
+    others = graph.TARGET_POSE.publisher(stage.node)
+    stage.connected(others)
+    for i in range(1000):
+        target = asked[i % len(asked)]
+        target.header.stamp.nanosec = i  # a name; 0 s is within the age, as the clock is the test's
+        target.header.stamp.sec = int(stage.node.get_clock().now().nanoseconds // 10**9)
+        (targets, others)[i % 2].publish(target)
+    told = lambda: [s for s in stories if s.target.header.stamp.sec]  # noqa: E731
+    stage.spin(lambda: len(told()) >= 1000, within=60.0)
+    names = [story.target.header.stamp.nanosec for story in told()]
+    assert sorted(names) == list(range(1000))
+    sent = [s for s in told() if s.status == Compensate.Response.SUCCESS]
+    others_told = {s.status for s in told()} - {Compensate.Response.SUCCESS}
+    assert others_told == {Compensate.Response.SUPERSEDED}
+    assert all(s.message for s in told() if s.status != Compensate.Response.SUCCESS)
+    assert sent[-1].target.header.stamp.nanosec >= 998  # the last of either publisher
     stage.spin(lambda: len(trajectories) == len(sent))
 
 
@@ -159,8 +168,33 @@ def test_every_refusal_has_a_status_and_a_reason(
     def ask(matrix: np.ndarray, **more: object) -> Compensate.Response:
         return stage.call(client, request(matrix, arm, execute=True, **more))
 
+    joints = graph.JOINT_STATES.publisher(stage.node)
+    stage.connected(joints)
     unseeded = Compensate.Request(target=pose(reach), execute=True)
     assert stage.call(client, unseeded).status == status.NOT_READY
+    assert ask(reach).status == status.NOT_READY  # a seed does not say where the arm stands
+
+    def stands(q: np.ndarray, words: str, age_s: float = 0.0) -> None:
+        """Tell joints until an executed target is refused with these words; "": it is not."""
+        now = stage.node.get_clock().now() - Duration(seconds=age_s)
+
+        def heard() -> bool:
+            joints.publish(joints_message(arm, arm.mid))
+            joints.publish(joints_message(arm, q, now.to_msg() if age_s else None))
+            answer = ask(reach)
+            refused = answer.status == status.NOT_READY
+            return refused == bool(words) and words in answer.message
+
+        stage.spin(heard)
+
+    stands(np.where(np.arange(arm.n) == 3, 50.0, arm.mid), "joint4: 50")
+    stands(arm.mid + 0.8 * (arm.upper - arm.mid), "jumped")
+    stands(arm.mid, "100.0 s old", age_s=100.0)
+    stands(arm.mid, "")
+    stage.spin(lambda: trajectories)
+    stage.spin(lambda: stories[-1].executed.position)
+    del trajectories[:]
+    count = len(stories)
     lost = reach.copy()
     lost[0, 3] = math.nan
     assert ask(lost).status == status.BAD_TARGET
@@ -178,14 +212,26 @@ def test_every_refusal_has_a_status_and_a_reason(
     answer = stage.call(client, foreign)
     assert answer.status == status.BAD_TARGET
     assert "elbow" in answer.message
+    wild = request(reach, arm)
+    wild.seed.position[2] = 50.0
+    answer = stage.call(client, wild)
+    assert answer.status == status.BAD_TARGET
+    assert "joint3: 50" in answer.message
+    for age_s, words in ((100.0, "100.0 s old"), (-100.0, "in the future")):
+        old = request(reach, arm, execute=True)
+        then = stage.node.get_clock().now() - Duration(seconds=age_s)
+        old.target.header.stamp = then.to_msg()
+        answer = stage.call(client, old)
+        assert answer.status == status.STALE_TARGET
+        assert words in answer.message
     far = reach.copy()
     far[0, 3] += 3.0
     answer = stage.call(client, request(far, arm, execute=True, position_only=True), within=40.0)
     assert answer.status == status.UNREACHABLE
     assert not answer.command.position
     assert not trajectories
-    stage.spin(lambda: len(stories) == 7)
-    assert all(story.message and not story.executed.position for story in stories)
+    stage.spin(lambda: len(stories) == count + 9)
+    assert all(story.message and not story.executed.position for story in stories[count:])
 
     quiet = ask(reach)
     assert quiet.status == status.NO_PREDICTOR
@@ -275,41 +321,3 @@ def test_what_the_model_needs_must_be_told_and_nonsense_is_only_counted(
     stage.spin(lambda: stories and stories[-1].temperature_c == 40.0)
     np.testing.assert_allclose(stories[-1].ideal.position, arm.mid, atol=1e-3)
     assert node.poll() is None
-
-
-def test_a_move_that_the_driver_lost_leaves_the_history_unknown(
-    stage: Bench, arm: Arm, demo_arm_path: Path, tmp_path: Path
-) -> None:
-    path = tmp_path / "model.yaml"
-    friction = FrictionHysteresis(joint=2, width=0.02, inner=0.01, outer=0.01)
-    save_model(path, store(declared_model(arm).plus(friction)))
-    options = {"arm": demo_arm_path, "model": path, "method": "deflection", "run_up": False}
-    stage.start("kinematics", options)
-    client = graph.COMPENSATE.client(stage.node)
-    topics = (graph.JOINT_STATES, graph.JOINT_TRAJECTORY, graph.LOST_MOVE)
-    joints, trajectories, lost = (topic.publisher(stage.node) for topic in topics)
-    for publisher in (joints, trajectories, lost):
-        stage.connected(publisher)
-    target = declared_model(arm).pose(arm.mid)
-
-    def said() -> Compensate.Response:
-        joints.publish(joints_message(arm, arm.mid))
-        return stage.call(client, request(target, arm))
-
-    def doubts(expected: bool) -> Compensate.Response:
-        """An answer that says, or does not say, that the tip depends on what is not known."""
-        found: list[Compensate.Response] = []
-
-        def heard() -> bool:
-            found[:] = [said()]
-            return found[0].success and ("not known" in found[0].message) is expected
-
-        stage.spin(heard)
-        return found[0]
-
-    doubts(True)
-    for _ in range(2):
-        trajectories.publish(trajectory_message(arm, sweep(arm, arm.mid), 0.1))
-        doubts(False)
-        lost.publish(String(data="refused: the driver is not active"))
-        assert doubts(True).sigma > 1e-3

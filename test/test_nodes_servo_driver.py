@@ -18,11 +18,13 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from nodes_bench import Bench, bench, own_graph
 from rcl_interfaces.srv import DescribeParameters
+from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.sim.servo_emulator import MotorSpec, ServoEmulator, read_arm
+from longarm_interfaces.msg import DriverState, Motion
 
 CONFIG = """
 /**/servo_driver:
@@ -56,7 +58,8 @@ class Rig:
         )
         self.emulator.start()
         self.states = stage.collect(graph.JOINT_STATES)
-        self.lost = stage.collect(graph.LOST_MOVE)
+        self.motions = stage.collect(graph.MOTION)
+        self.said = stage.collect(graph.DRIVER_STATE)
         self.diagnostics = stage.collect(graph.DIAGNOSTICS)
         self.trajectories = graph.JOINT_TRAJECTORY.publisher(stage.node)
         self.process = self.start()
@@ -85,12 +88,29 @@ class Rig:
         """Where the emulated joints really stand."""
         return self.arm.values(self.emulator.positions())
 
-    def send(self, **goal: float) -> None:
+    def send(self, name: str = "", **goal: float) -> None:
         point = JointTrajectoryPoint(
             positions=list(goal.values()), time_from_start=Duration(nanosec=200_000_000)
         )
         self.stage.connected(self.trajectories)
-        self.trajectories.publish(JointTrajectory(joint_names=list(goal), points=[point]))
+        self.trajectories.publish(
+            JointTrajectory(header=Header(frame_id=name), joint_names=list(goal), points=[point])
+        )
+
+    def events(self, name: str) -> list[int]:
+        """What the driver has told of the trajectory of that id."""
+        return [motion.event for motion in self.motions if motion.id == name]
+
+    def becomes(self, name: str, *events: int) -> Motion:
+        """Wait until this, and nothing else, has become of a trajectory; the last message."""
+        self.stage.spin(lambda: len(self.events(name)) >= len(events))
+        assert self.events(name) == list(events)
+        return next(motion for motion in reversed(self.motions) if motion.id == name)
+
+    def is_in(self, state: int) -> DriverState:
+        """Wait until the driver tells that state."""
+        self.stage.spin(lambda: self.said and self.said[-1].state == state)
+        return self.said[-1]
 
     def arrives(self, **goal: float) -> None:
         def there() -> bool:
@@ -149,7 +169,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
 @pytest.fixture
 def rig(shared: Rig) -> Rig:
     """The driver, running and in order; started again where a test ended it."""
-    del shared.diagnostics[:]
+    del shared.diagnostics[:], shared.motions[:]
     if shared.process.poll() is not None:
         shared.start()
     shared.is_idle()
@@ -157,7 +177,13 @@ def rig(shared: Rig) -> Rig:
 
 
 def test_follows_reports_and_lets_go_through_its_life(rig: Rig) -> None:
-    rig.goes(shoulder=0.4, boom=0.05)
+    rig.send("there", shoulder=0.4)
+    rig.becomes("there", Motion.ACCEPTED, Motion.REACHED)
+    accepted = next(motion for motion in rig.motions if motion.event == Motion.ACCEPTED)
+    assert list(accepted.start.name) == ["shoulder", "boom"]
+    (point,) = accepted.points  # of every joint, also of the one that it does not name
+    assert point.positions == pytest.approx([0.4, accepted.start.position[1]])
+    rig.goes(boom=0.05)
     last = rig.stage.spin(
         lambda: rig.states and abs(rig.states[-1].position[0] - 0.4) < 1e-3 and rig.states[-1]
     )
@@ -166,8 +192,9 @@ def test_follows_reports_and_lets_go_through_its_life(rig: Rig) -> None:
 
     assert rig.change(Transition.TRANSITION_DEACTIVATE)
     assert rig.free()
-    rig.send(shoulder=0.0)
-    rig.stage.spin(lambda: rig.told(": arm").startswith("not active"))
+    rig.send("asleep", shoulder=0.0)
+    assert "not active" in rig.becomes("asleep", Motion.REFUSED).message
+    assert "torque is off" in rig.is_in(DriverState.INACTIVE).message
     assert rig.joints()["shoulder"] == pytest.approx(0.4, abs=1e-3)
     assert rig.change(Transition.TRANSITION_ACTIVATE)
     assert rig.driving()
@@ -178,6 +205,7 @@ def test_follows_reports_and_lets_go_through_its_life(rig: Rig) -> None:
     assert rig.free()
     rig.process.send_signal(signal.SIGINT)
     assert rig.process.wait(timeout=10) == 0
+    assert "ended" in rig.is_in(DriverState.UNCONFIGURED).message
 
 
 def test_bad_trajectories_move_nothing_and_are_counted(rig: Rig) -> None:
@@ -189,20 +217,26 @@ def test_bad_trajectories_move_nothing_and_are_counted(rig: Rig) -> None:
         {"boom": -0.01},
     )
     for goal in bad:
-        rig.send(**goal)
+        rig.send("bad", **goal)
     rig.trajectories.publish(JointTrajectory(joint_names=["boom"], points=[JointTrajectoryPoint()]))
 
     rig.stage.spin(lambda: rig.refused() == already + len(bad) + 1)
-    rig.stage.spin(lambda: sum(m.data.startswith("refused: ") for m in rig.lost) > already)
+    assert "elbow" in rig.motions[0].message
+    rig.becomes("bad", *[Motion.REFUSED] * len(bad))
     assert rig.joints() == pytest.approx(before, abs=1e-5)
     rig.goes(boom=0.02)
 
 
 def test_emergency_stop_lets_go_until_it_is_released(rig: Rig) -> None:
-    rig.send(shoulder=1.0)
+    rig.send("first", shoulder=1.0)
     rig.stage.spin(lambda: rig.joints()["shoulder"] > 0.05)
+    rig.is_in(DriverState.MOVING)
+    rig.send("second", shoulder=1.0)
+    rig.becomes("first", Motion.ACCEPTED, Motion.REPLACED)
     assert rig.call(graph.ESTOP, SetBool.Request(data=True)).success
     assert rig.free()
+    assert "emergency stop" in rig.becomes("second", Motion.ACCEPTED, Motion.BROKEN_OFF).message
+    rig.is_in(DriverState.ESTOP)
     stopped = rig.joints()["shoulder"]
     assert stopped < 0.95
     rig.send(shoulder=0.0)
@@ -216,8 +250,10 @@ def test_emergency_stop_lets_go_until_it_is_released(rig: Rig) -> None:
 
 def test_a_stalled_servo_stops_the_arm_until_reset(rig: Rig) -> None:
     rig.emulator.block(1)
-    rig.send(shoulder=0.8, boom=0.05)
+    rig.send("blocked", shoulder=0.8, boom=0.05)
     rig.stage.spin(lambda: "shoulder" in rig.told(": arm"))
+    assert "shoulder" in rig.becomes("blocked", Motion.ACCEPTED, Motion.BROKEN_OFF).message
+    assert "shoulder" in rig.is_in(DriverState.FAULT).message
     rig.emulator.block(1, False)
     assert rig.call(graph.RESET, Trigger.Request()).success
     rig.is_idle()

@@ -29,6 +29,7 @@ from longarm_comp.core.identify.placement import placed
 from longarm_comp.core.identify.standing import frames
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
+from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.studies.real_sessions import justin, laser_tracked
 
 TURNS = [Rotation.from_rotvec([0.7, -1.1, 1.84]), Rotation.from_rotvec([-3.0, 0.3, 0.2])]
@@ -263,6 +264,17 @@ def test_a_calibration_that_does_not_carry_over_is_refused(rng: np.random.Genera
     xyz = session.xyz + np.where(np.isin(session.index, held.index)[:, None], 0.004, 0.0)
     with pytest.raises(JobError, match="does not carry over to unseen rows"):
         la.calibrate(SMALL, dataclasses.replace(session, xyz=xyz))
+
+
+def test_a_tip_mass_that_no_arm_carries_is_refused(demo: Arm, rng: np.random.Generator) -> None:
+    """The moduli in arm.yaml are ten times the true ones: only a heavy tip explains the sag."""
+    data = demo.model_dump(mode="json", exclude_defaults=True)
+    for beam in data["links"]:
+        beam["E_pa"] /= 10.0
+    q = box(demo, 150, rng)
+    xyz = TrueArm(Arm.parse(data, "soft")).tip(q) + 2e-4 * rng.standard_normal((150, 3))
+    with pytest.raises(JobError, match=r"tip_payload at tip: mass \d\.\d+ kg is not credible"):
+        la.calibrate(demo, Session.record(q, xyz), effects=["tip_payload"])
 
 
 def test_gates() -> None:

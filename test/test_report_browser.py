@@ -64,7 +64,7 @@ addEventListener("load", async () => {
   try {
     const drawn = () => !window.Plotly || document.querySelector(".alive");
     for (let k = 0; k < 50 && !drawn(); k++) await wait(100);
-    const summary = document.querySelector(".summary");
+    const summary = document.querySelector(".verdict .figure, .verdict > .summary");
     const box = summary.getBoundingClientRect();
     seen.verdict = { text: summary.innerText, top: box.top, tall: box.height };
     seen.wide = document.documentElement.scrollWidth - innerWidth;
@@ -154,7 +154,7 @@ def test_full_page_shows_turns_sorts_and_filters(visit: Visit, tmp_path: Path) -
     assert seen["faults"] == []
     assert all(load.startswith(("data:", "blob:")) for load in seen["loads"])
 
-    assert seen["verdict"]["text"].startswith("backlash at joint 2")
+    assert re.fullmatch(r"[\d.]+ → [\d.]+ mm", seen["verdict"]["text"])
     assert seen["verdict"]["tall"] > 10 and 0 < seen["verdict"]["top"] < 600
     assert seen["wide"] <= 0
 

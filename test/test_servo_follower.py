@@ -41,6 +41,15 @@ def test_arrival_waits_until_the_servos_rest(rig: Rig) -> None:
     assert kinds(rig.run(0.2)) == [EventKind.ARRIVED]
 
 
+def test_a_joint_that_rests_beside_its_end_has_not_arrived(rig: Rig) -> None:
+    rig.obeys.discard(5)
+    off = 1.5 * LIMITS.stall_error_ticks * TURN.si_per_tick  # without load, so it is no stall
+    rig.send((0.5, {"turn": 0.2 + off, "slide": 0.05}))
+    (told,) = [e for s in rig.run(4.0) for e in s.events if e.kind is not EventKind.STARTED]
+    assert told.kind is EventKind.SHORT
+    assert "turn" in told.message and "slide" not in told.message
+
+
 def test_a_joint_that_is_not_named_stays(rig: Rig) -> None:
     rig.send((0.0, {"turn": -0.5}))
     rig.run(4.0)

@@ -59,6 +59,9 @@ def command(
         return
     for change in done.changes:
         click.echo(str(change))
+    for name, pair in (("as commanded", done.commanded_mm), ("as seen", done.seen_mm)):
+        if pair is not None:
+            click.echo(f"held-out mean error {name}: {pair[0]:.2f} -> {pair[1]:.2f} mm")
     note(f"{done.model} is version {done.version}; predictor: {done.predictor or 'none'}")
     if done.set_aside is not None:
         note(f"the predictor before is kept as {done.set_aside}")

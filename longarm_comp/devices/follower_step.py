@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+import numpy as np
+
 from longarm_comp.devices.servo_watch import Finding
 
 
@@ -25,6 +27,7 @@ class EventKind(Enum):
     REPLACED = "replaced"
     SLOWED = "slowed"
     ARRIVED = "arrived"
+    SHORT = "short of its end"
     DOUBTFUL = "doubtful"
     FAULT = "fault"
     ESTOP = "estop"
@@ -38,6 +41,23 @@ class Event:
     kind: EventKind
     message: str
     finding: Finding | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Accepted:
+    """A trajectory as it was taken up.
+
+    Attributes:
+        start: (n,) set-point that it starts from, in the order of the configuration (rad, m).
+        points: (k, n) its way-points, also of the joints that it does not name.
+        times: (k,) s from now at which they are asked for.
+        replaces: whether another one was under way.
+    """
+
+    start: np.ndarray
+    points: np.ndarray
+    times: np.ndarray
+    replaces: bool
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from longarm_comp.devices.servo_bus import (
     ServoState,
 )
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.servo_follower import FollowerState, Step, TrajectoryFollower
+from longarm_comp.devices.servo_follower import Accepted, FollowerState, Step, TrajectoryFollower
 
 _DRIVEN_EVERY = 25  # cycles between two checks that the torque is still on
 _REOPEN_S = 0.5
@@ -103,7 +103,7 @@ class ServoArm:
         self.bus.torque(self._ids, on)
         self._powered, self._owing_off = on, False
 
-    def accept(self, trajectory: JointTrajectory, now: float) -> None:
+    def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
         """Start a trajectory.
 
         Raises:
@@ -111,7 +111,7 @@ class ServoArm:
         """
         if not self._powered:
             raise JobError("the torque is off")
-        self.follower.accept(trajectory, now)
+        return self.follower.accept(trajectory, now)
 
     def estop(self) -> None:
         """Torque off now, no commands until `release`. Raises as `power`."""

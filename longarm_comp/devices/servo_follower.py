@@ -24,14 +24,14 @@ from collections.abc import Mapping
 import numpy as np
 
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.devices.follower_step import Event, EventKind, FollowerState, Step
+from longarm_comp.devices.follower_step import Accepted, Event, EventKind, FollowerState, Step
 from longarm_comp.devices.joint_path import Array, JointPath, JointTrajectory, plan_path
 from longarm_comp.devices.servo_bus import ServoState
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_watch import Finding, ServoWatch, Trouble
 from longarm_comp.devices.trajectory_check import checked
 
-__all__ = ["Event", "EventKind", "FollowerState", "Step", "TrajectoryFollower"]
+__all__ = ["Accepted", "Event", "EventKind", "FollowerState", "Step", "TrajectoryFollower"]
 
 _SETTLED_TICKS_S = 30.0
 
@@ -57,6 +57,7 @@ class TrajectoryFollower:
         self._fresh = False
         self._doubting = False
         self._settled = True
+        self._still_s = 0.0
         self._set: Array | None = None
         self._velocity = np.zeros(len(self._joints))
         self._goals: dict[int, int] | None = None
@@ -69,13 +70,14 @@ class TrajectoryFollower:
         """State of the follower."""
         return self._state
 
-    def accept(self, trajectory: JointTrajectory, now: float) -> None:
+    def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
         """Accept a trajectory. It starts with the next step, from the present set-point.
 
         Joints that it does not name stay where they are. A trajectory without points means to
         stop smoothly. If the first point has time 0 and is not at the arm, it is reached as fast
         as the limits allow. A trajectory that is too fast is slowed down evenly, and an event
-        SLOWED reports the factor. It always ends at rest.
+        SLOWED reports the factor. It always ends at rest: then an event ARRIVED follows, or SHORT
+        where a joint stands still and is not where it was sent.
 
         Raises:
             InputError: unknown or repeated joint, wrong length, not finite, times not increasing,
@@ -89,19 +91,23 @@ class TrajectoryFollower:
             brake = start + 0.5 * self._config.follower.blend_s * self._velocity
             rest = np.clip(brake, self._lower, self._upper)[None]
             path = JointPath(np.zeros(1), rest, np.zeros_like(rest))
+            accepted = Accepted(start, rest, np.zeros(1), self._state is FollowerState.TRACKING)
         else:
+            accepted = Accepted(
+                start, wanted.positions, wanted.times, self._state is FollowerState.TRACKING
+            )
             path = plan_path(
                 start, wanted.times, wanted.positions, wanted.velocities, self._max_velocity
             )
             self._check_inside(path)
-        replaces = self._state is FollowerState.TRACKING
         self._set = start
         self._path, self._path_time, self._from = path, 0.0, (start, self._velocity.copy())
-        self._state, self._settled = FollowerState.TRACKING, False
-        kind = EventKind.REPLACED if replaces else EventKind.STARTED
+        self._state, self._settled, self._still_s = FollowerState.TRACKING, False, 0.0
+        kind = EventKind.REPLACED if accepted.replaces else EventKind.STARTED
         self._say(kind, f"{len(trajectory.points)} points, {path.duration:.2f} s")
         if path.stretch > 1.001:
             self._say(EventKind.SLOWED, f"{path.stretch:.2f} times slower, for the velocity limits")
+        return accepted
 
     def halt(self, now: float) -> None:
         """Stop smoothly and hold. Raises as ``accept``."""
@@ -174,7 +180,7 @@ class TrajectoryFollower:
         arrived = self._path_time >= self._path.duration + self._config.follower.blend_s
         if arrived and np.allclose(self._set, self._path.end, rtol=0.0, atol=1e-9):
             self._state = FollowerState.HOLDING
-            self._settle()
+            self._settle(dt)
         self._goals = {
             joint.servo_id: joint.to_ticks(value)
             for joint, value in zip(self._joints, self._set.tolist(), strict=True)
@@ -197,13 +203,33 @@ class TrajectoryFollower:
         weight = u * u * (3.0 - 2.0 * u)
         return (1.0 - weight) * brake + weight * wanted
 
-    def _settle(self) -> None:
-        """Report once that the arm has come to rest at the end of its trajectory."""
+    def _settle(self, dt: float) -> None:
+        """Report once that the arm has come to rest: at the end of its trajectory, or short."""
         states = [self._watch.state(name) for name in self._names]
         still = all(s is not None and abs(s.velocity_ticks_s) < _SETTLED_TICKS_S for s in states)
-        if still and not self._settled:
-            self._settled = True
+        self._still_s = self._still_s + dt if still else 0.0
+        if self._settled or not still:
+            return
+        short = self._short()
+        if not short:
             self._say(EventKind.ARRIVED, "at rest at the end of the trajectory")
+        elif self._still_s > self._config.follower.stall_time_s:
+            self._say(EventKind.SHORT, "at rest short of the end of the trajectory: " + short)
+        else:
+            return
+        self._settled = True
+
+    def _short(self) -> str:
+        """Which joints stand away from where they were sent, and how far; empty if none does."""
+        assert self._set is not None
+        far = []
+        for name, joint, wanted in zip(self._names, self._joints, self._set.tolist(), strict=True):
+            state = self._watch.state(name)
+            assert state is not None
+            off = joint.to_si(state.position_ticks) - wanted
+            if abs(off) > self._config.follower.stall_error_ticks * joint.si_per_tick:
+                far.append(f"{name} by {abs(off):.4g} {joint.unit}")
+        return ", ".join(far)
 
     def _fault(self, findings: list[Finding]) -> dict[int, int]:
         """Stop at the present positions, once. A silent servo keeps its last goal."""

@@ -27,6 +27,7 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.images import stamp_ns
 from longarm_comp.nodes.messages import joints_of, sighting_of
+from longarm_interfaces.msg import DriverState
 
 _ASK_AGAIN_S = 2.0
 """Without an answer for so long, a request that may be served twice is sent again."""
@@ -161,6 +162,8 @@ class ArmClient(GraphClient):
         self._trajectory = graph.JOINT_TRAJECTORY.publisher(self.node)
         graph.JOINT_STATES.subscription(self.node, self._on_joints)
         graph.TIP_MEASURED.subscription(self.node, self._on_tip)
+        self._driver: DriverState | None = None
+        self._states = graph.DRIVER_STATE.subscription(self.node, self._on_state)
 
     def _on_joints(self, message: JointState) -> None:
         try:
@@ -175,9 +178,10 @@ class ArmClient(GraphClient):
         del self.sightings[:-200]
 
     def ready(self, within_s: float = 30.0, *, tip: bool = True) -> None:
-        """Wait for joint states, a driver and, with ``tip``, a sighting of the tip."""
+        """Wait for joint states, a ready driver and, with ``tip``, a sighting of the tip."""
         self.until(lambda: self.joints is not None, within_s, "no joint_states")
         self.until(self._driver_hears, within_s, "no driver listens to joint_trajectory")
+        self.until(self._driver_takes, within_s, "the driver is not ready")
         if tip:
             self.until(lambda: self.sightings, within_s, "no tip_measured")
 
@@ -187,6 +191,15 @@ class ArmClient(GraphClient):
         ends = self.node.get_subscriptions_info_by_topic(topic)
         driver = any(end.node_name not in ("kinematics", self.node.get_name()) for end in ends)
         return driver and self._trajectory.get_subscription_count() >= len(ends)
+
+    def _driver_takes(self) -> bool:
+        """Whether the driver tells that it takes trajectories; true of one that never tells."""
+        if self._driver is None:
+            return self.node.count_publishers(self._states.topic_name) == 0
+        return self._driver.state in (DriverState.READY, DriverState.MOVING)
+
+    def _on_state(self, message: DriverState) -> None:
+        self._driver = message
 
     # ------------------------------------------------------------------ moving
 

@@ -1,4 +1,4 @@
-"""State of the arm as heard on the graph: joints, last command, readings of circumstances."""
+"""State of the arm as heard on the graph: joints and readings of circumstances."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ from collections.abc import Callable
 import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import Imu, JointState, Temperature
-from std_msgs.msg import Float64, String
-from trajectory_msgs.msg import JointTrajectory
+from std_msgs.msg import Float64
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.history import History
+from longarm_comp.core.compensation.joint_trust import JointTrust
 from longarm_comp.core.compensation.online import Readings
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.messages import joints_of, path_of, tilt_of
-from longarm_comp.nodes.worker import ManualCallbackGroup
+from longarm_comp.nodes.images import stamp_ns
+from longarm_comp.nodes.messages import joints_of, tilt_of
 
 NO_JOINTS = "no joint_states yet"
 """What `kinematics` says of its targets on /diagnostics until it knows the joints."""
@@ -29,12 +28,9 @@ class ArmState:
 
     Args:
         refused: called for every message that is refused, with its kind and the reason.
-        commanded: called for every command, with its joints (n,) and their history on arrival.
-        moved: called with every joint reading (n,).
-
-    Attributes:
-        commands: subscriptions to the commands and to what became of them. The worker takes
-            them, so that each is known before the next target.
+        moved: called with every joint reading (n,) that is believed.
+        max_age_s: older joint readings are not believed.
+        rate: ranges of a joint per second; readings that move faster are not believed.
     """
 
     def __init__(
@@ -42,20 +38,17 @@ class ArmState:
         node: Node,
         arm: Arm,
         refused: Callable[[str, str], None],
-        commanded: Callable[[np.ndarray, History], None],
         moved: Callable[[np.ndarray], None],
+        max_age_s: float,
+        rate: float,
     ) -> None:
+        self._trust, self._max_age_s = JointTrust(arm, rate), max_age_s
+        self._clock = node.get_clock()
         self._arm, self._refused = arm, refused
-        self._on_command, self._on_moved = commanded, moved
+        self._on_moved = moved
         self.readings = Readings(started_s=time.monotonic())
-        self.history = History.unknown(arm.n)
         self._joints: tuple[np.ndarray, float] | None = None
-        self._commanded: np.ndarray | None = None
         graph.JOINT_STATES.subscription(node, self._on_joints)
-        self.commands = (
-            graph.JOINT_TRAJECTORY.subscription(node, self._on_trajectory, ManualCallbackGroup()),
-            graph.LOST_MOVE.subscription(node, self._on_lost, ManualCallbackGroup()),
-        )
         graph.TEMPERATURE.subscription(node, self._on_temperature)
         graph.PAYLOAD.subscription(node, self._on_payload)
         graph.INCLINATION.subscription(node, self._on_inclination)
@@ -78,25 +71,29 @@ class ArmState:
         except InputError as error:
             self._refused("bad joint_states", str(error))
             return
-        self._joints = q, time.monotonic()
-        self._on_moved(q)
-
-    def _on_trajectory(self, message: JointTrajectory) -> None:
-        """Record the move of any command, whoever sent it, in the history of the joints."""
-        try:
-            path = path_of(message, self._arm)
-        except InputError as error:
-            self._refused("bad joint_trajectory", str(error))
+        stamp, now = stamp_ns(message.header.stamp), time.monotonic()
+        if stamp and (why := self.untimely(stamp, self._max_age_s)):
+            self._trust.distrust(f"joint_states are doubtful: the last {why}")
+        elif self._trust.read(q, 1e-9 * stamp if stamp else now):
+            self._joints = q, now
+            self._on_moved(q)
             return
-        before = self._commanded if self._commanded is not None else self.joints
-        self.history = self.history.after(path, before)
-        self._commanded = path[-1]
-        self._on_command(path[-1], self.history)
+        self._refused("doubtful joint_states", self._trust.doubt)
 
-    def _on_lost(self, message: String) -> None:
-        """A move that the driver did not take, or broke off: where joints came from is unknown."""
-        self.history = History.unknown(self._arm.n)
-        self._commanded = None
+    @property
+    def doubt(self) -> str:
+        """Why the arm must not be moved from where `joints` say that it is; empty if it may."""
+        if self._joints is None:
+            return self._trust.doubt or NO_JOINTS
+        old = f"the last joint_states is {self.age_s:.1f} s old"
+        return self._trust.doubt or (old if self.age_s > self._max_age_s else "")
+
+    def untimely(self, stamp: int, max_age_s: float) -> str:
+        """Why a message of that stamp (ns) is too old, or of the future; empty if it is not."""
+        age = 1e-9 * (self._clock.now().nanoseconds - stamp)
+        if abs(age) <= max_age_s:
+            return ""
+        return f"is {age:.1f} s old" if age > 0 else f"lies {-age:.1f} s in the future"
 
     def _on_temperature(self, message: Temperature) -> None:
         self._read("temperature", {"temperature_c": message.temperature})

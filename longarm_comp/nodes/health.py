@@ -31,6 +31,22 @@ class Report:
     facts: Mapping[str, object] = field(default_factory=dict)
 
 
+class Tally:
+    """Counts what happened, by name, and keeps the last reason. Each reason is logged too."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self.counts: dict[str, int] = {}
+        self.last = ""
+
+    def count(self, what: str, why: str) -> None:
+        """Count one more, with its reason; empty where there is none."""
+        self.counts[what] = self.counts.get(what, 0) + 1
+        if why:
+            self.last = why
+            self._node.get_logger().warning(why, throttle_duration_sec=1.0)
+
+
 class Health:
     """Collects a report from every part of a node and publishes them.
 

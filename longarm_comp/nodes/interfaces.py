@@ -16,14 +16,15 @@ from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Vector3Sta
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, Image, Imu, JointState, Temperature
-from std_msgs.msg import Float64, String
+from std_msgs.msg import Float64
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from longarm_interfaces.msg import Compensation
+from longarm_interfaces.action import Reach
+from longarm_interfaces.msg import Compensation, DriverState, Motion
 from longarm_interfaces.srv import Compensate, PredictError
 
 RELIABLE = ReliabilityPolicy.RELIABLE
@@ -49,6 +50,7 @@ class Topic:
         listens: reliability of subscriptions. Best effort also receives from best-effort sensors.
             Publishers are always reliable, which is compatible with both.
         meaning: one line for the documentation.
+        latched: who subscribes later receives the last message too.
     """
 
     name: str
@@ -56,12 +58,16 @@ class Topic:
     depth: int
     listens: ReliabilityPolicy
     meaning: str
+    latched: bool = False
 
     def publisher(self, node: Node) -> Any:
         """Create a publisher on a node."""
-        return node.create_publisher(
-            self.type, self.name, QoSProfile(depth=self.depth), event_callbacks=_UNHEARD_PUBLISHER
-        )
+        qos = QoSProfile(depth=self.depth, durability=self._durability)
+        return node.create_publisher(self.type, self.name, qos, event_callbacks=_UNHEARD_PUBLISHER)
+
+    @property
+    def _durability(self) -> DurabilityPolicy:
+        return DurabilityPolicy.TRANSIENT_LOCAL if self.latched else DurabilityPolicy.VOLATILE
 
     def subscription(
         self,
@@ -71,11 +77,22 @@ class Topic:
         listens: ReliabilityPolicy | None = None,
     ) -> Any:
         """Create a subscription on a node; ``listens`` replaces the topic's own reliability."""
-        qos = QoSProfile(depth=self.depth, reliability=listens or self.listens)
+        qos = QoSProfile(
+            depth=self.depth, reliability=listens or self.listens, durability=self._durability
+        )
         return node.create_subscription(
             self.type, self.name, callback, qos,
             callback_group=group, event_callbacks=_UNHEARD_SUBSCRIPTION,
         )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Action:
+    """One action."""
+
+    name: str
+    type: type
+    meaning: str
 
 
 @dataclass(frozen=True)
@@ -101,20 +118,24 @@ class Service:
 
 
 TARGET_POSE = Topic(
-    "target_pose", PoseStamped, 200, RELIABLE, "pose for the tip to reach, base frame"
+    "target_pose", PoseStamped, 2000, RELIABLE, "pose for the tip to reach, base frame; latest wins"
 )
 JOINT_TRAJECTORY = Topic(
     "joint_trajectory", JointTrajectory, 200, RELIABLE, "compensated joints, rad and m"
 )
 COMPENSATION = Topic(
-    "compensation", Compensation, 200, RELIABLE, "full record of one target, also of a refused one"
+    "compensation", Compensation, 2000, RELIABLE, "full record of one target, also of a refused one"
 )
 JOINT_STATES = Topic(
     "joint_states", JointState, 10, BEST_EFFORT, "joints as the servos report them, rad and m"
 )
-LOST_MOVE = Topic(
-    "lost_move", String, 50, RELIABLE, "why the driver refused or broke off a commanded move"
+MOTION = Topic(
+    "motion", Motion, 2000, RELIABLE, "what became of every trajectory, told by the driver"
 )
+DRIVER_STATE = Topic(
+    "servo_driver/state", DriverState, 1, RELIABLE, "whether the driver takes trajectories",
+    latched=True,
+)  # fmt: skip
 PREDICTED_ERROR = Topic(
     "predicted_error", Vector3Stamped, 20, RELIABLE, "each learned error requested, base frame, m"
 )
@@ -149,8 +170,11 @@ RELOAD = Service("~/reload", Trigger, "read the node's files again")
 ESTOP = Service("~/estop", SetBool, "true: torque off now, commands refused; false: ready again")
 RESET = Service("~/reset", Trigger, "leave a fault once its cause is gone")
 
+REACH = Action("reach", Reach, "move the tip to a target and say where it came to rest")
+
 TOPICS: tuple[Topic, ...] = (
-    *(TARGET_POSE, JOINT_TRAJECTORY, COMPENSATION, JOINT_STATES, LOST_MOVE, PREDICTED_ERROR),
+    *(TARGET_POSE, JOINT_TRAJECTORY, COMPENSATION, JOINT_STATES, MOTION, DRIVER_STATE),
+    PREDICTED_ERROR,
     TIP_MEASURED,
     *(LEFT_IMAGE, RIGHT_IMAGE, LEFT_INFO, RIGHT_INFO, TEMPERATURE, PAYLOAD, INCLINATION),
     *(MARKERS, DIAGNOSTICS),

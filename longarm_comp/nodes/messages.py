@@ -155,13 +155,23 @@ def _in_order(at: Mapping[str, float], names: list[str], arm: Arm, where: str) -
     return np.array([at[name] for name in arm.joint_names])
 
 
-def trajectory_message(arm: Arm, points: np.ndarray, move_time_s: float) -> JointTrajectory:
-    """Way-points (k, n), each ``move_time_s`` after the one before. The stamp 0 means now."""
-    message = JointTrajectory(joint_names=list(arm.joint_names))
+def duration(seconds: float) -> Duration:
+    """A duration of some seconds, 0 or more."""
+    whole, rest = divmod(round(seconds * 1e9), 10**9)
+    return Duration(sec=whole, nanosec=rest)
+
+
+def trajectory_message(
+    arm: Arm, points: np.ndarray, move_time_s: float, name: str = ""
+) -> JointTrajectory:
+    """Way-points (k, n), each ``move_time_s`` after the one before. The stamp 0 means now.
+
+    ``name`` is the id by which the driver says what became of it.
+    """
+    message = JointTrajectory(header=Header(frame_id=name), joint_names=list(arm.joint_names))
     for k, q in enumerate(points.tolist(), 1):
-        seconds, rest = divmod(k * move_time_s, 1.0)
-        time = Duration(sec=int(seconds), nanosec=round(rest * 1e9))
-        message.points.append(JointTrajectoryPoint(positions=q, time_from_start=time))
+        after = duration(k * move_time_s)
+        message.points.append(JointTrajectoryPoint(positions=q, time_from_start=after))
     return message
 
 
@@ -208,10 +218,12 @@ class Answer:
     """Everything that is published about one target on `compensation`.
 
     Attributes:
+        name: id of the target.
         target, position_only: the request.
         arrival: the computation; None for a target that was refused before it.
     """
 
+    name: str
     target: PoseStamped
     position_only: bool
     status: Status
@@ -227,13 +239,15 @@ class Answer:
 
 
 def compensation_message(
-    answer: Answer, arm: Arm, base_frame: str, *, executed: bool
+    answer: Answer, arm: Arm, base_frame: str, *, executed: bool, accepted: bool
 ) -> Compensation:
-    """The full record of one target; `executed`: the joints were sent to the arm."""
+    """The full record of one target; whether its joints were sent, and taken up by the driver."""
     context = Context.empty() if answer.arrival is None else answer.arrival.context
     sides = {float(side) for side in context.approach}
     published = Compensation(
         header=Header(stamp=answer.target.header.stamp, frame_id=base_frame),
+        id=answer.name,
+        accepted=accepted,
         target=answer.target,
         position_only=answer.position_only,
         status=int(answer.status),
@@ -262,6 +276,7 @@ def response_of(answer: Answer, arm: Arm, base_frame: str) -> Compensate.Respons
     _fill(response, answer, arm, base_frame)
     if answer.status.success and answer.arrival is not None and answer.outcome is not None:
         response.command = joints_message(arm, answer.outcome.command, answer.target.header.stamp)
+        response.command.header.frame_id = answer.name
         response.approach = [int(side) for side in answer.arrival.move.side]
     return response
 

@@ -55,6 +55,15 @@ class Promise:
     sigma: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class Sighted:
+    """The tip seen at rest at a target: joints (n,) sent, tip (3,) m, and tip - target (3,) m."""
+
+    q: np.ndarray
+    tip: np.ndarray
+    miss: np.ndarray
+
+
 class TipMonitor:
     """Collects rest poses and tests their residuals.
 
@@ -63,6 +72,9 @@ class TipMonitor:
 
     Args:
         advice: returns the commands to run once drift is found.
+
+    Attributes:
+        sighted: the last rest pose at a target.
     """
 
     def __init__(
@@ -76,6 +88,7 @@ class TipMonitor:
         self._monitor = Monitor(run_length)
         self._at_target = Monitor(run_length)
         self._aim: tuple[np.ndarray, np.ndarray] | None = None
+        self.sighted: Sighted | None = None
         self._last = "no rest pose measured yet"
         self._last_miss = "no target measured yet"
         self._outside = 0
@@ -105,7 +118,8 @@ class TipMonitor:
             return self._watch.sighted(tip, variance, time.monotonic())
 
     def judge(self, rest: RestPose, model: Model, context: Context) -> None:
-        """Add a rest pose to the sequential test."""
+        """Add a rest pose to the sequential tests."""
+        missed = self._missed(rest, model, context)
         promise = self._promise(rest, model, context)
         if promise is None:
             self._outside += 1
@@ -113,11 +127,18 @@ class TipMonitor:
         residual = rest.tip - promise.tip
         self._monitor = self._monitor.seen(residual, promise.sigma)
         self._last = f"residual {_mm(residual)}"
-        if self._aim is not None and np.abs(rest.q - self._aim[0]).max() < SAME_POSE:
-            seen_beside = model.measured(rest.q, context) - model.tip(rest.q, context)
-            missed = rest.tip - seen_beside - self._aim[1]
+        if missed is not None:
             self._at_target = self._at_target.seen(missed, promise.sigma)
             self._last_miss = f"tip - target {_mm(missed)}"
+
+    def _missed(self, rest: RestPose, model: Model, context: Context) -> np.ndarray | None:
+        """tip - target (3,) m where the arm rests at a target, without the camera's side."""
+        if self._aim is None or np.abs(rest.q - self._aim[0]).max() >= SAME_POSE:
+            return None
+        seen_beside = model.measured(rest.q, context) - model.tip(rest.q, context)
+        missed = rest.tip - seen_beside - self._aim[1]
+        self.sighted = Sighted(rest.q, rest.tip, missed)
+        return missed
 
     def _promise(self, rest: RestPose, model: Model, context: Context) -> Promise | None:
         """Expected tip; None where the predictor refuses."""

@@ -7,30 +7,33 @@ switched off on deactivate, cleanup, shutdown, emergency stop and at the end of 
 from __future__ import annotations
 
 import inspect
+import os
 import sys
 import time
+import uuid
 from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
-from trajectory_msgs.msg import JointTrajectory
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import LongarmError
 from longarm_comp.devices.servo_arm import Cycle, ServoArm
 from longarm_comp.devices.servo_bus import BusUnplugged, IncompleteReply
 from longarm_comp.devices.servo_config import BusConfig, FollowerConfig, ServoConfig
-from longarm_comp.devices.servo_follower import EventKind, FollowerState
+from longarm_comp.devices.servo_follower import Accepted, EventKind, FollowerState
 from longarm_comp.devices.servo_joint import JointConfig
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
-from longarm_comp.nodes.messages import trajectory_of
+from longarm_comp.nodes.messages import duration, trajectory_of
 from longarm_comp.nodes.params import Param, declare, nested, overrides, redeclare
 from longarm_comp.nodes.runner import run
+from longarm_comp.nodes.steady import steady_timer
+from longarm_interfaces.msg import DriverState, Motion
 
 PARAMS = (
     Param("rate_hz", 50.0, "cycles a second: read all servos, command all", 1.0, 500.0),
@@ -42,6 +45,12 @@ PARAMS = (
 )
 SECTIONS = {"bus": BusConfig, "joints": JointConfig, "follower": FollowerConfig}
 """Parameters below these names are the servo configuration (`devices/servo_config.py`)."""
+
+_STATE_S = 0.5
+"""Pause between two messages of the state, s. It is also told when it changes."""
+
+_BREAKS = (EventKind.FAULT, EventKind.ESTOP, EventKind.SHORT)
+"""Events after which the joints are not where they were sent."""
 
 DONE, FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
@@ -62,24 +71,31 @@ class ServoDriver(LifecycleNode):
         self._active = False
         self._last: Cycle | None = None
         self._counts = {"trajectories": 0, "refused": 0, "incomplete cycles": 0}
-        self._fault = self._refusal = self._trouble = self._waiting = ""
+        self._fault = self._refusal = self._trouble = self._waiting = self._motion = ""
+        self._instance = f"{os.getpid()}-{uuid.uuid4().hex[:8]}"
+        self._said: tuple[int, str] | None = None
         self._patient_until = time.monotonic() + p["patience_s"]
         self._joint_states = graph.JOINT_STATES.publisher(self)
-        self._lost = graph.LOST_MOVE.publisher(self)
+        self._motions = graph.MOTION.publisher(self)
+        self._states = graph.DRIVER_STATE.publisher(self)
         graph.JOINT_TRAJECTORY.subscription(self, self._on_trajectory)
         graph.ESTOP.server(self, self._on_estop)
         graph.RESET.server(self, self._on_reset)
-        self._timer = self.create_timer(self._period_s, self._cycle)
+        self._timer = steady_timer(self, self._period_s, self._cycle)
+        steady_timer(self, _STATE_S, self._tell_state)
         self._health = Health(
             self, {"servo bus": self._bus_report, "arm": self._arm_report}, p[PERIOD.name]
         )
         if self._autostart:
             self._start()
-            self.create_timer(p["retry_s"], self._start)
+            steady_timer(self, p["retry_s"], self._start)
+        self._tell_change()
 
     def close(self) -> None:
         """Switch the torque off and release the port."""
         self._release()
+        self._fault = "the driver has ended"
+        self._tell_state()
 
     def survived(self, error: Exception) -> None:
         """Count an exception that a callback raised."""
@@ -125,7 +141,7 @@ class ServoDriver(LifecycleNode):
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Torque off."""
         self._active = self._autostart = False
-        self._lost.publish(String(data="torque off"))
+        self._tell(Motion.BROKEN_OFF, self._motion, "torque off")
         try:
             self._machine.power(False)
         except LongarmError as error:
@@ -174,43 +190,100 @@ class ServoDriver(LifecycleNode):
     # ------------------------------------------------------------------ the loop
 
     def _cycle(self) -> None:
-        if self._arm is None:
-            return
-        cycle = self._last = self._arm.cycle(time.monotonic())
+        if self._arm is not None:
+            self._drive(self._arm)
+        self._tell_change()
+
+    def _drive(self, arm: ServoArm) -> None:
+        cycle = self._last = arm.cycle(time.monotonic())
+        if cycle.joints:
+            self._joint_states.publish(self._joints())
+        else:
+            self._counts["incomplete cycles"] += 1
         for event in cycle.step.events:
-            urgent = event.kind in (EventKind.FAULT, EventKind.ESTOP)
+            urgent = event.kind in _BREAKS
             say = self.get_logger().error if urgent else self.get_logger().debug
             say(f"{event.kind.value}: {event.message}")
-            if urgent:
-                self._lost.publish(String(data=f"{event.kind.value}: {event.message}"))
             if event.kind is EventKind.FAULT:
                 self._trouble = event.message
-        if not cycle.joints:
-            self._counts["incomplete cycles"] += 1
-            return
+            if event.kind is EventKind.ARRIVED:
+                self._tell(Motion.REACHED, self._motion)
+            elif urgent:
+                why = f"{event.kind.value}: {event.message}"
+                self._tell(Motion.BROKEN_OFF, self._motion, why)
+
+    def _joints(self) -> JointState:
+        """The last read-back; empty where a servo was silent."""
+        joints = self._last.joints if self._last is not None else {}
         message = JointState(
-            name=list(cycle.joints),
-            position=[joint.position for joint in cycle.joints.values()],
-            velocity=[joint.velocity for joint in cycle.joints.values()],
+            name=list(joints),
+            position=[joint.position for joint in joints.values()],
+            velocity=[joint.velocity for joint in joints.values()],
         )
         message.header.stamp = self.get_clock().now().to_msg()
-        self._joint_states.publish(message)
+        return message
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
+        name = message.header.frame_id
         if not self._active:
-            self._refuse("the driver is not active")
+            self._refuse(name, "the driver is not active")
             return
         try:
-            self._machine.accept(trajectory_of(message), time.monotonic())
-            self._counts["trajectories"] += 1
+            accepted = self._machine.accept(trajectory_of(message), time.monotonic())
         except LongarmError as error:
-            self._refuse(str(error))
+            self._refuse(name, str(error))
+            return
+        self._counts["trajectories"] += 1
+        if accepted.replaces:
+            self._tell(Motion.REPLACED, self._motion, "another trajectory was accepted")
+        self._motion = name
+        self._tell(Motion.ACCEPTED, name, taken=accepted)
+        self._tell_change()
 
-    def _refuse(self, why: str) -> None:
+    def _refuse(self, name: str, why: str) -> None:
         self._counts["refused"] += 1
         self._refusal = why
-        self._lost.publish(String(data=f"refused: {why}"))
+        self._tell(Motion.REFUSED, name, why)
         self.get_logger().warning(f"trajectory refused: {why}", throttle_duration_sec=1.0)
+
+    # ------------------------------------------------------------------ what became of it
+
+    def _tell(self, event: int, name: str, why: str = "", taken: Accepted | None = None) -> None:
+        """Publish what became of the trajectory of that id."""
+        message = Motion(id=name, event=event, message=why, joints=self._joints())
+        message.header.stamp = self.get_clock().now().to_msg()
+        if taken is not None:
+            names = list(self._config.joints)
+            message.start = JointState(name=names, position=taken.start.tolist())
+            message.points = [
+                JointTrajectoryPoint(positions=row, time_from_start=duration(at))
+                for row, at in zip(taken.points.tolist(), taken.times.tolist(), strict=True)
+            ]
+        self._motions.publish(message)
+
+    def _tell_change(self) -> None:
+        if self._said != self._state():
+            self._tell_state()
+
+    def _tell_state(self) -> None:
+        state, why = self._said = self._state()
+        message = DriverState(state=state, message=why, instance=self._instance)
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._states.publish(message)
+
+    def _state(self) -> tuple[int, str]:
+        """State as in `DriverState`, and why."""
+        if self._arm is None:
+            return DriverState.UNCONFIGURED, self._fault or self._waiting or "not configured"
+        follower = self._arm.follower.state
+        if follower is FollowerState.ESTOP:
+            return DriverState.ESTOP, "emergency stop; call ~/estop with false to go on"
+        if not self._active:
+            return DriverState.INACTIVE, self._fault or "not active: torque is off"
+        if follower is FollowerState.FAULT:
+            return DriverState.FAULT, f"{self._trouble}; call ~/reset once cured"
+        moving = follower is FollowerState.TRACKING
+        return (DriverState.MOVING if moving else DriverState.READY), ""
 
     def _on_estop(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if request.data:
@@ -261,15 +334,13 @@ class ServoDriver(LifecycleNode):
 
     def _arm_report(self) -> Report:
         facts: dict[str, object] = {**self._counts, "last refusal": self._refusal}
-        if self._arm is None or not self._active:
+        state, why = self._state()
+        if self._arm is None or state == DriverState.INACTIVE:
             return Report(WARN, self._fault or "not active: torque is off", facts)
         follower = self._arm.follower.state
         facts["state"] = follower.value
-        if follower is FollowerState.FAULT:
-            return Report(ERROR, f"{self._trouble}; call ~/reset once cured", facts)
-        if follower is FollowerState.ESTOP:
-            return Report(ERROR, "emergency stop; call ~/estop with false to go on", facts)
-        return Report(OK, follower.value, facts)
+        stopped = state in (DriverState.FAULT, DriverState.ESTOP)
+        return Report(ERROR if stopped else OK, why or follower.value, facts)
 
 
 def main() -> None:

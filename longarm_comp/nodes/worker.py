@@ -24,6 +24,8 @@ from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
+from longarm_comp.nodes.loss import SequenceWatch
+
 Job = Callable[[], Any]
 
 
@@ -63,11 +65,17 @@ class Worker:
         self._bell = GuardCondition(None, None, context=node.context)
         self._closing = False
         self._thread: threading.Thread | None = None
+        self._inlets: _Inlets | None = None
 
     @property
     def waiting(self) -> int:
         """Number of waiting jobs."""
         return len(self._jobs)
+
+    @property
+    def lost(self) -> int:
+        """Messages that full queues have dropped."""
+        return 0 if self._inlets is None else self._inlets.lost
 
     def start(self, topics: Sequence[Subscription] = (), services: Sequence[Service] = ()) -> None:
         """Start the thread, once.
@@ -78,8 +86,8 @@ class Worker:
         The callbacks run on the thread, before the next job.  The callback of a service gets the
         request and a function that sends the response.
         """
-        inlets = _Inlets(self._context, self._bell, topics, services)
-        self._thread = threading.Thread(target=self._run, args=(inlets,), daemon=True)
+        self._inlets = _Inlets(self._context, self._bell, topics, services)
+        self._thread = threading.Thread(target=self._run, args=(self._inlets,), daemon=True)
         self._thread.start()
 
     def submit(self, job: Job) -> bool:
@@ -103,6 +111,18 @@ class Worker:
             self._executor.wake()
 
         return future if self.submit(answer) else None
+
+    def take(self, until: Callable[[], bool], within_s: float) -> bool:
+        """Take messages and requests, inside a job, until a condition holds; whether it does."""
+        end = time.monotonic() + within_s
+        assert self._inlets is not None
+        while not (done := until()) and not self._closing:
+            left = end - time.monotonic()
+            if left <= 0.0:
+                break
+            self._inlets.wait(max(1, int(1e9 * left)))
+            self._inlets.empty(self._capacity)
+        return done
 
     def close(self) -> None:
         """Finish the current job and drop the others."""
@@ -139,12 +159,18 @@ class _Inlets:
         services: Sequence[Service],
     ) -> None:
         self._bell, self._topics, self._services = bell, tuple(topics), tuple(services)
+        self._watches = [SequenceWatch() for _ in self._topics]
         with context.handle:
             self._set = rclpy_implementation.WaitSet(
                 len(self._topics), 1, 0, 0, len(self._services), 0, context.handle
             )
 
-    def wait(self) -> None:
+    @property
+    def lost(self) -> int:
+        """Messages that full queues have dropped."""
+        return sum(watch.lost for watch in self._watches)
+
+    def wait(self, at_most_ns: int = -1) -> None:
         """Sleep until a message, a request or a trigger of the guard condition arrives."""
         self._set.clear_entities()
         self._set.add_guard_condition(self._bell.handle)
@@ -152,17 +178,21 @@ class _Inlets:
             self._set.add_subscription(topic.handle)
         for service in self._services:
             self._set.add_service(service.handle)
-        self._set.wait(_FOREVER_NS)
+        self._set.wait(at_most_ns)
 
     def empty(self, at_most: int) -> None:
         """Run the callbacks of everything received, so that no middleware queue overflows."""
-        for topic in self._topics:
-            for _ in range(at_most):
+        for topic, watch in zip(self._topics, self._watches, strict=True):
+            depth = max(at_most, topic.qos_profile.depth)
+            numbers: list[int] = []
+            for _ in range(depth):
                 with topic.handle:
                     taken = topic.handle.take_message(topic.msg_type, topic.raw)
                 if taken is None:
                     break
+                numbers.append(taken[1]["publication_sequence_number"] or 0)
                 topic.callback(taken[0])
+            watch.taken(numbers, full=len(numbers) >= topic.qos_profile.depth > 1)
         for service in self._services:
             for _ in range(at_most):
                 with service.handle:
@@ -170,9 +200,6 @@ class _Inlets:
                 if header is None:
                     break
                 service.callback(request, partial(_send, service, header))
-
-
-_FOREVER_NS = -1
 
 
 def _send(service: Service, header: Any, response: Any) -> None:

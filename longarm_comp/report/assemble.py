@@ -7,20 +7,25 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.core.effects.effect import Bias
+from longarm_comp.core.data.commanded import commandable, not_commanded
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.evidence import key
+from longarm_comp.core.identify.evidence import Smallest, key
+from longarm_comp.core.identify.in_words import left_in_words
+from longarm_comp.core.identify.practical import Gain, practical
 from longarm_comp.report.candidate_states import candidate_rows, sizes
 from longarm_comp.report.detail import Detail
+from longarm_comp.report.discovered import KEY, discovered
 from longarm_comp.report.drawing import SPLITS, detail
+from longarm_comp.report.noise_floor import ErrorFigures, NoiseFloor, excess, noise_floor
 from longarm_comp.report.record import SCHEMA
 from longarm_comp.version import __version__
 
 NO_STRUCTURE: dict[str, Any] = {
     "flag": False,
+    "text": "",
     "p_value": None,
     "share_explained": None,
     "inputs": [],
@@ -39,9 +44,22 @@ def assemble(
         facts: further provenance for the page; ``session`` becomes its title.
     """
     tried = sizes(diagnosis)
+    return record_of(diagnosis, tried, data_sha256), detail(diagnosis, tried, facts or {})
+
+
+def record_of(
+    diagnosis: Diagnosis, tried: tuple[Smallest, ...], data_sha256: str
+) -> dict[str, Any]:
+    """report.json.
+
+    Args:
+        diagnosis: what was found.
+        tried: all candidates outside the model (`candidate_states.sizes`).
+        data_sha256: of the rows that were given.
+    """
     structure, noise = diagnosis.structure, diagnosis.search.noise
     sigma = _position_noise(diagnosis)
-    report = {
+    return {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict,
         "summary": diagnosis.summary,
@@ -49,7 +67,8 @@ def assemble(
         "candidates": candidate_rows(diagnosis, tried),
         "structure_left": {
             "flag": structure.flag,
-            "p_value": structure.p_value,
+            "text": left_in_words(structure),
+            "p_value": None if structure.sign else structure.p_value,
             "share_explained": structure.share_explained,
             "inputs": list(structure.inputs),
             "size_mm": 1e3 * structure.size_m,
@@ -59,15 +78,7 @@ def assemble(
             "source": noise.source,
             "rho": float(noise.rho),
         },
-        "held_out": {
-            "n": len(diagnosis.held_out),
-            "rows": [
-                _error_row(name, errors, sigma)
-                for name, errors in diagnosis.proof.rows.items()
-                if name != "with_network" or diagnosis.network is not None
-            ],
-            "before_after_ci95_mm": [1e3 * g for g in diagnosis.proof.gain_ci95],
-        },
+        "held_out": _held_out(diagnosis, sigma),
         "next_poses": [
             [float(v) for v in q]
             for by in diagnosis.split_by
@@ -75,9 +86,9 @@ def assemble(
             for q in by.q
         ],
         "outliers": _outliers(diagnosis),
+        KEY: discovered(diagnosis.discovery),
         "provenance": _provenance(diagnosis.seed, data_sha256, len(diagnosis.holdout_uses)),
     }
-    return report, detail(diagnosis, tried, facts or {})
 
 
 def refused(
@@ -95,6 +106,7 @@ def refused(
         "held_out": {"n": 0, "rows": [], "before_after_ci95_mm": None},
         "next_poses": [],
         "outliers": [],
+        KEY: [],
         "provenance": _provenance(seed, data_sha256, 0),
     }
     return report, Detail(title=title)
@@ -126,9 +138,13 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding) -> dict[str, Any]:
                 "prior_scale": slot.parameter.prior,
             }
         )
-    runner = found.runner_up
+    runner, first = found.runner_up, found.terms[0]
+    real = practical(diagnosis.fit, found.terms, diagnosis.held_out)
+    tip_mm = 1e3 * real.tip_m
     return {
         "effect": found.name,
+        "title": first.heading(),
+        "reading": "; ".join(dict.fromkeys(t.reading for t in found.terms if t.reading)),
         "set": list(found.names),
         "where": list(found.where),
         "log_bayes_factor": found.log_bayes_factor,
@@ -136,8 +152,18 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding) -> dict[str, Any]:
         "runner_up": None
         if runner is None
         else {"effect": runner.candidate.name, "log_bayes_factor": runner.log_bayes_factor},
-        "compensated": not any(isinstance(t, Bias) for t in found.terms),
+        "compensated": all(commandable(t) for t in found.terms),
+        "tip_mm": {"median": float(np.median(tip_mm)), "max": float(tip_mm.max())},
+        "seen_mm": _pair_mm(real.seen),
+        "commanded_mm": _pair_mm(real.commanded),
+        "stable": diagnosis.confirmed.stable[found.name],
+        "doubts": list(diagnosis.confirmed.notes[found.name]),
+        "action": first.action,
     }
+
+
+def _pair_mm(gain: Gain) -> list[float]:
+    return [1e3 * gain.before, 1e3 * gain.after]
 
 
 def _position_noise(diagnosis: Diagnosis) -> np.ndarray | None:
@@ -147,17 +173,52 @@ def _position_noise(diagnosis: Diagnosis) -> np.ndarray | None:
     return sigma if first == "position" and np.isfinite(sigma).all() else None
 
 
-def _error_row(name: str, errors: Errors, sigma: np.ndarray | None) -> dict[str, Any]:
-    floor = 0.0 if sigma is None else float((sigma**2).sum())
+def _held_out(diagnosis: Diagnosis, sigma: np.ndarray | None) -> dict[str, Any]:
+    """Figures of all stages, and what was gained, as seen and as commanded."""
+    rows = {name: Errors.of(error) for name, error in diagnosis.errors.items()}
+    floor = None
+    if sigma is not None:
+        left = (rows["with_effects"].rms, diagnosis.structure.size_m)
+        figures = [_figures(errors) for errors in rows.values()]
+        flagged = left if diagnosis.structure.flag else None
+        floor = noise_floor(tuple(map(float, sigma)), len(diagnosis.held_out), figures, flagged)
+    before, after = diagnosis.compared
+    added = after != "calibrated"
+    intervals = (diagnosis.seen_gain.ci95, diagnosis.commanded_gain.ci95)
+    seen, commanded = ([1e3 * g for g in gain] if added else None for gain in intervals)
+    return {
+        "n": len(diagnosis.held_out),
+        "rows": [
+            _error_row(name, errors, diagnosis.commanded[name], floor)
+            for name, errors in rows.items()
+        ],
+        "before": before,
+        "after": after,
+        "before_after_ci95_mm": seen,
+        "commanded_ci95_mm": commanded,
+        "not_commanded": not_commanded(diagnosis.model, diagnosis.held_out),
+    }
+
+
+def _figures(errors: Errors) -> ErrorFigures:
+    return ErrorFigures(
+        errors.mean, errors.rms, errors.p95, errors.max, errors.mean_abs_z, errors.variance
+    )
+
+
+def _error_row(
+    name: str, errors: Errors, commanded: np.ndarray, floor: NoiseFloor | None
+) -> dict[str, Any]:
     return {
         "model": name,
         "mean_mm": 1e3 * errors.mean,
+        "commanded_mean_mm": 1e3 * float(np.linalg.norm(commanded, axis=1).mean()),
         "rms_mm": 1e3 * errors.rms,
         "p95_mm": 1e3 * errors.p95,
         "max_mm": 1e3 * errors.max,
         "mean_abs_z_mm": 1e3 * errors.mean_abs_z,
         "variance_mm2": 1e6 * errors.variance,
-        "excess_mm": 1e3 * float(np.sqrt(max(0.0, errors.rms**2 - floor))),
+        "excess_mm": 1e3 * excess(errors.rms, floor),
         "mean_mrad": None if errors.angle is None else 1e3 * errors.angle,
     }
 

@@ -82,6 +82,9 @@ def _chosen(diagnosis: Diagnosis) -> dict[Label, dict[str, Any]]:
             )
             state = "rejected"
             why += f"; rolled back: held-out mean error {before:.3f} -> {after:.3f} mm"
+        elif diagnosis.added is not None and term.name in diagnosis.added.without:
+            state = "rejected"
+            why += "; what was found without a name explains its part better"
         accepted[label(single)] = _row(label(single), gain, state, why)
     return accepted
 

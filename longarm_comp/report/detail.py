@@ -13,7 +13,10 @@ import numpy as np
 
 from longarm_comp.core.errors import InputError
 
-STAGES = ("nominal", "frames_only", "calibrated", "with_effects", "with_network")
+STAGES = (
+    *("nominal", "frames_only", "calibrated"),
+    *("with_effects", "with_discovered", "with_network"),
+)
 """The models of the before/after table, in the order in which they are built."""
 
 
@@ -168,6 +171,29 @@ class Check:
 
 
 @dataclass(frozen=True, eq=False)
+class Marked:
+    """The arm in one posture, with the places of a finding.
+
+    Attributes:
+        arm_m: (K, 3) centre-line, base to tip.
+        places_m: place in words -> (3,) point.
+    """
+
+    arm_m: np.ndarray
+    places_m: Mapping[str, np.ndarray]
+
+    def __post_init__(self) -> None:
+        """Check shapes and finiteness.
+
+        Raises:
+            InputError: a point is not one.
+        """
+        _check("marked arm", self.arm_m, (len(self.arm_m), 3))
+        for place, point in self.places_m.items():
+            _check(f"place {place}", point, (3,))
+
+
+@dataclass(frozen=True, eq=False)
 class Detail:
     """Everything the page draws beyond report.json.
 
@@ -182,6 +208,7 @@ class Detail:
         detectable: smallest visible size per effect.
         splits: sets with the poses that split them.
         checks: tests of the robustness of the findings.
+        marked: effect -> where it is on the arm.
         plausibility: (effect, where, parameter) -> a remark on the value.
         provenance: further facts, name -> value, shown after those of report.json.
     """
@@ -198,6 +225,7 @@ class Detail:
     detectable: tuple[Detectable, ...] = ()
     splits: tuple[SetSplit, ...] = ()
     checks: tuple[Check, ...] = ()
+    marked: Mapping[str, Marked] = field(default_factory=dict)
     plausibility: Mapping[tuple[str, str, str], str] = field(default_factory=dict)
     provenance: Mapping[str, str] = field(default_factory=dict)
 

@@ -24,6 +24,7 @@ from longarm_comp.report.detail import (
     SetSplit,
     SplitPose,
 )
+from longarm_comp.report.marks import marked
 
 ARMS = 6
 """Number of arms drawn in the scene."""
@@ -44,12 +45,14 @@ def detail(diagnosis: Diagnosis, tried: Sequence[Smallest], facts: Mapping[str, 
         joints=tuple(arm.joint_names),
         joint_units=units,
         held_out=rows,
-        after="with_network" if diagnosis.network is not None else "with_effects",
+        before=diagnosis.compared[0],
+        after=diagnosis.compared[1],
         guilty=_guilty(diagnosis, rows),
         correlation=_correlation(diagnosis),
         detectable=_detectable(diagnosis, tried),
         splits=tuple(split(diagnosis, s) for s in diagnosis.split_by),
         checks=_checks(diagnosis),
+        marked=marked(diagnosis),
         provenance=facts,
     )
 
@@ -57,18 +60,15 @@ def detail(diagnosis: Diagnosis, tried: Sequence[Smallest], facts: Mapping[str, 
 def _rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
     held = diagnosis.held_out.take(diagnosis.held_out.placed)
     predicted = diagnosis.model.measured(held.q, held.context())
-    near = predicted + diagnosis.proof.errors["with_effects"]
+    near = predicted + diagnosis.errors["with_effects"]
     seen = np.where(held.located[:, None], held.xyz, near)
     shown = np.unique(np.linspace(0, len(held) - 1, min(ARMS, len(held))).astype(int))
     context = held.context()
     model = diagnosis.model
-    stages = dict(diagnosis.proof.errors)
-    if diagnosis.network is None:
-        stages.pop("with_network", None)
     return SeenRows(
         held.index,
         seen,
-        stages,
+        diagnosis.errors,
         inputs(held, units),
         tuple(outline(model, held.q[k], context.take(int(k))) for k in shown),
     )

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from importlib.resources import files
 from typing import Any
 
-import jinja2
 import numpy as np
 
 from longarm_comp.report.at_the_tip import at_the_tip
 from longarm_comp.report.style import rc, svg
+from longarm_comp.report.template import template
 
 
 def loop_page(data: Mapping[str, Any], errors: Mapping[str, np.ndarray]) -> str:
@@ -21,16 +21,9 @@ def loop_page(data: Mapping[str, Any], errors: Mapping[str, np.ndarray]) -> str:
         data: what `jobs.loop.summary` makes.
         errors: by name of the run, (N, 3) tip - target, m.
     """
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("longarm_comp.report"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     with rc():
         picture = base64.b64encode(svg(at_the_tip(errors))).decode()
     style = files("longarm_comp.report").joinpath("templates/report.css").read_text("utf-8")
-    return environment.get_template("loop.html.j2").render(
+    return template("loop.html.j2").render(
         loop=data, picture=f"data:image/svg+xml;base64,{picture}", style=style
     )

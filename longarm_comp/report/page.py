@@ -7,15 +7,16 @@ import re
 from collections.abc import Mapping
 from importlib.resources import files
 
-import jinja2
 from plotly.offline import get_plotlyjs
 
-from longarm_comp.report import tables
+from longarm_comp.core.identify.structure import SIGNIFICANT
+from longarm_comp.report import cards, tables, words
 from longarm_comp.report.arrows import MOST, exaggeration, stages_of
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.record import DiagnosisReport
 from longarm_comp.report.scene import scene_json
 from longarm_comp.report.style import LOOKS
+from longarm_comp.report.template import template
 
 _FEW = 20
 """Number of candidates shown; the others are folded."""
@@ -29,19 +30,16 @@ def page(report: DiagnosisReport, detail: Detail, plots: Mapping[str, bytes]) ->
         detail: further data of the page.
         plots: name -> SVG of the still figures.
     """
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("longarm_comp.report"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     rows = detail.held_out if detail.held_out is not None and len(detail.held_out.index) else None
     candidates = tables.candidate_lines(report)
-    return environment.get_template("report.html.j2").render(
+    return template("report.html.j2").render(
         report=report,
         detail=detail,
+        cards=cards,
         tables=tables,
+        words=words,
+        picture=place_name,
+        significant=SIGNIFICANT,
         rows=rows,
         candidates=candidates[:_FEW],
         more_candidates=candidates[_FEW:],
@@ -67,6 +65,11 @@ def still_stages(detail: Detail) -> tuple[str, ...]:
     have = stages_of(rows)
     wanted = tuple(stage for stage in (detail.before, detail.after) if stage in have)
     return wanted or tuple(dict.fromkeys((*have[:1], *have[-1:])))
+
+
+def place_name(number: int) -> str:
+    """The name of the figure of where a finding is, counted from 1."""
+    return f"place_{number}"
 
 
 def against(name: str) -> str:

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy import stats
 
 from longarm_comp.report.arrows import arrows, exaggeration, points_of, stages_of
-from longarm_comp.report.detail import Correlation, Input, SeenRows
-from longarm_comp.report.style import FLOOR, GRID, INK, LOOKS, SKY
+from longarm_comp.report.detail import Correlation, Input, Marked, SeenRows
+from longarm_comp.report.style import FLOOR, GRID, INK, LOOKS, SKY, VERMILLION
 
 _MM = 1e3
 _LEVELS = 8
 """An input with at most this many distinct values is drawn level by level."""
 _FAINT = 0.1
+_RING = 0.06
+"""Places nearer to each other than this share of the picture get one ring."""
 _MANY = 800
 """Above this many points, a scatter plot is rasterised."""
 
@@ -235,3 +239,53 @@ def scores(labels: list[str], values: list[float], accepted: list[bool]) -> Figu
     axes.set_xscale("symlog", linthresh=10)
     axes.set_xlabel("log Bayes factor against leaving it out (symmetric log scale)")
     return drawn
+
+
+def place(found: Marked) -> Figure:
+    """The arm from the side in which it is longest, with the places of a finding."""
+    drawn = Figure(figsize=(3.2, 2.6))
+    axes = drawn.subplots()
+    points = np.concatenate([found.arm_m, np.array(list(found.places_m.values())).reshape(-1, 3)])
+    flat = found.arm_m[:, :2] - found.arm_m[0, :2]
+    aside = np.linalg.svd(flat)[2][0] * (np.sign(flat[-1] @ np.linalg.svd(flat)[2][0]) or 1.0)
+
+    def seen(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return (at[..., :2] - found.arm_m[0, :2]) @ aside, at[..., 2]
+
+    axes.plot(*seen(found.arm_m), color="#8a8a8a", linewidth=5, solid_capstyle="round")
+    axes.plot(*seen(found.arm_m[:1]), marker="s", markersize=9, color=INK)
+    axes.plot(*seen(found.arm_m[-1:]), marker="x", markersize=7, color=INK)
+    low, high = np.min(seen(points), axis=1), np.max(seen(points), axis=1)
+    for near in _together(found.places_m, _RING * float((high - low).max())):
+        x, z = seen(np.mean([found.places_m[where] for where in near], axis=0))
+        axes.plot(
+            x, z, marker="o", markersize=16, markerfacecolor="none", color=VERMILLION,
+            markeredgewidth=2.2,
+        )  # fmt: skip
+        label = ", ".join(where.rsplit(" ", 1)[-1] for where in near)
+        left_half = x < (low[0] + high[0]) / 2
+        axes.annotate(
+            label, (x, z), (8 if left_half else -8, 9), textcoords="offset points", fontsize=10,
+            color=INK, fontweight="bold", ha="left" if left_half else "right",
+        )  # fmt: skip
+    room = 0.14 * max(float((high - low).max()), 1e-3)
+    axes.set(
+        xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room),
+        aspect="equal",
+    )  # fmt: skip
+    axes.axis("off")
+    drawn.subplots_adjust(left=0, right=1, bottom=0, top=1)
+    return drawn
+
+
+def _together(places: Mapping[str, np.ndarray], close: float) -> list[list[str]]:
+    """Places, those nearer to each other than `close` in one group."""
+    groups: list[list[str]] = []
+    for where, point in places.items():
+        near = (g for g in groups if np.linalg.norm(places[g[0]] - point) < close)
+        group = next(near, None)
+        if group is None:
+            groups.append([where])
+        else:
+            group.append(where)
+    return groups

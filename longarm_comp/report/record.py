@@ -16,7 +16,9 @@ DIGITS = 12
 
 Verdict = Literal["noise", "named", "set", "partly", "unknown", "bad_data"]
 CandidateState = Literal["accepted", "rejected", "not_testable", "invisible"]
-Stage = Literal["nominal", "frames_only", "calibrated", "with_effects", "with_network"]
+Stage = Literal[
+    "nominal", "frames_only", "calibrated", "with_effects", "with_discovered", "with_network"
+]
 Interval = tuple[float, float]
 
 
@@ -42,16 +44,35 @@ class RunnerUp(_Record):
     log_bayes_factor: float
 
 
+class TipSize(_Record):
+    """What an effect moves the seen tip by, over the fitted rows."""
+
+    median: float = Field(ge=0)
+    max: float = Field(ge=0)
+
+
 class ReportFinding(_Record):
-    """An effect that was added, or the set of effects that it cannot be distinguished from."""
+    """An effect that was added, or the set of effects that it cannot be distinguished from.
+
+    `seen_mm` and `commanded_mm` are mean held-out errors without it, the rest fitted again, and
+    with it: as measured, and as a command would have it.
+    """
 
     effect: str
+    title: str = ""
+    reading: str = ""
     set: list[str]
     where: list[str]
     log_bayes_factor: float
     parameters: list[FindingParameter]
     runner_up: RunnerUp | None
     compensated: bool
+    tip_mm: TipSize | None = None
+    seen_mm: Interval | None = None
+    commanded_mm: Interval | None = None
+    stable: float | None = Field(default=None, ge=0, le=1)
+    doubts: list[str] = []
+    action: str = ""
 
 
 class ReportCandidate(_Record):
@@ -65,9 +86,10 @@ class ReportCandidate(_Record):
 
 
 class StructureLeft(_Record):
-    """Dependence on the inputs that no accepted effect explains."""
+    """Dependence on the inputs that no accepted effect explains, also as a sentence."""
 
     flag: bool
+    text: str = ""
     p_value: float | None = Field(ge=0, le=1)
     share_explained: float | None
     inputs: list[str]
@@ -87,6 +109,7 @@ class ErrorRow(_Record):
 
     model: Stage
     mean_mm: float = Field(ge=0)
+    commanded_mean_mm: float | None = Field(default=None, ge=0)
     rms_mm: float = Field(ge=0)
     p95_mm: float = Field(ge=0)
     max_mm: float = Field(ge=0)
@@ -97,11 +120,20 @@ class ErrorRow(_Record):
 
 
 class HeldOut(_Record):
-    """Errors on the held-out rows, which were never fitted."""
+    """Errors on the held-out rows, which were never fitted.
+
+    The intervals are of what the mean error falls by from `before` to `after`, the stages that
+    the verdict compares: as seen, and as a command would have it. `not_commanded` says what the
+    latter leaves out.
+    """
 
     n: int = Field(ge=0)
     rows: list[ErrorRow]
+    before: Stage | None = None
+    after: Stage | None = None
     before_after_ci95_mm: Interval | None
+    commanded_ci95_mm: Interval | None = None
+    not_commanded: list[str] = []
 
 
 class Outlier(_Record):
@@ -109,6 +141,41 @@ class Outlier(_Record):
 
     index: int
     why: str
+
+
+class DiscoveredTerm(_Record):
+    """A coefficient of a cause without a name: value x function, at a place."""
+
+    where: str
+    function: str
+    value: float
+    ci95: Interval
+    unit: str
+
+
+class TipShift(_Record):
+    """Shift of the tip over the fitted rows."""
+
+    rms: float = Field(ge=0)
+    max: float = Field(ge=0)
+
+
+class ReportDiscovered(_Record):
+    """A cause without a name. `set`: places that explain it alike; `kept`: it is in the model."""
+
+    frame: str
+    component: str
+    set: list[str]
+    formula: str
+    terms: list[DiscoveredTerm]
+    ci95: list[Interval]
+    domain: list[str]
+    reading: str
+    log_evidence: float
+    tip_mm: TipShift
+    held_out_rms_mm: tuple[float, float]
+    compensated: bool
+    kept: bool
 
 
 class ReportProvenance(_Record):
@@ -133,6 +200,7 @@ class DiagnosisReport(_Record):
     held_out: HeldOut
     next_poses: list[list[float]]
     outliers: list[Outlier]
+    discovered: list[ReportDiscovered] = Field(default_factory=list)
     provenance: ReportProvenance
 
 

@@ -3,34 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import sqrt
 
 import numpy as np
-from scipy import stats
 
 from longarm_comp.report.arrows import stages_of
 from longarm_comp.report.detail import Correlation, Detail, SetSplit, SplitPose
+from longarm_comp.report.noise_floor import ErrorFigures, NoiseFloor, noise_floor
 from longarm_comp.report.record import (
     DiagnosisReport,
     FindingParameter,
     ReportCandidate,
     ReportFinding,
-    ReportNoise,
 )
 from longarm_comp.report.style import FLOOR, LOOKS
+from longarm_comp.report.words import DASH, interval, number
 
-DASH = "–"
 _STRONGEST = 5
-_CERTAIN = 100
-"""Power of ten above which odds are given only as a bound."""
 
 VERDICTS = {
-    "noise": ("Noise", "Nothing beyond the noise was found; nothing was added."),
-    "named": ("Named", "One physical effect explains what the model lacked."),
-    "set": ("Set", "Several effects explain the data about as well; more poses may split them."),
-    "partly": ("Partly", "A named effect explains a part; structure is left over."),
-    "unknown": ("Unknown", "There is structure, but no effect of the library explains it."),
-    "bad_data": ("Bad data", "The data were refused; nothing was fitted, nothing was added."),
+    "noise": "Noise",
+    "named": "Named",
+    "set": "Set",
+    "partly": "Partly",
+    "unknown": "Unknown",
+    "bad_data": "Bad data",
 }
 STATES = {
     "accepted": "accepted",
@@ -42,7 +38,10 @@ STATES = {
 
 @dataclass(frozen=True)
 class ErrorLine:
-    """A row of the before/after table: mean, RMS, p95, max, mean |z|, variance, excess."""
+    """A row of the before/after table.
+
+    Values: mean, mean as commanded, RMS, p95, max, mean |z|, variance, excess.
+    """
 
     label: str
     values: tuple[str, ...]
@@ -76,44 +75,52 @@ class CandidateLine:
     why: str
 
 
-def number(value: float | None, digits: int = 4) -> str:
-    """A number for reading, a dash for None."""
-    if value is None:
-        return DASH
-    if 1e4 <= abs(value) < 1e6:
-        return f"{value:.0f}".replace("-", "−")
-    if value and not 1e-3 <= abs(value) < 1e4:
-        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-        return f"{mantissa}·{_ten(int(exponent))}".replace("-", "−")
-    return f"{value:.{digits}g}".replace("-", "−")
-
-
-def interval(pair: tuple[float, float] | None) -> str:
-    """``lo to hi``, a dash for None."""
-    return DASH if pair is None else f"{number(pair[0])} to {number(pair[1])}"
-
-
 def headline(report: DiagnosisReport) -> str:
     """The verdict in a few words: its name and what was found."""
     found = [" or ".join(finding.set or [finding.effect]) for finding in report.findings]
-    return ": ".join(filter(None, (VERDICTS[report.verdict][0], ", ".join(found))))
+    return ": ".join(filter(None, (VERDICTS[report.verdict], ", ".join(found))))
 
 
-def error_lines(report: DiagnosisReport, detail: Detail) -> list[ErrorLine]:
-    """The before/after table, the noise floor last."""
-    marked = {detail.before: "before", detail.after: "after"}
+def error_lines(report: DiagnosisReport) -> list[ErrorLine]:
+    """The before/after table, the noise floor last.
+
+    Without effects the line of the model with effects would repeat the calibrated one.
+    """
+    held = report.held_out
+    marked = {held.before: "before", held.after: "after"}
     lines = [
         ErrorLine(
             LOOKS[row.model].label,
             _mm(
-                *(row.mean_mm, row.rms_mm, row.p95_mm, row.max_mm),
+                *(row.mean_mm, row.commanded_mean_mm, row.rms_mm, row.p95_mm, row.max_mm),
                 *(row.mean_abs_z_mm, row.variance_mm2, row.excess_mm),
             ),
             marked.get(row.model, ""),
         )
-        for row in report.held_out.rows
+        for row in held.rows
+        if report.findings or row.model != "with_effects" or held.after == row.model
     ]
-    return lines + _floor(report.noise, report.held_out.n) if lines else []
+    floor = floor_of(report)
+    if floor is None or not lines:
+        return lines
+    f = floor.figures
+    values = _mm(f.mean, None, f.rms, f.p95, f.max, f.mean_abs_z, f.variance, 0.0)
+    return [*lines, ErrorLine(FLOOR + (", at most" if floor.limited else ""), values, "floor")]
+
+
+def floor_of(report: DiagnosisReport) -> NoiseFloor | None:
+    """The noise that the errors leave room for, mm; None where none is known."""
+    held, left = report.held_out, report.structure_left
+    if report.noise.sigma_mm is None or not held.n:
+        return None
+    rows = [
+        ErrorFigures(r.mean_mm, r.rms_mm, r.p95_mm, r.max_mm, r.mean_abs_z_mm, r.variance_mm2)
+        for r in held.rows
+    ]
+    used = next((r.rms_mm for r in held.rows if r.model == "with_effects"), None)
+    shown = left.flag and left.size_mm is not None and used is not None
+    structure = (used or 0.0, left.size_mm or 0.0) if shown else None
+    return noise_floor(report.noise.sigma_mm, held.n, rows, structure)
 
 
 def fitted_lines(detail: Detail) -> list[ErrorLine]:
@@ -132,22 +139,9 @@ def fitted_lines(detail: Detail) -> list[ErrorLine]:
     return lines
 
 
-def _floor(noise: ReportNoise, n: int) -> list[ErrorLine]:
-    """Errors of Gaussian noise alone, with the mean sigma for all axes and the median maximum."""
-    if noise.sigma_mm is None or n == 0:
-        return []
-    variance = float(np.mean(np.square(noise.sigma_mm)))
-    length = stats.chi(3, scale=sqrt(variance))
-    longest = float(length.ppf(0.5 ** (1 / n)))
-    values = _mm(
-        *(float(length.mean()), sqrt(3 * variance), float(length.ppf(0.95)), longest),
-        *(noise.sigma_mm[2] * sqrt(2 / np.pi), variance, 0.0),
-    )
-    return [ErrorLine(FLOOR, values, "floor")]
-
-
-def _mm(*values: float) -> tuple[str, ...]:
-    return tuple(f"{value:.3f}" if value < 100 else f"{value:.1f}" for value in values)
+def _mm(*values: float | None) -> tuple[str, ...]:
+    shown = (DASH if v is None else f"{v:.3f}" if v < 100 else f"{v:.1f}" for v in values)
+    return tuple(shown)
 
 
 def parameter_lines(report: DiagnosisReport, detail: Detail) -> list[ParameterLine]:
@@ -221,23 +215,6 @@ def strongest(entry: Correlation) -> list[tuple[str, str]]:
         named = (f"{entry.geometry[k]} ({row[k]:+.2f})".replace("-", "−") for k in first)
         lines.append((name, ", ".join(named)))
     return lines
-
-
-def odds(log_bayes_factor: float) -> str:
-    """A log Bayes factor as odds."""
-    power = abs(log_bayes_factor) / np.log(10)
-    if power < 4:
-        larger = f"{10**power:.3g}"
-    elif power < _CERTAIN:
-        larger = _ten(round(power))
-    else:
-        larger = f"more than {_ten(_CERTAIN)}"
-    return f"{larger} : 1" if log_bayes_factor >= 0 else f"1 : {larger}"
-
-
-def _ten(power: int) -> str:
-    """A power of ten with its exponent raised."""
-    return "10" + str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def pose_lines(split: SetSplit, detail: Detail) -> list[tuple[list[str], str]]:

@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path, write_text
 from longarm_comp.report import plots, record, style, tables
 from longarm_comp.report.arrows import stages_of
 from longarm_comp.report.detail import Detail, SeenRows
-from longarm_comp.report.page import against, page, still_stages
+from longarm_comp.report.page import against, page, place_name, still_stages
 
 _SAME_MM = 1e-6
 _BARS = 15
@@ -52,11 +53,16 @@ def write_report(report: dict[str, Any], detail: Detail, folder: str | os.PathLi
 
 def _drawn(report: record.DiagnosisReport, detail: Detail) -> dict[str, bytes]:
     """Name -> SVG of every still figure that this diagnosis has."""
-    figures = {}
+    figures: dict[str, Figure] = {}
     rows = detail.held_out
+    floor = tables.floor_of(report)
+    sigma_mm = None if floor is None else floor.sigma
     with style.rc():
+        for number, finding in enumerate(report.findings, 1):
+            if finding.effect in detail.marked:
+                figures[place_name(number)] = plots.place(detail.marked[finding.effect])
         if rows is not None and len(rows.index) and rows.errors_m:
-            figures["distribution"] = plots.distribution(rows, report.noise.sigma_mm)
+            figures["distribution"] = plots.distribution(rows, sigma_mm)
             figures["scene"] = plots.still_scene(rows, still_stages(detail))
             if {detail.before, detail.after} <= set(stages_of(rows)):
                 for name in detail.guilty:
@@ -68,7 +74,7 @@ def _drawn(report: record.DiagnosisReport, detail: Detail) -> dict[str, bytes]:
                         entry,
                         detail.before,
                         detail.after,
-                        report.noise.sigma_mm,
+                        sigma_mm,
                         detail.train,
                     )
         if detail.correlation is not None and detail.correlation.matrix.size:
@@ -95,6 +101,9 @@ def _agree(report: record.DiagnosisReport, detail: Detail) -> None:
         return
     if len(rows.index) != report.held_out.n:
         raise InputError("report.json", "held_out.n", report.held_out.n, f"{len(rows.index)} rows")
+    compared = (report.held_out.before, report.held_out.after)
+    if report.held_out.before and compared != (detail.before, detail.after):
+        raise InputError("report detail", "before, after", (detail.before, detail.after), compared)
     for line in report.held_out.rows:
         if line.model not in rows.errors_m:
             raise InputError("report detail", "errors_m", list(rows.errors_m), line.model)

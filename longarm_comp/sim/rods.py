@@ -101,7 +101,7 @@ class Walker:
         applied = _column(force)
         self._v[:, 2 + self._pushed] += applied
         self._v[:, _MOMENT] += cross(_column(at), applied + 0 * self.gravity)
-        self._v[:, _MOMENT] += moment if np.isscalar(moment) else _column(moment)
+        self._v[:, _MOMENT] += _column(moment) if isinstance(moment, np.ndarray) else moment
 
     def shift(self, offset: Array) -> None:
         """Go back along a rigid piece, (3, ...) m from the new section to this one."""

@@ -39,6 +39,9 @@ class Applied:
         changes: largest at the tip first.
         predictor: file of the predictor that was trained; None: none, so physics only.
         set_aside: file of the predictor that no longer fits; None: there was none.
+        commanded_mm: mean held-out error of the diagnosis before and after, as a command would
+            have it; None where it was not recorded.
+        seen_mm: the same as seen.
     """
 
     model: Path
@@ -46,6 +49,8 @@ class Applied:
     changes: tuple[Change, ...]
     predictor: Path | None
     set_aside: Path | None
+    commanded_mm: tuple[float, float] | None
+    seen_mm: tuple[float, float] | None
 
     @property
     def undo(self) -> str:
@@ -103,7 +108,12 @@ def apply(
     if trained is not None:
         trained.save(target)
     return Applied(
-        model, stored.version, tuple(changed), target if trained is not None else None, aside
+        model,
+        stored.version,
+        tuple(changed),
+        target if trained is not None else None,
+        aside,
+        *mean_errors(report),
     )
 
 
@@ -116,15 +126,38 @@ def nothing_to_apply(diagnosis: Path, report: DiagnosisReport) -> str:
     """
     if report.verdict == "bad_data":
         return report.summary
-    if report.findings or (diagnosis / PREDICTOR).is_file():
+    if (
+        report.findings
+        or any(d.kept for d in report.discovered)
+        or (diagnosis / PREDICTOR).is_file()
+    ):
         return ""
-    mean = {row.model: row.mean_mm for row in report.held_out.rows}
-    before, after = mean.get("nominal"), mean.get("with_effects")
-    if before is None or after is None:
+    commanded, seen = mean_errors(report)
+    pair = commanded or seen
+    if pair is None:
         return report.summary
-    if after < WORTH * before:
+    if pair[1] < WORTH * pair[0]:
         return ""
-    return f"{report.summary} Held-out mean error {before:.3f} -> {after:.3f} mm"
+    said = f"Held-out mean error of the model at work {pair[0]:.3f} -> {pair[1]:.3f} mm"
+    return f"{report.summary} {said}"
+
+
+Pair = tuple[float, float]
+
+
+def mean_errors(report: DiagnosisReport) -> tuple[Pair | None, Pair | None]:
+    """Mean held-out error (mm) of the model at work and of the new one: as commanded, as seen.
+
+    None where the report does not say it.
+    """
+    rows = {row.model: row for row in report.held_out.rows}
+    before, after = rows.get("nominal"), rows.get("with_effects")
+    if before is None or after is None:
+        return None, None
+    seen = (before.mean_mm, after.mean_mm)
+    if before.commanded_mean_mm is None or after.commanded_mean_mm is None:
+        return None, seen
+    return (before.commanded_mean_mm, after.commanded_mean_mm), seen
 
 
 def undo(model: Path) -> Path | None:

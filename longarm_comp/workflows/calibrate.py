@@ -93,7 +93,10 @@ class Calibration:
     @property
     def held_out(self) -> ErrorTable:
         """Errors of every rung on the held-out rows."""
-        return ErrorTable({rung.name: rung.held_out for rung in self.rungs})
+        return ErrorTable(
+            {rung.name: rung.held_out for rung in self.rungs},
+            {rung.name: rung.commanded for rung in self.rungs},
+        )
 
     @property
     def placed(self) -> bool:
@@ -137,8 +140,8 @@ class Calibration:
         """Result of the calibration in one sentence."""
         first, last = self.rungs[0], self.rungs[-1]
         return (
-            f"held-out mean error {first.held_out.said} ({first.name}) -> "
-            f"{last.held_out.said} ({last.name}), "
+            f"held-out mean error as commanded {first.commanded.said} ({first.name}) -> "
+            f"{last.commanded.said} ({last.name}), "
             f"{len(self.fit.slots)} parameters fitted to {len(self.fit.session)} rows"
         )
 

@@ -15,6 +15,8 @@ from longarm_comp.core.model.model import Model
 Term = Effect | Bias
 GEOMETRY, CAMERA = "geometry", "camera"
 
+LEAST_MM = 5e-4
+"""A change that moves the tip by less is none."""
 _SAME = 1e-9
 """Relative difference of two values that counts as none."""
 
@@ -51,7 +53,8 @@ class Change:
 def changes(before: Model, after: Model, q: np.ndarray, context: Context | None) -> list[Change]:
     """What changed from one model to another of the same arm, largest at the tip first.
 
-    Each change is judged by itself: the new model against the new model without this change.
+    Each change is judged by itself: the new model against the new model without this change. One
+    that does not move the tip is left out.
 
     Args:
         before, after: the models.
@@ -76,7 +79,8 @@ def changes(before: Model, after: Model, q: np.ndarray, context: Context | None)
                 tip_mm=1e3 * float(np.sqrt((moved**2).sum(axis=1).mean())),
             )
         )
-    return sorted(found, key=lambda change: -change.tip_mm)
+    felt = (change for change in found if change.tip_mm >= LEAST_MM)
+    return sorted(felt, key=lambda change: -change.tip_mm)
 
 
 def _groups(

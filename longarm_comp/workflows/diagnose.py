@@ -15,6 +15,7 @@ from longarm_comp.core.effects.catalogue import origin
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify import diagnosis as core
 from longarm_comp.core.identify.aliasing import EffectFinding
+from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.learn import ensemble as networks
 from longarm_comp.core.learn.predictor import Predictor, Provenance
 from longarm_comp.core.model.model import Model
@@ -84,7 +85,12 @@ class DiagnosisResult:
     @property
     def held_out(self) -> ErrorTable:
         """Errors of every model on the hold-out."""
-        return ErrorTable(self.diagnosis.proof.rows)
+        found = self.diagnosis
+        seen, commanded = (
+            {name: Errors.of(error) for name, error in left.items()}
+            for left in (found.errors, found.commanded)
+        )
+        return ErrorTable(seen, commanded)
 
     def __repr__(self) -> str:
         return f"DiagnosisResult({self.verdict}: {self.summary})"

@@ -90,7 +90,9 @@ def _stored(
     model = found.model
     intervals: dict[tuple[int, str], tuple[float, float]] = {}
     spread = None
-    if found.rolled_back:
+    if found.added is not None:
+        spread = found.added.fit.standard_errors
+    elif found.rolled_back:
         weights = found.fit.weights
         spread = fit(
             model, found.train, sigma=found.fit.sigma, rho=found.fit.rho, weights=weights
@@ -100,6 +102,8 @@ def _stored(
             interval = found.confirmed.intervals[k]
             intervals[slot.term, slot.parameter.name] = (interval.low, interval.high)
     added = {key(t) for f in found.findings for t in f.terms}
+    if found.added is not None:
+        added |= {key(t) for f in found.added.found for t in f.terms}
     held = {} if before is None else _origins(before)
     origins = {}
     for number, term in enumerate(model.terms):

@@ -8,7 +8,15 @@ from typing import Any
 
 from longarm_comp.core.identify.calibrate import Errors
 
-ERROR_COLUMNS = ("mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_abs_z_mm", "variance_mm2")
+ERROR_COLUMNS = (
+    "mean_mm",
+    "commanded_mean_mm",
+    "rms_mm",
+    "p95_mm",
+    "max_mm",
+    "mean_abs_z_mm",
+    "variance_mm2",
+)
 ANGLE = "mean_mrad"
 """Column of the mean error of the orientation, where it was measured."""
 
@@ -18,10 +26,12 @@ class ErrorTable(Mapping[str, Errors]):
     """Errors (m) by model name, in the order of the ladder: ``table["calibrated"].mean``.
 
     Attributes:
-        errors: by model name.
+        errors: by model name, as seen.
+        commanded: the same as a command would have them (`core/data/commanded.py`).
     """
 
     errors: Mapping[str, Errors]
+    commanded: Mapping[str, Errors]
 
     def __getitem__(self, name: str) -> Errors:
         return self.errors[name]
@@ -35,21 +45,21 @@ class ErrorTable(Mapping[str, Errors]):
     @property
     def rows(self) -> list[dict[str, Any]]:
         """One row a model, in millimetres (and mrad), under the names of report.json."""
-        return [_row(name, errors) for name, errors in self.errors.items()]
+        return [_row(name, self[name], self.commanded[name]) for name in self]
 
     def __repr__(self) -> str:
         width = max(map(len, ("model", *self)))
         columns = list(self.rows[0])[2:] if self.errors else []
-        head = (f"{column:>13}" for column in columns)
+        head = (f"{column:>18}" for column in columns)
         lines = ["".join([f"{'model':<{width}}", f"{'n':>6}", *head])]
         for row in self.rows:
-            cells = (f"{row[column]:13.3f}" for column in columns)
+            cells = (f"{row[column]:18.3f}" for column in columns)
             lines.append("".join([f"{row['model']:<{width}}", f"{row['n']:6d}", *cells]))
         return "\n".join(lines)
 
 
-def _row(name: str, errors: Errors) -> dict[str, Any]:
-    mm = (errors.mean, errors.rms, errors.p95, errors.max, errors.mean_abs_z)
+def _row(name: str, errors: Errors, commanded: Errors) -> dict[str, Any]:
+    mm = (errors.mean, commanded.mean, errors.rms, errors.p95, errors.max, errors.mean_abs_z)
     values = [*(1e3 * v for v in mm), 1e6 * errors.variance]
     row = {"model": name, "n": errors.n, **dict(zip(ERROR_COLUMNS, values, strict=True))}
     return row if errors.angle is None else {**row, ANGLE: 1e3 * errors.angle}

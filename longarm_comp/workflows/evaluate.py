@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors, turns
-from longarm_comp.core.identify.calibrate import Errors, errors_of
+from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.plausible import check_placed
 from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.model.model import Model
@@ -82,13 +83,13 @@ def evaluate(
     calibrated = None if model is None else physics(arm, model)
     session = admitted(test, arm, calibrated, min_poses=1, note=note)
     rigid, placed = standing(physics(arm, None, False), session)
-    table = {"rigid": errors_of(rigid, session)}
+    models = {"rigid": rigid}
     if arm.links:
-        sagging = physics(arm, None)
-        table["deflection"] = errors_of(standing(sagging, session)[0], session)
+        models["deflection"] = standing(physics(arm, None), session)[0]
     if calibrated is not None:
         check_placed(calibrated, session)
-        table["calibrated"] = errors_of(calibrated, session)
+        models["calibrated"] = calibrated
+    taken_off = {name: np.zeros(3) for name in models}
     outside, learned = 0, None
     if predictor is not None:
         learned = predictor_of(predictor, arm, model)
@@ -97,11 +98,16 @@ def evaluate(
         inside = np.asarray(found.in_domain)
         outside = int((~inside).sum())
         inside = inside & session.located[session.placed]
-        taken_off = np.where(inside[:, None], found.error, 0.0)
         beneath = physics(arm, model, beside)
-        if model is None:
-            beneath = standing(beneath, session)[0]
-        left = errors(beneath, session) - taken_off
-        table["network"] = Errors.of(left, turns(beneath, session))
+        models["network"] = beneath if model is not None else standing(beneath, session)[0]
+        taken_off["network"] = np.where(inside[:, None], found.error, 0.0)
     file = None if model is None or isinstance(model, Model) else Path(model)
-    return Evaluation(table, outside, placed, tuple(fitted_to(session, file, learned)))
+    seen = {
+        name: Errors.of(errors(each, session) - taken_off[name], turns(each, session))
+        for name, each in models.items()
+    }
+    commanded = {
+        name: Errors.of(commanded_errors(each, session) - taken_off[name])
+        for name, each in models.items()
+    }
+    return Evaluation(seen, commanded, outside, placed, tuple(fitted_to(session, file, learned)))

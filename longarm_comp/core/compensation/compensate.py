@@ -33,7 +33,7 @@ from longarm_comp.core.compensation.result import (
     outside,
     shifted,
 )
-from longarm_comp.core.compensation.unknown import missing_column, unknown_history
+from longarm_comp.core.compensation.unknown import missing_column, outside_data, unknown_history
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
@@ -265,7 +265,8 @@ class _Target:
             spread, why = unknown_history(self.model, command, self.context, self.task.doubtful)
             if why:
                 sigma = np.hypot(np.nan_to_num(sigma), spread)
-                reason = f"{reason}; {why}" if reason else why
+            beyond = outside_data(self.model, command, self.context)
+            reason = "; ".join(filter(None, (reason, why, beyond)))
         return Compensation(
             self.target, self.ideal, applied, sigma, self.inside, shifted(self.target, applied),
             command, self.passes, status, reason, chosen,

@@ -85,6 +85,7 @@ def compensate_now(
     target: np.ndarray,
     *,
     start: np.ndarray,
+    seed: np.ndarray | None = None,
     history: History,
     readings: Readings,
     now_s: float,
@@ -96,7 +97,8 @@ def compensate_now(
 
     Args:
         target: (3,) m or (4, 4), base frame.
-        start: (n,) joints now (rad, m); also the seed.
+        start: (n,) joints now (rad, m).
+        seed: (n,) start of the search; ``start`` by default.
         history: of the joints at ``start``.
 
     Raises:
@@ -109,6 +111,7 @@ def compensate_now(
         predictor,
         target,
         start=start,
+        seed=seed,
         history=history,
         context_after=lambda arrived: readings.context(physics, now_s, max_age_s, arrived),
         position_only=position_only,

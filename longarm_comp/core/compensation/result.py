@@ -54,6 +54,11 @@ class Status(IntEnum):
     NOT_CONVERGED = 8
     CORRECTION_TOO_LARGE = 9
     INTERNAL_ERROR = 10
+    STALE_TARGET = 11
+    SUPERSEDED = 12
+    NO_DRIVER = 13
+    NOT_ACCEPTED = 14
+    KEPT_OUT = 15
 
     def __str__(self) -> str:
         """``success``, ``unreachable``, ... as in files."""

@@ -23,6 +23,19 @@ def missing_column(model: Model, context: Context) -> str:
     return ""
 
 
+def outside_data(model: Model, q: np.ndarray, context: Context) -> str:
+    """Which effects stand outside the data that they were found in, and in what; or "".
+
+    They count there as at the end of the data.
+    """
+    bounded = [e for e in model.effects if e.bounded]
+    if not bounded:
+        return ""
+    posture = model.posture(tuple(q.tolist()), context)
+    beyond = {part for effect in bounded for part in effect.outside(posture)}
+    return f"outside the data of what was found: {', '.join(sorted(beyond))}" if beyond else ""
+
+
 def history_joints(model: Model) -> dict[str, tuple[int, ...]]:
     """Per-joint fields that effects of the model read, and of which joints (0-based)."""
     read: dict[str, set[int]] = {}

@@ -342,10 +342,15 @@ def _frame_of(
         yield AdmissionFinding("outliers", field, text)
 
 
-def _belongs(case: _Case) -> None:
+def _belongs(case: _Case) -> Iterator[AdmissionFinding]:
     """Whether the arm makes these rows, wherever it stands; with the likely mistake if not."""
     belief = believe(case.model, case.session)
-    if belief is None or belief.belong:
+    if belief is None:
+        return
+    for j, moved in belief.signs:
+        text = f"its sign cannot be told: negated it moves the tip by {1e3 * moved:.2g} mm only"
+        yield AdmissionFinding("sign", f"q{j + 1}", text)
+    if belief.belong:
         return
     ours = f"rows of arm {case.arm.name}; nothing was changed"
     if belief.mistake:

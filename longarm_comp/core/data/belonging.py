@@ -58,6 +58,8 @@ class Belief:
         stray: share of the rows far beyond where the closest quarter is.
         mistake: what explains much more of them, if anything does.
         undone: median distance without that mistake, m.
+        signs: joints whose sign cannot be told, with the median distance (m) by which the tip moves
+            when they are negated and base and tip are placed anew.
     """
 
     misfit: float
@@ -65,6 +67,7 @@ class Belief:
     stray: float
     mistake: str = ""
     undone: float = 0.0
+    signs: tuple[tuple[int, float], ...] = ()
 
     @property
     def belong(self) -> bool:
@@ -92,9 +95,10 @@ def believe(model: Model, session: Session) -> Belief | None:
     spread = float(np.median(np.linalg.norm(seen.xyz - np.median(seen.xyz, axis=0), axis=1)))
     least = max(FAR * float(np.quantile(distance, 0.25)), BAD * spread)
     belief = Belief(found.misfit, spread, float((distance > least).mean()))
-    if found.misfit < BAD * spread:
-        return belief
     rows = np.unique(np.linspace(0, len(session) - 1, LOOKED_AT).astype(int))
+    if found.misfit < BAD * spread:
+        signs = _signs(model, seen.take(np.unique(rows * len(seen) // len(session))), found.misfit)
+        return dataclasses.replace(belief, signs=signs)
     own = register(Sightings.of(model, session.take(rows))).misfit
     tried = [
         (register(Sightings.of(model, m.rows.take(rows))).misfit, m)
@@ -106,6 +110,19 @@ def believe(model: Model, session: Session) -> Belief | None:
     first = next(m for misfit, m in tried if misfit <= ALIKE * best)
     undone = register(Sightings.of(model, first.rows)).misfit
     return dataclasses.replace(belief, mistake=first.what, undone=undone)
+
+
+def _signs(model: Model, rows: Session, misfit: float) -> tuple[tuple[int, float], ...]:
+    """Moving joints that the rows would fit as well negated: their turn hardly moves the tip."""
+    made = dataclasses.replace(rows, xyz=model.tip(rows.q, rows.context()))
+    untold = []
+    for j in np.flatnonzero(np.ptp(rows.q, axis=0) > 0):
+        q = rows.q.copy()
+        q[:, j] *= -1
+        moved = register(Sightings.of(model, dataclasses.replace(made, q=q))).misfit
+        if moved < misfit:
+            untold.append((int(j), moved))
+    return tuple(untold)
 
 
 def mistakes(arm: Arm, session: Session) -> Iterator[Mistake]:

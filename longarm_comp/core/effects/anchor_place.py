@@ -22,6 +22,8 @@ class AnchorPlace(Bias):
     """
 
     name: ClassVar[str] = "anchor_place"
+    title: ClassVar[str] = "anchor placement"
+    action: ClassVar[str] = "Measure where the anchor stands and declare it."
     geometry: ClassVar[bool] = True
     sees: ClassVar[frozenset[str]] = frozenset({"distance"})
 

@@ -28,6 +28,8 @@ class Backlash(JointTerm):
     """
 
     name: ClassVar[str] = "backlash"
+    title: ClassVar[str] = "play"
+    action: ClassVar[str] = "Tighten or replace the gear, coupling or clamp of the joint."
     needs: ClassVar[tuple[str, ...]] = ("approach",)
     loaded: ClassVar[bool] = True
     limit_aliases: ClassVar[tuple[str, ...]] = ("friction_hysteresis",)  # load decides nowhere

@@ -24,6 +24,10 @@ class BaseCompliance(Effect):
     """
 
     name: ClassVar[str] = "base_compliance"
+    title: ClassVar[str] = "soft base"
+    action: ClassVar[str] = (
+        "Tighten the bolts of the base, brace its stand, or put it on firm ground."
+    )
     loaded: ClassVar[bool] = True
 
     about_x: float = parameter("rad/(N m)", "tilt about x per moment", prior=2e-3, lower=0.0)

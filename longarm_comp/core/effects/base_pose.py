@@ -27,6 +27,10 @@ class BasePose(Effect):
     """
 
     name: ClassVar[str] = "base_pose"
+    title: ClassVar[str] = "base placement"
+    action: ClassVar[str] = (
+        "Fix the base so that it cannot shift; calibrate after every move of it."
+    )
     geometry: ClassVar[bool] = True
     seen_only: ClassVar[bool] = True
 

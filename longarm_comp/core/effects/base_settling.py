@@ -23,6 +23,8 @@ class BaseSettling(Effect):
     """
 
     name: ClassVar[str] = "base_settling"
+    title: ClassVar[str] = "settling base"
+    action: ClassVar[str] = "Brace the stand; measure again after it has settled."
     needs: ClassVar[tuple[str, ...]] = ("t_s",)
 
     sink: float = parameter("m/h", "motion along z of the base frame", prior=1e-3)

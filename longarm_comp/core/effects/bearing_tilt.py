@@ -25,6 +25,8 @@ class BearingTilt(JointTerm):
     """
 
     name: ClassVar[str] = "bearing_tilt"
+    title: ClassVar[str] = "soft bearing"
+    action: ClassVar[str] = "Check seat and preload of the bearing; replace it if it rocks by hand."
     loaded: ClassVar[bool] = True
 
     about_x: float = parameter("rad/(N m)", "tilt about x_{i-1} per moment", prior=2e-3, lower=0.0)

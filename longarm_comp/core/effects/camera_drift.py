@@ -18,6 +18,10 @@ class CameraDrift(Bias):
     """Seen points drift linearly in time."""
 
     name: ClassVar[str] = "camera_drift"
+    title: ClassVar[str] = "camera drift"
+    action: ClassVar[str] = (
+        "Fix the camera's mount and let it warm up; measure again in random order."
+    )
     needs: ClassVar[tuple[str, ...]] = ("t_s",)
 
     x: float = parameter("m/h", "drift of the seen points", prior=2e-3)

@@ -22,6 +22,10 @@ class CameraPose(Bias):
     """
 
     name: ClassVar[str] = "camera_pose"
+    title: ClassVar[str] = "camera pose"
+    action: ClassVar[str] = (
+        "Fix the camera's mount; repeat the hand-eye calibration after every move of it."
+    )
     geometry: ClassVar[bool] = True
 
     x: float = parameter("m", "shift of the seen points", prior=0.05)

@@ -17,6 +17,8 @@ class CameraRadial(CameraView):
     """Lateral part times ``1 + k1 r^2``, r the tangent off the optical axis (Brown)."""
 
     name: ClassVar[str] = "camera_radial"
+    title: ClassVar[str] = "lens distortion"
+    action: ClassVar[str] = "Calibrate the lens again, with targets up to the edges of the image."
 
     k1: float = parameter("1", "first radial coefficient left over", prior=0.05)
 

@@ -17,6 +17,8 @@ class CameraScale(CameraView):
     """Everything seen is ``1 + scale`` times as far from the camera."""
 
     name: ClassVar[str] = "camera_scale"
+    title: ClassVar[str] = "camera scale"
+    action: ClassVar[str] = "Repeat the stereo calibration; measure the printed target."
 
     scale: float = parameter("1", "relative scale error", prior=0.02)
 

@@ -22,6 +22,8 @@ class ColumnBending(JointTerm):
     """
 
     name: ClassVar[str] = "column_bending"
+    title: ClassVar[str] = "bending column"
+    action: ClassVar[str] = "Check the column's clamping; a stiffer profile lowers it."
     loaded: ClassVar[bool] = True
 
     flexibility: float = parameter("1/(N m^2)", "1 / EI of the column", prior=1e-4, lower=0.0)

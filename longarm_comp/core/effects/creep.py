@@ -27,6 +27,8 @@ class Creep(Effect):
     """
 
     name: ClassVar[str] = "creep"
+    title: ClassVar[str] = "creep"
+    action: ClassVar[str] = "Take the load off between jobs; replace plastic parts that carry load."
     needs: ClassVar[tuple[str, ...]] = ("t_s",)
     loaded: ClassVar[bool] = True
 

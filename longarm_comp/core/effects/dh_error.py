@@ -27,6 +27,10 @@ class DhError(Effect):
     """
 
     name: ClassVar[str] = "dh_error"
+    title: ClassVar[str] = "geometry error"
+    action: ClassVar[str] = (
+        "Nothing to repair: parts differ from the drawing; calibrate after every assembly."
+    )
     geometry: ClassVar[bool] = True
 
     row: int = place(rows)

@@ -47,6 +47,7 @@ class Discovered(Effect):
 
     name: ClassVar[str] = "discovered"
     loaded: ClassVar[bool] = True
+    bounded: ClassVar[bool] = True
     searched: ClassVar[bool] = False
 
     at: str = place(stations, default="base")
@@ -98,7 +99,7 @@ class Discovered(Effect):
         """Its function must be one of what this arm has."""
         _check(self.name, self, arm, where, OfPosture)
 
-    def outside(self, posture: Posture) -> str:
+    def outside(self, posture: Posture) -> tuple[str, ...]:
         """Which quantities of one posture lie outside the data, and so count as at their end."""
         made = []
         for factor in {f.of: f for f in self.of.factors}.values():
@@ -106,7 +107,7 @@ class Discovered(Effect):
             slack = _SLACK * (factor.high - factor.low)
             if not factor.low - slack <= x <= factor.high + slack:
                 made.append(f"{factor.of} {x:.4g} ({factor.low:.4g}..{factor.high:.4g})")
-        return ", ".join(made)
+        return tuple(made)
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Amount times function of its component."""

@@ -149,6 +149,9 @@ class _Term:
 
     Attributes:
         name: canonical name, used in files and reports.
+        title: what a mechanic calls it: ``play``.
+        action: what can be done about it at the arm, in one sentence. What software does about it
+            the report says by itself.
         needs: recorded inputs that every instance needs.
         geometry: always fitted, and never "named" by a diagnosis.
         seen_only: moves the frame of the measurements, and gravity with it.
@@ -165,9 +168,12 @@ class _Term:
             other effects.
         displaces_joint: its only parameter displaces one joint. Its column is then the effect of
             any displacement of that joint at the tip, and remaining structure is sought in it.
+        bounded: holds within the data that it was found in only (`Effect.outside`).
     """
 
     name: ClassVar[str]
+    title: ClassVar[str] = ""
+    action: ClassVar[str] = "Look for its cause at that place."
     needs: ClassVar[tuple[str, ...]] = ()
     geometry: ClassVar[bool] = False
     seen_only: ClassVar[bool] = False
@@ -178,6 +184,12 @@ class _Term:
     limit_aliases: ClassVar[tuple[str, ...]] = ()
     free_levels: ClassVar[int] = 0
     displaces_joint: ClassVar[bool] = False
+    bounded: ClassVar[bool] = False
+
+    @classmethod
+    def heading(cls) -> str:
+        """Its title, or its name in words."""
+        return cls.title or cls.name.replace("_", " ")
 
     @classmethod
     @cache
@@ -239,6 +251,11 @@ class _Term:
         return ", ".join(f"{name} {value}" for name, value in self.places.items()) or "arm"
 
     @property
+    def reading(self) -> str:
+        """What it says of itself besides its parameters: a form, a formula. Empty: nothing."""
+        return ""
+
+    @property
     def place(self) -> str:
         """Key that only one instance in a model may have: by default, where it is."""
         return self.where
@@ -294,9 +311,9 @@ class Effect(_Term, ABC):
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """Small twist ``[d; delta]`` (m, rad) by station, each in its station's axes."""
 
-    def outside(self, posture: Posture) -> str:
-        """What of one posture (floats) lies outside the data that it was found in; or ``""``."""
-        return ""
+    def outside(self, posture: Posture) -> tuple[str, ...]:
+        """What of one posture (floats) lies outside the data that it was found in, in words."""
+        return ()
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
         """Masses that this effect adds to the arm (kg at a point of a station)."""

@@ -32,6 +32,8 @@ class FrictionHysteresis(JointTerm):
     """
 
     name: ClassVar[str] = "friction_hysteresis"
+    title: ClassVar[str] = "friction"
+    action: ClassVar[str] = "Clean and grease the joint; look for dragging seals and cables."
     needs: ClassVar[tuple[str, ...]] = ("approach",)
 
     near: float = form(0.04)

@@ -25,6 +25,8 @@ class GearEccentricity(JointTerm):
     """
 
     name: ClassVar[str] = "gear_eccentricity"
+    title: ClassVar[str] = "eccentric gear"
+    action: ClassVar[str] = "Seat the gear wheel or encoder disc again, or replace it."
     free_levels: ClassVar[int] = 3
 
     order: int = form(1)

@@ -22,6 +22,8 @@ class GravityDirection(Effect):
     """
 
     name: ClassVar[str] = "gravity_direction"
+    title: ClassVar[str] = "base out of level"
+    action: ClassVar[str] = "Level the base, or declare the direction of gravity."
     loaded: ClassVar[bool] = True
 
     about_x: float = parameter("rad", "lean of gravity about base x", prior=0.03)

@@ -21,6 +21,8 @@ class GuideCurvature(JointTerm):
     """
 
     name: ClassVar[str] = "guide_curvature"
+    title: ClassVar[str] = "curved guide"
+    action: ClassVar[str] = "Align the guide rail or replace it."
 
     about_x: float = parameter("rad/m", "turn about x per travel", prior=5e-3)
     about_y: float = parameter("rad/m", "turn about y per travel", prior=5e-3)

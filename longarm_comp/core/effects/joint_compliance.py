@@ -21,6 +21,10 @@ class JointCompliance(JointTerm):
     """
 
     name: ClassVar[str] = "joint_compliance"
+    title: ClassVar[str] = "soft joint"
+    action: ClassVar[str] = (
+        "Check keys, clamps and screws of the drive; a stiffer gear or shaft lowers it."
+    )
     loaded: ClassVar[bool] = True
 
     compliance: float = parameter("rad/(N m)", "torsion per gravity torque", prior=4e-3, lower=0.0)

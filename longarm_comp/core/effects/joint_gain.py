@@ -17,6 +17,8 @@ class JointGain(JointTerm):
     """A revolute joint turns ``(1 + gain) q``; its offset at q = 0 is `joint_zero`."""
 
     name: ClassVar[str] = "joint_gain"
+    title: ClassVar[str] = "scale error of the joint"
+    action: ClassVar[str] = "Check the gear ratio and the counts per turn in the servo's settings."
     free_levels: ClassVar[int] = 2
 
     gain: float = parameter("1", "extra motion per commanded motion", prior=0.05)

@@ -19,6 +19,8 @@ class JointZero(JointTerm):
     """The joint stands at ``q + offset``: the encoder's or servo horn's zero is off."""
 
     name: ClassVar[str] = "joint_zero"
+    title: ClassVar[str] = "zero offset"
+    action: ClassVar[str] = "Set the zero of the servo or encoder again."
     geometry: ClassVar[bool] = True
     displaces_joint: ClassVar[bool] = True
 

@@ -19,6 +19,8 @@ class LinkDeflection(Effect):
     """
 
     name: ClassVar[str] = "link_deflection"
+    title: ClassVar[str] = "sag of the beams"
+    action: ClassVar[str] = "Nothing to repair: a stiffer section or less load lowers it."
     loaded: ClassVar[bool] = True
     searched: ClassVar[bool] = False
 

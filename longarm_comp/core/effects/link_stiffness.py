@@ -20,6 +20,10 @@ class LinkStiffness(Effect):
     """Wrong E or section: the beam bends by ``1 + softness`` times what is declared."""
 
     name: ClassVar[str] = "link_stiffness"
+    title: ClassVar[str] = "beam stiffness"
+    action: ClassVar[str] = (
+        "Compare section and material with arm.yaml; look for cracks and loose clamps."
+    )
     loaded: ClassVar[bool] = True
 
     beam: str = place(beams)

@@ -32,6 +32,8 @@ class MeasuredTilt(Effect):
     """
 
     name: ClassVar[str] = "measured_tilt"
+    title: ClassVar[str] = "tilt seen by an inclinometer"
+    action: ClassVar[str] = "Brace the structure there; keep the inclinometer at work."
 
     frame: int = place(frames, default=0)
     sensor: str = place(default="")

@@ -18,6 +18,8 @@ class PrismaticPitch(JointTerm):
     """A prismatic joint travels ``(1 + gain) q``."""
 
     name: ClassVar[str] = "prismatic_pitch"
+    title: ClassVar[str] = "pitch error of the slide"
+    action: ClassVar[str] = "Check the pitch of the spindle or belt in the servo's settings."
 
     gain: float = parameter("1", "extra travel per commanded travel", prior=0.02)
 

@@ -60,8 +60,8 @@ class Quantity(ABC):
     """
 
     pattern: ClassVar[str]
-    on_arm: ClassVar[bool] = True
-    on_camera: ClassVar[bool] = False
+    plain: ClassVar[bool] = True
+    """Whether a cause is likely to depend on it as it is."""
 
     numbers: tuple[int, ...] = ()
     axis: int = 0
@@ -218,6 +218,7 @@ class Moment(OfRow):
     """Moment of all that is carried at a bearing, about one of its axes."""
 
     pattern: ClassVar[str] = r"moment_(\d+)_([xyz])"
+    plain: ClassVar[bool] = False
 
     def unit(self, arm: Arm) -> str:
         return "N m"
@@ -231,6 +232,7 @@ class Gravity(OfRow):
     """Share of gravity along an axis of a row."""
 
     pattern: ClassVar[str] = r"gravity_(\d+)_([xyz])"
+    plain: ClassVar[bool] = False
 
     def unit(self, arm: Arm) -> str:
         return "1"
@@ -245,6 +247,7 @@ class Span(OfPosture):
     """Distance between two bearings; row 0 is the base."""
 
     pattern: ClassVar[str] = r"distance_(\d+)_(\d+)"
+    plain: ClassVar[bool] = False
 
     def exists(self, arm: Arm) -> bool:
         first, last = self.numbers
@@ -264,8 +267,6 @@ class SeenCoordinate(Quantity):
     """A coordinate of the seen point in the base frame."""
 
     pattern: ClassVar[str] = r"seen_([xyz])"
-    on_arm: ClassVar[bool] = False
-    on_camera: ClassVar[bool] = True
 
     def exists(self, arm: Arm) -> bool:
         return True
@@ -283,7 +284,6 @@ class Recorded(Quantity):
     """A recorded column."""
 
     pattern: ClassVar[str] = r"[A-Za-z]\w*"
-    on_camera: ClassVar[bool] = True
 
     column: str = ""
 

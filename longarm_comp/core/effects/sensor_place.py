@@ -19,6 +19,8 @@ class SensorPlace(Bias):
     """A further sensor reports in a frame of its own, anywhere against that of the first one."""
 
     name: ClassVar[str] = "sensor_place"
+    title: ClassVar[str] = "sensor placement"
+    action: ClassVar[str] = "Fix the sensor's stand; calibrate after every move of it."
     geometry: ClassVar[bool] = True
 
     sensor: str = place(default="")

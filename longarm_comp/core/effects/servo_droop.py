@@ -36,6 +36,10 @@ class ServoDroop(JointTerm):
     """
 
     name: ClassVar[str] = "servo_droop"
+    title: ClassVar[str] = "servo that gives way"
+    action: ClassVar[str] = (
+        "Raise the gain of the servo or add integral action; otherwise fit a stronger one."
+    )
     loaded: ClassVar[bool] = True
     aliases: ClassVar[tuple[str, ...]] = ("joint_compliance",)  # a sag is a compliance
 

@@ -34,6 +34,10 @@ class ServoQuantisation(JointTerm):
     """
 
     name: ClassVar[str] = "servo_quantisation"
+    title: ClassVar[str] = "servo steps"
+    action: ClassVar[str] = (
+        "Nothing to repair: declare the steps in arm.yaml; finer ones need another servo."
+    )
     continuous: ClassVar[bool] = False
     free_levels: ClassVar[int] = 3  # of steps of an unknown size
 
@@ -63,6 +67,13 @@ class ServoQuantisation(JointTerm):
             for steps in STEPS_PER_TURN
             if rows
         ]
+
+    @property
+    def reading(self) -> str:
+        """Its steps."""
+        if not self.steps_per_turn:
+            return "in the steps that the arm declares"
+        return f"{self.steps_per_turn} steps a turn, {360 / self.steps_per_turn:.3g}° each"
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """The rounding error."""

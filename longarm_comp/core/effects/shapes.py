@@ -83,7 +83,7 @@ class Shape(ABC):
     @property
     def text(self) -> str:
         """As it is stored."""
-        numbers = "".join(f", {getattr(self, name)!r}" for name in self.numbers())
+        numbers = "".join(f", {float(getattr(self, name))!r}" for name in self.numbers())
         return f"{self.word}({self.of}{numbers})"
 
     @classmethod
@@ -158,22 +158,22 @@ class Legendre(Shape):
 
     word: ClassVar[str] = "legendre"
 
-    order: int = 1
+    order: float = 1.0
 
     def value(self, x: Scalar) -> Scalar:
         u = (x - self.centred) * (2.0 / (self.high - self.low))
         before, now = 1.0, u
-        for n in range(1, self.order):
+        for n in range(1, int(self.order)):
             before, now = now, ((2 * n + 1.0) * u * now - float(n) * before) * (1.0 / (n + 1))
         return now
 
     def check(self) -> None:
-        if not (isinstance(self.order, int) and 1 <= self.order <= MOST_ORDER):
-            raise FunctionError(f"{self.word}: order {self.order}", f"1..{MOST_ORDER}")
+        if self.order not in range(1, MOST_ORDER + 1):
+            raise FunctionError(f"{self.word}: order {self.order:g}", f"1, 2, ..., {MOST_ORDER}")
 
     @property
     def formula(self) -> str:
-        return f"P{self.order}({self.of})"
+        return f"P{self.order:g}({self.of})"
 
 
 @dataclass(frozen=True)
@@ -365,11 +365,7 @@ def _factor(text: str, ranges: dict[str, tuple[float, float]]) -> Shape:
     if len(listed) != len(kind.numbers()):
         allowed = ", ".join(("quantity", *kind.numbers()))
         raise FunctionError(text, f"{kind.word}({allowed})")
-    values = dict(zip(kind.numbers(), map(_number, listed), strict=True))
-    if "order" in values and kind is Legendre and values["order"].is_integer():
-        made = kind(name, *ranges[name], int(values["order"]))  # type: ignore[call-arg]
-    else:
-        made = kind(name, *ranges[name], **values)
+    made = kind(name, *ranges[name], *map(_number, listed))
     made.check()
     return made
 

@@ -24,6 +24,8 @@ class SlidePlay(JointTerm):
     """
 
     name: ClassVar[str] = "slide_play"
+    title: ClassVar[str] = "tilting carriage"
+    action: ClassVar[str] = "Adjust the preload of the carriage or replace its rollers."
     loaded: ClassVar[bool] = True
 
     tilt: float = parameter("rad", "half of the carriage's free angle", 3e-3, lower=0.0)

@@ -26,6 +26,8 @@ class TelescopeClearance(JointTerm):
     """
 
     name: ClassVar[str] = "telescope_clearance"
+    title: ClassVar[str] = "clearance in the telescope"
+    action: ClassVar[str] = "Adjust or replace the guide pads; a longer overlap lowers it."
     loaded: ClassVar[bool] = True
 
     clearance: float = parameter("m", "play of the body in its guide", prior=3e-4, lower=0.0)

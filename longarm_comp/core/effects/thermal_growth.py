@@ -19,6 +19,8 @@ class ThermalGrowth(Effect):
     """All lengths grow by ``expansion (T - T_ref)``."""
 
     name: ClassVar[str] = "thermal_growth"
+    title: ClassVar[str] = "thermal growth"
+    action: ClassVar[str] = "Keep the temperature steady, or measure it while the arm works."
     needs: ClassVar[tuple[str, ...]] = ("temperature_c",)
 
     expansion: float = parameter("1/K", "expansion coefficient of the links", prior=1e-4)

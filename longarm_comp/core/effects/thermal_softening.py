@@ -20,6 +20,8 @@ class ThermalSoftening(Effect):
     """The declared sag grows by ``softening (T - T_ref)``."""
 
     name: ClassVar[str] = "thermal_softening"
+    title: ClassVar[str] = "softening by heat"
+    action: ClassVar[str] = "Keep the temperature steady, or measure it while the arm works."
     needs: ClassVar[tuple[str, ...]] = ("temperature_c",)
     loaded: ClassVar[bool] = True
 

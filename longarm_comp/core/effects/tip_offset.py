@@ -24,6 +24,8 @@ class TipOffset(Effect):
     """
 
     name: ClassVar[str] = "tip_offset"
+    title: ClassVar[str] = "marker offset"
+    action: ClassVar[str] = "Check the mount of the marker or tool."
     geometry: ClassVar[bool] = True
 
     marker: str = place(markers, default="")

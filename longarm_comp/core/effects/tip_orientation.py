@@ -22,6 +22,8 @@ class TipOrientation(Bias):
     """
 
     name: ClassVar[str] = "tip_orientation"
+    title: ClassVar[str] = "marker orientation"
+    action: ClassVar[str] = "Check the mount of the marker or tool."
     geometry: ClassVar[bool] = True
     sees: ClassVar[frozenset[str]] = frozenset({"orientation"})
 

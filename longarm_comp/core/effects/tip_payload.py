@@ -23,6 +23,8 @@ class TipPayload(Effect):
     """
 
     name: ClassVar[str] = "tip_payload"
+    title: ClassVar[str] = "load at the tip"
+    action: ClassVar[str] = "Weigh what the tip carries and declare it in arm.yaml."
     loaded: ClassVar[bool] = True
 
     mass: float = parameter("kg", "mass beyond the declared payload", prior=0.1)

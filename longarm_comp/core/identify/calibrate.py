@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors, turns
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.dh_error import DhError
@@ -75,13 +76,17 @@ def errors_of(model: Model, session: Session) -> Errors:
 
 @dataclass(frozen=True)
 class Rung:
-    """One rung of the ladder: a name, its fit and its errors on train and held-out rows."""
+    """One rung of the ladder: a name, its fit and its errors on train and held-out rows.
+
+    `commanded` are the held-out errors as a command would have them (`core/data/commanded.py`).
+    """
 
     name: str
     model: Model
     fit: ModelFit | None
     train: Errors
     held_out: Errors
+    commanded: Errors
 
 
 def geometry(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
@@ -175,4 +180,5 @@ def _rung(
         fitted,
         errors_of(model, train),
         errors_of(model, held_out),
+        Errors.of(commanded_errors(model, held_out)),
     )

@@ -16,13 +16,15 @@ from longarm_comp.core.identify.aliasing import MOST_NAMES, EffectFinding, findi
 from longarm_comp.core.identify.calibrate import declared_model, stages
 from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.confirm import Confirmed, confirm
+from longarm_comp.core.identify.discover.discovery import Discovery, discover
 from longarm_comp.core.identify.fit import ModelFit, fit
-from longarm_comp.core.identify.in_words import sentence
+from longarm_comp.core.identify.in_words import improvement, left_in_words, sentence
 from longarm_comp.core.identify.minor import Minor, settled
 from longarm_comp.core.identify.next_poses import NextPoses, next_poses
 from longarm_comp.core.identify.noise import from_repeats
 from longarm_comp.core.identify.plausible import check_fits, check_noise, check_sizes, check_worth
-from longarm_comp.core.identify.proof import LearnedCorrection, Proof, prove
+from longarm_comp.core.identify.practical import Gain
+from longarm_comp.core.identify.proof import NETWORK, LearnedCorrection, Proof, prove
 from longarm_comp.core.identify.remainder import without_remainders
 from longarm_comp.core.identify.search import SearchResult, search
 from longarm_comp.core.identify.standing import standing
@@ -38,6 +40,9 @@ MOST_OUTLIERS = 0.16
 
 Train = Callable[[Model, Session], LearnedCorrection]
 Progress = Callable[[str], None]
+Left = Mapping[str, np.ndarray]
+DISCOVERED = "with_discovered"
+"""Name of the stage with causes that have no name."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +62,7 @@ class Diagnosis:
         split_by: poses per set.
         not_testable: (effect, why).
         minor: what the fitted rows ask for but does not matter; not in the model.
+        discovery: causes without a name, where structure was left; None where none was found.
         train: rows that were fitted.
         held_out: the rows of the proof.
         holdout_uses: what the hold-out was opened for.
@@ -79,11 +85,17 @@ class Diagnosis:
     held_out: Session
     holdout_uses: tuple[str, ...]
     seed: int
+    discovery: Discovery | None = None
 
     @property
     def model(self) -> Model:
         """The model to use from now on."""
-        return self.models["with_effects"]
+        return self.models["with_effects"] if self.added is None else self.added.fit.model
+
+    @property
+    def added(self) -> Discovery | None:
+        """Causes without a name that are in the model: those that the hold-out bears out."""
+        return self.discovery if self.discovery is not None and self.discovery.kept else None
 
     @property
     def fit(self) -> ModelFit:
@@ -98,6 +110,40 @@ class Diagnosis:
         if self.structure.flag or any(len(f.names) > MOST_NAMES for f in self.findings):
             return "partly"
         return "set" if any(f.alternatives for f in self.findings) else "named"
+
+    @property
+    def errors(self) -> dict[str, np.ndarray]:
+        """Held-out errors (M, 3) as seen, m, by stage; ``with_effects`` is `model`."""
+        return self._in_use(self.proof.errors)
+
+    @property
+    def commanded(self) -> dict[str, np.ndarray]:
+        """The same as a command would have them (`core/data/commanded.py`)."""
+        return self._in_use(self.proof.commanded)
+
+    def _in_use(self, left: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Without a network that was not kept; effects that were taken back leave no errors."""
+        made = {k: v for k, v in left.items() if k != NETWORK or self.network is not None}
+        return {**made, "with_effects": left["calibrated"]} if self.rolled_back else made
+
+    @property
+    def compared(self) -> tuple[str, str]:
+        """The stages before and after what was added; the calibration where nothing was."""
+        if self.network is not None:
+            return "calibrated", NETWORK
+        if self.added is not None:
+            return "calibrated", DISCOVERED
+        return ("calibrated", "with_effects") if self.findings else ("nominal", "calibrated")
+
+    @property
+    def seen_gain(self) -> Gain:
+        """Of the stages compared, as seen."""
+        return Gain.of(*(self.errors[stage] for stage in self.compared))
+
+    @property
+    def commanded_gain(self) -> Gain:
+        """Of the stages compared, as a command would have it."""
+        return Gain.of(*(self.commanded[stage] for stage in self.compared))
 
     @property
     def summary(self) -> str:
@@ -167,6 +213,13 @@ def diagnose(
     }
     proof = prove(models, identified.calibrated, identified.search.fit, held_out, rng)
     outcome = _judge(identified, calibrated, proof, network, learn, held_out, rng)
+    structure = _all_signs(outcome.structure, identified.search, outcome.proof)
+    discovery = None
+    if structure.flag:
+        opened = sealed.open("functions without a name").take(opened.seen)
+        discovery = _discover(identified, outcome, opened, rng, say)
+    if discovery is not None and discovery.kept:
+        outcome = _with_discovery(outcome, discovery, learn, held_out)
     looked_at = np.concatenate([train.q, held_out.q])
     found = tuple(
         on_few_levels(identified.search, identified.candidates, f, looked_at)
@@ -178,7 +231,7 @@ def diagnose(
         search=identified.search,
         findings=found,
         confirmed=identified.confirmed,
-        structure=_all_signs(outcome.structure, identified.search, outcome.proof),
+        structure=structure,
         proof=outcome.proof,
         rolled_back=outcome.rolled_back,
         models={**models, "with_effects": outcome.model},
@@ -194,6 +247,7 @@ def diagnose(
         held_out=held_out,
         holdout_uses=sealed.uses,
         seed=seed,
+        discovery=discovery,
     )
     _check(diagnosis)
     return diagnosis
@@ -344,18 +398,65 @@ def _roll_back(
     return _Outcome(model, (), structure, kept, tested, True)
 
 
+def _discover(
+    identified: _Identified,
+    outcome: _Outcome,
+    held_out: Session,
+    rng: np.random.Generator,
+    say: Progress,
+) -> Discovery | None:
+    """Functions without a name for what is left, beside the effects or in their place."""
+    named, plain = identified.search.fit, identified.calibrated
+    known = from_repeats(plain.model, plain.session)
+    bare = outcome.rolled_back or not outcome.findings
+    count = len(identified.candidates)
+    if bare:
+        return discover(plain, None, count, held_out, known, rng, say)
+    return discover(named, plain, count, held_out, known, rng, say)
+
+
+def _with_discovery(
+    outcome: _Outcome, found: Discovery, learn: _Learner, held_out: Session
+) -> _Outcome:
+    """The outcome with what was found: a network comes after it, of what that leaves."""
+    before = outcome.proof
+
+    def joined(before: Left, after: Left) -> Left:
+        kept = {stage: left for stage, left in before.items() if stage != NETWORK}
+        return {**kept, DISCOVERED: after["with_effects"]}
+
+    proof = dataclasses.replace(
+        before,
+        errors=joined(before.errors, found.proof.errors),
+        commanded=joined(before.commanded, found.proof.commanded),
+        turned=joined(before.turned, found.proof.turned),
+    )
+    network = learn.on(found.fit.model, found.structure)
+    tested = proof.with_network(found.fit.model, network, held_out)
+    kept = network if tested.network_helps(DISCOVERED) else None
+    findings = tuple(f for f in outcome.findings if f.name not in found.without)
+    return dataclasses.replace(outcome, findings=findings, network=kept, proof=tested)
+
+
 def _all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Structure:
     """The structure, also where other signs than the test of the fitted rows show some."""
     out = result.fit.weights == 0
     lengths = result.fit.residual * result.fit.metres
     rejected = float(np.sqrt((lengths[out] ** 2).sum() / len(out)))
-    for shows, size, where in (
-        (out.mean() > MOST_OUTLIERS, rejected, "outliers"),
-        (proof.off, proof.excess_m, "unseen poses"),
-        (result.exhausted, proof.excess_m, "more than the library holds"),
+    for shows, size, where, sign in (
+        (out.mean() > MOST_OUTLIERS, rejected, "outliers", "shows in the rows left out"),
+        (proof.off, proof.excess_m, "unseen poses", "shows in the held-out poses"),
+        (
+            result.exhausted,
+            proof.excess_m,
+            "more than the library holds",
+            "would need more effects than may be added",
+        ),
     ):
         if shows and not structure.flag:
-            return dataclasses.replace(structure, flag=True, size_m=size, inputs=(where,))
+            return dataclasses.replace(
+                structure, flag=True, size_m=size, inputs=(where,), sign=sign
+            )
     return structure
 
 
@@ -382,29 +483,31 @@ def _divided(session: Session, test: Session | None, seed: int) -> tuple[Session
 
 
 def _summary(found: Diagnosis) -> str:
-    structure, proof = found.structure, found.proof
-    left = (
-        f"{1e3 * structure.size_m:.2f} mm of structure depends on {', '.join(structure.inputs)}"
-        + (f", as if {structure.at} moved" if structure.at else "")
-        if structure.flag
-        else ""
-    )
-    unnamed = f"{left} and has no name." if left else ""
+    text = _named(found)
+    return text if found.discovery is None else f"{text} {found.discovery.sentence}."
+
+
+def _named(found: Diagnosis) -> str:
+    left = left_in_words(found.structure)
+    unnamed = f" {left} and has no name." if left else ""
+    gain = f"Held-out mean error {improvement(found.seen_gain, found.commanded_gain)}"
+    learned = f" The network lowers it: {gain[0].lower()}{gain[1:]}." if found.network else ""
     if found.rolled_back:
-        why = "is less than half of what is wrong" if proof.better else "is not beyond chance"
+        small = found.proof.better
+        why = "is less than half of what is wrong" if small else "is not beyond chance"
         text = f"Effects were found in the fitted poses but their gain on the held-out ones {why}"
-        return f"{text}; the model was left as it was." + (f" {unnamed}" if left else "")
+        return f"{text}; the model was left as it was.{unnamed}{learned}"
     if found.verdict == "noise":
-        return "After calibration nothing but noise is left; no effect was added."
+        text = "After calibration nothing but noise is left; no effect was added."
+        return f"{text} {gain} by the calibration."
     if found.verdict == "unknown":
-        return f"The model lacks something that no effect of the library explains: {left}."
+        text = f"The model lacks something that no effect of the library explains: {left}."
+        return text + learned
     text = "; ".join(sentence(f, found.fit, found.confirmed) for f in found.findings)
     for overlap in found.confirmed.overlaps:
         text += f"; {overlap.names[0]} and {overlap.names[1]} overlap"
         text += ", either alone explains most of what both do"
-    before, after = (proof.rows[k].mean for k in ("calibrated", "with_effects"))
-    text += f". Held-out mean error {1e3 * before:.2f} -> {1e3 * after:.2f} mm"
-    if proof.set_aside:
-        text += f", {proof.set_aside} of {len(found.held_out)} rows set aside, "
-        text += "which no model explains"
-    return f"{text}; {unnamed}" if left else f"{text}."
+    if found.proof.set_aside:
+        gain += f", {found.proof.set_aside} of {len(found.held_out)} rows set aside, "
+        gain += "which no model explains"
+    return f"{text}. {gain}.{unnamed}"

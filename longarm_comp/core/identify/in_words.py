@@ -1,10 +1,18 @@
-"""A finding as a sentence."""
+"""A finding, and what it changes, in words."""
 
 from __future__ import annotations
 
+from longarm_comp.core.effects.units import for_people
 from longarm_comp.core.identify.aliasing import EffectFinding
-from longarm_comp.core.identify.confirm import Confirmed
+from longarm_comp.core.identify.confirm import Confirmed, Interval
 from longarm_comp.core.identify.fit import ModelFit
+from longarm_comp.core.identify.practical import Gain
+from longarm_comp.core.identify.structure import Structure
+
+_MOST = 4
+"""Number of values in a sentence."""
+_SAME_MM = 0.005
+"""Figures that differ by less read alike."""
 
 
 def sentence(finding: EffectFinding, fit: ModelFit, confirmed: Confirmed) -> str:
@@ -21,20 +29,48 @@ def sentence(finding: EffectFinding, fit: ModelFit, confirmed: Confirmed) -> str
     places = {(t.name, t.where) for t in finding.terms}
     for k, slot in enumerate(fit.slots):
         if (slot.owner.name, slot.owner.where) in places:
-            i = confirmed.intervals[k]
-            if i.at_bound:
+            if confirmed.intervals[k].at_bound:
                 continue
-            p = slot.parameter
-            values.append(
-                f"{slot.owner.where} {p.name} {i.value:.3g} {p.unit} [{i.low:.3g}, {i.high:.3g}]"
-            )
+            shown = value_in_words(confirmed.intervals[k], slot.parameter.unit)
+            values.append(f"{slot.owner.where} {slot.parameter.name} {shown}")
+    readings = dict.fromkeys(t.reading for t in finding.terms if t.reading)
+    if not values:
+        values = [", ".join(finding.where)]
+    listed = f"{', '.join(values[:_MOST])}{', ...' if len(values) > _MOST else ''}"
+    said = "; ".join((listed, *readings))
     other = ""
     if finding.runner_up is not None and not finding.alternatives:
         odds = finding.log_bayes_factor - finding.runner_up.log_bayes_factor
         other = f", runner-up {finding.runner_up.candidate.name} (log odds {odds:.0f})"
     names, remark = _names(finding)
-    listed = f"{', '.join(values[:4])}{', ...' if len(values) > 4 else ''}"
-    return f"{names}: {listed}{other}{remark}"
+    return f"{names}: {said}{other}{remark}"
+
+
+def value_in_words(interval: Interval, unit: str) -> str:
+    """A value with its interval, in the unit that people read: ``0.61° [0.6, 0.62]``."""
+    times, name = for_people(unit)
+    value, low, high = (f"{times * v:.3g}" for v in (interval.value, interval.low, interval.high))
+    return f"{value}{'' if name == '°' else ' '}{name} [{low}, {high}]"
+
+
+def improvement(seen: Gain, commanded: Gain) -> str:
+    """Before and after: as a command would have it, and as seen where that differs."""
+    pairs = [(1e3 * g.before, 1e3 * g.after) for g in (commanded, seen)]
+    told = [f"{before:.2f} -> {after:.2f} mm" for before, after in pairs]
+    if all(abs(a - b) < _SAME_MM for a, b in zip(*pairs, strict=True)):
+        return told[0]
+    return f"{told[0]} as commanded ({told[1]} as seen)"
+
+
+def left_in_words(structure: Structure) -> str:
+    """What structure is left and where it shows; empty where none is."""
+    if not structure.flag:
+        return ""
+    size = f"{1e3 * structure.size_m:.2f} mm of structure"
+    moved = f", as if {structure.at} moved" if structure.at else ""
+    moved += f" ({structure.driven})" if structure.driven else ""
+    shows = structure.sign or f"depends on {', '.join(structure.inputs)}"
+    return f"{size if 1e3 * structure.size_m >= _SAME_MM else 'structure'} {shows}{moved}"
 
 
 def _names(finding: EffectFinding) -> tuple[str, str]:

@@ -11,9 +11,10 @@ import numpy as np
 from scipy.special import gammaincinv, ndtri
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import equations, errors, metres, posture, turns
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.calibrate import Errors, errors_of
+from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.fit import ModelFit
 from longarm_comp.core.identify.linear import MAD, OUTLIER, median
 from longarm_comp.core.model.model import Model
@@ -49,13 +50,13 @@ class LearnedCorrection(Protocol):
 
 @dataclass(frozen=True)
 class Proof:
-    """Held-out errors of every model, and what adding the effects changed.
+    """Held-out errors of every model, and whether adding the effects helped.
 
     Attributes:
         errors: by model name, (M, 3) measured - predicted of the rows that say where the tip is,
             m (`core/data/measurement.py`).
-        rows: by model name, their figures.
-        gain_ci95: of the mean 3-D error, calibrated minus with effects, m.
+        commanded: the same as a command would have them (`core/data/commanded.py`).
+        turned: by model name, (K, 3) of the rows that say how the tip is turned, rad.
         better: whether the effects lowered the held-out squared error, each axis in units of its
             noise, beyond chance (95 %, one-sided). Where the hold-out is too small to show effects
             of their size: whether it does not speak against them by odds of 20.
@@ -68,13 +69,18 @@ class Proof:
     """
 
     errors: Mapping[str, np.ndarray]
-    rows: Mapping[str, Errors]
-    gain_ci95: tuple[float, float]
+    commanded: Mapping[str, np.ndarray]
+    turned: Mapping[str, np.ndarray]
     better: bool
     misfit: float
     excess_m: float
     share: float
     set_aside: int = 0
+
+    @property
+    def rows(self) -> dict[str, Errors]:
+        """Figures of `errors` by model name."""
+        return {name: Errors.of(error, self.turned[name]) for name, error in self.errors.items()}
 
     @property
     def off(self) -> bool:
@@ -89,16 +95,17 @@ class Proof:
         expected = network.predict(rows.q, rows.context())
         known = expected.in_domain & rows.located
         learned = np.where(known[:, None], expected.error, 0.0)
-        error = errors(model, rows) - learned
         return dataclasses.replace(
             self,
-            errors={**self.errors, NETWORK: error},
-            rows={**self.rows, NETWORK: Errors.of(error, turns(model, rows))},
+            errors={**self.errors, NETWORK: errors(model, rows) - learned},
+            commanded={**self.commanded, NETWORK: commanded_errors(model, rows) - learned},
+            turned={**self.turned, NETWORK: turns(model, rows)},
         )
 
     def network_helps(self, beside: str) -> bool:
         """Whether the network's mean error is below that of a model without it."""
-        return NETWORK in self.rows and self.rows[NETWORK].mean < self.rows[beside].mean
+        rows = self.rows
+        return NETWORK in rows and rows[NETWORK].mean < rows[beside].mean
 
 
 def prove(
@@ -108,7 +115,7 @@ def prove(
     rows: Session,
     rng: np.random.Generator,
 ) -> Proof:
-    """Figures, a paired block bootstrap of the difference, and the hold-out against the noise.
+    """Errors, a paired block bootstrap of their difference, and the hold-out against the noise.
 
     Args:
         models: by name, in the order of the ladder; `calibrated` and `with_effects` among them.
@@ -122,9 +129,6 @@ def prove(
         "calibrated": _Unseen.of(calibrated, rows),
         "with_effects": _Unseen.of(with_effects, rows),
     }
-    before, after = left["calibrated"], left["with_effects"]
-    gain = np.linalg.norm(before, axis=1) - np.linalg.norm(after, axis=1)
-    low, high = np.percentile(_resampled(gain, rng), [2.5, 97.5])
     kept = ~(unseen["calibrated"].missed & unseen["with_effects"].missed)
     better = _better(unseen["calibrated"].take(kept), unseen["with_effects"].take(kept), rng)
     misfit = {name: _misfit(one) for name, one in unseen.items()}
@@ -132,8 +136,8 @@ def prove(
     share = 1.0 - (misfit["with_effects"][1] / max(misfit["calibrated"][1], 1e-12)) ** 2
     return Proof(
         left,
-        {name: errors_of(model, rows) for name, model in models.items()},
-        (float(low), float(high)),
+        {name: commanded_errors(model, rows) for name, model in models.items()},
+        {name: turns(model, rows) for name, model in models.items()},
         better,
         *final,
         share,
@@ -196,7 +200,7 @@ def _better(before: _Unseen, after: _Unseen, rng: np.random.Generator) -> bool:
     expected = float((((before.residual - after.residual) / spread) ** 2).sum())
     if expected < DECIDES:
         return bool(gain.sum() / 2 > -AGAINST)
-    return bool(np.percentile(_resampled(gain, rng), 5.0) > 0)
+    return bool(np.percentile(block_means(gain, rng), 5.0) > 0)
 
 
 def _misfit(unseen: _Unseen) -> tuple[float, float]:
@@ -213,8 +217,8 @@ def _misfit(unseen: _Unseen) -> tuple[float, float]:
     return ratio, float(np.sqrt(max((clipped**2).mean() - noise, 0.0)))
 
 
-def _resampled(gain: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Means over blocks drawn with replacement, (RESAMPLES,)."""
+def block_means(gain: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Means of (M,) over successive blocks drawn with replacement, (RESAMPLES,)."""
     blocks = np.array_split(gain, min(BLOCKS, len(gain)))
     sums = np.array([b.sum() for b in blocks])
     sizes = np.array([len(b) for b in blocks])

@@ -6,6 +6,8 @@ import re
 from collections import Counter, OrderedDict
 from dataclasses import dataclass, field
 
+from longarm_comp.core.compensation.result import Status
+
 Joints = tuple[float, ...]
 _REMEMBERED = 20_000  # answered targets, to notice a second answer
 
@@ -42,7 +44,7 @@ class Ledger:
         self._open[stamp] = now, good
 
     def answer(self, stamp: int, status: int, refused: bool, message: str, joints: Joints) -> None:
-        """Enter the answer on `compensation`; ``joints`` were sent to the arm, if any."""
+        """Enter the answer on `compensation`; ``joints`` were sent to the driver, if any."""
         if stamp not in self._open:
             self.wrong["answered twice" if stamp in self._closed else "answer to no target"] += 1
             return
@@ -55,7 +57,7 @@ class Ledger:
             self.reasons[re.split(r"-?[\[\d]", message)[0].strip()] += 1
         if refused and not message:
             self.wrong["refused without a reason"] += 1
-        if refused and joints:
+        if refused and joints and status != Status.NOT_ACCEPTED:
             self.wrong["refused but executed"] += 1
         if not refused and not good:
             self.wrong["a bad target was accepted"] += 1

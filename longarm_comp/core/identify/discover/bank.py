@@ -15,7 +15,12 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from longarm_comp.core.effects.shapes import Function
-from longarm_comp.core.identify.discover.functions import EACH_JOINT, Family, Functions
+from longarm_comp.core.identify.discover.functions import (
+    EACH_JOINT,
+    FunctionFamily,
+    FunctionGroup,
+    Functions,
+)
 from longarm_comp.core.identify.discover.score import many, rank_one
 from longarm_comp.core.identify.fit import ModelFit, priors
 from longarm_comp.core.identify.linear import Marginal
@@ -24,12 +29,14 @@ MOST_ROWS = 350
 """Rows that candidates are screened on; the best are scored on all."""
 FULL = 500
 """Groups of several columns that are screened in full, the best by their single columns."""
+RARE = 3.0
+"""Log odds against a quantity that a cause is not likely to depend on."""
 _WEAK = 1e-4
 """Share of a column that must be left beside the geometry."""
 
 
 @dataclass(frozen=True)
-class Place:
+class Spot:
     """Where, and which component: of the arm a place and a twist or load, of the camera an axis."""
 
     at: str
@@ -37,12 +44,12 @@ class Place:
 
     @property
     def kind(self) -> tuple[str, str]:
-        """Place and word of the component, without its axis."""
+        """Spot and word of the component, without its axis."""
         return self.at, self.component.split(" ")[0]
 
 
 @dataclass(frozen=True)
-class Candidate:
+class Hypothesis:
     """Columns that are fitted together.
 
     Attributes:
@@ -52,9 +59,9 @@ class Candidate:
         log_prior: of the choice among all candidates.
     """
 
-    members: tuple[tuple[Place, Function], ...]
+    members: tuple[tuple[Spot, Function], ...]
     decay: tuple[float, ...]
-    family: Family
+    family: FunctionFamily
     log_prior: float
 
     @property
@@ -64,7 +71,7 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Scored:
+class Weighed:
     """A candidate and its evidence.
 
     Attributes:
@@ -73,7 +80,7 @@ class Scored:
         mean: (r,) amounts, SI; scale: (r,) their prior standard deviations at the best amplitude.
     """
 
-    candidate: Candidate
+    candidate: Hypothesis
     log_evidence: float
     mean: np.ndarray
     scale: np.ndarray
@@ -91,10 +98,10 @@ class Bank:
 
     def __init__(
         self,
-        places: Sequence[Place],
+        places: Sequence[Spot],
         units: np.ndarray,
         functions: Functions,
-        axes: Sequence[Place] = (),
+        axes: Sequence[Spot] = (),
     ) -> None:
         self.places, self.units, self.functions = tuple(places), units, functions
         self._number = {place: k for k, place in enumerate(self.places)}
@@ -105,14 +112,18 @@ class Bank:
         self.axes = [self._number[place] for place in axes]
         self.priors = self._priors()
 
-    def _priors(self) -> dict[Family, float]:
+    def _priors(self) -> dict[FunctionFamily, float]:
         """Log prior of a candidate of each kind of function; half for single components."""
-        counts: dict[Family, int] = {}
+        counts: dict[FunctionFamily, int] = {}
         for group in self.functions.groups:
             counts[group.family] = counts.get(group.family, 0) + 1
         return {f: math.log(f.share / (2.0 * n * len(self.places))) for f, n in counts.items()}
 
-    def columns(self, members: Sequence[tuple[Place, Function]]) -> np.ndarray:
+    def prior(self, group: FunctionGroup) -> float:
+        """Log prior of a group of functions at one component."""
+        return self.priors[group.family] - RARE * group.rare
+
+    def columns(self, members: Sequence[tuple[Spot, Function]]) -> np.ndarray:
         """(N, d, r) columns per unit."""
         made = [
             self.units[:, :, self._number[p]] * self.functions.of(f)[:, None] for p, f in members
@@ -121,7 +132,7 @@ class Bank:
 
     def screened(
         self, fit: ModelFit, design: np.ndarray, py: np.ndarray, best: int
-    ) -> list[Candidate]:
+    ) -> list[Hypothesis]:
         """The best candidates of every kind, on some of the rows.
 
         Args:
@@ -142,14 +153,14 @@ class Bank:
         turned = np.moveaxis(turned.reshape(len(factor), len(self.places), len(rows)), 1, 0)
         return list(_Screen(self, white, values, py[rows].astype(np.float32), turned).best(best))
 
-    def score(self, marginal: Marginal, fit: ModelFit, candidate: Candidate) -> Scored:
+    def score(self, marginal: Marginal, fit: ModelFit, candidate: Hypothesis) -> Weighed:
         """Exact evidence of a candidate on top of a marginal, on all rows."""
         columns = self.columns(candidate.members)
         flat = (columns * weight(fit)[..., None])[fit.weights > 0].reshape(-1, columns.shape[-1])
         return scored(marginal, flat, candidate)
 
 
-def scored(marginal: Marginal, flat: np.ndarray, candidate: Candidate) -> Scored:
+def scored(marginal: Marginal, flat: np.ndarray, candidate: Hypothesis) -> Weighed:
     """Evidence of whitened columns (m, r), and their amounts."""
     rows = len(flat) / 3.0
     size = np.sqrt(np.maximum((flat**2).sum(0) / rows, 1e-300))
@@ -160,7 +171,7 @@ def scored(marginal: Marginal, flat: np.ndarray, candidate: Candidate) -> Scored
     a = float(amplitude[0])
     mean = a * np.linalg.solve(np.eye(len(t)) + a * a * (s + s.T) / 2, a * t)
     per = np.array(candidate.decay) / size
-    return Scored(candidate, float(evidence[0]) + candidate.log_prior, mean * per, a * per)
+    return Weighed(candidate, float(evidence[0]) + candidate.log_prior, mean * per, a * per)
 
 
 def weight(fit: ModelFit) -> np.ndarray:
@@ -198,25 +209,25 @@ class _Screen:
         self.usable = usable
         self.alone = np.where(usable, self.t**2 / np.maximum(self.s, 1e-30), 0.0)
 
-    def best(self, count: int) -> Iterator[Candidate]:
+    def best(self, count: int) -> Iterator[Hypothesis]:
         """The best of every kind."""
         yield from self._singles(count)
         yield from self._groups(count)
         yield from self._vectors(count)
 
-    def _singles(self, count: int) -> Iterator[Candidate]:
+    def _singles(self, count: int) -> Iterator[Hypothesis]:
         groups = [g for g in self.bank.functions.groups if len(g.functions) == 1]
         chosen = np.array([g.functions[0] for g in groups], dtype=int)
-        prior = np.array([self.bank.priors[g.family] for g in groups])
+        prior = np.array([self.bank.prior(g) for g in groups])
         evidence = rank_one(self.t[:, chosen], self.s[:, chosen], self.size2[:, chosen])
         table = np.where(self.usable[:, chosen], evidence + prior, -np.inf)
         sharp = np.array([g.family.sharp for g in groups])
         for wanted in (sharp, ~sharp):
             for k, j in _top(np.where(wanted, table, -np.inf), count):
                 member = (self.bank.places[k], self.bank.functions.listed[chosen[j]])
-                yield Candidate((member,), (1.0,), groups[j].family, float(prior[j]))
+                yield Hypothesis((member,), (1.0,), groups[j].family, float(prior[j]))
 
-    def _groups(self, count: int) -> Iterator[Candidate]:
+    def _groups(self, count: int) -> Iterator[Hypothesis]:
         """Groups of functions at one component."""
         ranked = []
         for g in self.bank.functions.groups:
@@ -227,10 +238,10 @@ class _Screen:
         made = []
         for _, k, g in ranked[:FULL]:
             members = tuple((k, f) for f in g.functions)
-            made.append((members, g.decay, g.family, self.bank.priors[g.family]))
+            made.append((members, g.decay, g.family, self.bank.prior(g)))
         yield from self._full(made, count)
 
-    def _vectors(self, count: int) -> Iterator[Candidate]:
+    def _vectors(self, count: int) -> Iterator[Hypothesis]:
         """One function along x, y and z together; and each joint by its own."""
         singles = {g.functions[0]: g for g in self.bank.functions.groups if len(g.functions) == 1}
         made = []
@@ -241,7 +252,7 @@ class _Screen:
             if f in singles:
                 g, ks = singles[f], self.bank.vectors[v]
                 members = tuple((k, f) for k in ks)
-                prior = self.bank.priors[g.family]
+                prior = self.bank.prior(g)
                 made.append((members, (1.0,) * 3, g.family, prior))
         yield from self._full(made, count)
         every = self.bank.functions.each_joint if self.bank.axes else []
@@ -254,8 +265,8 @@ class _Screen:
                 joints.append((seen, (1.0,) * len(seen), EACH_JOINT, prior))
         yield from self._full(joints, count)
 
-    def _full(self, groups: list, count: int) -> Iterator[Candidate]:
-        found: list[tuple[float, Candidate]] = []
+    def _full(self, groups: list, count: int) -> Iterator[Hypothesis]:
+        found: list[tuple[float, Hypothesis]] = []
         for rank in {len(g[0]) for g in groups}:
             mine = [g for g in groups if len(g[0]) == rank]
             t = np.zeros((len(mine), rank))
@@ -269,7 +280,7 @@ class _Screen:
                 named = tuple(
                     (self.bank.places[k], self.bank.functions.listed[f]) for k, f in members
                 )
-                found.append((float(e) + prior, Candidate(named, decay, family, prior)))
+                found.append((float(e) + prior, Hypothesis(named, decay, family, prior)))
         found.sort(key=lambda pair: -pair[0])
         yield from (candidate for _, candidate in found[:count])
 

@@ -10,7 +10,7 @@ from longarm_comp.core.effects.components import components, stations
 from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.quantities import AXES, SeenCoordinate
-from longarm_comp.core.identify.discover.bank import Bank, Place
+from longarm_comp.core.identify.discover.bank import Bank, Spot
 from longarm_comp.core.identify.discover.functions import Functions
 from longarm_comp.core.identify.discover.inputs import arm_inputs, camera_inputs
 from longarm_comp.core.identify.fit import ModelFit
@@ -26,7 +26,7 @@ def banks(fit: ModelFit) -> tuple[Bank, ...]:
     arm, rows = fit.model.arm, fit.session
     at = posture(fit.model, rows)
     functions = Functions(arm_inputs(arm, at, rows))
-    places = [Place(place, name) for place in _distinct(arm) for name in components(arm)]
+    places = [Spot(place, name) for place in _distinct(arm) for name in components(arm)]
     units, moving = _units(fit, [term_of(p, "1", "", 1e-3) for p in places])
     kept = [p for p, moves in zip(places, moving, strict=True) if moves]
     axes = _axes(arm, kept)
@@ -34,14 +34,14 @@ def banks(fit: ModelFit) -> tuple[Bank, ...]:
     if rows.plain:
         points = fit.model.measured(rows.q, rows.context())
         seen = Functions(camera_inputs(points, rows), SeenCoordinate)
-        views = [Place(CAMERA, axis) for axis in AXES]
+        views = [Spot(CAMERA, axis) for axis in AXES]
         units, _ = _units(fit, [term_of(p, "1", "", 1e-3) for p in views])
         made.append(Bank(views, units, seen))
     return tuple(made)
 
 
 def term_of(
-    place: Place, function: str, domain: str, scale: float, amount: float = 0.0
+    place: Spot, function: str, domain: str, scale: float, amount: float = 0.0
 ) -> Effect | Bias:
     """The term of a model that a place and a function stand for."""
     if place.at == CAMERA:
@@ -66,12 +66,12 @@ def _units(fit: ModelFit, terms: list[Effect | Bias]) -> tuple[np.ndarray, np.nd
     return columns[..., moving], moving
 
 
-def _axes(arm: Arm, places: list[Place]) -> list[Place]:
+def _axes(arm: Arm, places: list[Spot]) -> list[Spot]:
     """By commanded joint, the place that moves it along its own axis."""
     made = []
     for row in arm.commanded:
         word = "move" if arm.joints[row - 1].type == "prismatic" else "turn"
-        place = Place(f"joint {row}", f"{word} z")
+        place = Spot(f"joint {row}", f"{word} z")
         if place in places:
             made.append(place)
     return made if len(made) == arm.n else []

@@ -26,7 +26,7 @@ from longarm_comp.core.effects.shapes import (
     Threshold,
     Wave,
 )
-from longarm_comp.core.identify.discover.inputs import Input, Inputs
+from longarm_comp.core.identify.discover.inputs import Argument, Arguments
 
 ORDERS = 5
 """Legendre orders of a smooth function of one input."""
@@ -39,7 +39,7 @@ HARMONICS = 4
 
 
 @dataclass(frozen=True)
-class Family:
+class FunctionFamily:
     """A kind of function.
 
     Attributes:
@@ -56,31 +56,33 @@ class Family:
 OWN = ("q", "load_", "side_")
 """What every joint has of its own: names, without its number."""
 
-CONSTANT = Family("constant", 0.05)
-LINEAR = Family("linear", 0.25)
-SQUARE = Family("square", 0.08)
-PRODUCT = Family("product", 0.22)
-WAVE = Family("harmonic", 0.08)
-SMOOTH = Family("smooth", 0.12)
-SMOOTH_PAIR = Family("smooth in two", 0.05)
-SWITCH = Family("switch", 0.08, sharp=True)
-EACH_JOINT = Family("the same at each joint", 0.05)
-CONTACT = Family("contact", 0.07, sharp=True)
+CONSTANT = FunctionFamily("constant", 0.05)
+LINEAR = FunctionFamily("linear", 0.25)
+SQUARE = FunctionFamily("square", 0.08)
+PRODUCT = FunctionFamily("product", 0.22)
+WAVE = FunctionFamily("harmonic", 0.08)
+SMOOTH = FunctionFamily("smooth", 0.12)
+SMOOTH_PAIR = FunctionFamily("smooth in two", 0.05)
+SWITCH = FunctionFamily("switch", 0.08, sharp=True)
+EACH_JOINT = FunctionFamily("the same at each joint", 0.05)
+CONTACT = FunctionFamily("contact", 0.07, sharp=True)
 
 
 @dataclass(frozen=True)
-class Group:
+class FunctionGroup:
     """Functions that are fitted together, with one amount each.
 
     Attributes:
         family: kind.
         functions: numbers of the functions.
         decay: of their priors, against the first.
+        rare: number of quantities that a cause is not likely to depend on.
     """
 
-    family: Family
+    family: FunctionFamily
     functions: tuple[int, ...]
     decay: tuple[float, ...]
+    rare: int = 0
 
 
 class Functions:
@@ -97,10 +99,10 @@ class Functions:
             that joint's own axis.
     """
 
-    def __init__(self, inputs: Inputs, of: type[Quantity] | None = None) -> None:
+    def __init__(self, inputs: Arguments, of: type[Quantity] | None = None) -> None:
         self.inputs, self._of = inputs, of
         self.listed: list[Function] = []
-        self.groups: list[Group] = []
+        self.groups: list[FunctionGroup] = []
         self.each_joint: list[tuple[tuple[int, int], ...]] = []
         self._values: list[np.ndarray] = []
         self._shapes: dict[Shape, np.ndarray] = {}
@@ -136,12 +138,15 @@ class Functions:
             self._shapes[shape] = np.asarray(shape.at(self.inputs.by_name[shape.of].values))
         return self._shapes[shape]
 
-    def _group(self, family: Family, *numbers: int, decay: Sequence[float] = ()) -> None:
+    def _group(self, family: FunctionFamily, *numbers: int, decay: Sequence[float] = ()) -> None:
         kept = [k for k, n in enumerate(numbers) if self._usable(self.listed[n])]
         if not kept:
             return
         numbers, decay = tuple(numbers[k] for k in kept), [decay[k] for k in kept] if decay else ()
-        self.groups.append(Group(family, numbers, tuple(decay) or (1.0,) * len(numbers)))
+        used = {q for n in numbers for q in self.listed[n].quantities}
+        rare = sum(not q.plain for q in used)
+        decays = tuple(decay) or (1.0,) * len(numbers)
+        self.groups.append(FunctionGroup(family, numbers, decays, rare))
 
     def _make(self) -> None:
         inputs = self.inputs.all
@@ -160,8 +165,8 @@ class Functions:
             self._smooth(one)
             for threshold in thresholds(one):
                 self._group(SWITCH, self.number(switch(one, threshold)))
-                for kind in (Above, Below):
-                    made = kind(one.name, one.low, one.high, threshold)
+                for side in (Above, Below):
+                    made = side(one.name, one.low, one.high, threshold)
                     self._group(CONTACT, self.number(made))
         for a, b in combinations(inputs, 2):
             self._group(PRODUCT, self.number(_linear(a), _linear(b)))
@@ -169,7 +174,7 @@ class Functions:
             self._smooth_pair(a, b)
         self._each_joint()
 
-    def _smooth(self, one: Input) -> None:
+    def _smooth(self, one: Argument) -> None:
         top = min(ORDERS, one.levels - 2)
         if top < 2:
             return
@@ -189,13 +194,13 @@ class Functions:
                 if len(made) > 1:
                     self.each_joint.append(tuple(made))
 
-    def _pairs(self) -> Iterator[tuple[Input, Input]]:
+    def _pairs(self) -> Iterator[tuple[Argument, Argument]]:
         """Pairs of joint positions, and of these with what all joints share."""
         shared = set(self.inputs.shared)
         plain = [i for i in self.inputs.all if i.name.startswith("q") or i.name in shared]
         yield from ((a, b) for a, b in combinations(plain, 2) if a.levels > 1 and b.levels > 1)
 
-    def _smooth_pair(self, a: Input, b: Input) -> None:
+    def _smooth_pair(self, a: Argument, b: Argument) -> None:
         numbers, decay = [], []
         for i in range(TOTAL + 1):
             for j in range(TOTAL + 1 - i):
@@ -210,16 +215,16 @@ class Functions:
             self._group(SMOOTH_PAIR, *numbers, decay=decay)
 
 
-def _linear(one: Input) -> Linear:
+def _linear(one: Argument) -> Linear:
     return Linear(one.name, one.low, one.high)
 
 
-def legendre(one: Input, order: int) -> Legendre:
+def legendre(one: Argument, order: int) -> Legendre:
     """Legendre polynomial of an input over its range."""
     return Legendre(one.name, one.low, one.high, order)
 
 
-def switch(one: Input, threshold: float) -> Switch:
+def switch(one: Argument, threshold: float) -> Switch:
     """A switch at a threshold: a ramp over the gap in the data there."""
     below = one.values[one.values < threshold]
     above = one.values[one.values >= threshold]
@@ -228,7 +233,7 @@ def switch(one: Input, threshold: float) -> Switch:
     return Switch(one.name, one.low, one.high, middle, max(half, 1e-4 * (one.high - one.low)))
 
 
-def orders(one: Input) -> list[float]:
+def orders(one: Argument) -> list[float]:
     """Harmonics that are tried of an input."""
     if one.circular:
         return [float(n) for n in range(1, HARMONICS + 1)]
@@ -236,13 +241,13 @@ def orders(one: Input) -> list[float]:
     return [n * math.pi / span for n in range(2, 2 * HARMONICS + 1)]
 
 
-def thresholds(one: Input) -> list[float]:
+def thresholds(one: Argument) -> list[float]:
     """Thresholds that are tried of an input: its quantiles, off the levels."""
     shares = np.arange(1, THRESHOLDS + 1) / (THRESHOLDS + 1)
     return [float(v) for v in np.unique(np.quantile(one.values, shares))[1:-1]]
 
 
-def nearby(shape: Shape, one: Input, width: float, count: int = 30) -> list[Shape]:
+def nearby(shape: Shape, one: Argument, width: float, count: int = 30) -> list[Shape]:
     """The same shape with other thresholds or orders around it.
 
     Args:

@@ -31,7 +31,7 @@ _BOOKKEEPING = ("index",)
 
 
 @dataclass(frozen=True)
-class Input:
+class Argument:
     """One input at N rows.
 
     Attributes:
@@ -63,8 +63,8 @@ class Input:
 
 
 @dataclass(frozen=True)
-class Inputs:
-    """Inputs that differ from each other, at the rows of a session.
+class Arguments:
+    """Arguments that differ from each other, at the rows of a session.
 
     Attributes:
         all: the inputs.
@@ -72,13 +72,13 @@ class Inputs:
         joints: number of commanded joints.
     """
 
-    all: tuple[Input, ...]
+    all: tuple[Argument, ...]
     shared: tuple[str, ...]
     joints: int
 
     @cached_property
-    def by_name(self) -> dict[str, Input]:
-        """Inputs by name."""
+    def by_name(self) -> dict[str, Argument]:
+        """Arguments by name."""
         return {i.name: i for i in self.all}
 
     @property
@@ -87,15 +87,15 @@ class Inputs:
         return tuple(i.name for i in self.all)
 
 
-def arm_inputs(arm: Arm, posture: Posture, session: Session) -> Inputs:
-    """Inputs of the arm's side at the rows of a session."""
+def arm_inputs(arm: Arm, posture: Posture, session: Session) -> Arguments:
+    """Arguments of the arm's side at the rows of a session."""
     rows = len(session)
     columns = tuple(
         "warmth" if n == "temperature_c" else n
         for n in session.columns
         if n not in _BOOKKEEPING and is_column(n)
     )
-    made: list[Input] = []
+    made: list[Argument] = []
     read: list[tuple[str, Quantity, np.ndarray]] = []
     widest: dict[type, float] = {}
     for name in _names(arm, session, columns):
@@ -111,18 +111,18 @@ def arm_inputs(arm: Arm, posture: Posture, session: Session) -> Inputs:
             continue
         _add(made, name, values, arm)
     kept = {i.name for i in made}
-    return Inputs(tuple(made), tuple(n for n in ("sum_loads", *columns) if n in kept), arm.n)
+    return Arguments(tuple(made), tuple(n for n in ("sum_loads", *columns) if n in kept), arm.n)
 
 
-def camera_inputs(points: np.ndarray, session: Session) -> Inputs:
-    """Inputs of the camera's side: the seen point (N, 3) m, and recorded columns."""
-    made: list[Input] = []
+def camera_inputs(points: np.ndarray, session: Session) -> Arguments:
+    """Arguments of the camera's side: the seen point (N, 3) m, and recorded columns."""
+    made: list[Argument] = []
     for axis, values in zip("xyz", points.T, strict=True):
         _add(made, f"seen_{axis}", values, None)
     for name, values in session.columns.items():
         if name not in _BOOKKEEPING and is_column(name):
             _add(made, name, values, None)
-    return Inputs(tuple(made), (), 0)
+    return Arguments(tuple(made), (), 0)
 
 
 def _names(arm: Arm, session: Session, columns: tuple[str, ...]) -> Iterator[str]:
@@ -140,7 +140,7 @@ def _names(arm: Arm, session: Session, columns: tuple[str, ...]) -> Iterator[str
     yield from (f"distance_{a}_{b}" for a in (0, *rows) for b in rows if b > a + 1)
 
 
-def _add(made: list[Input], name: str, values: np.ndarray, arm: Arm | None) -> None:
+def _add(made: list[Argument], name: str, values: np.ndarray, arm: Arm | None) -> None:
     """Add an input that varies and is not one of those before."""
     span = float(np.ptp(values)) if np.isfinite(values).all() else 0.0
     if span <= 1e-9 * max(1.0, float(np.abs(values).max(initial=0.0))):
@@ -155,4 +155,4 @@ def _add(made: list[Input], name: str, values: np.ndarray, arm: Arm | None) -> N
     found = quantity(name)
     circular = arm is not None and found is not None and name.startswith("q")
     circular = circular and found is not None and arm is not None and found.unit(arm) == "rad"
-    made.append(Input(name, np.ascontiguousarray(values), levels, circular))
+    made.append(Argument(name, np.ascontiguousarray(values), levels, circular))

@@ -16,8 +16,8 @@ from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify import noise as noise_step
 from longarm_comp.core.identify.discover.bank import (
     Bank,
-    Candidate,
-    Scored,
+    Hypothesis,
+    Weighed,
     weight,
     whitened_design,
 )
@@ -49,7 +49,7 @@ Term = Effect | Bias
 
 
 @dataclass(frozen=True)
-class Search:
+class SearchedFunctions:
     """What was found.
 
     Attributes:
@@ -60,9 +60,9 @@ class Search:
     """
 
     fit: ModelFit
-    groups: tuple[Scored, ...]
+    groups: tuple[Weighed, ...]
     noise: NoiseEstimate
-    alternatives: tuple[tuple[Scored, ...], ...]
+    alternatives: tuple[tuple[Weighed, ...], ...]
 
 
 PLACES = 3.0
@@ -71,7 +71,7 @@ PLACES = 3.0
 
 def search(
     base: ModelFit, known: NoiseEstimate | None, say: Callable[[str], None] = lambda _: None
-) -> Search | None:
+) -> SearchedFunctions | None:
     """Terms that explain what a fit leaves; None where nothing does.
 
     Args:
@@ -88,19 +88,19 @@ def search(
         return None
     groups = tuple(state.evidence(k) for k in range(len(state.groups)))
     others = tuple(state.others(k, groups[k]) for k in range(len(groups)))
-    return Search(state.fit, groups, state.noise, others)
+    return SearchedFunctions(state.fit, groups, state.noise, others)
 
 
 class _State:
     def __init__(self, base: ModelFit, known: NoiseEstimate | None) -> None:
         self.base, self.known = base, known
-        self.groups: tuple[Scored, ...] = ()
+        self.groups: tuple[Weighed, ...] = ()
         self.fit, self.noise = _refitted(base.model, base, known)
         self.banks = banks(self.fit)
 
     # ------------------------------------------------------------------ scoring
 
-    def best(self, without: Sequence[int] = ()) -> Scored | None:
+    def best(self, without: Sequence[int] = ()) -> Weighed | None:
         """The best candidate on top of the model without some groups."""
         found = self.ranked(without)
         sharp = [s for s in found if s.candidate.family.sharp]
@@ -109,12 +109,12 @@ class _State:
             return sharp[0] if sharp else None
         return smooth[0]
 
-    def ranked(self, without: Sequence[int] = ()) -> list[Scored]:
+    def ranked(self, without: Sequence[int] = ()) -> list[Weighed]:
         """Candidates of all banks, best first, thresholds and frequencies refined."""
         kept = self._kept(without)
         marginal, py = self._marginal(kept)
         design = whitened_design(self.fit)[..., kept]
-        made: list[Scored] = []
+        made: list[Weighed] = []
         for bank in self.banks:
             few = bank.screened(self.fit, design, py, SCREENED)
             mine = [bank.score(marginal, self.fit, c) for c in few if not self._held(c, without)]
@@ -124,9 +124,9 @@ class _State:
             made += mine
         return sorted(made, key=lambda s: -s.log_evidence)
 
-    def _refined(self, bank: Bank, marginal: Marginal, one: Scored) -> list[Scored]:
+    def _refined(self, bank: Bank, marginal: Marginal, one: Weighed) -> list[Weighed]:
         """A candidate with other thresholds or frequencies, closer and closer to the best."""
-        made: list[Scored] = []
+        made: list[Weighed] = []
         prior = one.candidate.log_prior - LOOKS
         for width in NEARBY:
             few = (
@@ -136,15 +136,15 @@ class _State:
             one = max((one, *made), key=lambda s: s.log_evidence)
         return made
 
-    def _held(self, candidate: Candidate, without: Sequence[int]) -> bool:
+    def _held(self, candidate: Hypothesis, without: Sequence[int]) -> bool:
         held = {
             m for k, g in enumerate(self.groups) if k not in without for m in g.candidate.members
         }
         return bool(held & set(candidate.members))
 
     def _kept(self, without: Sequence[int]) -> np.ndarray:
-        gone = {_key(t) for k in without for t in _terms(self.groups[k])}
-        return np.array([_key(s.owner) not in gone for s in self.fit.slots])
+        gone = {key_of(t) for k in without for t in terms_of(self.groups[k])}
+        return np.array([key_of(s.owner) not in gone for s in self.fit.slots])
 
     def _marginal(self, kept: np.ndarray) -> tuple[Marginal, np.ndarray]:
         """Evidence on top of some of the model's columns, without regard to correlated noise."""
@@ -158,18 +158,18 @@ class _State:
         py[inside] = marginal.py.reshape(-1, data.shape[1])
         return marginal, py
 
-    def evidence(self, k: int) -> Scored:
+    def evidence(self, k: int) -> Weighed:
         """A group on top of all others."""
         marginal, _ = self._marginal(self._kept([k]))
         return self._score(marginal, self.groups[k].candidate)
 
-    def _score(self, marginal: Marginal, candidate: Candidate) -> Scored:
+    def _score(self, marginal: Marginal, candidate: Hypothesis) -> Weighed:
         for bank in self.banks:
             if candidate.members[0][0] in bank.places:
                 return bank.score(marginal, self.fit, candidate)
         raise AssertionError(candidate)
 
-    def others(self, k: int, now: Scored) -> tuple[Scored, ...]:
+    def others(self, k: int, now: Weighed) -> tuple[Weighed, ...]:
         """Other places (and components) of the same functions that do nearly as well."""
         marginal, _ = self._marginal(self._kept([k]))
         members = now.candidate.members
@@ -208,7 +208,7 @@ class _State:
             grown = True
         return grown
 
-    def take(self, groups: Sequence[Scored]) -> None:
+    def take(self, groups: Sequence[Weighed]) -> None:
         """Fit with some groups, judge the noise again, drop what no longer pays."""
         while True:
             self.groups = tuple(groups)
@@ -218,19 +218,19 @@ class _State:
             if _same(groups, self.groups):
                 return
 
-    def _lasting(self) -> tuple[Scored, ...]:
+    def _lasting(self) -> tuple[Weighed, ...]:
         """The groups without members that are less than their own uncertainty, and without
         the weakest group that does not pay."""
         values = {
-            _key(s.owner): (getattr(s.owner, s.parameter.name), se)
+            key_of(s.owner): (getattr(s.owner, s.parameter.name), se)
             for s, se in zip(self.fit.slots, self.fit.standard_errors, strict=True)
         }
         made, weakest, low = [], None, ENOUGH
         for k, group in enumerate(self.groups):
             sure = [
                 i
-                for i, t in enumerate(_terms(group))
-                if abs(values[_key(t)][0]) > values[_key(t)][1]
+                for i, t in enumerate(terms_of(group))
+                if abs(values[key_of(t)][0]) > values[key_of(t)][1]
             ]
             if not sure:
                 continue
@@ -271,11 +271,13 @@ class _State:
 # ------------------------------------------------------------------ terms and fits
 
 
-def _key(term: Term) -> tuple[str, str]:
+def key_of(term: Term) -> tuple[str, str]:
+    """An effect at a place, with its function."""
     return term.name, term.place
 
 
-def _terms(group: Scored) -> list[Term]:
+def terms_of(group: Weighed) -> list[Term]:
+    """The terms of a model that a group stands for."""
     return [
         term_of(place, f.text, f.domain, float(scale), float(amount))
         for (place, f), scale, amount in zip(
@@ -284,11 +286,11 @@ def _terms(group: Scored) -> list[Term]:
     ]
 
 
-def _with(base: Model, now: Model, groups: Sequence[Scored]) -> Model:
+def _with(base: Model, now: Model, groups: Sequence[Weighed]) -> Model:
     """The base with the groups' terms, started from the values of the model as it is now."""
-    known = {_key(t): t for t in now.terms}
-    added = [t for g in groups for t in _terms(g)]
-    terms = [known.get(_key(t), t) for t in (*base.terms, *added)]
+    known = {key_of(t): t for t in now.terms}
+    added = [t for g in groups for t in terms_of(g)]
+    terms = [known.get(key_of(t), t) for t in (*base.terms, *added)]
     return dataclasses.replace(
         base,
         effects=tuple(t for t in terms if isinstance(t, Effect)),
@@ -319,7 +321,7 @@ def _refitted(
     return again, judged
 
 
-def _part(group: Scored, members: Sequence[int]) -> Scored:
+def _part(group: Weighed, members: Sequence[int]) -> Weighed:
     if len(members) == len(group.candidate.members):
         return group
     candidate = dataclasses.replace(
@@ -328,14 +330,14 @@ def _part(group: Scored, members: Sequence[int]) -> Scored:
         decay=tuple(group.candidate.decay[i] for i in members),
     )
     at = list(members)
-    return Scored(candidate, group.log_evidence, group.mean[at], group.scale[at])
+    return Weighed(candidate, group.log_evidence, group.mean[at], group.scale[at])
 
 
-def _same(a: Sequence[Scored], b: Sequence[Scored]) -> bool:
+def _same(a: Sequence[Weighed], b: Sequence[Weighed]) -> bool:
     return [g.candidate.members for g in a] == [g.candidate.members for g in b]
 
 
-def _around(bank: Bank, candidate: Candidate, width: float) -> Iterator[Candidate]:
+def _around(bank: Bank, candidate: Hypothesis, width: float) -> Iterator[Hypothesis]:
     """The same candidate with thresholds or frequencies near its own."""
     factors = {f for function in candidate.functions for f in function.factors}
     bent = [f for f in factors if isinstance(f, (Threshold, Wave))]
@@ -349,7 +351,7 @@ def _around(bank: Bank, candidate: Candidate, width: float) -> Iterator[Candidat
             yield _renamed(candidate, dict(zip(bent, pair, strict=True)))
 
 
-def _renamed(candidate: Candidate, other: dict) -> Candidate:
+def _renamed(candidate: Hypothesis, other: dict) -> Hypothesis:
     members = tuple(
         (place, Function(tuple(other.get(f, f) for f in function.factors)))
         for place, function in candidate.members
@@ -357,6 +359,6 @@ def _renamed(candidate: Candidate, other: dict) -> Candidate:
     return dataclasses.replace(candidate, members=members)
 
 
-def _label(candidate: Candidate) -> str:
+def _label(candidate: Hypothesis) -> str:
     place, function = candidate.members[0]
     return f"{place.at}, {place.component}: {function.formula}"

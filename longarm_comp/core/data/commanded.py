@@ -1,0 +1,66 @@
+"""Errors as a command would have them: what the tip would miss a target by, with this model.
+
+A measurement holds more than a command can use.  A cause on the camera's side moves what is seen,
+not the tip, so no command compensates it.  A command knows its own way, but not what the joints
+did before it.  And it is told the circumstances in `TOLD` only.  `errors` of a model uses all of
+that and therefore flatters it; the errors here use what a command has.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from longarm_comp.core.arm.context import PER_JOINT
+from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.session import INCLINATION, Session
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.model.model import Model
+
+TOLD = ("t_s", "temperature_c", "payload_kg")
+"""Circumstances that a command is told, besides inclinations: by topics, or by its target."""
+CAMERA_SIDE, NEVER_TOLD = "(camera side)", "(a circumstance that no command is told)"
+
+
+def commanded_errors(model: Model, session: Session) -> np.ndarray:
+    """(M, 3) measured - predicted of the rows that `errors` has, with what a command knows, m."""
+    return errors(as_commanded(model), own_way(session))
+
+
+def as_commanded(model: Model) -> Model:
+    """The model without what no command compensates: camera side, circumstances never told.
+
+    Frames of sensors and anchors stay: they say in which frame a row was measured.
+    """
+    return dataclasses.replace(
+        model,
+        effects=tuple(e for e in model.effects if commandable(e)),
+        biases=tuple(b for b in model.biases if b.geometry),
+    )
+
+
+def commandable(term: Effect | Bias) -> bool:
+    """Whether a command can compensate it: on the arm's side, by what a command is told."""
+    known = (name in PER_JOINT or name in TOLD or INCLINATION.match(name) for name in term.inputs)
+    return isinstance(term, Effect) and all(known)
+
+
+def own_way(session: Session) -> Session:
+    """The rows with their sides of arrival and the last leg of each joint; no move before it."""
+    legs = session.legs.copy()
+    legs[..., 1:] = 0.0
+    return dataclasses.replace(session, legs=legs)
+
+
+def not_commanded(model: Model, session: Session) -> list[str]:
+    """What `commanded_errors` leaves out of a model at these rows, in words."""
+    said = [
+        f"{term.name} {CAMERA_SIDE if isinstance(term, Bias) else NEVER_TOLD}"
+        for term in model.terms
+        if not term.geometry and not commandable(term)
+    ]
+    reads = [e for e in model.effects if "legs" in e.inputs]
+    if reads and session.legs[..., 1:].any():
+        said.append(f"earlier moves of the joints ({reads[0].name})")
+    return list(dict.fromkeys(said))

@@ -1,0 +1,17 @@
+"""Values in the units that people read: degrees, millimetres, per cent."""
+
+from __future__ import annotations
+
+import math
+
+
+def for_people(unit: str) -> tuple[float, str]:
+    """Factor from an SI unit to the one that people read, and its name; 1 where it stays."""
+    whole, slash, per = unit.partition("/")
+    known = _READ if unit == whole else _PER
+    factor, name = known.get(whole, (1.0, whole))
+    return factor, f"{name}{slash}{per}"
+
+
+_PER = {"rad": (math.degrees(1.0), "°"), "m": (1e3, "mm")}
+_READ = {**_PER, "1": (100.0, "%")}

@@ -1,0 +1,211 @@
+"""Effects without a name: found in the fitted rows, proven on the sealed hold-out, or left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.identify.discover import words
+from longarm_comp.core.identify.discover.bank import Weighed
+from longarm_comp.core.identify.discover.banks import CAMERA
+from longarm_comp.core.identify.discover.search import SearchedFunctions, key_of, search, terms_of
+from longarm_comp.core.identify.fit import ModelFit
+from longarm_comp.core.identify.linear import Marginal
+from longarm_comp.core.identify.noise import NoiseEstimate
+from longarm_comp.core.identify.practical import Gain
+from longarm_comp.core.identify.proof import Proof, prove
+from longarm_comp.core.identify.structure import Structure, examine
+
+SIMPLER = 3.0
+"""Log odds that effects of the library beside what was found must bring to stay."""
+
+Term = Effect | Bias
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One fitted coefficient: value, 95 % interval and unit."""
+
+    where: str
+    function: str
+    value: float
+    ci95: tuple[float, float]
+    unit: str
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One cause without a name.
+
+    Attributes:
+        terms: as the model holds them.
+        where: places that explain it (nearly) alike; the first is the one in the model.
+        formula: place, component and function with units.
+        reading: what it behaves like.
+        domain: range of each quantity in the data; outside, it counts as at the end.
+        amounts: the coefficients.
+        log_evidence: on top of the rest, the choice among all candidates paid for.
+        tip_m: rms and largest shift of the tip over the fitted rows.
+        compensated: whether commands correct for it; never what the camera alone sees.
+    """
+
+    terms: tuple[Term, ...]
+    where: tuple[str, ...]
+    formula: str
+    reading: str
+    domain: tuple[str, ...]
+    amounts: tuple[Coefficient, ...]
+    log_evidence: float
+    tip_m: tuple[float, float]
+    compensated: bool
+
+    @property
+    def sentence(self) -> str:
+        """The formula, what it amounts to, and what it behaves like."""
+        rms, most = (1e3 * v for v in self.tip_m)
+        text = f"{self.formula} ({rms:.2f} mm rms at the tip, at most {most:.2f}); {self.reading}"
+        if len(self.where) > 1:
+            text += f"; {' or '.join(self.where[1:4])} would explain it as well"
+        return text
+
+
+@dataclass(frozen=True)
+class Discovery:
+    """What was found without a name, and whether unseen poses bear it out.
+
+    Attributes:
+        fit: of the model with it.
+        noise: as judged with it.
+        found: its causes, largest first.
+        kept: whether the hold-out shows a gain beyond chance.
+        without: names of effects of the library that it makes superfluous.
+        proof: hold-out without (`calibrated`) and with it (`with_effects`).
+        structure: what is left.
+    """
+
+    fit: ModelFit
+    noise: NoiseEstimate
+    found: tuple[Cause, ...]
+    kept: bool
+    without: tuple[str, ...]
+    proof: Proof
+    structure: Structure
+
+    @property
+    def sentence(self) -> str:
+        """What was found, and the hold-out with it."""
+        before, after = (self.proof.rows[k].rms for k in ("calibrated", "with_effects"))
+        gain = f"held-out rms error {1e3 * before:.2f} -> {1e3 * after:.2f} mm"
+        if not self.kept:
+            text = "Functions without a name were found but the hold-out does not bear them out"
+            return f"{text} ({gain})"
+        each = "; and ".join(f.sentence for f in self.found)
+        stead = f" in the place of {', '.join(self.without)}" if self.without else ""
+        return f"Found without a name{stead}: {each}. {gain[0].upper()}{gain[1:]}"
+
+
+def discover(
+    base: ModelFit,
+    plain: ModelFit | None,
+    hypotheses: int,
+    held_out: Session,
+    known: NoiseEstimate | None,
+    rng: np.random.Generator,
+    say: Callable[[str], None] = lambda _: None,
+) -> Discovery | None:
+    """Look for causes without a name in what a fit leaves; None where there are none.
+
+    Args:
+        base: fit of everything that has a name.
+        plain: fit of the geometry alone, where `base` holds effects of the library: they may be
+            stand-ins for something else.
+        hypotheses: number of candidates of the library; effects of it pay for their choice too.
+        held_out: rows of the proof.
+        known: noise from repeats, if there are any.
+        rng: for bootstrap and permutations.
+        say: told what is being looked at.
+    """
+    say("functions without a name")
+    best = search(base, known, say)
+    start = base
+    if plain is not None:
+        alone = search(plain, known, say)
+        if alone is not None and _simpler(alone, best, base, plain, hypotheses):
+            best, start = alone, plain
+    if best is None:
+        return None
+    proof = prove(
+        {"calibrated": base.model, "with_effects": best.fit.model}, base, best.fit, held_out, rng
+    )
+    gain = Gain.of(proof.errors["calibrated"], proof.errors["with_effects"])
+    kept = proof.better and gain.ci95[0] > 0
+    held = {t.name for t in start.model.terms}
+    gone = tuple(dict.fromkeys(t.name for t in base.model.terms if t.name not in held))
+    structure = examine(best.fit, start, rng)
+    return Discovery(best.fit, best.noise, _found(best), kept, gone, proof, structure)
+
+
+def _simpler(
+    alone: SearchedFunctions,
+    beside: SearchedFunctions | None,
+    base: ModelFit,
+    plain: ModelFit,
+    hypotheses: int,
+) -> bool:
+    """Whether what was found explains the rows without the library's effects as well."""
+    full = beside.fit if beside is not None else base
+    sigma = np.minimum(alone.fit.sigma, full.sigma)
+    weights = np.minimum(alone.fit.weights, full.weights)
+    names = {t.name for t in base.model.terms} - {t.name for t in plain.model.terms}
+    chosen = [g.candidate.log_prior for g in (beside.groups if beside is not None else ())]
+    theirs = _log_evidence(full, sigma, weights) + sum(chosen) - len(names) * np.log(hypotheses)
+    mine = _log_evidence(alone.fit, sigma, weights)
+    mine += sum(g.candidate.log_prior for g in alone.groups)
+    return bool(mine > theirs - SIMPLER)
+
+
+def _log_evidence(fit: ModelFit, sigma: np.ndarray, weights: np.ndarray) -> float:
+    """Of all columns of a fit, linearised, for a given noise and given rows."""
+    same = replace(fit, sigma=sigma, weights=weights)
+    marginal = Marginal(same.design, same.data)
+    size = np.eye(same.design.shape[1]) + same.design.T @ same.design
+    return float(-0.5 * same.data @ marginal.py - 0.5 * np.linalg.slogdet(size)[1])
+
+
+def _found(result: SearchedFunctions) -> tuple[Cause, ...]:
+    made = [_one(result, k) for k in range(len(result.groups))]
+    return tuple(sorted(made, key=lambda f: -f.tip_m[0]))
+
+
+def _one(result: SearchedFunctions, k: int) -> Cause:
+    group, others = result.groups[k], result.alternatives[k]
+    keys = [key_of(t) for t in terms_of(group)]
+    slots = {key_of(s.owner): (i, s) for i, s in enumerate(result.fit.slots)}
+    held = [slots[key] for key in keys]
+    amounts, shift = [], np.zeros(result.fit.residual.shape)
+    for (place, function), (i, slot) in zip(group.candidate.members, held, strict=True):
+        value = float(getattr(slot.owner, slot.parameter.name))
+        error = float(result.fit.standard_errors[i])
+        shift = shift + value * result.fit.columns[..., i]
+        amounts.append((words.where(place), function.formula, value, error, slot.parameter.unit))
+    size = np.linalg.norm(shift * result.fit.metres, axis=1)
+    return Cause(
+        tuple(slot.owner for _, slot in held),
+        tuple(dict.fromkeys(_places(group, others))),
+        words.formula(group.candidate, [(v, e, u) for _, _, v, e, u in amounts]),
+        words.reading(group.candidate),
+        tuple(words.domain(group.candidate)),
+        tuple(Coefficient(w, f, v, (v - 1.96 * e, v + 1.96 * e), u) for w, f, v, e, u in amounts),
+        group.log_evidence,
+        (float(np.sqrt((size**2).mean())), float(size.max())),
+        all(p.at != CAMERA for p, _ in group.candidate.members),
+    )
+
+
+def _places(group: Weighed, others: Sequence[Weighed]) -> list[str]:
+    mine = dict.fromkeys(words.where(p) for p, _ in group.candidate.members)
+    return [" and ".join(mine), *(words.where(o.candidate.members[0][0]) for o in others)]

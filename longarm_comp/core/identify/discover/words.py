@@ -1,0 +1,165 @@
+"""What was found, in words: a formula with units, and what it behaves like."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import floor, log10
+
+from longarm_comp.core.effects.components import COMPONENTS, Force, Turn, Wrench
+from longarm_comp.core.effects.quantities import (
+    Gravity,
+    JointLoad,
+    JointPosition,
+    JointSide,
+    LoadSum,
+    Moment,
+    Quantity,
+    Recorded,
+    Span,
+    Warmth,
+)
+from longarm_comp.core.effects.shapes import Above, Below, Cosine, Function, Shape, Sine, Switch
+from longarm_comp.core.identify.discover.bank import Hypothesis, Spot
+from longarm_comp.core.identify.discover.banks import CAMERA
+
+TIME = "t_s"
+
+
+@dataclass(frozen=True)
+class Traits:
+    """What readings are chosen by.
+
+    Attributes:
+        places: of its members.
+        shapes: all shapes of its functions.
+    """
+
+    places: tuple[Spot, ...]
+    shapes: tuple[Shape, ...]
+
+    @classmethod
+    def of(cls, candidate: Hypothesis) -> Traits:
+        """The traits of a candidate."""
+        places = tuple(dict.fromkeys(p for p, _ in candidate.members))
+        return cls(places, tuple(s for f in candidate.functions for s in f.factors))
+
+    def quantity(self, *kinds: type[Quantity]) -> bool:
+        """Whether it depends on a quantity of some kinds."""
+        return any(isinstance(s.quantity, kinds) for s in self.shapes)
+
+    def shape(self, *kinds: type[Shape]) -> bool:
+        """Whether it has a shape of some kinds."""
+        return any(isinstance(s, kinds) for s in self.shapes)
+
+    def switched_by(self, *kinds: type[Quantity]) -> bool:
+        """Whether it switches with a quantity of some kinds."""
+        return any(isinstance(s, Switch) and isinstance(s.quantity, kinds) for s in self.shapes)
+
+    def acts(self, kind: type) -> bool:
+        """Whether all its components are of a kind."""
+        found = [COMPONENTS.get(p.component) for p in self.places]
+        return all(isinstance(c, kind) for c in found)
+
+    @property
+    def camera(self) -> bool:
+        """Whether it is on the camera's side."""
+        return any(p.at == CAMERA for p in self.places)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Recorded columns that it depends on."""
+        held = [s.quantity.column for s in self.shapes if isinstance(s.quantity, Recorded)]
+        return tuple(dict.fromkeys(held))
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """A physical cause that would look like it."""
+
+    words: str
+    fits: Callable[[Traits], bool]
+
+
+READINGS = (
+    Likeness("an error of what the camera sees, not of the arm", lambda t: t.camera),
+    Likeness(
+        "a common supply that sags as the loads add up",
+        lambda t: t.quantity(LoadSum) and len(t.places) > 1,
+    ),
+    Likeness("lost motion: backlash or friction", lambda t: t.quantity(JointSide)),
+    Likeness(
+        "a seat or clearance that flips with the load",
+        lambda t: t.switched_by(JointLoad, Moment, Gravity),
+    ),
+    Likeness("a spring or cable between the two places", lambda t: t.quantity(Span)),
+    Likeness("a contact, a stop or a taut cable", lambda t: t.shape(Above, Below)),
+    Likeness("a part that changes over at one position", lambda t: t.shape(Switch)),
+    Likeness("something thermal", lambda t: t.quantity(Warmth)),
+    Likeness("drift", lambda t: TIME in t.columns),
+    Likeness("something that the recorded column drives", lambda t: bool(t.columns)),
+    Likeness(
+        "a hose or cable that pulls",
+        lambda t: t.acts(Wrench) and t.quantity(JointPosition),
+    ),
+    Likeness(
+        "an eccentric gear, pulley or encoder", lambda t: t.shape(Cosine, Sine) and t.acts(Turn)
+    ),
+    Likeness(
+        "something that gives under load",
+        lambda t: t.acts(Turn) and t.quantity(JointLoad, Moment, LoadSum),
+    ),
+    Likeness("an undeclared weight or spring", lambda t: t.acts(Force) and not t.shapes),
+    Likeness("a joint that does not turn as commanded", lambda t: t.acts(Turn)),
+)
+"""What fits, the most telling first."""
+
+
+def reading(candidate: Hypothesis) -> str:
+    """What it behaves like; never what it is."""
+    traits = Traits.of(candidate)
+    words = next((r.words for r in READINGS if r.fits(traits)), "no known cause")
+    return f"behaves like {words}" if words != "no known cause" else words
+
+
+def formula(candidate: Hypothesis, amounts: list[tuple[float, float, str]]) -> str:
+    """``joint 5, force y: (24.2 +- 0.3) N/rad^2 x q2 x q5``, one part a member.
+
+    Args:
+        candidate: what was found.
+        amounts: value, standard error and unit of each member.
+    """
+    by_place: dict[str, list[str]] = {}
+    for (place, function), amount in zip(candidate.members, amounts, strict=True):
+        by_place.setdefault(where(place), []).append(_part(function, *amount))
+    return "; ".join(f"{place}: {' + '.join(parts)}" for place, parts in by_place.items())
+
+
+def where(place: Spot) -> str:
+    """``joint 5, force y``; ``what the camera sees, x``."""
+    if place.at == CAMERA:
+        return f"what the camera sees, {place.component}"
+    return f"{place.at}, {place.component}"
+
+
+def domain(candidate: Hypothesis) -> list[str]:
+    """``q2 0..0.52 rad`` of every quantity: outside, it counts as at the end."""
+    held = {
+        s.of: f"{s.of} {s.low:.4g}..{s.high:.4g}" for f in candidate.functions for s in f.factors
+    }
+    return list(held.values())
+
+
+def _part(function: Function, value: float, error: float, unit: str) -> str:
+    size = f"({_rounded(value, error)}) {unit}"
+    return f"{size} x {function.formula}" if function.factors else size
+
+
+def _rounded(value: float, error: float) -> str:
+    """``24.2 +- 0.3``: the value to the digits that its error leaves."""
+    if not error > 0:
+        return f"{value:.3g}"
+    digits = -floor(log10(error)) + (1 if f"{error:.0e}"[0] == "1" else 0)
+    if abs(value) >= 1e5 or abs(value) < 1e-3:
+        return f"{value:.3g} +- {error:.1g}"
+    return f"{value:.{max(digits, 0)}f} +- {error:.{max(digits, 0)}f}"

@@ -1,0 +1,108 @@
+"""What a finding means in practice: its size at the tip, and what it brings on held-out rows.
+
+The gain of one finding among several is that of the whole model over the model without it, the
+rest fitted again (to first order), so that what geometry can take up does not count for it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.data.commanded import commanded_errors
+from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.identify import linear
+from longarm_comp.core.identify.candidates import Term
+from longarm_comp.core.identify.evidence import columns_at, key, marginal_without
+from longarm_comp.core.identify.fit import ModelFit, priors
+from longarm_comp.core.identify.proof import block_means
+from longarm_comp.core.model.model import Model
+
+SEED = 0
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Mean 3-D error on held-out rows before and after, m.
+
+    Attributes:
+        before, after: the means.
+        ci95: of before - after: paired block bootstrap.
+    """
+
+    before: float
+    after: float
+    ci95: tuple[float, float]
+
+    @classmethod
+    def of(cls, before: np.ndarray, after: np.ndarray) -> Gain:
+        """From the (M, 3) errors of two models on the same rows."""
+        long, short = np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1)
+        drawn = block_means(long - short, np.random.default_rng(SEED))
+        low, high = np.percentile(drawn, [2.5, 97.5])
+        return cls(float(long.mean()), float(short.mean()), (float(low), float(high)))
+
+
+@dataclass(frozen=True)
+class Practical:
+    """One finding in practice.
+
+    Attributes:
+        tip_m: (N,) what it moves the seen tip by at each fitted row.
+        seen: held-out errors as measured, without it and with it.
+        commanded: the same as a command would have it (`core/data/commanded.py`).
+    """
+
+    tip_m: np.ndarray
+    seen: Gain
+    commanded: Gain
+
+
+def practical(fitted: ModelFit, terms: Sequence[Term], held_out: Session) -> Practical:
+    """What a finding's terms mean in practice.
+
+    Args:
+        fitted: the final fit, which holds the terms.
+        terms: of the finding.
+        held_out: rows that were not fitted.
+    """
+    places = {key(t) for t in terms}
+    model, less = fitted.model, refitted_without(fitted, places)
+    return Practical(
+        tip_shift(fitted, places),
+        Gain.of(errors(less, held_out), errors(model, held_out)),
+        Gain.of(commanded_errors(less, held_out), commanded_errors(model, held_out)),
+    )
+
+
+def tip_shift(fitted: ModelFit, places: set[tuple[str, str]]) -> np.ndarray:
+    """(N,) length by which the terms at some places move the seen tip at each fitted row, m."""
+    rows, context = fitted.session, fitted.session.context()
+    moved = fitted.model.measured(rows.q, context)
+    still = _without(fitted.model, places).measured(rows.q, context)
+    return np.asarray(np.linalg.norm(moved - still, axis=1))
+
+
+def refitted_without(fitted: ModelFit, places: set[tuple[str, str]]) -> Model:
+    """The model without the terms at some places, all others fitted again to first order."""
+    marginal = marginal_without(fitted, columns_at(fitted), places)
+    kept = tuple(s for s in fitted.slots if key(s.owner) not in places)
+    scale = priors(kept)
+    lower = np.array([s.parameter.lower for s in kept]) / scale
+    upper = np.array([s.parameter.upper for s in kept]) / scale
+    found = linear.solve(marginal.a, marginal.y, lower, upper)
+    return _without(fitted.model, places).with_values(found.u * scale)
+
+
+def _without(model: Model, places: set[tuple[str, str]]) -> Model:
+    left = [t for t in model.terms if key(t) not in places]
+    return dataclasses.replace(
+        model,
+        effects=tuple(t for t in left if isinstance(t, Effect)),
+        biases=tuple(t for t in left if isinstance(t, Bias)),
+    )

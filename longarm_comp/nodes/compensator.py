@@ -1,0 +1,168 @@
+"""From the request of one target to its answer: checks, circumstances of now, computation."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from rclpy.node import Node
+
+from longarm_comp.core.compensation.compensate import Method, Settling, Status
+from longarm_comp.core.compensation.joint_trust import check_inside
+from longarm_comp.core.compensation.online import CompensationOptions, StaleContext, compensate_now
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.learn.expansion import Nearby
+from longarm_comp.nodes.arm_state import ArmState
+from longarm_comp.nodes.driver_link import DriverLink
+from longarm_comp.nodes.messages import Answer, FileHashes, Refusal, joints_of, target_of
+from longarm_comp.nodes.model_files import ModelFiles
+from longarm_comp.nodes.params import Param
+from longarm_comp.nodes.predictor_client import NoAnswer, PredictorClient
+from longarm_interfaces.srv import Compensate
+
+PARAMS = (
+    Param(
+        "method", "both", "what is compensated", choices=tuple(m.value for m in Method), live=True
+    ),
+    Param("single_pass", False, "correct once, as in the paper", live=True),
+    Param("tolerance_m", 1e-5, "change of the expected error that ends the passes", 1e-9, 0.01),
+    Param("max_passes", 10, "pseudo-target passes permitted", 1, 100),
+    Param("max_correction_m", 0.05, "largest expected error that is corrected", 1e-6, 1.0),
+    Param("run_up", True, "joints run up to their target where the model needs a side", live=True),
+    Param("realisable", True, "choose joints among the steps that the arm declares", live=True),
+    Param("context_max_age_s", 60.0, "older temperature, payload, tilt are stale", 0.1, 1e6),
+)
+
+
+class Compensator:
+    """Answers requests, one at a time.
+
+    Args:
+        node: holds the parameters that may be set while running.
+        p: values of the parameters.
+        files, state, predictor, driver: what is known of the arm.
+        survived: called with an exception that is a fault of this software.
+    """
+
+    def __init__(
+        self, node: Node, p: dict[str, Any], files: ModelFiles, state: ArmState,
+        predictor: PredictorClient, driver: DriverLink, survived: Callable[[Exception], None],
+    ) -> None:  # fmt: skip
+        self._node, self._files, self._state = node, files, state
+        self._predictor, self._driver, self._survived = predictor, driver, survived
+        self._base_frame: str = p["base_frame"]
+        self._max_age_s = p["context_max_age_s"]
+        self._settling = Settling(
+            tol_m=p["tolerance_m"], max_passes=p["max_passes"],
+            max_correction_m=p["max_correction_m"],
+        )  # fmt: skip
+
+    @property
+    def learned(self) -> bool:
+        """Whether a predictor is on the graph."""
+        return self._predictor.present
+
+    def answer(self, name: str, request: Compensate.Request) -> Answer:
+        """The answer to a request; a refusal is one too. ``name``: id of the target."""
+        try:
+            return self._compensate(name, request)
+        except Refusal as refusal:
+            return self.refused(name, request, refusal.status, refusal.reason)
+        except StaleContext as error:
+            return self.refused(name, request, Status.STALE_CONTEXT, str(error))
+        except InputError as error:
+            return self.refused(name, request, Status.BAD_TARGET, str(error))
+        except Exception as error:
+            self._survived(error)
+            text = f"{type(error).__name__}: {error}"
+            return self.refused(name, request, Status.INTERNAL_ERROR, text)
+
+    def refused(
+        self, name: str, request: Compensate.Request, status: Status, reason: str
+    ) -> Answer:
+        """The answer to a request that is refused before any computation."""
+        return Answer(
+            name,
+            request.target,
+            request.position_only,
+            status,
+            reason,
+            str(self._node.get_parameter("method").value),
+            FileHashes(self._files.arm.hash, self._files.loaded.file_hash),
+        )
+
+    def _compensate(self, name: str, request: Compensate.Request) -> Answer:
+        target = target_of(request.target, self._base_frame, request.position_only)
+        options = self._options()
+        start, seed = self._start(request)
+        if request.execute and self._driver.refusal:
+            raise Refusal(Status.NO_DRIVER, f"not sent: {self._driver.refusal}")
+        loaded = self._files.loaded
+        known: dict[str, Any] = {
+            "start": start,
+            "seed": seed,
+            "history": self._driver.history,
+            "readings": self._state.readings,
+            "now_s": time.monotonic(),
+            "max_age_s": self._max_age_s,
+            "position_only": request.position_only,
+            "options": options,
+        }
+        client, why = self._predictor if options.method.learned else None, ""
+        if client is not None and not client.present:
+            client, why = None, ": no error_predictor is running"
+        try:
+            ask = None if client is None else partial(client.ask, deflection=options.method.physics)
+            near = None if ask is None else Nearby(ask)  # mostly one call a target
+            arrival = compensate_now(loaded.model, near, target, **known)
+        except NoAnswer as absent:
+            client, why = None, f": {absent.reason}"
+            arrival = compensate_now(loaded.model, None, target, **known)
+        outcome = arrival.outcome
+        return Answer(
+            name,
+            request.target,
+            request.position_only,
+            outcome.status,
+            outcome.reason + (why if outcome.status is Status.NO_PREDICTOR else ""),
+            options.method.value,
+            FileHashes(
+                self._files.arm.hash, loaded.file_hash, "" if client is None else client.file_hash
+            ),
+            arrival,
+        )
+
+    def _options(self) -> CompensationOptions:
+        value = lambda name: self._node.get_parameter(name).value  # noqa: E731
+        once = bool(value("single_pass"))
+        return CompensationOptions(
+            Method(value("method")),
+            replace(self._settling, single_pass=once) if once else self._settling,
+            run_up=bool(value("run_up")),
+            realisable=bool(value("realisable")),
+        )
+
+    def _start(self, request: Compensate.Request) -> tuple[np.ndarray, np.ndarray | None]:
+        """Where the move starts and where the search does, (n,) each.
+
+        Without a seed both are the joints. A move that is executed starts at the joints also with
+        one; only a computation may start elsewhere.
+
+        Raises:
+            Refusal: the joints are not known, too old or doubtful.
+            InputError: the seed is of another arm, or outside the limits.
+        """
+        seed = None
+        if request.seed.name:
+            seed = joints_of(request.seed, self._files.arm, "seed")
+            check_inside(seed, self._files.arm, "seed")
+        if seed is not None and not request.execute:
+            return seed, seed
+        doubt, q = self._state.doubt, self._state.joints
+        if doubt or q is None:
+            raise Refusal(Status.NOT_READY, doubt)
+        return q, seed

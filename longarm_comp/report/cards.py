@@ -1,0 +1,327 @@
+"""The first screen in words: what was found, what it means, what to do; all from report.json."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from math import log
+
+from longarm_comp.core.data.commanded import CAMERA_SIDE
+from longarm_comp.core.effects.units import for_people
+from longarm_comp.report.detail import Detail, SetSplit
+from longarm_comp.report.record import DiagnosisReport, FindingParameter, ReportFinding
+from longarm_comp.report.words import interval, millimetres, number, odds
+
+CERTAIN, LIKELY = log(1000.0), log(20.0)
+"""Log odds from which on something is called certain, and likely."""
+FEW = 0.05
+"""Share of a mean error below which a change of it is no improvement worth a word."""
+MOST_SIZES = 8
+
+STAGES = {
+    "nominal": "the model before",
+    "frames_only": "base and marker placed",
+    "calibrated": "the calibrated geometry",
+    "with_effects": "the geometry with the effects found",
+    "with_network": "the model with the network",
+}
+COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+
+
+@dataclass(frozen=True)
+class Size:
+    """One parameter in the unit that people read."""
+
+    where: str
+    name: str
+    value: str
+    ci95: str
+
+
+@dataclass(frozen=True)
+class Card:
+    """A finding for people.
+
+    Attributes:
+        title: what it is and where, in a line.
+        names: canonical name, with those that cannot be told from it.
+        where: its places.
+        sizes: its parameters; `more` of them are not among these.
+        reading: what the effect says of itself.
+        tip: what it moves the tip by.
+        sure: in a word or two.
+        because: the figures behind `sure`.
+        doubts: what speaks against it.
+        action: at the arm.
+        software: what a command does about it.
+        improves: held-out error without and with it.
+    """
+
+    title: str
+    names: str
+    where: str
+    sizes: tuple[Size, ...]
+    more: int
+    reading: str
+    tip: str
+    sure: str
+    because: str
+    doubts: tuple[str, ...]
+    action: str
+    software: str
+    improves: str
+
+
+def cards(report: DiagnosisReport) -> list[Card]:
+    """A card per finding, in their order."""
+    return [_card(finding, report) for finding in report.findings]
+
+
+def _card(finding: ReportFinding, report: DiagnosisReport) -> Card:
+    sure, because = _sure(finding)
+    title, where = finding.title or finding.effect.replace("_", " "), places(finding.where)
+    in_order = sorted(finding.parameters, key=lambda p: _natural(p.where))
+    return Card(
+        title=title.capitalize() + (f", {where}" if where not in title else ""),
+        names=" or ".join(finding.set or [finding.effect]),
+        where=where,
+        sizes=tuple(_size(p) for p in in_order[:MOST_SIZES]),
+        more=max(0, len(finding.parameters) - MOST_SIZES),
+        reading=finding.reading,
+        tip=_tip(finding),
+        sure=sure,
+        because=because,
+        doubts=tuple(finding.doubts),
+        action=finding.action,
+        software=_software(finding, report),
+        improves=_improves(finding),
+    )
+
+
+def places(where: list[str]) -> str:
+    """``joints 1, 3 and 4`` for ``joint 1``, ``joint 3``, ``joint 4``; others one by one."""
+    where = sorted(where, key=_natural)
+    split = [place.rsplit(" ", 1) for place in where]
+    kinds = {parts[0] for parts in split}
+    if len(where) < 2 or len(kinds) > 1 or any("," in p or len(p.split()) != 2 for p in where):
+        return "; ".join(where)
+    values = [parts[1] for parts in split]
+    return f"{kinds.pop()}s {', '.join(values[:-1])} and {values[-1]}"
+
+
+def _natural(place: str) -> list[tuple[int, str]]:
+    """Key that sorts ``joint 2`` before ``joint 10``."""
+    parts = re.findall(r"\d+|\D+", place)
+    return [(int(part), "") if part.isdigit() else (0, part) for part in parts]
+
+
+def _size(parameter: FindingParameter) -> Size:
+    times, unit = for_people(parameter.unit)
+    gap = "" if unit == "°" else " "
+    shown = f"{number(times * parameter.value, 3)}{gap}{unit}"
+    pair = parameter.ci95
+    said = "" if pair is None else interval((times * pair[0], times * pair[1]), 3)
+    return Size(parameter.where, parameter.name, shown, said)
+
+
+def _tip(finding: ReportFinding) -> str:
+    if finding.tip_mm is None:
+        return ""
+    typical, most = millimetres(finding.tip_mm.median), millimetres(finding.tip_mm.max)
+    return f"{typical} at the tip" + (f", up to {most}" if most != typical else "")
+
+
+def _sure(finding: ReportFinding) -> tuple[str, str]:
+    """How sure, and the figures behind it."""
+    there = finding.log_bayes_factor
+    said = [f"Odds of {odds(there)} for it against leaving it out"]
+    if finding.stable is not None:
+        said[0] += f"; they hold in {100 * finding.stable:.0f} % of the resampled sessions"
+    others = [name for name in finding.set if name != finding.effect]
+    margin = there
+    if others:
+        said.append(f"These data do not tell it from {_listed(others)}")
+    elif finding.runner_up is not None:
+        margin = there - finding.runner_up.log_bayes_factor
+        said.append(f"Next best: {finding.runner_up.effect}, odds of {odds(margin)} for the name")
+    sure = _word(there)
+    if others:
+        sure += "; the name is open"
+    elif _word(margin) != sure:
+        sure += f"; the name is {_word(margin)}"
+    elif finding.doubts:
+        sure += ", with a doubt" if len(finding.doubts) == 1 else ", with doubts"
+    return sure, ". ".join(said) + "."
+
+
+def _word(log_odds: float) -> str:
+    if log_odds >= CERTAIN:
+        return "certain"
+    return "likely" if log_odds >= LIKELY else "not sure"
+
+
+def _software(finding: ReportFinding, report: DiagnosisReport) -> str:
+    """What commands make of it."""
+    if finding.compensated:
+        return "Until then the new model.yaml compensates it."
+    mine = [s for s in report.held_out.not_commanded if s.startswith(f"{finding.effect} (")]
+    why = mine[0][len(finding.effect) :] if mine else ""
+    return f"Commands leave it out{why}: software does not compensate it."
+
+
+def _improves(finding: ReportFinding) -> str:
+    """Held-out mean error without and with it, as commanded and, where it differs, as seen."""
+    if finding.commanded_mm is None or finding.seen_mm is None:
+        return ""
+    told = change(finding.commanded_mm)
+    seen = change(finding.seen_mm)
+    text = told if told == seen else f"{told} as commanded; {seen} as seen"
+    return text if helps(finding.commanded_mm) else f"{text}: no gain for commands on these rows"
+
+
+def change(pair: tuple[float, float]) -> str:
+    """``7.72 → 0.49 mm``."""
+    return f"{millimetres(pair[0]).removesuffix(' mm')} → {millimetres(pair[1])}"
+
+
+def helps(pair: tuple[float, float]) -> bool:
+    """Whether an error falls by a share worth a word."""
+    return pair[1] < (1 - FEW) * pair[0]
+
+
+def _listed(names: list[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
+
+
+# ------------------------------------------------------------------ the verdict
+
+
+def meaning(report: DiagnosisReport) -> str:
+    """The verdict in one sentence."""
+    n, open_ = len(report.findings), sum(len(f.set) > 1 for f in report.findings)
+    left = report.structure_left
+    return {
+        "noise": "Nothing beyond the noise was found; nothing was added.",
+        "named": f"{_count(n)} {_explain(n)} what the model lacked.",
+        "set": (
+            f"{_count(n)} {_explain(n)} what the model lacked; "
+            f"{_of(open_, n)} may have another name, and more poses may tell."
+        ),
+        "partly": (
+            f"{_count(n)} {_explain(n)} a part of what the model lacked; "
+            + ("structure is left." if left.flag else "one could have too many names.")
+        ),
+        "unknown": (
+            "There is structure that no effect of the library explains; none was added."
+            if left.flag
+            else "Effects were found in the fitted poses but not proven on others; none was added."
+        ),
+        "bad_data": "The data were refused; nothing was fitted, nothing was added.",
+    }[report.verdict]
+
+
+def _count(n: int) -> str:
+    return (COUNTS[n] if n < len(COUNTS) else str(n)).capitalize()
+
+
+def _explain(n: int) -> str:
+    return "physical effect explains" if n == 1 else "physical effects explain"
+
+
+def _of(part: int, n: int) -> str:
+    if part == n:
+        return "it" if n == 1 else "each of them"
+    return f"{COUNTS[part] if part < len(COUNTS) else part} of them"
+
+
+@dataclass(frozen=True)
+class Improvement:
+    """What changed on the held-out rows, from one stage to another.
+
+    Attributes:
+        stages: their names, before and after.
+        commanded: mean error as a command would have it.
+        seen: mean error as seen; empty where it reads the same.
+        proof: what the interval says; empty where nothing was added.
+        between: what a command leaves out, where the two differ.
+        camera: whether a finding is on the camera's side.
+    """
+
+    stages: tuple[str, str]
+    commanded: str
+    seen: str
+    proof: str
+    between: tuple[str, ...]
+    camera: bool
+
+
+def improvement(report: DiagnosisReport) -> Improvement | None:
+    """Of the stages that the verdict compares; None where there is nothing to compare."""
+    held = report.held_out
+    rows = {row.model: row for row in held.rows}
+    if held.before not in rows or held.after not in rows:
+        return None
+    before, after = rows[held.before], rows[held.after]
+    seen = change((before.mean_mm, after.mean_mm))
+    commanded = seen
+    if before.commanded_mean_mm is not None and after.commanded_mean_mm is not None:
+        commanded = change((before.commanded_mean_mm, after.commanded_mean_mm))
+    differs = commanded != seen
+    return Improvement(
+        (STAGES[held.before], STAGES[held.after]),
+        commanded,
+        seen if differs else "",
+        _proof(held.commanded_ci95_mm or held.before_after_ci95_mm),
+        tuple(held.not_commanded) if differs else (),
+        any(said.endswith(CAMERA_SIDE) for said in held.not_commanded) and bool(report.findings),
+    )
+
+
+def _proof(pair: tuple[float, float] | None) -> str:
+    if pair is None:
+        return ""
+    if pair[0] > 0:
+        return f"The mean falls by {interval(pair, 3)} mm (95 %)."
+    if pair[1] < 0:
+        return f"The mean grows by {interval((-pair[1], -pair[0]), 3)} mm (95 %)."
+    return f"The change of the mean, {interval((-pair[1], -pair[0]), 3)} mm (95 %), is not proven."
+
+
+# ------------------------------------------------------------------ what is open
+
+
+@dataclass(frozen=True)
+class Open:
+    """Something that these data cannot tell, and the effects that it is about."""
+
+    what: str
+    items: tuple[str, ...] = ()
+
+
+def open_questions(report: DiagnosisReport, detail: Detail) -> list[Open]:
+    """Sets and the poses that split them, effects not testable, effects too small to be seen."""
+    made = [Open(_split(split)) for split in detail.splits]
+    split = {tuple(split.members) for split in detail.splits}
+    made += [
+        Open(f"Whether it is {_listed(f.set)}. No splitting poses were sought.")
+        for f in report.findings
+        if len(f.set) > 1 and tuple(f.set) not in split
+    ]
+    rows = report.candidates
+    untested = tuple(f"{c.effect}: {c.why}" for c in rows if c.state == "not_testable")
+    if untested:
+        made.append(Open("Not testable with this session or on this arm:", untested))
+    unseen = tuple(f"{c.effect}, {c.where}: {c.why}" for c in rows if c.state == "invisible")
+    if unseen:
+        made.append(Open("May be there, but would not show at its usual size:", unseen))
+    return made
+
+
+def _split(split: SetSplit) -> str:
+    """A set, and what would split it."""
+    said = f"Whether it is {_listed(list(split.members))}"
+    if not split.poses:
+        return f"{said}. {split.reason or 'No pose of this arm tells them apart.'}"
+    expected = split.expected_log_bayes_factor
+    figure = "" if expected is None else f" (expected odds {odds(expected)})"
+    return f"{said}: {len(split.poses)} poses in next_poses.csv would tell{figure}."

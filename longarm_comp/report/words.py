@@ -1,0 +1,48 @@
+"""Numbers in words: for tables and sentences of the page."""
+
+from __future__ import annotations
+
+import numpy as np
+
+DASH = "–"
+_CERTAIN = 100
+"""Power of ten above which odds are given only as a bound."""
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A number for reading, a dash for None."""
+    if value is None:
+        return DASH
+    if 1e4 <= abs(value) < 1e6:
+        return f"{value:.0f}".replace("-", "−")
+    if value and not 1e-3 <= abs(value) < 1e4:
+        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+        return f"{mantissa}·{_ten(int(exponent))}".replace("-", "−")
+    return f"{value:.{digits}g}".replace("-", "−")
+
+
+def interval(pair: tuple[float, float] | None, digits: int = 4) -> str:
+    """``lo to hi``, a dash for None."""
+    return DASH if pair is None else f"{number(pair[0], digits)} to {number(pair[1], digits)}"
+
+
+def millimetres(value: float) -> str:
+    """A length for reading: to a hundredth of a millimetre, or three digits if it is larger."""
+    return f"{value:.2f} mm" if abs(value) < 100 else f"{value:.0f} mm"
+
+
+def odds(log_bayes_factor: float) -> str:
+    """A log Bayes factor as odds."""
+    power = abs(log_bayes_factor) / np.log(10)
+    if power < 4:
+        larger = f"{10**power:.3g}"
+    elif power < _CERTAIN:
+        larger = _ten(round(power))
+    else:
+        larger = f"more than {_ten(_CERTAIN)}"
+    return f"{larger} : 1" if log_bayes_factor >= 0 else f"1 : {larger}"
+
+
+def _ten(power: int) -> str:
+    """A power of ten with its exponent raised."""
+    return "10" + str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))

@@ -1,0 +1,100 @@
+"""Errors as a command would have them: what a model knows and a command does not is left out."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from hidden_arm import session
+from small_arm import ARM
+
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.data.commanded import (
+    as_commanded,
+    commanded_errors,
+    not_commanded,
+    own_way,
+)
+from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.backlash import Backlash
+from longarm_comp.core.effects.camera_drift import CameraDrift
+from longarm_comp.core.effects.creep import Creep
+from longarm_comp.core.effects.effect import Effect, parameter
+from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
+from longarm_comp.core.effects.sensor_place import SensorPlace
+from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.identify.calibrate import declared_model
+
+
+@dataclass(frozen=True)
+class PumpLift(Effect):
+    """The base rises with a pressure that nobody tells a command."""
+
+    name: ClassVar[str] = "pump_lift"
+    needs: ClassVar[tuple[str, ...]] = ("pump_bar",)
+
+    lift: float = parameter("m", "rise per bar", prior=1e-3)
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        return {0: (0.0, 0.0, self.lift * posture.context.column("pump_bar"), 0.0, 0.0, 0.0)}
+
+
+@pytest.fixture(scope="module")
+def rows() -> Session:
+    """Rows with time, temperature and a pressure, each joint with earlier moves."""
+    made = session(n=30, directions=False)
+    k = np.arange(len(made))
+    columns = {"t_s": 120.0 * k, "temperature_c": 20.0 + 0.2 * k, "pump_bar": np.sin(k)}
+    return dataclasses.replace(made, columns=columns)
+
+
+LEFT_OUT = {
+    "camera side": CameraDrift(x=2e-3, y=1e-3),
+    "never told": PumpLift(lift=2e-3),
+}
+KEPT = {
+    "side of arrival": Backlash(joint=2, width=0.01),
+    "temperature": ThermalGrowth(expansion=1e-3),
+    "time": Creep(amount=0.3),
+}
+
+
+@pytest.mark.parametrize("term", LEFT_OUT.values(), ids=list(LEFT_OUT))
+def test_what_no_command_has_is_left_out(term: Effect, rows: Session) -> None:
+    bare = declared_model(ARM)
+    model = bare.plus(term)
+    assert np.abs(errors(model, rows) - errors(bare, rows)).max() > 5e-4
+    assert commanded_errors(model, rows) == pytest.approx(errors(bare, rows), abs=1e-12)
+    assert [term.name in said for said in not_commanded(model, rows)] == [True]
+
+
+@pytest.mark.parametrize("term", KEPT.values(), ids=list(KEPT))
+def test_what_a_command_chooses_or_is_told_stays(term: Effect, rows: Session) -> None:
+    model = declared_model(ARM).plus(term)
+    assert np.array_equal(commanded_errors(model, rows), errors(model, rows))
+    assert not_commanded(model, rows) == []
+
+
+def test_a_command_knows_its_own_way_and_no_move_before_it(rows: Session) -> None:
+    assert np.count_nonzero(rows.legs[..., 1:]) > 20
+    known = own_way(rows)
+    assert np.array_equal(known.legs[..., 0], rows.legs[..., 0])
+    assert np.array_equal(known.approach, rows.approach) and not known.legs[..., 1:].any()
+    far = 2.0 * float(np.abs(rows.legs[..., 0]).max())
+    model = declared_model(ARM).plus(
+        FrictionHysteresis(joint=2, width=0.02, outer=0.02, near=0.01, far=far)
+    )
+    assert np.abs(commanded_errors(model, rows) - errors(model, rows)).max() > 1e-4
+    assert not_commanded(model, rows) == ["earlier moves of the joints (friction_hysteresis)"]
+    assert np.array_equal(commanded_errors(model, known), errors(model, known))
+
+
+def test_the_frame_of_a_sensor_stays() -> None:
+    placed = SensorPlace(sensor="tracker", x=0.1)
+    assert as_commanded(declared_model(ARM).plus(placed)).biases == (placed,)

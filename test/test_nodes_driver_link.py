@@ -1,0 +1,183 @@
+"""`kinematics` and its driver: what is sent, what was accepted, and what counts as commanded.
+
+The driver's side is played by the test, so that it can be absent, in fault, silent or double.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from nodes_bench import Bench, bench, own_graph
+from sensor_msgs.msg import JointState
+from test_nodes_kinematics import request
+from trajectory_msgs.msg import JointTrajectory
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.moves import sweep
+from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model_file import save_model, store
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.messages import joints_message, trajectory_message
+from longarm_interfaces.msg import DriverState, Motion
+from longarm_interfaces.srv import Compensate
+
+ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
+STATUS = Compensate.Response
+
+
+class Driver:
+    """Tells a state twice a second and answers trajectories as it is set to."""
+
+    def __init__(self, stage: Bench, arm: Arm) -> None:
+        self.stage, self.arm = stage, arm
+        self.state, self.event = DriverState.READY, Motion.ACCEPTED
+        self.instances: tuple[str, ...] = ()
+        self.answers = True
+        self.got: list[JointTrajectory] = []
+        self._states = graph.DRIVER_STATE.publisher(stage.node)
+        self._motions = graph.MOTION.publisher(stage.node)
+        self._joints = graph.JOINT_STATES.publisher(stage.node)
+        graph.JOINT_TRAJECTORY.subscription(stage.node, self._on_trajectory)
+        stage.node.create_timer(0.2, self._beat)
+
+    def _beat(self) -> None:
+        for instance in self.instances:
+            self._states.publish(DriverState(state=self.state, instance=instance, message="so"))
+        self._joints.publish(joints_message(self.arm, self.arm.mid))
+
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        self.got.append(message)
+        if self.answers:
+            self.tell(self.event, message.header.frame_id, message)
+
+    def tell(self, event: int, name: str, taken: JointTrajectory | None = None) -> None:
+        motion = Motion(id=name, event=event, message="the fake says so")
+        if event == Motion.ACCEPTED and taken is not None:
+            names = list(self.arm.joint_names)
+            motion.start = JointState(name=names, position=self.arm.mid.tolist())
+            motion.points = taken.points
+        self._motions.publish(motion)
+
+
+@pytest.fixture(scope="module")
+def arm() -> Arm:
+    return Arm.load(ARM)
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory: pytest.TempPathFactory, arm: Arm) -> Iterator[Bench]:
+    folder = tmp_path_factory.mktemp("link")
+    friction = FrictionHysteresis(joint=2, width=0.02, inner=0.01, outer=0.01)
+    save_model(folder / "model.yaml", store(declared_model(arm).plus(friction)))
+    with own_graph(folder), bench() as made:
+        options = {"arm": ARM, "model": folder / "model.yaml", "method": "deflection"}
+        made.start(
+            "kinematics",
+            {**options, "run_up": False, "acknowledged": True, "acknowledge_s": 0.3},
+        )
+        yield made
+
+
+@pytest.fixture(scope="module")
+def driver(stage: Bench, arm: Arm) -> Driver:
+    return Driver(stage, arm)
+
+
+def test_nothing_is_called_sent_or_accepted_that_was_not(
+    stage: Bench, arm: Arm, driver: Driver
+) -> None:
+    client = graph.COMPENSATE.client(stage.node)
+    stories = stage.collect(graph.COMPENSATION)
+    target = declared_model(arm).pose(arm.mid)
+
+    def asked(execute: bool = True) -> Compensate.Response:
+        return stage.call(client, request(target, arm, execute=execute))
+
+    def says(status: int, words: str, executed: bool = False) -> Compensate.Response:
+        found: list[Compensate.Response] = []
+
+        def heard() -> bool:
+            found[:] = [asked()]
+            return found[0].status == status and words in found[0].message
+
+        stage.spin(heard)
+        stage.spin(lambda: stories and stories[-1].message == found[0].message)
+        assert bool(stories[-1].executed.name) == executed
+        assert stories[-1].accepted == found[0].success == bool(found[0].command.name)
+        return found[0]
+
+    says(STATUS.NO_DRIVER, "no servo_driver")
+    assert asked(execute=False).success
+    driver.instances = ("a",)
+    for state, word in (
+        (DriverState.UNCONFIGURED, "not configured: so"), (DriverState.INACTIVE, "inactive: so"),
+        (DriverState.HOLDING, "held: so"), (DriverState.FAULT, "in fault: so"),
+        (DriverState.ESTOP, "stopped: so"),
+    ):  # fmt: skip
+        driver.state = state
+        says(STATUS.NO_DRIVER, word)
+    assert not driver.got
+    driver.state, driver.answers = DriverState.READY, False
+    says(STATUS.NOT_ACCEPTED, "has not acknowledged", executed=True)
+    driver.answers, driver.event = True, Motion.REFUSED
+    says(STATUS.NOT_ACCEPTED, "refused it: the fake says so", executed=True)
+    driver.event = Motion.ACCEPTED
+    answer = says(STATUS.SUCCESS, "", executed=True)
+    names = answer.command.header.frame_id, stories[-1].id, driver.got[-1].header.frame_id
+    assert names[0] and len(set(names)) == 1
+    assert len({story.id for story in stories}) == len(stories)
+
+    driver.instances = ("a", "b")
+    says(STATUS.NO_DRIVER, "two drivers")
+    driver.instances = ("b",)
+    says(STATUS.SUCCESS, "", executed=True)
+    driver.instances = ()
+    says(STATUS.NO_DRIVER, "silent")
+
+
+def test_what_the_driver_accepted_is_the_history_of_the_joints(
+    stage: Bench, arm: Arm, driver: Driver
+) -> None:
+    driver.instances = ("c",)
+    client = graph.COMPENSATE.client(stage.node)
+    sender = graph.JOINT_TRAJECTORY.publisher(stage.node)
+    stage.connected(sender)
+    target = declared_model(arm).pose(arm.mid)
+
+    def doubts(expected: bool) -> Compensate.Response:
+        """An answer that says, or does not say, that the tip depends on what is not known."""
+        found: list[Compensate.Response] = []
+
+        def heard() -> bool:
+            found[:] = [stage.call(client, request(target, arm))]
+            return found[0].success and ("not known" in found[0].message) is expected
+
+        stage.spin(heard)
+        return found[0]
+
+    driver.event = Motion.REFUSED
+    ask = request(target, arm, execute=True)
+    stage.spin(lambda: stage.call(client, ask).status == STATUS.NOT_ACCEPTED)  # it knows of "c"
+    doubts(True)
+    way = trajectory_message(arm, sweep(arm, arm.mid), 0.1)
+    for event in (Motion.BROKEN_OFF, Motion.REPLACED):
+        driver.event = Motion.REFUSED
+        got = len(driver.got)
+        sender.publish(way)
+        stage.spin(lambda got=got: len(driver.got) > got)
+        assert "not known" in doubts(True).message  # sent by somebody, and not taken up
+        driver.event = Motion.ACCEPTED
+        sender.publish(way)
+        assert doubts(False).sigma < 1e-6 or np.isnan(doubts(False).sigma)
+        driver.tell(Motion.REACHED, "")
+        driver.tell(Motion.REFUSED, "another")
+        doubts(False)
+        driver.tell(event, "")
+        assert doubts(True).sigma > 1e-3

@@ -1,0 +1,267 @@
+"""The sentences of a report against its numbers, over a hundred generated diagnoses.
+
+They are made from one real diagnosis, whose errors, findings, structure, noise and network are
+replaced by drawn ones: sentences are about numbers, whatever these are.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from functools import cache
+from math import sqrt
+from typing import Any
+
+import numpy as np
+import pytest
+from hidden_arm import at, session
+from report_pages import Page
+from small_arm import ARM
+
+from longarm_comp.core.identify.diagnosis import Diagnosis, diagnose
+from longarm_comp.core.identify.evidence import Score
+from longarm_comp.core.identify.practical import practical
+from longarm_comp.core.identify.structure import SIGNIFICANT
+from longarm_comp.report import Detail, assemble, cards, record, tables
+from longarm_comp.report.page import page as rendered
+from longarm_comp.report.words import DASH
+from longarm_comp.sim.hidden import drives
+
+SEEDS = range(100)
+
+
+@cache
+def real() -> Diagnosis:
+    """Two effects at joints, and a camera that drifts."""
+    made = session((drives.JointGain(at(2, 0.02)), drives.Backlash(at(1, 5e-3), 0.0)), n=150)
+    t_s = 60.0 * np.arange(len(made))
+    drift = np.outer(t_s / 3600, (1e-3, -2e-3, 1e-3))
+    return diagnose(ARM, dataclasses.replace(made, xyz=made.xyz + drift, columns={"t_s": t_s}))
+
+
+def test_the_real_one_has_findings_of_both_sides() -> None:
+    names = [f.name for f in real().findings]
+    assert len(names) >= 3 and "camera_drift" in names
+
+
+class Network:
+    """Stands for a network that was kept."""
+
+
+def drawn(seed: int) -> Diagnosis:
+    """Another diagnosis: of the same arm, all that a sentence may speak of drawn anew."""
+    rng, base = np.random.default_rng(seed), real()
+    found = base.findings[: int(rng.integers(len(base.findings) + 1))]
+    rolled_back = not found and bool(rng.integers(2))
+    network = Network() if rng.random() < 0.3 else None
+    size = 10 ** rng.uniform(-4, -1.5)
+    n = len(base.proof.errors["nominal"])
+
+    def errors() -> np.ndarray:
+        tail = 1 + 4 * (rng.random((n, 1)) < 0.05)
+        return np.asarray(size * rng.uniform(0.05, 1.5) * tail * rng.standard_normal((n, 3)))
+
+    stages = [*base.models, *(["with_network"] if network else [])]
+    seen = {stage: errors() for stage in stages}
+    alike = rng.random() < 0.5
+    commanded = seen if alike else {stage: errors() for stage in stages}
+    flag = bool(rng.integers(2)) or network is not None
+    structure = dataclasses.replace(
+        base.structure,
+        flag=flag,
+        p_value=float(10 ** rng.uniform(-4, 0)),
+        inputs=("q2", "t_s") if flag else (),
+        size_m=float(size * rng.uniform(0, 1.2)) if flag else 0.0,
+        share_explained=float(rng.random()) if flag else 1.0,
+        sign="shows in the held-out poses" if flag and rng.random() < 0.3 else "",
+    )
+    noise = dataclasses.replace(
+        base.search.noise, sigma=np.full(3, size * rng.uniform(0.01, 1.5)), source="residual"
+    )
+    return dataclasses.replace(
+        base,
+        search=dataclasses.replace(base.search, noise=noise),
+        findings=tuple(varied(f, rng) for f in found),
+        structure=structure,
+        proof=dataclasses.replace(base.proof, errors=seen, commanded=commanded),
+        rolled_back=rolled_back,
+        network=network,
+        split_by=(),
+    )
+
+
+def varied(finding: Any, rng: np.random.Generator) -> Any:
+    """A finding with other odds, and sometimes a name that cannot be told from it."""
+    best: Score | None = finding.runner_up
+    odds = float(rng.uniform(0, 60))
+    if best is not None:
+        best = dataclasses.replace(best, log_bayes_factor=odds - float(rng.uniform(-2, 20)))
+    other = (best,) if best is not None and rng.random() < 0.4 else ()
+    return dataclasses.replace(finding, log_bayes_factor=odds, runner_up=best, alternatives=other)
+
+
+Told = tuple[record.DiagnosisReport, Page]
+
+
+@pytest.fixture(scope="module")
+def told() -> list[Told]:
+    """The generated reports, and their pages without figures."""
+    once = cache(lambda k: practical(real().fit, real().findings[k].terms, real().held_out))
+    index = {f.name: k for k, f in enumerate(real().findings)}
+    made = []
+    with pytest.MonkeyPatch.context() as patched:  # the same fit, so the same each time
+        patched.setattr(assemble, "practical", lambda fit, terms, _: once(index[terms[0].name]))
+        for seed in SEEDS:
+            found = drawn(seed)
+            report = record.checked(assemble.record_of(found, (), "0" * 64))
+            before, after = found.compared
+            made.append((report, Page(rendered(report, Detail(before=before, after=after), {}))))
+    return made
+
+
+def numbers(text: str) -> list[float]:
+    return [float(v) for v in re.findall(r"\d+(?:\.\d+)?", text.replace("−", "-"))]
+
+
+def line(page: Page, tag: str) -> list[str]:
+    """The row of the error table that carries a tag; empty where none does."""
+    rows = [row for row in page.tables["errors"] if row[0].endswith(tag)]
+    return rows[0] if rows else []
+
+
+def test_the_verdict_counts_what_was_found(told: list[Told]) -> None:
+    for report, page in told:
+        said = cards.meaning(report)
+        assert said in page.words()
+        n = len(report.findings)
+        if n:
+            assert said.startswith(f"{cards.COUNTS[n].capitalize()} physical effect")
+            assert (" effects explain" in said) == (n > 1)
+        else:
+            assert "added" in said and "effect explains" not in said
+        shown = [tag for tag, attrs in page.elements if attrs.get("class") == "card"]
+        assert len(shown) == n
+
+
+def test_the_figures_of_the_first_screen_are_those_of_the_table(told: list[Told]) -> None:
+    for report, page in told:
+        gain = cards.improvement(report)
+        assert gain is not None
+        before, after = line(page, "before"), line(page, "after")
+        assert before and after
+        assert numbers(gain.commanded) == pytest.approx(
+            numbers(before[2] + " " + after[2]), abs=6e-3
+        )
+        seen = gain.seen or gain.commanded
+        assert numbers(seen) == pytest.approx(numbers(before[1] + " " + after[1]), abs=6e-3)
+        words = page.words()
+        assert gain.commanded in words and (gain.seen in words)
+        assert ("as seen and as a command would have it" in words) == (not gain.seen)
+
+
+def test_the_sentence_has_the_figures_of_the_table(told: list[Told]) -> None:
+    for report, page in told:
+        if "Held-out mean error" not in report.summary:
+            assert not report.findings
+            continue
+        tail = report.summary.split("ean error", 1)[1]
+        pairs = re.findall(r"([\d.]+) -> ([\d.]+) mm", tail)
+        before, after = line(page, "before"), line(page, "after")
+        for pair, column in zip(pairs, (2, 1), strict=False):
+            wanted = [float(before[column]), float(after[column])]
+            assert [float(v) for v in pair] == pytest.approx(wanted, abs=6e-3)
+        assert len(pairs) == (2 if "as commanded" in tail else 1)
+
+
+def test_what_is_said_of_the_gain_is_what_its_interval_says(told: list[Told]) -> None:
+    for report, page in told:
+        held, words = report.held_out, page.words()
+        added = bool(report.findings) or held.after == "with_network"
+        assert (held.before_after_ci95_mm is not None) == added
+        unproven = added and held.before_after_ci95_mm[0] <= 0  # type: ignore[index]
+        assert ("the gain is not proven" in words) == unproven
+        if not added:
+            assert "The mean falls" not in words and "is not proven" not in words
+            continue
+        low, high = held.commanded_ci95_mm or (0.0, 0.0)
+        assert ("The mean falls by" in words) == (low > 0)
+        assert ("The mean grows by" in words) == (high < 0)
+
+
+def test_no_line_of_the_table_is_below_the_noise(told: list[Told]) -> None:
+    for _, page in told:
+        rows = page.tables["errors"]
+        floor = next((row for row in rows if row[0].startswith("noise floor")), None)
+        if floor is None:
+            assert "The errors leave no room for noise of that size" in page.words()
+            continue
+        for row in rows[1 : rows.index(floor)]:
+            for value, least in zip(row[1:8], floor[1:8], strict=True):
+                assert least == DASH or float(value) >= float(least) - 1.1e-3
+        assert ("at most" in floor[0]) == (
+            "The estimate above holds more than noise" in page.words()
+        )
+
+
+def test_effects_that_were_taken_back_leave_the_calibrated_model(told: list[Told]) -> None:
+    back = [report for report, _ in told if "the model was left as it was" in report.summary]
+    assert len(back) > 5
+    for report in back:
+        rows = {row.model: row.model_copy(update={"model": ""}) for row in report.held_out.rows}
+        assert rows["with_effects"] == rows["calibrated"]
+
+
+def test_structure_that_is_left_is_in_the_excess(told: list[Told]) -> None:
+    for report, page in told:
+        left, words = report.structure_left, page.words()
+        assert ("Structure is left" in words) == left.flag
+        assert ("No structure is left" in words) == (not left.flag and left.p_value >= SIGNIFICANT)  # type: ignore[operator]
+        assert ("of the structure that was there" in words) == (left.flag and bool(report.findings))
+        if left.flag:
+            used = next(row for row in report.held_out.rows if row.model == "with_effects")
+            size = left.size_mm or 0.0
+            assert used.excess_mm >= min(size, used.rms_mm) - 1e-9
+            assert left.text in words and left.text[:4] in report.summary
+
+
+def test_cards_say_what_their_numbers_say(told: list[Told]) -> None:
+    for report, page in told:
+        for finding, card in zip(report.findings, cards.cards(report), strict=True):
+            assert card.action and card.title and card.improves in page.words()
+            assert finding.commanded_mm is not None and finding.tip_mm is not None
+            assert numbers(card.improves)[:2] == pytest.approx(finding.commanded_mm, abs=6e-3)
+            assert ("no gain for commands" in card.improves) == (
+                finding.commanded_mm[1] >= 0.95 * finding.commanded_mm[0]
+            )
+            assert numbers(card.tip)[0] == pytest.approx(finding.tip_mm.median, abs=6e-3)
+            assert ("the name is open" in card.sure) == (len(finding.set) > 1)
+            assert card.sure.startswith("certain") == (finding.log_bayes_factor >= np.log(1000))
+            margin = finding.log_bayes_factor
+            if finding.runner_up is not None and len(finding.set) == 1:
+                margin -= finding.runner_up.log_bayes_factor
+            if margin < np.log(20):
+                assert card.sure != "certain"
+            assert ("compensates it" in card.software) == finding.compensated
+
+
+def test_nothing_is_left_blank(told: list[Told]) -> None:
+    for report, page in told:
+        for text in (report.summary, page.words()):
+            assert not re.search(r": ,|: \.|\bnan\b|\bNone\b|\(\)|  +|0\.00 mm of structure", text)
+        for row in page.tables["errors"][1:]:
+            assert all(row)
+        excess = [row.excess_mm for row in report.held_out.rows]
+        assert all(e <= r.rms_mm + 1e-9 for e, r in zip(excess, report.held_out.rows, strict=True))
+
+
+def test_the_floor_leaves_room_for_structure(told: list[Told]) -> None:
+    """Noise and structure add up to no more than the RMS of the model that leaves it."""
+    shown = 0
+    for report, _ in told:
+        floor, left = tables.floor_of(report), report.structure_left
+        if floor is not None and left.flag:
+            used = next(row for row in report.held_out.rows if row.model == "with_effects")
+            together = sqrt(floor.figures.rms**2 + (left.size_mm or 0.0) ** 2)
+            assert together <= used.rms_mm + 1e-9
+            shown += floor.limited
+    assert shown > 5
