@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hidden_arm import SIGMA as HIDDEN_SIGMA
 from hidden_arm import session
 from small_arm import ARM
 
@@ -93,3 +94,13 @@ def test_the_diagnosis_names_the_driver_and_not_the_noise(rng: np.random.Generat
     assert found.structure.inputs[0] == "pump_bar"
     assert found.structure.size_m == pytest.approx(4e-3 / np.sqrt(2), rel=0.15)
     assert "x moves with sin(" in found.summary
+    assert found.search.fit.sigma[0] > 2e-3
+    np.testing.assert_allclose(found.search.noise.sigma, HIDDEN_SIGMA, rtol=0.35)
+
+
+def test_noise_that_is_far_larger_on_one_axis_is_doubted(rng: np.random.Generator) -> None:
+    rows = session(n=N)
+    uneven = dataclasses.replace(rows, xyz=rows.xyz + rng.normal(0.0, [8e-3, 0.0, 0.0], (N, 3)))
+    found = diagnose(ARM, uneven, kinds=(JointGain,))
+    assert (found.verdict, found.findings) == ("unknown", ())
+    assert "noise of one axis" in found.summary
