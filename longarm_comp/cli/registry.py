@@ -41,6 +41,7 @@ COMMANDS = (
     Entry("study measurements", "study_measurements", "Rows needed by pose, position, distance."),
     Entry("study poses", "study_poses", "Which poses to measure: grid, Sobol, I-optimal."),
     Entry("study day", "study_day", "A day of work: wear, warmth, changing payloads."),
+    Entry("study discover", "study_discover", "Causes in no library: what finds them."),
     Entry("up", "up", "Bring up an arm's ROS graph, real or simulated."),
     Entry("study loop", "study_loop", "Benchmark the diagnosis on simulated arms."),
     Entry("bench", "bench", "Speed compared with peers, in one run."),

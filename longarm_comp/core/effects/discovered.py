@@ -20,6 +20,7 @@ from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Scalar, Twist, Vec
 from longarm_comp.core.effects.components import COMPONENTS, Acting, components, stations
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter, form, parameter, place
+from longarm_comp.core.effects.function import Function, function
 from longarm_comp.core.effects.quantities import (
     AXES,
     OfPosture,
@@ -27,7 +28,7 @@ from longarm_comp.core.effects.quantities import (
     SeenCoordinate,
     SeenPoint,
 )
-from longarm_comp.core.effects.shapes import Function, FunctionError, function
+from longarm_comp.core.effects.shapes import FunctionError
 from longarm_comp.core.errors import InputError
 
 LARGEST = 1e9
@@ -46,6 +47,8 @@ class Discovered(Effect):
     """
 
     name: ClassVar[str] = "discovered"
+    title: ClassVar[str] = "cause without a name"
+    action: ClassVar[str] = "Look there for something that acts like this."
     loaded: ClassVar[bool] = True
     bounded: ClassVar[bool] = True
     searched: ClassVar[bool] = False
@@ -127,6 +130,8 @@ class DiscoveredView(Bias):
     """
 
     name: ClassVar[str] = "discovered_view"
+    title: ClassVar[str] = "cause without a name in what the camera sees"
+    action: ClassVar[str] = "Check mount, lenses and calibration of the camera."
     searched: ClassVar[bool] = False
 
     axis: str = place(lambda arm: AXES, default="x")

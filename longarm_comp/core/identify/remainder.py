@@ -25,9 +25,9 @@ VARIES = 0.3
 """Share by which the shift of an effect may differ from its form (prior standard deviation)."""
 BENDS = 3
 """Functions of a joint or a load, by order, that the difference may follow."""
-WEAK = 0.2
-"""Evidence of a weak name, per equation of the fitted rows: without it their squared error is two
-fifths larger at most."""
+WEAK = 0.1
+"""Evidence of a weak name, per equation of the fitted rows: without it their squared error is a
+fifth larger at most."""
 SHARED = 0.5
 """Share of its evidence that a weaker name must lose to such differences."""
 
@@ -53,9 +53,7 @@ def _remainders(result: SearchResult) -> Iterator[tuple[tuple[Term, ...], Minor]
     order = sorted(found, key=lambda name: own[name])
     for k, name in enumerate(order[:-1]):
         terms, places = found[name], {key(t) for t in found[name]}
-        if own[name] > WEAK * len(fit.data):
-            break
-        if not slots_of(fit.model.arm, terms):
+        if own[name] > WEAK * len(fit.data) or not slots_of(fit.model.arm, terms):
             continue
         for stronger in order[:k:-1]:
             forms = variations(fit, columns, found[stronger])
