@@ -62,7 +62,7 @@ def found(arm_name: str, *hidden: HiddenEffect, seed: int = 3) -> Discovery | No
     arm = {"small": SMALL, "demo": DEMO}[arm_name]
     fitted = calibrated(arm, measured(arm, hidden, ROWS, seed))
     held_out = measured(arm, hidden, HELD_OUT, seed + 100)
-    return discover(fitted, None, 100, held_out, None, np.random.default_rng(0))
+    return discover(fitted, None, 100, lambda: held_out, None, np.random.default_rng(0))
 
 
 def test_a_hose_is_a_force_at_its_place_with_its_size() -> None:
@@ -167,3 +167,15 @@ def test_there_is_no_effect_to_write_where_nothing_was_found(
     nothing = dataclasses.replace(diagnosed.diagnosis, discovery=None)
     with pytest.raises(JobError, match="nothing was found"):
         write_effects(nothing, tmp_path / "found.py")
+
+
+def test_what_a_column_drives_on_one_axis_is_no_noise() -> None:
+    """140 rows, x alone off by 4 mm x sin(6 pump_bar): beside it the noise is 0.2 mm."""
+    shake = (PumpShake(sway=4e-3, waves=6.0),)
+    session = measured(SMALL, shake, 140, 5)
+    result = core.diagnose(SMALL, session, kinds=(PrismaticPitch,))
+    assert result.verdict == "unknown"
+    assert result.added is not None
+    assert result.added.inputs == ("pump_bar",)
+    assert result.structure.inputs
+    assert result.added.found[0].where[1] == "what the camera sees, x"
