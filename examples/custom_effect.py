@@ -27,6 +27,8 @@ class CableCoupling(JointTerm):
     """
 
     name: ClassVar[str] = "cable_coupling"
+    title: ClassVar[str] = "cable that pulls a joint"
+    action: ClassVar[str] = "Guide the cable through the axis of the joint that it runs over."
 
     driver: int = place(moving_joints)
     gain: float = parameter("1", "motion per motion of the driver", prior=0.02)

@@ -270,7 +270,7 @@ def named(rng: np.random.Generator) -> Diagnosis:
         joints=JOINTS,
         joint_units=UNITS,
         held_out=rows,
-        marked={"backlash": Marked(line, {"joint 2": line[2]})},
+        marked=(Marked(line, {"joint 2": line[2]}),),
         train=held_out_rows(rng, 240),
         guilty=("approach", "q2"),
         correlation=Correlation(

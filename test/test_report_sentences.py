@@ -83,7 +83,13 @@ def drawn(seed: int) -> Diagnosis:
         search=dataclasses.replace(base.search, noise=noise),
         findings=tuple(varied(f, rng) for f in found),
         structure=structure,
-        proof=dataclasses.replace(base.proof, errors=seen, commanded=commanded),
+        proof=dataclasses.replace(
+            base.proof,
+            errors=seen,
+            commanded=commanded,
+            turned=dict.fromkeys(seen, np.zeros((0, 3))),
+        ),
+        discovery=None,
         rolled_back=rolled_back,
         network=network,
         split_by=(),
@@ -141,6 +147,41 @@ def test_the_verdict_counts_what_was_found(told: list[Told]) -> None:
             assert "added" in said and "effect explains" not in said
         shown = [tag for tag, attrs in page.elements if attrs.get("class") == "card"]
         assert len(shown) == n
+
+
+def test_a_cause_without_a_name_has_a_card_and_is_counted(told: list[Told]) -> None:
+    report = next(
+        made for made, _ in told if made.verdict == "unknown" and made.structure_left.flag
+    )
+    cause = record.ReportDiscovered(
+        frame="joint 5",
+        component="force y",
+        set=["joint 5, force y", "joint 6, force y"],
+        formula="joint 5, force y: (24.2 +- 0.3) N/rad^2 x q2 x q5",
+        terms=[],
+        ci95=[],
+        domain=["q2 0..0.52 rad"],
+        reading="behaves like a cable that pulls",
+        title="cause without a name",
+        action="Look there for what it behaves like.",
+        log_evidence=40.0,
+        tip_mm=record.TipShift(rms=1.25, max=3.75),
+        held_out_rms_mm=(1.39, 0.11),
+        compensated=True,
+        kept=True,
+    )
+    for kept in (True, False):
+        found = report.model_copy(
+            update={"discovered": [cause.model_copy(update={"kept": kept}), cause]}
+        )
+        said, made = cards.meaning(found), cards.cards(found)
+        assert len(made) == 1 + kept
+        assert ("two causes without a name were" in said) == kept and "none was added" not in said
+    (card,) = made
+    assert card.title == "Cause without a name, joint 5" and card.action == cause.action
+    assert card.tip == "1.25 mm at the tip, up to 3.75 mm"
+    assert card.sure == "certain; the place is open" and "joint 6, force y" in card.because
+    assert card.improves == "1.39 → 0.11 mm" and "compensates it" in card.software
 
 
 def test_the_figures_of_the_first_screen_are_those_of_the_table(told: list[Told]) -> None:

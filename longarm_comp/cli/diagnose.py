@@ -80,6 +80,9 @@ def command(
 
 
 def _print(report: dict[str, Any]) -> None:
+    from longarm_comp.report.cards import cards
+    from longarm_comp.report.record import checked
+
     rows = report["held_out"]["rows"]
     absent = {name for name in rows[0] if all(row[name] is None for row in rows)}
     shown = [{k: v for k, v in row.items() if k not in absent} for row in rows]
@@ -92,6 +95,9 @@ def _print(report: dict[str, Any]) -> None:
     if cells:
         header = ("effect", "where", "parameter", "value", "95 % interval", "unit")
         print_table("Effects added", header, cells)
+    for card in cards(checked(report)):
+        said = (card.tip, card.sure, card.action, card.software, card.improves)
+        click.echo(f"{card.title}: {'; '.join(filter(None, said))}")
     click.echo(f"{report['verdict']}: {report['summary']}")
 
 

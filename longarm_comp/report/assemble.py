@@ -140,7 +140,8 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding) -> dict[str, Any]:
             }
         )
     runner, first = found.runner_up, found.terms[0]
-    real = practical(diagnosis.fit, found.terms, diagnosis.held_out)
+    final = diagnosis.fit if diagnosis.added is None else diagnosis.added.fit
+    real = practical(final, found.terms, diagnosis.held_out)
     tip_mm = 1e3 * real.tip_m
     return {
         "effect": found.name,
@@ -176,7 +177,7 @@ def _position_noise(diagnosis: Diagnosis) -> np.ndarray | None:
 
 def _held_out(diagnosis: Diagnosis, sigma: np.ndarray | None) -> dict[str, Any]:
     """Figures of all stages, and what was gained, as seen and as commanded."""
-    rows = {name: Errors.of(error) for name, error in diagnosis.errors.items()}
+    rows = diagnosis.rows
     floor = None
     if sigma is not None:
         left = (rows["with_effects"].rms, diagnosis.structure.size_m)

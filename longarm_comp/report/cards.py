@@ -8,8 +8,14 @@ from math import log
 
 from longarm_comp.core.data.commanded import CAMERA_SIDE
 from longarm_comp.core.effects.units import for_people
+from longarm_comp.core.identify.candidates import NO_PLACE
 from longarm_comp.report.detail import Detail, SetSplit
-from longarm_comp.report.record import DiagnosisReport, FindingParameter, ReportFinding
+from longarm_comp.report.record import (
+    DiagnosisReport,
+    FindingParameter,
+    ReportDiscovered,
+    ReportFinding,
+)
 from longarm_comp.report.words import interval, millimetres, number, odds
 
 CERTAIN, LIKELY = log(1000.0), log(20.0)
@@ -23,6 +29,7 @@ STAGES = {
     "frames_only": "base and marker placed",
     "calibrated": "the calibrated geometry",
     "with_effects": "the geometry with the effects found",
+    "with_discovered": "the model with what was found without a name",
     "with_network": "the model with the network",
 }
 COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
@@ -55,6 +62,7 @@ class Card:
         action: at the arm.
         software: what a command does about it.
         improves: held-out error without and with it.
+        figure: which figure of the error that is.
     """
 
     title: str
@@ -70,11 +78,39 @@ class Card:
     action: str
     software: str
     improves: str
+    figure: str = "mean error without → with it"
 
 
 def cards(report: DiagnosisReport) -> list[Card]:
-    """A card per finding, in their order."""
-    return [_card(finding, report) for finding in report.findings]
+    """A card per finding, then one per cause without a name that is in the model."""
+    unnamed = [_unnamed(found) for found in report.discovered if found.kept]
+    return [_card(finding, report) for finding in report.findings] + unnamed
+
+
+def _unnamed(found: ReportDiscovered) -> Card:
+    """A cause without a name: its formula and what it behaves like."""
+    word, others = _word(found.log_evidence), found.set[1:]
+    said = f"Odds of {odds(found.log_evidence)} for it, the choice among all functions paid for."
+    if others:
+        said += f" Places that explain it as well: {_listed(others)}."
+    tip = f"{millimetres(found.tip_mm.rms)} at the tip, up to {millimetres(found.tip_mm.max)}"
+    held = "Inside the range of the data the new model.yaml compensates it."
+    return Card(
+        title=f"{(found.title or 'cause without a name').capitalize()}, {found.frame}",
+        names="discovered",
+        where=found.frame,
+        sizes=(),
+        more=0,
+        reading=f"{found.formula}. {found.reading[:1].upper()}{found.reading[1:]}.",
+        tip=tip,
+        sure=word + ("; the place is open" if others else ""),
+        because=said,
+        doubts=(),
+        action=found.action,
+        software=held if found.compensated else "Commands leave it out.",
+        improves=change(found.held_out_rms_mm),
+        figure="RMS error without → with all that was found without a name",
+    )
 
 
 def _card(finding: ReportFinding, report: DiagnosisReport) -> Card:
@@ -199,7 +235,10 @@ def _listed(names: list[str]) -> str:
 def meaning(report: DiagnosisReport) -> str:
     """The verdict in one sentence."""
     n, open_ = len(report.findings), sum(len(f.set) > 1 for f in report.findings)
-    left = report.structure_left
+    left, unnamed = report.structure_left, sum(found.kept for found in report.discovered)
+    none = f"{_count(unnamed).lower()} cause without a name was found and added"
+    none = none.replace("cause", "causes").replace("was", "were") if unnamed > 1 else none
+    added = none if unnamed else "none was added"
     return {
         "noise": "Nothing beyond the noise was found; nothing was added.",
         "named": f"{_count(n)} {_explain(n)} what the model lacked.",
@@ -209,12 +248,13 @@ def meaning(report: DiagnosisReport) -> str:
         ),
         "partly": (
             f"{_count(n)} {_explain(n)} a part of what the model lacked; "
-            + ("structure is left." if left.flag else "one could have too many names.")
+            + ("structure is left" if left.flag else "one could have too many names")
+            + (f"; {none}." if unnamed else ".")
         ),
         "unknown": (
-            "There is structure that no effect of the library explains; none was added."
+            f"There is structure that no effect of the library explains; {added}."
             if left.flag
-            else "Effects were found in the fitted poses but not proven on others; none was added."
+            else f"Effects were found in the fitted poses but not proven on others; {added}."
         ),
         "bad_data": "The data were refused; nothing was fitted, nothing was added.",
     }[report.verdict]
@@ -308,9 +348,11 @@ def open_questions(report: DiagnosisReport, detail: Detail) -> list[Open]:
         if len(f.set) > 1 and tuple(f.set) not in split
     ]
     rows = report.candidates
-    untested = tuple(f"{c.effect}: {c.why}" for c in rows if c.state == "not_testable")
+    untested = tuple(
+        f"{c.effect}: {c.why}" for c in rows if c.state == "not_testable" and c.why != NO_PLACE
+    )
     if untested:
-        made.append(Open("Not testable with this session or on this arm:", untested))
+        made.append(Open("Not testable with this session:", untested))
     unseen = tuple(f"{c.effect}, {c.where}: {c.why}" for c in rows if c.state == "invisible")
     if unseen:
         made.append(Open("May be there, but would not show at its usual size:", unseen))

@@ -208,7 +208,7 @@ class Detail:
         detectable: smallest visible size per effect.
         splits: sets with the poses that split them.
         checks: tests of the robustness of the findings.
-        marked: effect -> where it is on the arm.
+        marked: where each finding is on the arm, in the order of the cards.
         plausibility: (effect, where, parameter) -> a remark on the value.
         provenance: further facts, name -> value, shown after those of report.json.
     """
@@ -225,7 +225,7 @@ class Detail:
     detectable: tuple[Detectable, ...] = ()
     splits: tuple[SetSplit, ...] = ()
     checks: tuple[Check, ...] = ()
-    marked: Mapping[str, Marked] = field(default_factory=dict)
+    marked: tuple[Marked, ...] = ()
     plausibility: Mapping[tuple[str, str, str], str] = field(default_factory=dict)
     provenance: Mapping[str, str] = field(default_factory=dict)
 

@@ -27,6 +27,8 @@ def _cause(found: Cause, discovery: Discovery) -> dict[str, Any]:
         "set": list(found.where),
         "formula": found.formula,
         "reading": found.reading,
+        "title": found.terms[0].heading(),
+        "action": found.terms[0].action,
         "domain": list(found.domain),
         "terms": [
             {

@@ -60,7 +60,7 @@ def detail(diagnosis: Diagnosis, tried: Sequence[Smallest], facts: Mapping[str, 
 def _rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
     held = diagnosis.held_out.take(diagnosis.held_out.placed)
     predicted = diagnosis.model.measured(held.q, held.context())
-    near = predicted + diagnosis.errors["with_effects"]
+    near = predicted + diagnosis.errors[diagnosis.stage]
     seen = np.where(held.located[:, None], held.xyz, near)
     shown = np.unique(np.linspace(0, len(held) - 1, min(ARMS, len(held))).astype(int))
     context = held.context()

@@ -14,19 +14,22 @@ from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.report.detail import Marked
 
 
-def marked(diagnosis: Diagnosis) -> dict[str, Marked]:
-    """By effect, the arm at the held-out row that stretches it most, and the places on it."""
-    if not diagnosis.findings:
-        return {}
+def marked(diagnosis: Diagnosis) -> tuple[Marked, ...]:
+    """The arm at the held-out row that stretches it most, with the places of each finding.
+
+    Causes without a name that are in the model come last.
+    """
+    found = [f.terms for f in diagnosis.findings]
+    if diagnosis.added is not None:
+        found += [cause.terms for cause in diagnosis.added.found]
+    if not found:
+        return ()
     rows, model = diagnosis.held_out, diagnosis.model
     tips = model.tip(rows.q, rows.context())
     row = int(np.linalg.norm(tips - tips.mean(axis=0), axis=1).argmax())
     context, q = rows.context().take(row), rows.q[row]
     line, posture = outline(model, q, context), model.posture(unstack(q), context)
-    return {
-        found.name: Marked(line, _places(found.terms, model, posture, context))
-        for found in diagnosis.findings
-    }
+    return tuple(Marked(line, _places(terms, model, posture, context)) for terms in found)
 
 
 def _places(

@@ -171,6 +171,8 @@ class ReportDiscovered(_Record):
     ci95: list[Interval]
     domain: list[str]
     reading: str
+    title: str = ""
+    action: str = ""
     log_evidence: float
     tip_mm: TipShift
     held_out_rms_mm: tuple[float, float]

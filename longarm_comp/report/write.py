@@ -58,9 +58,8 @@ def _drawn(report: record.DiagnosisReport, detail: Detail) -> dict[str, bytes]:
     floor = tables.floor_of(report)
     sigma_mm = None if floor is None else floor.sigma
     with style.rc():
-        for number, finding in enumerate(report.findings, 1):
-            if finding.effect in detail.marked:
-                figures[place_name(number)] = plots.place(detail.marked[finding.effect])
+        for number, found in enumerate(detail.marked, 1):
+            figures[place_name(number)] = plots.place(found)
         if rows is not None and len(rows.index) and rows.errors_m:
             figures["distribution"] = plots.distribution(rows, sigma_mm)
             figures["scene"] = plots.still_scene(rows, still_stages(detail))

@@ -151,7 +151,8 @@ def mean_errors(report: DiagnosisReport) -> tuple[Pair | None, Pair | None]:
     None where the report does not say it.
     """
     rows = {row.model: row for row in report.held_out.rows}
-    before, after = rows.get("nominal"), rows.get("with_effects")
+    before = rows.get("nominal")
+    after = rows.get("with_discovered") or rows.get("with_effects")
     if before is None or after is None:
         return None, None
     seen = (before.mean_mm, after.mean_mm)

@@ -139,9 +139,10 @@ class Calibration:
     def summary(self) -> str:
         """Result of the calibration in one sentence."""
         first, last = self.rungs[0], self.rungs[-1]
+        before, after = (r.commanded if r.commanded.n else r.held_out for r in (first, last))
         return (
-            f"held-out mean error as commanded {first.commanded.said} ({first.name}) -> "
-            f"{last.commanded.said} ({last.name}), "
+            f"held-out mean error as commanded {before.said} ({first.name}) -> "
+            f"{after.said} ({last.name}), "
             f"{len(self.fit.slots)} parameters fitted to {len(self.fit.session)} rows"
         )
 

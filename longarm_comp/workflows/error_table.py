@@ -9,13 +9,8 @@ from typing import Any
 from longarm_comp.core.identify.calibrate import Errors
 
 ERROR_COLUMNS = (
-    "mean_mm",
-    "commanded_mean_mm",
-    "rms_mm",
-    "p95_mm",
-    "max_mm",
-    "mean_abs_z_mm",
-    "variance_mm2",
+    *("mean_mm", "commanded_mean_mm", "rms_mm", "p95_mm", "max_mm"),
+    *("mean_abs_z_mm", "variance_mm2"),
 )
 ANGLE = "mean_mrad"
 """Column of the mean error of the orientation, where it was measured."""

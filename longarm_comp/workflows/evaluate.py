@@ -102,12 +102,11 @@ def evaluate(
         models["network"] = beneath if model is not None else standing(beneath, session)[0]
         taken_off["network"] = np.where(inside[:, None], found.error, 0.0)
     file = None if model is None or isinstance(model, Model) else Path(model)
-    seen = {
-        name: Errors.of(errors(each, session) - taken_off[name], turns(each, session))
-        for name, each in models.items()
-    }
-    commanded = {
-        name: Errors.of(commanded_errors(each, session) - taken_off[name])
-        for name, each in models.items()
-    }
+    seen, commanded = (
+        {
+            name: Errors.of(left(each, session) - taken_off[name], turns(each, session))
+            for name, each in models.items()
+        }
+        for left in (errors, commanded_errors)
+    )
     return Evaluation(seen, commanded, outside, placed, tuple(fitted_to(session, file, learned)))

@@ -47,6 +47,8 @@ class Discovered(Effect):
     """
 
     name: ClassVar[str] = "discovered"
+    title: ClassVar[str] = "cause without a name"
+    action: ClassVar[str] = "Look there for something that acts like this."
     loaded: ClassVar[bool] = True
     bounded: ClassVar[bool] = True
     searched: ClassVar[bool] = False
@@ -128,6 +130,8 @@ class DiscoveredView(Bias):
     """
 
     name: ClassVar[str] = "discovered_view"
+    title: ClassVar[str] = "cause without a name in what the camera sees"
+    action: ClassVar[str] = "Check mount, lenses and calibration of the camera."
     searched: ClassVar[bool] = False
 
     axis: str = place(lambda arm: AXES, default="x")

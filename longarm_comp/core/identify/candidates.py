@@ -18,6 +18,8 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model, Slot, slots_of
 
 Term = Effect | Bias
+NO_PLACE = "the declared arm has no place for it"
+"""Why an effect is not testable that no data could show."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ def library(
     for kind in searched() if kinds is None else kinds:
         groups = kind.candidates(arm)
         if not groups:
-            missing.append((kind.name, "the declared arm has no place for it"))
+            missing.append((kind.name, NO_PLACE))
             continue
         why = ""
         usable: list[Candidate] = []
@@ -100,7 +102,7 @@ def library(
                 for term in group:
                     _require(term, context)
             except InputError as error:
-                why = str(error)
+                why = f"{error.field} is {error.value}; needed: {error.allowed}"
                 continue
             usable.append(Candidate(kind.name, tuple(group)))
         if not usable:

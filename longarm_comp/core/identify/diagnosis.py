@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from longarm_comp.core.data.holdout import Sealed, blocked_split, spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.aliasing import MOST_NAMES, EffectFinding, findings, on_few_levels
-from longarm_comp.core.identify.calibrate import declared_model, stages
+from longarm_comp.core.identify.calibrate import Errors, declared_model, stages
 from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.confirm import Confirmed, confirm
 from longarm_comp.core.identify.discover.discovery import Discovery, discover
@@ -38,6 +39,7 @@ LEAST_SHARE = 0.5
 MOST_OUTLIERS = 0.16
 """More rejected rows than this are not outliers but something that the model lacks."""
 
+T = TypeVar("T")
 Train = Callable[[Model, Session], LearnedCorrection]
 Progress = Callable[[str], None]
 Left = Mapping[str, np.ndarray]
@@ -113,7 +115,7 @@ class Diagnosis:
 
     @property
     def errors(self) -> dict[str, np.ndarray]:
-        """Held-out errors (M, 3) as seen, m, by stage; ``with_effects`` is `model`."""
+        """Held-out errors (M, 3) as seen, m, by stage; the last model of them is `model`."""
         return self._in_use(self.proof.errors)
 
     @property
@@ -121,19 +123,28 @@ class Diagnosis:
         """The same as a command would have them (`core/data/commanded.py`)."""
         return self._in_use(self.proof.commanded)
 
-    def _in_use(self, left: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def _in_use(self, left: Mapping[str, T]) -> dict[str, T]:
         """Without a network that was not kept; effects that were taken back leave no errors."""
         made = {k: v for k, v in left.items() if k != NETWORK or self.network is not None}
         return {**made, "with_effects": left["calibrated"]} if self.rolled_back else made
+
+    @property
+    def rows(self) -> dict[str, Errors]:
+        """Figures of `errors` by stage."""
+        return self._in_use(self.proof.rows)
+
+    @property
+    def stage(self) -> str:
+        """The stage whose errors are those of `model`."""
+        return "with_effects" if self.added is None else DISCOVERED
 
     @property
     def compared(self) -> tuple[str, str]:
         """The stages before and after what was added; the calibration where nothing was."""
         if self.network is not None:
             return "calibrated", NETWORK
-        if self.added is not None:
-            return "calibrated", DISCOVERED
-        return ("calibrated", "with_effects") if self.findings else ("nominal", "calibrated")
+        added = self.findings or self.added is not None
+        return ("calibrated", self.stage) if added else ("nominal", "calibrated")
 
     @property
     def seen_gain(self) -> Gain:
@@ -505,27 +516,36 @@ def _summary(found: Diagnosis) -> str:
     return text if found.discovery is None else f"{text} {found.discovery.sentence}."
 
 
+def _change(found: Diagnosis) -> str:
+    """Before and after, also where only orientations were measured."""
+    before, after = (found.rows[stage] for stage in found.compared)
+    if not before.n:
+        return f"{before.said} -> {after.said}"
+    return improvement(found.seen_gain, found.commanded_gain)
+
+
 def _named(found: Diagnosis) -> str:
     left = left_in_words(found.structure)
     unnamed = f" {left} and has no name." if left else ""
-    gain = f"Held-out mean error {improvement(found.seen_gain, found.commanded_gain)}"
-    learned = f" The network lowers it: {gain[0].lower()}{gain[1:]}." if found.network else ""
+    gain = f"Held-out mean error {_change(found)}"
+    if found.proof.set_aside:
+        gain += f", {found.proof.set_aside} of {len(found.held_out)} rows set aside, "
+        gain += "which no model explains"
+    added = found.compared[1] != "calibrated"
+    besides = f" {gain}." if added else ""
     if found.rolled_back:
         small = found.proof.better
         why = "is less than half of what is wrong" if small else "is not beyond chance"
         text = f"Effects were found in the fitted poses but their gain on the held-out ones {why}"
-        return f"{text}; the model was left as it was.{unnamed}{learned}"
+        return f"{text}; the model was left as it was.{unnamed}{besides}"
     if found.verdict == "noise":
         text = "After calibration nothing but noise is left; no effect was added."
         return f"{text} {gain} by the calibration."
     if found.verdict == "unknown":
         text = f"The model lacks something that no effect of the library explains: {left}."
-        return text + learned
+        return text + besides
     text = "; ".join(sentence(f, found.fit, found.confirmed) for f in found.findings)
     for overlap in found.confirmed.overlaps:
         text += f"; {overlap.names[0]} and {overlap.names[1]} overlap"
         text += ", either alone explains most of what both do"
-    if found.proof.set_aside:
-        gain += f", {found.proof.set_aside} of {len(found.held_out)} rows set aside, "
-        gain += "which no model explains"
     return f"{text}. {gain}.{unnamed}"

@@ -29,9 +29,10 @@ def sentence(finding: EffectFinding, fit: ModelFit, confirmed: Confirmed) -> str
     places = {(t.name, t.where) for t in finding.terms}
     for k, slot in enumerate(fit.slots):
         if (slot.owner.name, slot.owner.where) in places:
-            if confirmed.intervals[k].at_bound:
+            interval = confirmed.intervals[k]
+            if interval.at_bound:
                 continue
-            shown = value_in_words(confirmed.intervals[k], slot.parameter.unit)
+            shown = value_in_words(interval, slot.parameter.unit)
             values.append(f"{slot.owner.where} {slot.parameter.name} {shown}")
     readings = dict.fromkeys(t.reading for t in finding.terms if t.reading)
     if not values:

@@ -41,7 +41,9 @@ class Gain:
 
     @classmethod
     def of(cls, before: np.ndarray, after: np.ndarray) -> Gain:
-        """From the (M, 3) errors of two models on the same rows."""
+        """From the (M, 3) errors of two models on the same rows; zeros of no rows."""
+        if not len(before):
+            return cls(0.0, 0.0, (0.0, 0.0))
         long, short = np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1)
         drawn = block_means(long - short, np.random.default_rng(SEED))
         low, high = np.percentile(drawn, [2.5, 97.5])
