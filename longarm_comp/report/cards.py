@@ -199,7 +199,7 @@ def _word(log_odds: float) -> str:
 def _software(finding: ReportFinding, report: DiagnosisReport) -> str:
     """What commands make of it."""
     if finding.compensated:
-        return "Until then the new model.yaml compensates it."
+        return "The new model.yaml compensates it."
     mine = [s for s in report.held_out.not_commanded if s.startswith(f"{finding.effect} (")]
     why = mine[0][len(finding.effect) :] if mine else ""
     return f"Commands leave it out{why}: software does not compensate it."

@@ -35,7 +35,7 @@ def odds(log_bayes_factor: float) -> str:
     """A log Bayes factor as odds."""
     power = abs(log_bayes_factor) / np.log(10)
     if power < 4:
-        larger = f"{10**power:.3g}"
+        larger = f"{10**power:.3g}" if power < 3 else f"{10**power:.0f}"
     elif power < _CERTAIN:
         larger = _ten(round(power))
     else:
