@@ -10,7 +10,7 @@ STAMPS := $(VENV)/stamps
 
 .PHONY: setup test fuzz lint demo bench format system colcon clean
 
-setup: $(STAMPS)/package
+setup: $(STAMPS)/dev
 
 # Each step is repeated only when what it installs from has changed.
 $(STAMPS)/python:
@@ -34,7 +34,18 @@ $(STAMPS)/interfaces: $(INTERFACES) $(STAMPS)/ros
 	$(PIP) install --quiet --no-build-isolation ./longarm_interfaces
 	@touch $@
 
-$(STAMPS)/package: setup.py setup.cfg pyproject.toml $(STAMPS)/interfaces $(STAMPS)/torch
+# What runs, without the peers of benchmarks and tests.
+PROGRAMS := longarm error_predictor kinematics servo_driver simulated_arm stereo_bridge
+$(STAMPS)/package: setup.py setup.cfg pyproject.toml package.xml $(STAMPS)/interfaces $(STAMPS)/torch
+	$(PIP) install --quiet --no-build-isolation --editable .
+	@# An editable installation holds no files but Python's: these are what `ros2` looks for.
+	@mkdir -p $(VENV)/share/ament_index/resource_index/packages $(VENV)/share/longarm_comp $(VENV)/lib/longarm_comp
+	@cp resource/longarm_comp $(VENV)/share/ament_index/resource_index/packages/longarm_comp
+	@ln -sfn $(CURDIR)/config $(CURDIR)/launch $(CURDIR)/package.xml $(VENV)/share/longarm_comp/
+	@for name in $(PROGRAMS); do ln -sf ../../bin/$$name $(VENV)/lib/longarm_comp/$$name; done
+	@touch $@
+
+$(STAMPS)/dev: $(STAMPS)/package
 	$(PIP) install --quiet --no-build-isolation --editable '.[dev]'
 	@touch $@
 
@@ -54,7 +65,8 @@ format: setup
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-demo: setup
+# Only what runs is installed for it.
+demo: $(STAMPS)/package
 	$(BIN)/longarm demo --out build/demo
 
 bench: setup

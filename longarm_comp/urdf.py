@@ -66,6 +66,23 @@ def import_urdf(path: str | Path, base: str, tip: str) -> dict[str, Any]:
     }
 
 
+def chain_ends(path: str | Path, base: str = "", tip: str = "") -> tuple[str, str]:
+    """Base and tip link of a chain; the root and the only link at an end where none is given.
+
+    Raises:
+        InputError: no URDF, no such link, several links at an end.
+    """
+    robot = UrdfRobot(path)
+    if not base:
+        base = next(link for link in robot.links if link not in robot.above)
+    if not tip:
+        ends = [link for link in robot.links if not robot.children.get(link)]
+        if len(ends) != 1:
+            raise robot.error("--tip", "missing", f"one of {', '.join(ends)}")
+        tip = ends[0]
+    return base, tip
+
+
 def _beside(robot: UrdfRobot, moving: list[UrdfJoint]) -> list[UrdfJoint]:
     """Joints off the chain that joints of it mimic."""
     made: dict[str, UrdfJoint] = {}

@@ -59,6 +59,7 @@ def export_urdf(model: Model, group: str = "", marker: str = "") -> str:
     arm, geometry = model.arm, rigid(model)
     context = _context(geometry, group, marker)
     placed, last, inner = _rows(geometry, context)
+    bodies = _bodies(geometry, context, inner)
     root = ET.Element("robot", {"name": arm.name})
     root.append(ET.Comment(_remark(model)))
     ET.SubElement(root, "link", {"name": BASE})
@@ -70,7 +71,7 @@ def export_urdf(model: Model, group: str = "", marker: str = "") -> str:
         node = ET.SubElement(root, "link", {"name": link})
         held = [m for m in arm.point_masses if m.frame == joint.id and not m.position_columns]
         points = [(m.mass_kg, inner[joint.id] @ np.append(m.position_m, 1.0)) for m in held]
-        _inertial(node, [(m, p[:3]) for m, p in points if m > 0])
+        _inertial(node, [(m, p[:3]) for m, p in (*points, *bodies.get(joint.id, ())) if m > 0])
         _joint(root, arm, row, name, parent if joint.moves else BASE, link)
         parent = link if joint.moves else parent
     ET.SubElement(root, "link", {"name": TIP})
@@ -138,6 +139,46 @@ def _rows(
         placed.append(_Placed(joint, before @ step @ back @ shift, axis))
         before = inner[joint.id] = np.linalg.inv(shift)
     return placed, before @ _within(at[-2], at[-1]), inner
+
+
+def _bodies(
+    model: Model, context: Context, inner: dict[int, np.ndarray]
+) -> dict[int, list[tuple[float, np.ndarray]]]:
+    """The beams by the row whose link carries them, as masses (kg) at points (4,) of it.
+
+    A uniform rod has the mass, centre and inertia of two halves at 1/sqrt(12) of its length off its
+    middle.  Beams along ``x_{i-1}``, and on a slide those before the one of length rest, stay with
+    the row before; the others end at fixed distances from the row's own frame.
+    """
+    arm, made = model.arm, dict[int, list[tuple[float, np.ndarray]]]()
+    at = _frames(model, context, arm.mid)
+    values = arm.mixing[0] @ arm.mid + arm.mixing[1]
+    before = 0
+    for k, joint in enumerate(arm.joints, start=1):
+        slides, value = joint.type == "prismatic", float(values[k - 1])
+        theta = math.radians(joint.theta_offset_deg) + (0.0 if slides else value)
+        length = {"a": joint.a_m, "d": joint.d_m + (value if slides else 0.0)}
+        x = np.array([math.cos(theta), -math.sin(theta), 0.0])  # x of the row before
+        for role, axis in (("a", x), ("d", np.array([0.0, 0.0, 1.0]))):
+            beams = [b for b in arm.links if b.row == k and b.role == role]
+            kinds = [b.length_m == "rest" for b in beams]
+            fixed = math.fsum(float(b.length_m) for b in beams if b.length_m != "rest")
+            foot = -axis * length[role] - (np.array([0, 0, length["d"]]) if role == "a" else 0.0)
+            gone = 0.0
+            for n, beam in enumerate(beams):
+                own = length[role] - fixed if kinds[n] else float(beam.length_m)
+                gone += own
+                body = beam.body_length_m or own
+                stays = role == "a" or (slides and not any(kinds[: n + 1]))
+                row = before if stays else joint.id
+                if row == 0 or row not in inner:
+                    continue  # it stands on the ground, or is carried by what is no part of the arm
+                link = inner[row] @ (_within(at[row], at[k]) if stays else np.eye(4))
+                for off in (-body / math.sqrt(12.0), body / math.sqrt(12.0)):
+                    point = foot + axis * (gone - body / 2 + off)
+                    made.setdefault(row, []).append((beam.mass_kg / 2, link @ [*point, 1.0]))
+        before = joint.id if joint.moves else before
+    return made
 
 
 def _frames(model: Model, context: Context, q: np.ndarray) -> list[np.ndarray]:
@@ -232,7 +273,7 @@ def _text(values: Sequence[float] | np.ndarray) -> str:
 def _remark(model: Model) -> str:
     left = sorted({e.name for e in model.effects if not e.geometry})
     zeros = ", ".join(f"{z.joint} {z.value:.9g} {z.unit}" for z in zero_offsets(model))
-    lines = ["Calibrated origins, written by longarm export-urdf. Masses of beams are not in it."]
+    lines = ["Calibrated origins, written by longarm export-urdf. The payload is not in it."]
     lines += [f"Joint zeros, in the origins already: {zeros}"] if zeros else []
     lines += [f"Left out, as a URDF is rigid: {', '.join(left)}"] if left else []
     return "\n  ".join(["", *lines, ""]).replace("--", "- -")

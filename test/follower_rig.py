@@ -53,8 +53,9 @@ def servo_state(ticks: int, **changes: Any) -> ServoState:
 class Rig:
     """A follower on servos that go where they are told within one step."""
 
-    def __init__(self) -> None:
-        self.follower = TrajectoryFollower(CONFIG)
+    def __init__(self, config: ServoConfig = CONFIG) -> None:
+        self.config = config
+        self.follower = TrajectoryFollower(config)
         self.now = 100.0
         self.states = {5: servo_state(TURN.to_ticks(0.2)), 9: servo_state(SLIDE.to_ticks(0.03))}
         self.obeys = {5, 9}

@@ -53,10 +53,14 @@ class Bench:
 
     def python(self, args: list[str]) -> subprocess.Popen[str]:
         """Start a Python program from the source tree."""
+        return self.program([sys.executable, *args], ROOT, ROOT)
+
+    def program(self, words: list[str], packages: Path, folder: Path) -> subprocess.Popen[str]:
+        """Start a program in a folder, with Python's packages from another one."""
         process = subprocess.Popen(
-            [sys.executable, *args],
-            cwd=ROOT,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            words,
+            cwd=folder,
+            env={**os.environ, "PYTHONPATH": str(packages)},
             text=True,
             stdout=(said := tempfile.TemporaryFile("w+")),  # noqa: SIM115
             stderr=subprocess.STDOUT,
@@ -132,6 +136,23 @@ class Bench:
         self.executor.shutdown(timeout_sec=1.0)
         self.node.destroy_node()
         self.context.try_shutdown()
+
+
+def children(process: subprocess.Popen[str]) -> list[int]:
+    """Process ids of what a process has started."""
+    return [
+        int(pid)
+        for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    ]
+
+
+def gone(pid: int) -> bool:
+    """Whether there is no such process."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    return False
 
 
 @contextlib.contextmanager

@@ -23,7 +23,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.plan import Plan, from_both_sides, sobol
-from longarm_comp.core.errors import InputError
+from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.jobs.measurement_schedule import Visit, visits
 from longarm_comp.nodes.bringup import BringUp, running
@@ -147,6 +147,29 @@ def test_a_bag_of_nothing_is_a_bag_and_rubbish_is_not_resumed(tmp_path: Path) ->
     (tmp_path / "other" / "thesis.txt").write_text("mine")
     with pytest.raises(InputError, match=r"thesis\.txt"):
         SegmentedBag(tmp_path / "other", resume=True)
+
+
+def test_a_recording_that_fails_before_its_first_message_leaves_nothing(tmp_path: Path) -> None:
+    def fail(path: Path, *words: str, resume: bool = False) -> None:
+        with SegmentedBag(path, resume=resume) as bag:
+            for k, text in enumerate(words):
+                bag.write("/word", TEXT, 10**18 + k, word(text))
+            raise JobError("no joint_states")
+
+    for resume in (False, True):
+        with pytest.raises(JobError):
+            fail(tmp_path / "bag", resume=resume)
+        assert not (tmp_path / "bag").exists()
+    with pytest.raises(JobError):
+        fail(tmp_path / "bag", "one")
+    assert bag_info(tmp_path / "bag").messages == 1
+    with pytest.raises(JobError):
+        fail(tmp_path / "bag", resume=True)
+    assert bag_info(tmp_path / "bag").messages == 1
+    (tmp_path / "mine").mkdir()  # a folder that was there stays
+    with pytest.raises(JobError):
+        fail(tmp_path / "mine", resume=True)
+    assert (tmp_path / "mine").exists()
 
 
 def test_a_killed_writer_leaves_all_but_its_last_segment(tmp_path: Path) -> None:

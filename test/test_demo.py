@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -16,8 +17,11 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model_file import load_model
 from longarm_comp.jobs.demo import table
+from longarm_comp.jobs.demo.loop import demonstrate, prepare
+from longarm_comp.jobs.demo.settings import DemoSettings
 from longarm_comp.jobs.targets import Trial
 from longarm_comp.sessions.read import read_session
 
@@ -99,13 +103,27 @@ def test_ctrl_c_ends_every_process(ros_domain: int, tmp_path: Path) -> None:
     assert not nodes_of(process)
 
 
-@pytest.mark.parametrize("words", [("--poses", "3"), ("--targets", "0"), ("--hidden", "ghosts=2")])
+@pytest.mark.parametrize(
+    "words",
+    [("--poses", "3"), ("--targets", "0"), ("--hidden", "ghosts=2"), ("--arm", "no_such_arm")],
+)
 def test_bad_input_is_one_line(words: tuple[str, str], ros_domain: int, tmp_path: Path) -> None:
     process = demo("--out", str(tmp_path / "demo"), *words)
     _, noise = process.communicate(timeout=120)
     assert process.returncode == 2, noise
     assert "Traceback" not in noise
     assert not nodes_of(process)
+
+
+def test_the_logs_of_a_failed_start_block_no_other(tmp_path: Path) -> None:
+    (tmp_path / "demo" / "log").mkdir(parents=True)
+    settings = DemoSettings(tmp_path / "demo", arm=tmp_path / "no.yaml")
+    with pytest.raises(InputError, match=r"no\.yaml"):
+        demonstrate(settings, threading.Event())
+    prepare(settings)
+    (tmp_path / "demo" / "model.yaml").write_text("")
+    with pytest.raises(InputError, match="new or empty"):
+        prepare(settings)
 
 
 def test_a_worse_arm_is_told() -> None:

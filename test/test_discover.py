@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,16 +14,27 @@ from small_arm import ARM as SMALL
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.catalogue import load_file
+from longarm_comp.core.effects.discovered import Discovered
+from longarm_comp.core.effects.prismatic_pitch import PrismaticPitch
+from longarm_comp.core.errors import JobError
+from longarm_comp.core.identify import diagnosis as core
 from longarm_comp.core.identify.calibrate import declared_model, stages
 from longarm_comp.core.identify.discover.discovery import Discovery, discover
 from longarm_comp.core.identify.fit import ModelFit
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model_file import load_model, read_stored
+from longarm_comp.report.record import checked
 from longarm_comp.share import folder
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State, TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.outside import HosePull, PumpShake, RubberStop
+from longarm_comp.workflows.diagnose import DiagnosisResult
+from longarm_comp.workflows.diagnosis_files import write_model
+from longarm_comp.workflows.effect_file import write_effects
 
-ROWS, HELD_OUT = 160, 80
+ROWS, HELD_OUT = 120, 60
 DEMO = Arm.load(folder("config") / "arm_demo.yaml")
 
 
@@ -70,18 +83,6 @@ def test_a_hose_is_a_force_at_its_place_with_its_size() -> None:
     assert rows["with_effects"].rms < 0.5 * rows["calibrated"].rms
 
 
-def test_a_stop_is_a_contact_with_its_threshold() -> None:
-    made = found("small", RubberStop(joint=1, begins=0.8, holds=0.1))
-    assert made is not None
-    assert made.kept
-    first = made.found[0].terms[0]
-    factor = first.of.factors[0]
-    assert factor.of == "q2"
-    assert factor.word == "above"
-    assert factor.threshold == pytest.approx(0.8, abs=0.05)
-    assert made.found[0].reading == "behaves like a contact, a stop or a taut cable"
-
-
 def test_a_recorded_column_that_drives_the_error_is_found_on_its_axis() -> None:
     made = found("small", PumpShake(sway=2e-3, waves=6.0))
     assert made is not None
@@ -96,3 +97,73 @@ def test_a_recorded_column_that_drives_the_error_is_found_on_its_axis() -> None:
 def test_where_nothing_is_hidden_nothing_is_found(seed: int) -> None:
     made = found("small", seed=seed)
     assert made is None or not made.kept
+
+
+# ------------------------------------------------------------------ in a diagnosis
+
+
+@pytest.fixture(scope="module")
+def diagnosed() -> DiagnosisResult:
+    """The stop of a joint, diagnosed without the library: none of its effects has such an end."""
+    stop = (RubberStop(joint=1, begins=0.8, holds=0.1),)
+    train, test = (measured(SMALL, stop, n, s) for n, s in ((ROWS, 3), (HELD_OUT, 103)))
+    kinds = (PrismaticPitch,)
+    return DiagnosisResult(core.diagnose(SMALL, train, test=test, kinds=kinds), train.hash, {})
+
+
+def test_a_diagnosis_adds_what_it_found_and_says_so(diagnosed: DiagnosisResult) -> None:
+    assert diagnosed.verdict == "unknown"
+    assert not diagnosed.findings
+    added = diagnosed.diagnosis.added
+    assert added is not None
+    (factor,) = added.found[0].terms[0].of.factors
+    assert (factor.of, factor.word) == ("q2", "above")
+    assert factor.threshold == pytest.approx(0.8, abs=0.05)
+    assert added.found[0].sentence in diagnosed.summary
+    assert "behaves like a contact, a stop or a taut cable" in diagnosed.summary
+    assert len(diagnosed.diagnosis.holdout_uses) == 2
+    rows = diagnosed.report()["held_out"]["rows"]
+    mean = {row["model"]: row["mean_mm"] for row in rows}
+    assert mean["with_discovered"] < 0.7 * mean["calibrated"]
+    (told,) = diagnosed.report()["discovered"]
+    assert told["kept"]
+    assert told["compensated"]
+    assert told["domain"][0].startswith("q2 0.")
+    checked(diagnosed.report())
+
+
+def test_what_was_found_is_in_the_written_model(diagnosed: DiagnosisResult, tmp_path: Path) -> None:
+    write_model(diagnosed.diagnosis, "0" * 64, None, tmp_path, None)
+    back = load_model(tmp_path / "model.yaml", SMALL)
+    q = SMALL.lower + 0.9 * (SMALL.upper - SMALL.lower)
+    np.testing.assert_array_equal(back.tip(q), diagnosed.model.tip(q))
+    (term,) = (e for e in back.effects if isinstance(e, Discovered))
+    stored = read_stored(tmp_path / "model.yaml").effects
+    (entry,) = (e for e in stored if e.effect == "discovered")
+    low, high = entry.parameters["amount"].ci95 or (0.0, 0.0)
+    assert low < term.amount < high
+    assert entry.origin.startswith("unknown, session 0000")
+
+
+def test_what_was_found_is_written_as_an_effect_of_a_library(
+    diagnosed: DiagnosisResult, tmp_path: Path
+) -> None:
+    path = tmp_path / "found.py"
+    write_effects(diagnosed.diagnosis, path)
+    (kind,) = load_file(path)
+    (term,) = (e for e in diagnosed.model.effects if isinstance(e, Discovered))
+    ((made,),) = kind.candidates(SMALL)
+    q = SMALL.lower + 0.9 * (SMALL.upper - SMALL.lower)
+    alone = Model(SMALL, (term,)).tip(q)
+    np.testing.assert_array_equal(
+        Model(SMALL, (made.with_values({"amount_1": term.amount}),)).tip(q), alone
+    )
+    assert np.abs(alone - Model(SMALL).tip(q)).max() > 1e-4
+
+
+def test_there_is_no_effect_to_write_where_nothing_was_found(
+    diagnosed: DiagnosisResult, tmp_path: Path
+) -> None:
+    nothing = dataclasses.replace(diagnosed.diagnosis, discovery=None)
+    with pytest.raises(JobError, match="nothing was found"):
+        write_effects(nothing, tmp_path / "found.py")

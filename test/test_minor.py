@@ -22,6 +22,8 @@ from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnosis import Diagnosis, diagnose
+from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.minor import Minor, taken_out
 from longarm_comp.core.model.model import Model
 from longarm_comp.report.assemble import assemble
 from longarm_comp.sim.hidden import drives
@@ -84,6 +86,22 @@ def test_an_impossible_size_is_no_finding(demo: Arm) -> None:
         term.softness == -0.9 for term in found.model.effects if isinstance(term, LinkStiffness)
     )
     assert found.verdict != "named"
+
+
+def test_a_place_stays_that_others_can_replace_by_incredible_sizes_only() -> None:
+    """At three levels of joint 2 an eccentricity may stand for the gain: with 80 mrad."""
+    rows = session([drives.JointGain(at(2, 0.1))], levels=3)
+    one = diagnose(ARM, rows, kinds=(JointGain,)).search
+    both = fit(one.fit.model.plus(GearEccentricity(2, order=1)), one.fit.session)
+    gain = next(t for t in both.model.effects if t.name == "joint_gain")
+    more = (*one.chosen, GearEccentricity(2, order=1))
+    kept, gone = taken_out(
+        dataclasses.replace(one, fit=both, chosen=more),
+        lambda now: iter([((gain,), Minor.of((gain,), 0.0, "asked"))] if now.fit is both else []),
+        lambda said: None,
+    )
+    assert gone == ()
+    assert kept.fit is both
 
 
 def test_what_never_changed_is_not_testable() -> None:

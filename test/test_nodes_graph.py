@@ -17,7 +17,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from action_msgs.msg import GoalStatus
 from geometry_msgs.msg import PoseStamped
-from nodes_bench import Bench, bench, own_graph
+from nodes_bench import Bench, bench, children, gone, own_graph
 from rclpy.action import ActionClient
 from visualization_msgs.msg import Marker
 
@@ -110,14 +110,6 @@ def bring_up(namespace: str, **more: Any) -> BringUp:
 def stage(tmp_path: Path) -> Iterator[Bench]:
     with own_graph(tmp_path), bench() as made:
         yield made
-
-
-def gone(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return True
-    return False
 
 
 def test_two_arms_side_by_side_survive_killed_nodes(stage: Bench, arm: Arm) -> None:
@@ -297,20 +289,17 @@ def test_a_drifted_arm_is_noticed_and_the_command_named(
         runs_as_written(message.split("run: ")[1], tmp_path)
 
 
-def test_longarm_up_ends_everything_when_it_is_told_or_killed(stage: Bench, arm: Arm) -> None:
+def test_nothing_outlives_longarm_up(stage: Bench, arm: Arm) -> None:
+    """Killed. That it ends when it is told to is tried where it is installed, in test_package."""
     command = ["-m", "longarm_comp", "up", str(ARM), "--sim", "--namespace", "arm"]
-    for number, code in ((signal.SIGTERM, 0), (signal.SIGKILL, -signal.SIGKILL)):
-        program = stage.python([*command, "--speed", str(SPEED)])
-        station = Station(stage, "arm", arm)
-        stage.spin(station.alive, within=60.0)
-        children = [
-            int(pid)
-            for pid in Path(f"/proc/{program.pid}/task/{program.pid}/children").read_text().split()
-        ]
-        assert len(children) == len(SIMULATED)
-        program.send_signal(number)
-        assert program.wait(timeout=30) == code
-        stage.spin(lambda pids=children: all(map(gone, pids)), within=20.0)
+    program = stage.python([*command, "--speed", str(SPEED)])
+    station = Station(stage, "arm", arm)
+    stage.spin(station.alive, within=60.0)
+    pids = children(program)
+    assert len(pids) == len(SIMULATED)
+    program.kill()
+    program.wait(timeout=30)
+    stage.spin(lambda: all(map(gone, pids)), within=20.0)
 
 
 def test_a_wrong_bring_up_is_refused_in_one_line(tmp_path: Path) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
@@ -34,7 +36,8 @@ CONFIG = """
     bus: {protocol: feetech, port: PORT, reply_timeout_s: 0.2, retries: 1}
     joints:
       shoulder: {servo_id: 1, model: sts3215, type: revolute, zero_ticks: 2048.0, gear_ratio: 3.0,
-        multi_turn: true, lower: -0.5, upper: 1.0, max_velocity: 2.0}
+        multi_turn: true, lower: -0.5, upper: 1.0, max_velocity: 2.0,
+        full_effort: 8.0}
       boom: {servo_id: 2, model: sts3215, type: prismatic, zero_ticks: 3900.0, direction: -1,
         pinion_radius_m: 0.018, lower: 0.0, upper: 0.1, max_velocity: 0.1}
     follower: {stall_time_s: 0.3, silence_s: 1.0}
@@ -185,10 +188,14 @@ def test_follows_reports_and_lets_go_through_its_life(rig: Rig) -> None:
     assert point.positions == pytest.approx([0.4, accepted.start.position[1]])
     rig.goes(boom=0.05)
     last = rig.stage.spin(
-        lambda: rig.states and abs(rig.states[-1].position[0] - 0.4) < 1e-3 and rig.states[-1]
+        lambda: (
+            rig.states
+            and np.allclose(rig.states[-1].position, [0.4, 0.05], atol=1e-3)
+            and rig.states[-1]
+        )
     )
     assert list(last.name) == ["shoulder", "boom"]
-    assert last.position[1] == pytest.approx(0.05, abs=1e-3)
+    assert abs(last.effort[0]) <= 8.0 and math.isnan(last.effort[1])  # full effort: not told
 
     assert rig.change(Transition.TRANSITION_DEACTIVATE)
     assert rig.free()
@@ -221,8 +228,8 @@ def test_bad_trajectories_move_nothing_and_are_counted(rig: Rig) -> None:
     rig.trajectories.publish(JointTrajectory(joint_names=["boom"], points=[JointTrajectoryPoint()]))
 
     rig.stage.spin(lambda: rig.refused() == already + len(bad) + 1)
-    assert "elbow" in rig.motions[0].message
     rig.becomes("bad", *[Motion.REFUSED] * len(bad))
+    assert "elbow" in next(motion for motion in rig.motions if motion.id == "bad").message
     assert rig.joints() == pytest.approx(before, abs=1e-5)
     rig.goes(boom=0.02)
 
@@ -246,6 +253,22 @@ def test_emergency_stop_lets_go_until_it_is_released(rig: Rig) -> None:
     assert rig.driving()
     rig.is_idle()
     rig.goes(shoulder=0.0)
+
+
+def test_held_it_stays_under_torque_and_takes_nothing(rig: Rig) -> None:
+    rig.send("away", shoulder=0.9)
+    rig.stage.spin(lambda: rig.joints()["shoulder"] > 0.05)
+    assert rig.call(graph.HOLD, SetBool.Request(data=True)).success
+    rig.becomes("away", Motion.ACCEPTED, Motion.BROKEN_OFF)
+    rig.is_in(DriverState.HOLDING)
+    rig.send("refused", shoulder=0.0)
+    assert "~/hold" in rig.becomes("refused", Motion.REFUSED).message
+    assert rig.driving()
+    assert 0.05 < rig.joints()["shoulder"] < 0.85
+    assert rig.call(graph.HOLD, SetBool.Request(data=False)).success
+    rig.is_in(DriverState.READY)
+    rig.goes(shoulder=0.0)
+    assert rig.events("away") == [Motion.ACCEPTED, Motion.BROKEN_OFF]
 
 
 def test_a_stalled_servo_stops_the_arm_until_reset(rig: Rig) -> None:

@@ -21,6 +21,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 import longarm_comp
+from longarm_comp import libraries
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "longarm_comp"
@@ -122,6 +123,41 @@ sys.exit(run({words!r}))
     assert done.returncode == 3
     assert f"this study needs {library}: pip install 'longarm_comp[studies]'" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("program", ["longarm_comp", "longarm_comp.nodes.kinematics"])
+def test_libraries_that_are_too_old_are_refused_in_one_line(program: str, tmp_path: Path) -> None:
+    """As Ubuntu 24.04 has them: one known to pip's metadata, one only by its module."""
+    info = tmp_path / "pydantic-1.10.14.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: pydantic\nVersion: 1.10.14\n")
+    code = f"""
+import importlib.metadata as metadata, runpy, sys, types
+known = metadata.version
+def version(name):
+    if name.startswith("opencv"):
+        raise metadata.PackageNotFoundError(name)
+    return known(name)
+metadata.version = version
+sys.modules["cv2"] = types.SimpleNamespace(__version__="4.6.0")
+runpy.run_module({program!r}, run_name="__main__")
+"""
+    environment = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert done.stderr.splitlines() == [
+        "longarm_comp: too old: pydantic 1.10.14, OpenCV 4.6.0; "
+        "run: pip install 'pydantic>=2.6' 'opencv-python-headless>=4.10'"
+    ]
+
+
+def test_the_least_versions_are_those_that_pip_installs(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = (n for n in archive.namelist() if n.endswith(".dist-info/METADATA"))
+        lines = email.message_from_bytes(archive.read(name)).get_all("Requires-Dist", [])
+    assert {wanted for wanted, _ in libraries.NEEDED.values()} <= set(lines)
 
 
 def test_versions_agree() -> None:
@@ -232,6 +268,33 @@ def test_an_installation_below_any_prefix_finds_its_own_files(wheel: Path, tmp_p
     bench = below(tmp_path, longarm, "bench")
     assert bench.returncode == 3
     assert "is run from a checkout of the project" in bench.stderr
+
+
+def test_an_installed_graph_comes_up_and_ends_as_it_is_told(wheel: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+    from nodes_bench import bench, children, gone, own_graph
+
+    from longarm_comp.nodes import interfaces as graph
+
+    prefix = tmp_path / "prefix"
+    options = ["--quiet", "--no-deps", "--ignore-installed", "--prefix", prefix]
+    subprocess.run([*PIP, "install", *options, wheel], check=True)
+    (packages,) = prefix.glob("**/site-packages")
+    arm = prefix / "share" / PACKAGE / "config" / "arm_demo.yaml"
+    with own_graph(tmp_path), bench() as stage:
+        words = [str(prefix / "bin" / "longarm"), "up", str(arm), "--sim", "--namespace", "arm"]
+        program = stage.program(words, packages, tmp_path)
+        joints = stage.collect(graph.JOINT_STATES, "arm")
+        tips = stage.collect(graph.TIP_MEASURED, "arm")
+        stage.spin(lambda: joints and tips, within=60.0)
+        pids = children(program)
+        assert len(pids) == 5
+        for pid in pids:
+            words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
+            assert str(prefix) in " ".join(words)  # its parameter file is the installed one
+        program.terminate()
+        assert program.wait(timeout=30) == 0
+        assert all(map(gone, pids))
 
 
 def test_colcon_installs_what_ros2_run_and_launch_look_for(tmp_path: Path) -> None:

@@ -45,6 +45,7 @@ ROOMS = {
     "core": Room((*ROS, "cv2", "serial", "click", "rich", "matplotlib", "plotly"), only=()),
     "devices": Room(ROS, only=("core.errors", "core.files", "core.strict_yaml")),
     "sim": Room(ROS, only=("core.arm", "core.errors", "core.files", "core.strict_yaml", "devices")),
+    "arm_folder": Room((*ROS, "click", "rich"), only=("core", "devices", "sim", "share")),
     "sessions": Room((*ROS, "nodes", "devices", "sim", "report", "workflows", "cli")),
     "report": Room((*ROS, "nodes", "devices", "sim", "workflows", "cli")),
     "workflows": Room((*ROS, "click", "rich"), only=("core", "sessions", "report", "version")),

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from follower_rig import CONFIG, DT, LIMITS, SLIDE, TURN, Rig, kinds
 
+from longarm_comp.core.errors import JobError
 from longarm_comp.devices.servo_follower import EventKind, FollowerState
 
 
@@ -112,6 +113,37 @@ def test_twenty_new_targets_a_second_stay_within_every_bound(rig: Rig) -> None:
         values = rig.column(name)
         assert values.min() >= joint.lower and values.max() <= joint.upper
         assert np.abs(np.diff(values)).max() <= joint.max_velocity * 0.08 * (1 + 1e-6)
+
+
+def test_hold_brakes_holds_and_takes_nothing_until_it_is_released(rig: Rig) -> None:
+    rig.send((2.0, {"turn": 0.9}))
+    rig.run(1.0)
+    before = rig.column("turn")
+    rig.follower.hold(True)
+    steps = rig.run(1.0)
+    assert kinds(steps) == [EventKind.HELD]
+    after = rig.column("turn")[len(before) :]
+    assert 0.0 < after[-1] - before[-1] < 0.1
+    assert np.all(np.diff(after) >= -1e-12)
+    assert steps[-1].goals is not None  # it goes on to hold
+    with pytest.raises(JobError, match="hold"):
+        rig.send((1.0, {"turn": 0.0}))
+    rig.follower.hold(False)
+    rig.send((1.0, {"turn": 0.0}))
+    assert EventKind.ARRIVED in kinds(rig.run(3.0))
+
+
+def test_a_joint_may_have_a_following_error_of_its_own() -> None:
+    rig = Rig()
+    joints = dict(rig.config.joints)
+    joints["turn"] = TURN.model_copy(update={"max_error": 0.1})
+    strict = Rig(CONFIG.model_copy(update={"joints": joints}))
+    for one in (rig, strict):
+        one.obeys.discard(5)
+        one.send((1.0, {"turn": 0.4}))  # 0.2 rad off in the end: 130 ticks of 400
+    assert EventKind.FAULT not in kinds(rig.run(4.0))
+    (fault,) = [e for s in strict.run(4.0) for e in s.events if e.kind is EventKind.FAULT]
+    assert "turn" in fault.message
 
 
 def test_halt_brakes_and_holds(rig: Rig) -> None:

@@ -21,6 +21,7 @@ from longarm_comp.sessions.bag_write import write_bag
 from longarm_comp.sessions.csv import read_csv
 from longarm_comp.sessions.message_types import message_types
 from longarm_comp.sessions.read import read_session
+from longarm_comp.sessions.settled import Sighting, settled
 
 # ------------------------------------------------------------------ round trips
 
@@ -225,3 +226,22 @@ def test_two_arms_in_one_bag_need_a_choice(tmp_path: Path) -> None:
             sighting(mine, 0.5, [x, 0.1, 0.3])
     assert "namespaces: '/left, /right'" in refusal(tmp_path / "bag")
     assert read_bag(tmp_path / "bag", ARM, namespace="right").xyz[0, 0] == 0.5
+
+
+@pytest.mark.parametrize("lost_told", [True, False])
+def test_a_marker_that_is_seen_on_the_way_only_is_lost(lost_told: bool) -> None:
+    """The joints rest from 1.0 s on; what was sighted before shows another place."""
+
+    def at(t: float, *xyz: float) -> Sighting:
+        return Sighting(t, np.array(xyz), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 0.0)
+
+    times = np.arange(0.0, 2.0, 0.1)
+    joints = np.minimum(times, 1.0)[:, None]
+    moving = [at(0.3, 0.1, 0, 0), at(0.8, 0.4, 0, 0)]
+    resting = [at(1.4, *[np.nan] * 3), at(1.9, *[np.nan] * 3)] if lost_told else []
+    lost = settled([*moving, *resting], times, joints, 0.0)
+    assert lost is not None
+    assert np.isnan(lost.xyz).all() and np.isnan(lost.quaternion).all()
+    found = settled([*moving, *resting, at(1.95, 0.7, 0, 0)], times, joints, 0.0)
+    assert found is not None
+    np.testing.assert_allclose(found.xyz, [0.7, 0, 0])

@@ -67,6 +67,31 @@ def test_the_demonstration_arm(
     assert np.abs(model.pose(arm.mid) - Model(arm).pose(arm.mid)).max() > 1e-2
 
 
+def test_the_urdf_weighs_what_the_arm_weighs(
+    demo_arm_path: Path, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """Torques against gravity: pinocchio's of the URDF, and the loads of the model at its rows."""
+    data = yaml.safe_load(demo_arm_path.read_text())
+    data["payload"]["mass_kg"] = 0.0
+    short = {"name": "spur", "row": 5, "role": "a", "length_m": 0.02, "EI_nm2": 900.0,
+             "GJ_nm2": 700.0, "mass_kg": 0.3}  # fmt: skip
+    data["joints"][4]["a_m"] = 0.03
+    data["links"].append(short)
+    arm = Arm.parse(data, "weighed")
+    robot = pin.buildModelFromUrdf(str(written(tmp_path / "a.urdf", Model(arm))))
+    for _ in range(5):
+        q = arm.lower + rng.random(arm.n) * (arm.upper - arm.lower)
+        torques = pin.computeGeneralizedGravity(robot, robot.createData(), q)
+        posture = Model(arm).posture(list(q))
+        for k, joint in enumerate(arm.joints):
+            at = posture.frame(joint.id)
+            load = posture.moment(at)[2]
+            if joint.type == "prismatic":  # its own sliding beam hangs before its frame
+                own = sum(b.mass_kg for b in arm.links if (b.row, b.length_m) == (joint.id, "rest"))
+                load = posture.force(at)[2] + own * posture.gravity_in(at)[2]
+            assert torques[k] == pytest.approx(-float(load), abs=1e-9)
+
+
 CHAIN: dict[str, Any] = {
     "name": "chain",
     "convention": "mdh_craig",

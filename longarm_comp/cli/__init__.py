@@ -13,6 +13,9 @@ from collections.abc import Sequence
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run ``longarm`` and exit with its code: 0 done, 2 bad input, 3 not possible."""
     try:
+        from longarm_comp.libraries import refuse_old_libraries
+
+        refuse_old_libraries()
         from longarm_comp.cli.run import run
 
         code = run(arguments)

@@ -25,6 +25,7 @@ MORE_PLAY = "joint1=0.002"
     required=True,
     help="New folder for the session, the model, the predictor and the report.",
 )
+@options.path_option("--arm", "Another arm: arm.yaml or its folder; default: the demonstration's.")
 @click.option("--poses", type=int, default=180, show_default=True, help="Poses to learn from.")
 @click.option("--targets", type=int, default=40, show_default=True, help="New targets.")
 @click.option("--hidden", help="Undeclared effects of the arm: 'name=mm name=mm'.")
@@ -40,6 +41,7 @@ MORE_PLAY = "joint1=0.002"
 @options.as_json
 def command(
     out: Path,
+    arm: Path | None,
     poses: int,
     targets: int,
     hidden: str | None,
@@ -57,8 +59,9 @@ def command(
     of these four runs is measured by the stereo cameras. The exit code is 3 without improvement.
 
     \b
-    Example:
+    Examples:
       longarm demo --out build/demo
+      longarm demo --out build/mine --arm my_arm
     """
     import json
     from dataclasses import replace
@@ -74,6 +77,8 @@ def command(
         settings = replace(settings, more_play=MORE_PLAY)
     if hidden is not None:
         settings = replace(settings, hidden=hidden)
+    if arm is not None:
+        settings = replace(settings, arm=arm / "arm.yaml" if arm.is_dir() else arm)
     with stop_on_signals() as stop, progress("demo") as show:
         result = demonstrate(settings, stop, show)
     printed = report(settings, result)
@@ -87,9 +92,12 @@ def command(
         note(f"measured by the cameras; true_mean_mm is the simulation's own; {seconds:.0f} s")
         note(f"hidden in the arm: {settings.hidden} (mm rms at the tip)")
         note(f"diagnosis ({printed['verdict']}): {printed['diagnosis']}")
-        used = targets - printed["outside_training_data"]
-        note(f"the network was used at {used} of {targets} targets; at the others physics alone is")
-        note("as good, or they lie outside its training data")
+        if printed["network_inputs"]:
+            used = targets - printed["outside_training_data"]
+            note(
+                f"the network was used at {used} of {targets} targets; at the others physics alone"
+            )
+            note("is as good, or they lie outside its training data")
         note(
             f"report in {printed['files']['report']}, the loop's page in {printed['files']['loop']}"
         )

@@ -22,6 +22,7 @@ STEPS = 6.0
 @options.seed
 @click.option("--no-network", is_flag=True, help="Train no network on the remaining error.")
 @options.output("diagnosis", "Folder to write.")
+@options.path_option("--write-effect", "Also write what was found without a name, for --effects.")
 @options.effects
 @options.as_json
 def command(
@@ -32,6 +33,7 @@ def command(
     seed: int,
     no_network: bool,
     output: Path,
+    write_effect: Path | None,
     as_json: bool,
 ) -> None:
     """Find the effects that ARM's model lacks in SESSION (CSV or bag), add and prove them.
@@ -47,6 +49,7 @@ def command(
     """
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.workflows.diagnose import diagnose_files
+    from longarm_comp.workflows.effect_file import write_effects
 
     declared = Arm.load(arm)
     with progress("diagnose") as show:
@@ -66,6 +69,8 @@ def command(
             seed=seed,
             progress=say,
         )
+    if write_effect is not None:
+        write_effects(found.diagnosis, write_effect)
     report = found.report()
     if as_json:
         print_json({"output": str(output), **report})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import click
 
@@ -15,20 +15,57 @@ from longarm_comp.cli.output import note, print_json
 @options.arm
 @click.option(
     "--kind",
-    type=click.Choice(["grid", "sobol", "next"]),
+    type=click.Choice(["grid", "sobol", "next", "i-optimal", "d-optimal"]),
     required=True,
-    help="grid: the paper's levels; sobol: fills the joint box; next: from a diagnosis.",
+    help="grid: the paper's levels; sobol: fills the joint box; next: those a diagnosis asks for; "
+    "i-optimal: least expected error of the tip; d-optimal: least volume of all parameters.",
 )
 @click.option("-n", "count", type=int, required=True, help="How many poses.")
-@options.path_option("--report", "Folder of a diagnosis (for --kind next).")
+@options.path_option("--report", "Folder of a diagnosis (for next, i-optimal, d-optimal).")
+@options.path_option("--model", "Calibrated model: the arm has its effects and no others.")
+@options.path_option("--measured", "Rows measured so far (CSV or bag).")
+@click.option(
+    "--measure",
+    type=click.Choice(["position", "pose", "distance"]),
+    default="position",
+    show_default=True,
+    help="What each pose measures; distance: to every anchor in arm.yaml.",
+)
+@click.option(
+    "--noise-mm",
+    type=click.FloatRange(min=0, min_open=True),
+    default=0.3,
+    show_default=True,
+    help="Noise of a length, where nothing was measured yet.",
+)
+@click.option(
+    "--view",
+    type=click.FloatRange(0, 180, min_open=True),
+    metavar="DEG",
+    help="Half of the view of the cameras in arm.yaml: the tip must be in it.",
+)
+@click.option(
+    "--keep-out",
+    type=float,
+    nargs=6,
+    multiple=True,
+    metavar="X Y Z X Y Z",
+    help="Corners (m) of a box that the arm must not enter; repeat for more.",
+)
 @options.output("poses.csv", "Plan to write.")
 @options.seed
 @options.as_json
 def command(
     arm: Path,
-    kind: Literal["grid", "sobol", "next"],
+    kind: str,
     count: int,
     report: Path | None,
+    model: Path | None,
+    measured: Path | None,
+    measure: str,
+    noise_mm: float,
+    view: float | None,
+    keep_out: tuple[tuple[float, ...], ...],
     output: Path,
     seed: int,
     as_json: bool,
@@ -39,21 +76,38 @@ def command(
     Examples:
       longarm plan arm.yaml --kind grid -n 300 -o poses.csv
       longarm plan arm.yaml --kind next -n 20 --report diagnosis -o poses.csv
+      longarm plan arm.yaml --kind i-optimal -n 60 --keep-out 0 0.5 0 1 1 1 -o poses.csv
     """
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.errors import InputError
+    from longarm_comp.core.identify.optimal_poses import OptimalPlan
     from longarm_comp.sessions.poses import write_poses
-    from longarm_comp.workflows.plan import plan
+    from longarm_comp.workflows.plan import NOISE, plan
 
     declared = Arm.load(arm)
-    if (kind == "next") != (report is not None):
-        raise InputError("plan", "--report", report, "a diagnosis folder with --kind next, only")
-    if kind == "next":
-        poses = plan(declared, count, report=report)
-    else:
-        poses = plan(declared, count, kind=kind, seed=seed)
+    optimal = kind in ("i-optimal", "d-optimal")
+    if (kind == "next") != (report is not None) and not (optimal and report):
+        allowed = "a diagnosis folder with --kind next, i-optimal or d-optimal, only"
+        raise InputError("plan", "--report", report, allowed)
+    given: dict[str, Any] = {"report": report, "seed": seed}
+    if kind != "next":
+        given["kind"] = kind
+    if optimal:
+        given |= {"measure": measure, "noise": (1e-3 * noise_mm, NOISE[1])}
+    given |= {"model": model, "measured": measured, "view_deg": view, "keep_out": keep_out}
+    poses = plan(declared, count, note=note, **given)
     write_poses(poses, output)
     if as_json:
-        print_json({"output": str(output), "poses": poses.q, "approach": poses.approach})
-    else:
-        note(f"{len(poses)} poses in {output}")
+        facts: dict[str, Any] = {
+            "output": str(output),
+            "poses": poses.q,
+            "approach": poses.approach,
+        }
+        if isinstance(poses, OptimalPlan):
+            facts["expected_mm"] = 1e3 * poses.expected_m
+            facts["expected_with_20_more_mm"] = 1e3 * poses.ahead_m
+        print_json(facts)
+        return
+    note(f"{len(poses)} poses in {output}")
+    if isinstance(poses, OptimalPlan):
+        note(poses.stop_rule)

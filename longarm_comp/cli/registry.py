@@ -17,12 +17,14 @@ class Entry(NamedTuple):
 
 
 COMMANDS = (
+    Entry("init", "init", "Write an arm's folder: arm.yaml, servos, cameras, marker."),
+    Entry("check", "check", "What an arm's folder lacks: missing, implausible, unmeasured."),
     Entry("calibrate", "calibrate", "Fit geometry and declared effects to a session."),
     Entry("train", "train", "Train SSA-BP on the residual of the model."),
     Entry("compensate", "compensate", "Joint commands that bring the real tip to targets."),
     Entry("evaluate", "evaluate", "Error table on measured poses, as in the paper's Table I."),
     Entry("diagnose", "diagnose", "Find missing effects in the residual, add and prove them."),
-    Entry("plan", "plan", "Poses to measure: grid, sobol, or those a diagnosis requests."),
+    Entry("plan", "plan", "Poses to measure: grid, sobol, optimal, or those a diagnosis requests."),
     Entry("import-data", "import_data", "Convert another program's CSV or XLSX to a session."),
     Entry("import-urdf", "import_urdf", "Write an arm.yaml from a URDF."),
     Entry("export-urdf", "export_urdf", "Write a calibrated arm as a URDF."),
@@ -37,7 +39,9 @@ COMMANDS = (
         "Choice among the servos' steps, compared with rounding.",
     ),
     Entry("study measurements", "study_measurements", "Rows needed by pose, position, distance."),
+    Entry("study poses", "study_poses", "Which poses to measure: grid, Sobol, I-optimal."),
     Entry("study day", "study_day", "A day of work: wear, warmth, changing payloads."),
+    Entry("study discover", "study_discover", "Causes in no library: what finds them."),
     Entry("up", "up", "Bring up an arm's ROS graph, real or simulated."),
     Entry("study loop", "study_loop", "Benchmark the diagnosis on simulated arms."),
     Entry("bench", "bench", "Speed compared with peers, in one run."),

@@ -24,7 +24,7 @@ from longarm_comp.cli.output import note
 @click.option(
     "--config",
     type=click.Path(exists=True, file_okay=False, path_type=Path),
-    help="Folder of parameter files that replace the package's own, NODE.yaml.",
+    help="Folder of parameter files NODE.yaml; default: ARM's. The package's own for the rest.",
 )
 @click.option("--respawn/--no-respawn", default=True, help="Restart a node that dies.")
 def command(

@@ -32,6 +32,7 @@ class EventKind(Enum):
     FAULT = "fault"
     ESTOP = "estop"
     RESET = "reset"
+    HELD = "held"
 
 
 @dataclass(frozen=True)

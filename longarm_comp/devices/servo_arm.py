@@ -27,10 +27,14 @@ _REOPEN_S = 0.5
 
 @dataclass(frozen=True)
 class JointReading:
-    """Position (rad or m) and velocity of one joint, as its servo reports them."""
+    """Position (rad or m), velocity and effort of one joint, as its servo reports them.
+
+    The effort (N m, N) is NaN where the configuration does not say what full effort is.
+    """
 
     position: float
     velocity: float
+    effort: float
 
 
 @dataclass(frozen=True)
@@ -180,7 +184,9 @@ class ServoArm:
             if state is None:
                 return {}
             readings[name] = JointReading(
-                joint.to_si(state.position_ticks), joint.speed_to_si(state.velocity_ticks_s)
+                joint.to_si(state.position_ticks),
+                joint.speed_to_si(state.velocity_ticks_s),
+                joint.effort_to_si(state.load),
             )
         return readings
 

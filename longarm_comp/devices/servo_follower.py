@@ -58,6 +58,7 @@ class TrajectoryFollower:
         self._doubting = False
         self._settled = True
         self._still_s = 0.0
+        self._held = False
         self._set: Array | None = None
         self._velocity = np.zeros(len(self._joints))
         self._goals: dict[int, int] | None = None
@@ -88,10 +89,10 @@ class TrajectoryFollower:
         start = self._start()
         wanted = checked(trajectory, self._config, start)
         if wanted is None:
-            brake = start + 0.5 * self._config.follower.blend_s * self._velocity
-            rest = np.clip(brake, self._lower, self._upper)[None]
-            path = JointPath(np.zeros(1), rest, np.zeros_like(rest))
-            accepted = Accepted(start, rest, np.zeros(1), self._state is FollowerState.TRACKING)
+            path = self._braking(start)
+            accepted = Accepted(
+                start, path.end[None], np.zeros(1), self._state is FollowerState.TRACKING
+            )
         else:
             accepted = Accepted(
                 start, wanted.positions, wanted.times, self._state is FollowerState.TRACKING
@@ -112,6 +113,28 @@ class TrajectoryFollower:
     def halt(self, now: float) -> None:
         """Stop smoothly and hold. Raises as ``accept``."""
         self.accept(JointTrajectory((), ()), now)
+
+    def _braking(self, start: Array) -> JointPath:
+        """From a set-point to the nearest rest."""
+        brake = start + 0.5 * self._config.follower.blend_s * self._velocity
+        rest = np.clip(brake, self._lower, self._upper)[None]
+        return JointPath(np.zeros(1), rest, np.zeros_like(rest))
+
+    @property
+    def held(self) -> bool:
+        """Whether trajectories are refused because of `hold`."""
+        return self._held
+
+    def hold(self, on: bool) -> None:
+        """Stop smoothly, stay with the torque on and take no trajectory, until it is released."""
+        if on and not self._held:
+            if self._state is FollowerState.TRACKING and self._set is not None:
+                path, start = self._braking(self._set), self._set
+                self._path, self._path_time = path, 0.0
+                self._from = (start, self._velocity.copy())
+            self._settled = True  # the trajectory is not followed to its end
+            self._say(EventKind.HELD, "held: it stays where it is")
+        self._held = on
 
     def estop(self) -> None:
         """Send no goals until ``reset``. The caller switches the torque off."""
@@ -257,6 +280,8 @@ class TrajectoryFollower:
     def _check_ready(self, now: float) -> None:
         if self._state in (FollowerState.FAULT, FollowerState.ESTOP):
             raise JobError("no trajectory is taken until the arm is reset", state=self._state.value)
+        if self._held:
+            raise JobError("no trajectory is taken until ~/hold is called with false")
         late = self._now is None or now - self._now > self._config.follower.silence_s
         if late or not self._fresh:
             raise JobError("no fresh read-back of every servo", servos=len(self._joints))

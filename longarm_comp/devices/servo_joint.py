@@ -36,6 +36,10 @@ class JointConfig(ServoSettings):
         multi_turn: the servo turns more than once over the range. It loses its turn count
             without power, so the joint must be within the turn of its zero at power-on.
         max_load: share of the servo's full effort that counts as stalled, 0 to 1.
+        max_error: rad or m off its goal that is a fault at any load; by default the follower's
+            ``lost_error_ticks``.
+        full_effort: N m or N at the joint when its servo gives its full effort, for the effort in
+            joint_states; absent: not known.
     """
 
     servo_id: int = Field(ge=0, le=252)
@@ -52,6 +56,8 @@ class JointConfig(ServoSettings):
     max_velocity: Positive
     max_temperature_c: float = Field(65.0, ge=30.0, le=100.0)
     max_load: float = Field(0.8, gt=0.0, le=1.0)
+    max_error: Positive | None = None
+    full_effort: Positive | None = None
 
     @field_validator("model")
     @classmethod
@@ -139,6 +145,10 @@ class JointConfig(ServoSettings):
     def speed_to_si(self, ticks_s: float) -> float:
         """Joint velocity (rad/s or m/s) of an encoder speed."""
         return self.direction * ticks_s * self.si_per_tick
+
+    def effort_to_si(self, load: float) -> float:
+        """Effort (N m, N) of a load, a signed share of full effort; NaN where that is unknown."""
+        return math.nan if self.full_effort is None else self.direction * load * self.full_effort
 
     @property
     def max_speed_ticks_s(self) -> float:

@@ -155,7 +155,10 @@ class ServoWatch:
         off = abs(goal - seen.state.position_ticks)
         pushing = off > limits.stall_error_ticks and abs(seen.state.load) >= joint.max_load
         seen.off_since = _since(seen.off_since, pushing, now)
-        seen.lost_since = _since(seen.lost_since, off > limits.lost_error_ticks, now)
+        lost = limits.lost_error_ticks
+        if joint.max_error is not None:
+            lost = joint.max_error / joint.si_per_tick
+        seen.lost_since = _since(seen.lost_since, off > lost, now)
         where = (
             f"{off * joint.si_per_tick:.4g} {joint.unit} off its goal for {limits.stall_time_s} s"
         )

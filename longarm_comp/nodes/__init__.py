@@ -1,1 +1,5 @@
 """The ROS 2 nodes. Each one converts messages, calls the core and publishes the result."""
+
+from longarm_comp.libraries import refuse_old_libraries
+
+refuse_old_libraries()  # here, because the imports of a node fail before its main can say so

@@ -13,11 +13,15 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from longarm_comp.arm_folder.make import parameter_files
+from longarm_comp.arm_folder.parameter_file import ros_parameters
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import write_text
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.nodes.supervisor import Supervisor
 from longarm_comp.share import PACKAGE, folder
@@ -38,7 +42,8 @@ class BringUp:
         effects: Python files that define further effects, executed by `kinematics`.
         sim: run the simulated arm instead of hardware.
         namespace: namespace of the arm; empty for none.
-        config: folder of parameter files that replace the package's own, ``<node>.yaml``.
+        config: folder of parameter files that replace the package's own, ``<node>.yaml``; the
+            arm's own folder where none is given.
         port: serial port of the servos; empty for the one in the parameter file.
         speed: factor on all velocities in simulation.
         set: further parameters, by node and name.
@@ -70,10 +75,36 @@ class BringUp:
         return tuple(n for n in (SIMULATED if self.sim else REAL) if n not in self.without)
 
     def file(self, node: str) -> Path:
-        """A node's parameter file: from the folder ``config`` if it has one, else the package's."""
+        """A node's parameter file: from ``config`` or the arm's folder, else the package's."""
         name = f"{node}.yaml"
-        own = self.config / name if self.config else None
-        return own if own is not None and own.is_file() else folder("config") / name
+        own = (self.config or self.arm.absolute().parent) / name
+        return own if own.is_file() else folder("config") / name
+
+    def fitted(self, scratch: Path) -> BringUp:
+        """This graph with servos of the arm's joints.
+
+        Where the simulated arm would get the package's own files and is not theirs, files that
+        fit it are written to ``scratch``, with those that the arm's folder has.
+
+        Raises:
+            InputError: the servos of a file are not the arm's joints.
+        """
+        file, arm = self.file("servo_driver"), Arm.load(self.arm)
+        joints = list(_ros_parameters(file).get("joints", {}))
+        if sorted(joints) == sorted(arm.joint_names):
+            return self
+        if not self.sim or file != folder("config") / file.name:
+            hint = f"longarm init DIR --arm {self.arm} writes files that fit"
+            raise InputError(file, "joints", ", ".join(joints),
+                             f"{', '.join(arm.joint_names)}; {hint}")  # fmt: skip
+        own = self.config or self.arm.absolute().parent
+        for node, text in parameter_files(arm).items():
+            write_text(scratch / f"{node}.yaml", text)
+        for node in self.nodes:
+            given = own / f"{node}.yaml"
+            if given.is_file():
+                write_text(scratch / given.name, given.read_text("utf-8"))
+        return replace(self, config=scratch)
 
     def parameters(self, node: str, bus: str) -> dict[str, Any]:
         """Parameters that override the file; ``bus``: link to the simulated servo bus."""
@@ -97,14 +128,19 @@ class BringUp:
         return values | dict(self.set.get(node, {}))
 
     def _faster(self, node: str) -> dict[str, Any]:
-        """Velocities of the servos and the driver's limits, scaled by the same factor."""
+        """Velocities of the servos and the driver's limits, scaled by the same factor.
+
+        So is the error at which a joint counts as not following: a moving joint is behind by its
+        velocity times the driver's cycle.
+        """
         if node not in ("servo_driver", "simulated_arm", "kinematics"):
             return {}
         given = _ros_parameters(self.file(node))
         if node == "kinematics":
             return {"joints_max_rate": self.speed * float(given.get("joints_max_rate", 5.0))}
         if node == "servo_driver":
-            return {
+            behind = float(given.get("follower", {}).get("lost_error_ticks", 400.0))
+            return {"follower.lost_error_ticks": self.speed * behind} | {
                 f"joints.{name}.max_velocity": self.speed * float(joint["max_velocity"])
                 for name, joint in given.get("joints", {}).items()
             }
@@ -143,11 +179,7 @@ def _text(value: Any) -> str:
 
 
 def _ros_parameters(path: Path) -> dict[str, Any]:
-    data = read_yaml(path)
-    for node in (data or {}).values():
-        if isinstance(node, dict) and isinstance(node.get("ros__parameters"), dict):
-            return dict(node["ros__parameters"])
-    raise InputError(path, "ros__parameters", "missing", "a ROS 2 parameter file")
+    return ros_parameters(read_yaml(path), path)
 
 
 @contextmanager
@@ -164,6 +196,7 @@ def running(
     """
     with tempfile.TemporaryDirectory(prefix="longarm_") as scratch:
         bus = str(Path(scratch) / "servo_bus")
+        graph = graph.fitted(Path(scratch))
         commands = {node: graph.command(node, bus) for node in graph.nodes}
         with Supervisor(commands, respawn=respawn, say=say) as supervisor:
             yield supervisor

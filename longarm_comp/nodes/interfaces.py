@@ -168,6 +168,7 @@ COMPENSATE = Service("compensate", Compensate, "joints for one target, executed 
 PREDICT_ERROR = Service("predict_error", PredictError, "learned error at given joints")
 RELOAD = Service("~/reload", Trigger, "read the node's files again")
 ESTOP = Service("~/estop", SetBool, "true: torque off now, commands refused; false: ready again")
+HOLD = Service("~/hold", SetBool, "true: stop, stay with torque on, refuse commands; false: ready")
 RESET = Service("~/reset", Trigger, "leave a fault once its cause is gone")
 
 REACH = Action("reach", Reach, "move the tip to a target and say where it came to rest")
@@ -179,4 +180,4 @@ TOPICS: tuple[Topic, ...] = (
     *(LEFT_IMAGE, RIGHT_IMAGE, LEFT_INFO, RIGHT_INFO, TEMPERATURE, PAYLOAD, INCLINATION),
     *(MARKERS, DIAGNOSTICS),
 )
-SERVICES: tuple[Service, ...] = (COMPENSATE, PREDICT_ERROR, RELOAD, ESTOP, RESET)
+SERVICES: tuple[Service, ...] = (COMPENSATE, PREDICT_ERROR, RELOAD, ESTOP, HOLD, RESET)

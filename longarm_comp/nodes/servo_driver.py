@@ -7,6 +7,7 @@ switched off on deactivate, cleanup, shutdown, emergency stop and at the end of 
 from __future__ import annotations
 
 import inspect
+import math
 import os
 import sys
 import time
@@ -25,7 +26,7 @@ from longarm_comp.core.errors import LongarmError
 from longarm_comp.devices.servo_arm import Cycle, ServoArm
 from longarm_comp.devices.servo_bus import BusUnplugged, IncompleteReply
 from longarm_comp.devices.servo_config import BusConfig, FollowerConfig, ServoConfig
-from longarm_comp.devices.servo_follower import Accepted, EventKind, FollowerState
+from longarm_comp.devices.servo_follower import Accepted, Event, EventKind, FollowerState
 from longarm_comp.devices.servo_joint import JointConfig
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
@@ -49,7 +50,7 @@ SECTIONS = {"bus": BusConfig, "joints": JointConfig, "follower": FollowerConfig}
 _STATE_S = 0.5
 """Pause between two messages of the state, s. It is also told when it changes."""
 
-_BREAKS = (EventKind.FAULT, EventKind.ESTOP, EventKind.SHORT)
+_BREAKS = (EventKind.FAULT, EventKind.ESTOP, EventKind.SHORT, EventKind.HELD)
 """Events after which the joints are not where they were sent."""
 
 DONE, FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
@@ -80,6 +81,7 @@ class ServoDriver(LifecycleNode):
         self._states = graph.DRIVER_STATE.publisher(self)
         graph.JOINT_TRAJECTORY.subscription(self, self._on_trajectory)
         graph.ESTOP.server(self, self._on_estop)
+        graph.HOLD.server(self, self._on_hold)
         graph.RESET.server(self, self._on_reset)
         self._timer = steady_timer(self, self._period_s, self._cycle)
         steady_timer(self, _STATE_S, self._tell_state)
@@ -201,16 +203,20 @@ class ServoDriver(LifecycleNode):
         else:
             self._counts["incomplete cycles"] += 1
         for event in cycle.step.events:
-            urgent = event.kind in _BREAKS
-            say = self.get_logger().error if urgent else self.get_logger().debug
-            say(f"{event.kind.value}: {event.message}")
-            if event.kind is EventKind.FAULT:
-                self._trouble = event.message
-            if event.kind is EventKind.ARRIVED:
-                self._tell(Motion.REACHED, self._motion)
-            elif urgent:
-                why = f"{event.kind.value}: {event.message}"
-                self._tell(Motion.BROKEN_OFF, self._motion, why)
+            self._on_event(event)
+
+    def _on_event(self, event: Event) -> None:
+        why = f"{event.kind.value}: {event.message}"
+        if event.kind is EventKind.FAULT:
+            self._trouble = event.message
+        if event.kind is EventKind.ARRIVED:
+            self._tell(Motion.REACHED, self._motion)
+        if event.kind in (EventKind.FAULT, EventKind.ESTOP):
+            self.get_logger().error(why)
+        if event.kind in _BREAKS:
+            self._tell(Motion.BROKEN_OFF, self._motion, why)
+        else:
+            self.get_logger().debug(why)
 
     def _joints(self) -> JointState:
         """The last read-back; empty where a servo was silent."""
@@ -219,7 +225,10 @@ class ServoDriver(LifecycleNode):
             name=list(joints),
             position=[joint.position for joint in joints.values()],
             velocity=[joint.velocity for joint in joints.values()],
+            effort=[joint.effort for joint in joints.values()],
         )
+        if all(map(math.isnan, message.effort)):
+            message.effort = []  # of no joint is it known
         message.header.stamp = self.get_clock().now().to_msg()
         return message
 
@@ -282,6 +291,8 @@ class ServoDriver(LifecycleNode):
             return DriverState.INACTIVE, self._fault or "not active: torque is off"
         if follower is FollowerState.FAULT:
             return DriverState.FAULT, f"{self._trouble}; call ~/reset once cured"
+        if self._arm.follower.held:
+            return DriverState.HOLDING, "call ~/hold with false to go on"
         moving = follower is FollowerState.TRACKING
         return (DriverState.MOVING if moving else DriverState.READY), ""
 
@@ -289,6 +300,15 @@ class ServoDriver(LifecycleNode):
         if request.data:
             return self._do(response, self._estop, "torque off, commands refused")
         return self._do(response, self._recover, "ready")
+
+    def _on_hold(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        done = "held: torque on, trajectories refused" if request.data else "ready"
+        return self._do(response, lambda: self._hold(request.data), done)
+
+    def _hold(self, on: bool) -> None:
+        if self._arm is None or (on and not self._active):
+            raise LongarmError("the driver is not active: there is no torque to hold with")
+        self._arm.follower.hold(on)
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         return self._do(response, self._recover, "ready")

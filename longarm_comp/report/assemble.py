@@ -84,7 +84,8 @@ def record_of(
             for by in diagnosis.split_by
             if by.log_bayes_factor >= SPLITS
             for q in by.q
-        ],
+        ]
+        + ([] if diagnosis.added is None else diagnosis.added.next_q.tolist()),
         "outliers": _outliers(diagnosis),
         KEY: discovered(diagnosis.discovery),
         "provenance": _provenance(diagnosis.seed, data_sha256, len(diagnosis.holdout_uses)),

@@ -1,7 +1,8 @@
 """Writer of a bag that is readable at any time while recording: a split rosbag2.
 
 Messages go to a hidden segment.  A finished segment is moved into the bag and entered in
-metadata.yaml in one step.  A killed recorder loses only the current segment.
+metadata.yaml in one step.  A killed recorder loses only the current segment.  A
+recording that fails before its first message leaves no folder.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ class SegmentedBag:
     def __init__(self, path: str | Path, *, resume: bool = False) -> None:
         self._path = Path(path)
         self._partial = self._path / _PARTIAL
+        self._new = not self._path.exists()
         self._information = self._begin(resume)
         self._writer: Writer | None = None
         self._connections: dict[tuple[str, str], Connection] = {}
@@ -82,6 +84,9 @@ class SegmentedBag:
         trace: TracebackType | None,
     ) -> None:
         self.finish_segment()
+        known = self._information
+        if error is not None and self._new and not (known and known["message_count"]):
+            shutil.rmtree(self._path, ignore_errors=True)
 
     def write(self, topic: str, kind: str, stamp_ns: int, data: bytes) -> None:
         """Add one serialised message (CDR) of a type that `message_types` knows."""

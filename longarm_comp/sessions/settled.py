@@ -49,8 +49,8 @@ def settled(
 
     Returns:
         Mean time, position and orientation, and the variances of the mean. The position is NaN
-        if the marker was lost in all of them. None without a sighting, or if the joints did not
-        come to rest.
+        if the marker was lost in all of those at rest. None without a sighting, or if the joints
+        did not come to rest.
     """
     if not sightings:
         return None
@@ -63,7 +63,10 @@ def settled(
         rest = float(times[moving[-1]]) if len(moving) else begin
         if max(times[-1], sightings[-1].t) - rest < REST_S:
             return None
-    seen = [s for s in seen if s.t >= rest] or seen[-1:]
+        seen = [s for s in seen if s.t >= rest]
+        if not seen:  # it was seen on the way only
+            nowhere, untold = np.full(3, np.nan), np.full(4, np.nan)
+            return sightings[-1]._replace(xyz=nowhere, quaternion=untold)
     last = np.median([s.xyz for s in seen[-_LAST:]], axis=0)
     kept: list[Sighting] = []
     for s in reversed(seen):

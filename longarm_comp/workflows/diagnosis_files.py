@@ -71,15 +71,23 @@ def write_predictor(predictor: Predictor | None, session_hash: str, folder: Path
 
 
 def write_next(found: Diagnosis, folder: Path) -> None:
-    """Write the poses that separate effects, with their sides; no file if there are none."""
+    """Write the poses to measure next, with their sides; no file if there are none.
+
+    They separate effects, or settle what is in doubt of a cause without a name.
+    """
     splits = [s for s in found.split_by if s.log_bayes_factor >= SPLITS]
     path = folder / FILE
-    if not splits:
+    more = found.added.next_q if found.added is not None else np.zeros((0, found.arm.n))
+    if not splits and not len(more):
         path.unlink(missing_ok=True)
         return
-    q = np.concatenate([s.q for s in splits])
-    side = np.concatenate([s.approach for s in splits])
+    q = np.concatenate([*(s.q for s in splits), more])
+    side = np.concatenate(
+        [*(s.approach for s in splits), np.where(np.arange(len(more)) % 2, -1, 1)]
+    )
     loads = [s.payload_kg for s in splits if s.payload_kg is not None]
+    if loads and len(more):
+        loads.append(np.full(len(more), float(np.median(np.concatenate(loads)))))
     write_poses(Plan(q, side.astype(int), np.concatenate(loads) if loads else None), path)
 
 

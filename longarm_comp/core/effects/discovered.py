@@ -20,6 +20,7 @@ from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Scalar, Twist, Vec
 from longarm_comp.core.effects.components import COMPONENTS, Acting, components, stations
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter, form, parameter, place
+from longarm_comp.core.effects.function import Function, function
 from longarm_comp.core.effects.quantities import (
     AXES,
     OfPosture,
@@ -27,7 +28,7 @@ from longarm_comp.core.effects.quantities import (
     SeenCoordinate,
     SeenPoint,
 )
-from longarm_comp.core.effects.shapes import Function, FunctionError, function
+from longarm_comp.core.effects.shapes import FunctionError
 from longarm_comp.core.errors import InputError
 
 LARGEST = 1e9

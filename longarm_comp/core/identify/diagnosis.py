@@ -267,6 +267,7 @@ def diagnose(
 def _check(found: Diagnosis) -> None:
     """Refuse an outcome that may not be believed."""
     final = "calibrated" if found.rolled_back else "with_effects"
+    final = DISCOVERED if found.added is not None else final
     left, source = found.proof.errors, found.train.source
     check_worth(left[final], left["frames_only"], source)
     check_fits(found.model, found.train)

@@ -6,7 +6,7 @@ not named: it is taken out of the model again and listed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +19,7 @@ from longarm_comp.core.identify.evidence import (
     marginal_without,
     shift_of,
 )
-from longarm_comp.core.identify.fit import ModelFit, priors
+from longarm_comp.core.identify.fit import ModelFit
 from longarm_comp.core.identify.search import SearchResult
 
 SMALLEST_M = 5e-5
@@ -47,6 +47,11 @@ class Minor:
     where: tuple[str, ...]
     worth_m: float
     why: str
+
+    @classmethod
+    def of(cls, terms: tuple[Term, ...], worth_m: float, why: str) -> Minor:
+        """Of terms of one effect."""
+        return cls(terms[0].name, tuple(dict.fromkeys(t.where for t in terms)), worth_m, why)
 
 
 def worth(fit: ModelFit, columns: CandidateColumns, terms: Sequence[Term]) -> float:
@@ -85,27 +90,52 @@ def smallest(fit: ModelFit) -> float:
 def settled(
     result: SearchResult, say: Callable[[str], None]
 ) -> tuple[SearchResult, tuple[Minor, ...]]:
-    """The search's result without the terms that do not matter, the rest fitted again, and these.
+    """The search's result without what does not matter or cannot be, and what was taken out."""
+    return taken_out(result, _doubtful, say)
 
-    Taken out, one after the other, is an effect or a place at the limit of what is possible, or
-    worth too little.  What another effect can only stand for with a size that nobody believes
-    stays, however little its own part is.
+
+Doubtful = Callable[[SearchResult], Iterator[tuple[tuple[Term, ...], Minor]]]
+
+
+def taken_out(
+    result: SearchResult, doubtful: Doubtful, say: Callable[[str], None]
+) -> tuple[SearchResult, tuple[Minor, ...]]:
+    """The search's result without doubtful terms, the rest fitted again, and what was taken out.
+
+    Terms stay where the rest could not do without them but with sizes that nobody believes.
+
+    Args:
+        result: the search.
+        doubtful: terms to take out next, each with the reason; asked again after each.
+        say: told what is going on.
     """
     gone: list[Minor] = []
-    needed: set[tuple[str, str]] = set()
+    needed: set[frozenset[tuple[str, str]]] = set()
     while True:
-        found = _worst(result, needed)
-        if found is None:
+        for terms, minor in doubtful(result):
+            places = frozenset(key(t) for t in terms)
+            if places in needed:
+                continue
+            lighter = result.without(set(places))
+            if _incredible(lighter) <= _incredible(result):
+                say(f"without {minor.name} ({', '.join(minor.where)}): {minor.why}")
+                gone.append(minor)
+                result = lighter
+                break
+            needed.add(places)
+        else:
             return result, tuple(gone)
-        terms, minor = found
-        places = {key(t) for t in terms}
-        without = result.without(places)
-        if _unbelievable(without.fit) > _unbelievable(result.fit):
-            needed |= places
-            continue
-        say(f"without {minor.name} ({', '.join(minor.where)}): {minor.why}")
-        result = without
-        gone.append(minor)
+
+
+def _incredible(result: SearchResult) -> set[tuple[object, ...]]:
+    """Parameters of found effects of a size that nobody believes."""
+    held = {key(t) for t in result.chosen}
+    return {
+        (*key(s.owner), s.parameter.name)
+        for s in result.fit.slots
+        if key(s.owner) in held
+        and abs(getattr(s.owner, s.parameter.name)) > IMPLAUSIBLE * s.parameter.prior
+    }
 
 
 def families(result: SearchResult) -> dict[str, tuple[Term, ...]]:
@@ -118,16 +148,8 @@ def families(result: SearchResult) -> dict[str, tuple[Term, ...]]:
     return {name: tuple(terms) for name, terms in found.items()}
 
 
-def _unbelievable(fit: ModelFit) -> int:
-    """Number of parameters of a size that nobody believes."""
-    sizes = fit.model.values / priors(fit.slots)
-    return int((np.abs(sizes) > IMPLAUSIBLE).sum())
-
-
-def _worst(
-    result: SearchResult, needed: Set[tuple[str, str]]
-) -> tuple[tuple[Term, ...], Minor] | None:
-    """What to take out next, but for what is needed: whole effects before single places.
+def _doubtful(result: SearchResult) -> Iterator[tuple[tuple[Term, ...], Minor]]:
+    """What is worth too little or at the limit of what is possible: effects, then single places.
 
     A place of an effect that jumps stays: at poses between the fitted ones it is of another size.
     """
@@ -141,16 +163,12 @@ def _worst(
         if len(terms) > 1 and t.continuous
     ]
     for terms, mates in options:
-        if needed >= {key(t) for t in terms}:
-            continue
         length = worth(fit, columns, terms)
         why = _impossible(fit, terms[0]) if len(terms) == 1 else ""
         if length < limit / np.sqrt(mates):
             why = f"worth {1e3 * length:.2g} mm at the tip, too small to matter"
         if why:
-            places = tuple(dict.fromkeys(t.where for t in terms))
-            return terms, Minor(terms[0].name, places, length, why)
-    return None
+            yield terms, Minor.of(terms, length, why)
 
 
 def _impossible(fit: ModelFit, term: Term) -> str:

@@ -3,26 +3,31 @@
 No real part follows its formula exactly: a stronger effect may differ from it along its joint and
 its load.  A weaker name that loses most of its evidence to such differences is withdrawn, if the
 rest would not be accepted, or if the differences alone explain more than the name alone.  What it
-stood for stays in the residual, as structure.
+stood for stays in the residual, as structure.  That is only done where little is lost: a name that
+takes much of the residual stays, since commands are better with it, whatever it stands for.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
 from longarm_comp.core.identify.evidence import columns_at, key, marginal_without, score, shift_of
 from longarm_comp.core.identify.fit import ModelFit
-from longarm_comp.core.identify.minor import Minor, families, worth
+from longarm_comp.core.identify.minor import Minor, families, taken_out, worth
 from longarm_comp.core.identify.search import SearchResult
 from longarm_comp.core.identify.structure import smooth_in
+from longarm_comp.core.model.model import slots_of
 
 VARIES = 0.3
 """Share by which the shift of an effect may differ from its form (prior standard deviation)."""
 BENDS = 3
 """Functions of a joint or a load, by order, that the difference may follow."""
+WEAK = 0.1
+"""Evidence of a weak name, per equation of the fitted rows: without it their squared error is a
+fifth larger at most."""
 SHARED = 0.5
 """Share of its evidence that a weaker name must lose to such differences."""
 
@@ -30,20 +35,15 @@ SHARED = 0.5
 def without_remainders(
     result: SearchResult, say: Callable[[str], None]
 ) -> tuple[SearchResult, tuple[Minor, ...]]:
-    """The search's result without such names, the rest fitted again, and these; weakest first."""
-    gone: list[Minor] = []
-    while True:
-        found = _weakest(result)
-        if found is None:
-            return result, tuple(gone)
-        terms, minor = found
-        say(f"without {minor.name}: {minor.why}")
-        result = result.without({key(t) for t in terms})
-        gone.append(minor)
+    """The search's result without such names, weakest first, and these."""
+    return taken_out(result, _remainders, say)
 
 
-def _weakest(result: SearchResult) -> tuple[tuple[Term, ...], Minor] | None:
-    """The weakest family that stronger ones may stand for, with the reason."""
+def _remainders(result: SearchResult) -> Iterator[tuple[tuple[Term, ...], Minor]]:
+    """Families that the form of a stronger one may stand for.
+
+    Not one that has nothing to fit: it would have to imitate the misfit by chance.
+    """
     fit, columns = result.fit, columns_at(result.fit)
     found = families(result)
     own = {}
@@ -52,18 +52,20 @@ def _weakest(result: SearchResult) -> tuple[tuple[Term, ...], Minor] | None:
         own[name] = score(fit, marginal, Candidate(name, terms), columns).log_bayes_factor
     order = sorted(found, key=lambda name: own[name])
     for k, name in enumerate(order[:-1]):
-        terms = found[name]
-        stronger = [t for other in order[k + 1 :] for t in found[other]]
-        marginal = marginal_without(fit, columns, {key(t) for t in terms})
-        forms = variations(fit, columns, stronger)
-        bent = marginal_without(fit, columns, {key(t) for t in terms}, forms)
-        left = score(fit, bent, Candidate(name, terms), columns).log_bayes_factor
-        alone = marginal.added(forms).log_bayes_factor
-        if left < SHARED * own[name] and (left < result.threshold or alone > own[name]):
-            why = f"{', '.join(order[:k:-1])} may differ from its form instead, by {VARIES:.0%}"
-            places = tuple(dict.fromkeys(t.where for t in terms))
-            return terms, Minor(name, places, worth(fit, columns, terms), why)
-    return None
+        terms, places = found[name], {key(t) for t in found[name]}
+        if own[name] > WEAK * len(fit.data) or not slots_of(fit.model.arm, terms):
+            continue
+        for stronger in order[:k:-1]:
+            forms = variations(fit, columns, found[stronger])
+            bent = marginal_without(fit, columns, places, forms)
+            left = score(fit, bent, Candidate(name, terms), columns).log_bayes_factor
+            if left >= SHARED * own[name]:
+                continue
+            alone = marginal_without(fit, columns, places).added(forms).log_bayes_factor
+            if left < result.threshold or alone > own[name]:
+                why = f"{stronger} may differ from its form instead, by {VARIES:.0%}"
+                yield terms, Minor.of(terms, worth(fit, columns, terms), why)
+                break
 
 
 def variations(fit: ModelFit, columns: CandidateColumns, terms: Sequence[Term]) -> np.ndarray:

@@ -40,7 +40,7 @@ class DemoResult:
 
     Attributes:
         loop: the round on the arm as it was started.
-        inputs: of the network.
+        inputs: of the network; none where none was trained.
         second: the round after the arm's play grew, as plain data; None where there was none.
     """
 
@@ -80,7 +80,7 @@ def demonstrate(
     """
     arm = Arm.load(settings.arm)
     hidden_effects(arm, sizes(settings.hidden), np.random.default_rng(settings.seed))  # checked
-    _prepare(settings)
+    prepare(settings)
     with ExitStack() as stack:
         supervisor = stack.enter_context(running(settings.graph()))
         ended = threading.Event()
@@ -98,7 +98,10 @@ def demonstrate(
             return done, write_loop(arm.name, to_do, done)
 
         first, _ = go_round()
-        predictor = load_predictor(settings.predictor, arm, settings.model)
+        inputs: tuple[str, ...] = ()
+        if settings.predictor.is_file():  # nothing is trained where nothing was applied
+            predictor = load_predictor(settings.predictor, arm, settings.model)
+            inputs = tuple(predictor.encoding.names)
         for name in ("report.html", "report.json"):
             shutil.copyfile(settings.loop.path("diagnosis", 1) / name, settings.out / name)
         second = None
@@ -108,22 +111,30 @@ def demonstrate(
             second["true_mean_mm"] = {
                 r["model"]: r["true_mean_mm"] for r in table.rows(again.trials)
             }
-    return DemoResult(first, tuple(predictor.encoding.names), second)
+    return DemoResult(first, inputs, second)
 
+
+_LOGS = "log"
 
 SECOND = "second_round"
 """Folder of the round after the play grew."""
 
 
-def _prepare(settings: DemoSettings) -> None:
-    if settings.out.exists() and (not settings.out.is_dir() or any(settings.out.iterdir())):
-        raise InputError("demo", "--out", settings.out, "a new or empty folder")
+def prepare(settings: DemoSettings) -> None:
+    """Make the folder. The logs that a start that failed has left in it are no obstacle.
+
+    Raises:
+        InputError: something else is there, or it cannot be written.
+    """
+    out = settings.out
+    if out.exists() and (not out.is_dir() or {p.name for p in out.iterdir()} - {_LOGS}):
+        raise InputError("demo", "--out", out, "a new or empty folder")
     try:
         settings.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         why = error.strerror or str(error)
         raise InputError(settings.out, "--out", why, "a folder to write in") from error
-    os.environ.setdefault("ROS_LOG_DIR", str(settings.out.absolute() / "log"))
+    os.environ.setdefault("ROS_LOG_DIR", str(settings.out.absolute() / _LOGS))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 

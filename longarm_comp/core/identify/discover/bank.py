@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from longarm_comp.core.effects.shapes import Function
+from longarm_comp.core.effects.function import Function
 from longarm_comp.core.identify.discover.functions import (
     EACH_JOINT,
     FunctionFamily,
@@ -143,7 +143,9 @@ class Bank:
         """
         rows = _some(np.flatnonzero(fit.weights > 0))
         white = (self.units * weight(fit)[..., None])[rows].astype(np.float32)
-        values = self.functions.values[rows].astype(np.float32)
+        values = self.functions.values[rows]
+        size = np.sqrt((values**2).mean(axis=0))
+        values = (values / np.where(size > 0, size, 1.0)).astype(np.float32)
         flat = design[rows].reshape(-1, design.shape[-1])
         factor = cholesky(flat.T @ flat + np.eye(flat.shape[1]), lower=True)
         turned = np.einsum("ncp,nck->kpn", design[rows], white, optimize=True)

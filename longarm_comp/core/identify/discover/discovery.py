@@ -12,7 +12,9 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.discover import words
 from longarm_comp.core.identify.discover.bank import Weighed
 from longarm_comp.core.identify.discover.banks import CAMERA
-from longarm_comp.core.identify.discover.search import SearchedFunctions, key_of, search, terms_of
+from longarm_comp.core.identify.discover.propose import doubts, proposed
+from longarm_comp.core.identify.discover.search import SearchedFunctions, search
+from longarm_comp.core.identify.discover.terms import key_of, terms_of
 from longarm_comp.core.identify.fit import ModelFit
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.noise import NoiseEstimate
@@ -85,6 +87,8 @@ class Discovery:
         without: names of effects of the library that it makes superfluous.
         proof: hold-out without (`calibrated`) and with it (`with_effects`).
         structure: what is left.
+        doubts: what the data cannot tell of it.
+        next_q: (M, n) poses that would settle these, rad and m.
     """
 
     fit: ModelFit
@@ -94,6 +98,8 @@ class Discovery:
     without: tuple[str, ...]
     proof: Proof
     structure: Structure
+    doubts: tuple[str, ...]
+    next_q: np.ndarray
 
     @property
     def sentence(self) -> str:
@@ -105,17 +111,19 @@ class Discovery:
             return f"{text} ({gain})"
         each = "; and ".join(f.sentence for f in self.found)
         stead = f" in the place of {', '.join(self.without)}" if self.without else ""
-        return f"Found without a name{stead}: {each}. {gain[0].upper()}{gain[1:]}"
+        doubt = f". In doubt: {'; '.join(self.doubts)}" if self.doubts else ""
+        return f"Found without a name{stead}: {each}. {gain[0].upper()}{gain[1:]}{doubt}"
 
 
 def discover(
     base: ModelFit,
     plain: ModelFit | None,
-    hypotheses: int,
+    count: int,
     held_out: Session,
     known: NoiseEstimate | None,
     rng: np.random.Generator,
     say: Callable[[str], None] = lambda _: None,
+    seed: int = 0,
 ) -> Discovery | None:
     """Look for causes without a name in what a fit leaves; None where there are none.
 
@@ -123,18 +131,19 @@ def discover(
         base: fit of everything that has a name.
         plain: fit of the geometry alone, where `base` holds effects of the library: they may be
             stand-ins for something else.
-        hypotheses: number of candidates of the library; effects of it pay for their choice too.
+        count: number of candidates of the library; effects of it pay for their choice too.
         held_out: rows of the proof.
         known: noise from repeats, if there are any.
         rng: for bootstrap and permutations.
         say: told what is being looked at.
+        seed: of the poses proposed.
     """
     say("functions without a name")
     best = search(base, known, say)
     start = base
     if plain is not None:
         alone = search(plain, known, say)
-        if alone is not None and _simpler(alone, best, base, plain, hypotheses):
+        if alone is not None and _simpler(alone, best, base, plain, count):
             best, start = alone, plain
     if best is None:
         return None
@@ -146,7 +155,18 @@ def discover(
     held = {t.name for t in start.model.terms}
     gone = tuple(dict.fromkeys(t.name for t in base.model.terms if t.name not in held))
     structure = examine(best.fit, start, rng)
-    return Discovery(best.fit, best.noise, _found(best), kept, gone, proof, structure)
+    hypotheses = [group.candidate for group in best.groups]
+    return Discovery(
+        best.fit,
+        best.noise,
+        _found(best),
+        kept,
+        gone,
+        proof,
+        structure,
+        doubts(best.fit, hypotheses),
+        proposed(best.fit, hypotheses, seed),
+    )
 
 
 def _simpler(
@@ -154,7 +174,7 @@ def _simpler(
     beside: SearchedFunctions | None,
     base: ModelFit,
     plain: ModelFit,
-    hypotheses: int,
+    count: int,
 ) -> bool:
     """Whether what was found explains the rows without the library's effects as well."""
     full = beside.fit if beside is not None else base
@@ -162,7 +182,7 @@ def _simpler(
     weights = np.minimum(alone.fit.weights, full.weights)
     names = {t.name for t in base.model.terms} - {t.name for t in plain.model.terms}
     chosen = [g.candidate.log_prior for g in (beside.groups if beside is not None else ())]
-    theirs = _log_evidence(full, sigma, weights) + sum(chosen) - len(names) * np.log(hypotheses)
+    theirs = _log_evidence(full, sigma, weights) + sum(chosen) - len(names) * np.log(count)
     mine = _log_evidence(alone.fit, sigma, weights)
     mine += sum(g.candidate.log_prior for g in alone.groups)
     return bool(mine > theirs - SIMPLER)
@@ -208,4 +228,5 @@ def _one(result: SearchedFunctions, k: int) -> Cause:
 
 def _places(group: Weighed, others: Sequence[Weighed]) -> list[str]:
     mine = dict.fromkeys(words.where(p) for p, _ in group.candidate.members)
-    return [" and ".join(mine), *(words.where(o.candidate.members[0][0]) for o in others)]
+    others_ = [words.where(o.candidate.members[0][0]) for o in others]
+    return [" and ".join(mine), *words.seen_alike(group.candidate), *others_]

@@ -10,12 +10,12 @@ from itertools import combinations
 
 import numpy as np
 
+from longarm_comp.core.effects.function import Function
 from longarm_comp.core.effects.quantities import Quantity
 from longarm_comp.core.effects.shapes import (
     Above,
     Below,
     Cosine,
-    Function,
     Legendre,
     Linear,
     Shape,
@@ -157,7 +157,7 @@ class Functions:
             if not one.curves:
                 continue
             for kind in (Square, SignedSquare):
-                if kind is Square or one.low < 0 < one.high:
+                if (kind is Square and not one.far) or one.low < 0 < one.high:
                     self._group(SQUARE, self.number(kind(one.name, one.low, one.high)))
             for order in orders(one):
                 pair = [self.number(k(one.name, one.low, one.high, order)) for k in (Cosine, Sine)]
@@ -215,8 +215,9 @@ class Functions:
             self._group(SMOOTH_PAIR, *numbers, decay=decay)
 
 
-def _linear(one: Argument) -> Linear:
-    return Linear(one.name, one.low, one.high)
+def _linear(one: Argument) -> Shape:
+    """The input itself; about the middle of its range where that is far from zero."""
+    return legendre(one, 1) if one.far else Linear(one.name, one.low, one.high)
 
 
 def legendre(one: Argument, order: int) -> Legendre:

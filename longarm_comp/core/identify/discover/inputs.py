@@ -19,6 +19,7 @@ from longarm_comp.core.effects.quantities import (
     is_column,
     quantity,
 )
+from longarm_comp.core.effects.shapes import LARGEST
 
 ALIKE = 0.9995
 """Correlation from which on two inputs count as one."""
@@ -27,6 +28,7 @@ LEAST_SPAN = 0.03
 FEW_LEVELS = 3
 """On no more positions than this nothing tells a curve of the joint from another."""
 _FINE = 50
+_FAR = 20.0
 _BOOKKEEPING = ("index",)
 
 
@@ -55,6 +57,11 @@ class Argument:
     def high(self) -> float:
         """Largest value in the data."""
         return float(self.values.max())
+
+    @property
+    def far(self) -> bool:
+        """Whether it is far from zero for its range, as the time of day in seconds is."""
+        return abs(self.low + self.high) > 2 * _FAR * (self.high - self.low)
 
     @property
     def curves(self) -> bool:
@@ -143,7 +150,8 @@ def _names(arm: Arm, session: Session, columns: tuple[str, ...]) -> Iterator[str
 def _add(made: list[Argument], name: str, values: np.ndarray, arm: Arm | None) -> None:
     """Add an input that varies and is not one of those before."""
     span = float(np.ptp(values)) if np.isfinite(values).all() else 0.0
-    if span <= 1e-9 * max(1.0, float(np.abs(values).max(initial=0.0))):
+    largest = float(np.abs(values).max(initial=0.0))
+    if span <= 1e-9 * max(1.0, largest) or largest > LARGEST:
         return
     centred = values - values.mean()
     size = float(np.linalg.norm(centred))
@@ -151,8 +159,14 @@ def _add(made: list[Argument], name: str, values: np.ndarray, arm: Arm | None) -
         against = other.values - other.values.mean()
         if abs(float(centred @ against)) > ALIKE * size * float(np.linalg.norm(against)):
             return
-    levels = len(np.unique(np.round(_FINE * (values - values.min()) / span)))
+    levels = levels_of(values)
     found = quantity(name)
     circular = arm is not None and found is not None and name.startswith("q")
     circular = circular and found is not None and arm is not None and found.unit(arm) == "rad"
     made.append(Argument(name, np.ascontiguousarray(values), levels, circular))
+
+
+def levels_of(values: np.ndarray) -> int:
+    """Number of distinct values, to a fiftieth of their range."""
+    span = float(np.ptp(values)) or 1.0
+    return len(np.unique(np.round(_FINE * (values - values.min()) / span)))

@@ -10,10 +10,9 @@ from itertools import combinations
 
 import numpy as np
 
-from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.effects.shapes import Function, Threshold, Wave
+from longarm_comp.core.effects.function import Function
+from longarm_comp.core.effects.shapes import Threshold, Wave
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.identify import noise as noise_step
 from longarm_comp.core.identify.discover.bank import (
     Bank,
     Hypothesis,
@@ -21,12 +20,19 @@ from longarm_comp.core.identify.discover.bank import (
     weight,
     whitened_design,
 )
-from longarm_comp.core.identify.discover.banks import banks, term_of
+from longarm_comp.core.identify.discover.banks import banks
 from longarm_comp.core.identify.discover.functions import nearby
-from longarm_comp.core.identify.fit import ModelFit, fit
+from longarm_comp.core.identify.discover.terms import (
+    key_of,
+    part,
+    refitted,
+    same,
+    terms_of,
+    with_terms,
+)
+from longarm_comp.core.identify.fit import ModelFit
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.noise import NoiseEstimate
-from longarm_comp.core.model.model import Model
 
 ENOUGH = 2.5
 """Log evidence, the choice paid for, from which on a term is added."""
@@ -43,9 +49,6 @@ NEARBY = (1.0, 0.08)
 """Reach of the looks around a threshold or frequency, in steps between those tried."""
 LOOKS = math.log(4.0)
 """Paid for them, log odds."""
-STEPS = 6
-
-Term = Effect | Bias
 
 
 @dataclass(frozen=True)
@@ -95,7 +98,7 @@ class _State:
     def __init__(self, base: ModelFit, known: NoiseEstimate | None) -> None:
         self.base, self.known = base, known
         self.groups: tuple[Weighed, ...] = ()
-        self.fit, self.noise = _refitted(base.model, base, known)
+        self.fit, self.noise = refitted(base.model, base, known)
         self.banks = banks(self.fit)
 
     # ------------------------------------------------------------------ scoring
@@ -212,10 +215,10 @@ class _State:
         """Fit with some groups, judge the noise again, drop what no longer pays."""
         while True:
             self.groups = tuple(groups)
-            model = _with(self.base.model, self.fit.model, self.groups)
-            self.fit, self.noise = _refitted(model, self.fit, self.known)
+            model = with_terms(self.base.model, self.fit.model, self.groups)
+            self.fit, self.noise = refitted(model, self.fit, self.known)
             groups = self._lasting()
-            if _same(groups, self.groups):
+            if same(groups, self.groups):
                 return
 
     def _lasting(self) -> tuple[Weighed, ...]:
@@ -234,7 +237,7 @@ class _State:
             ]
             if not sure:
                 continue
-            made.append(_part(group, sure))
+            made.append(part(group, sure))
             evidence = self.evidence(k).log_evidence
             if evidence < low:
                 weakest, low = made[-1], evidence
@@ -244,7 +247,7 @@ class _State:
         """Replace groups by better ones, given the rest."""
         changed = False
         for k in range(len(self.groups)):
-            if len(self.groups) < 2 or k >= len(self.groups):
+            if k >= len(self.groups):
                 break
             now, best = self.evidence(k), self.best([k])
             if best is not None and best.log_evidence > now.log_evidence + SWAP:
@@ -268,78 +271,9 @@ class _State:
         return False
 
 
-# ------------------------------------------------------------------ terms and fits
-
-
-def key_of(term: Term) -> tuple[str, str]:
-    """An effect at a place, with its function."""
-    return term.name, term.place
-
-
-def terms_of(group: Weighed) -> list[Term]:
-    """The terms of a model that a group stands for."""
-    return [
-        term_of(place, f.text, f.domain, float(scale), float(amount))
-        for (place, f), scale, amount in zip(
-            group.candidate.members, group.scale, group.mean, strict=True
-        )
-    ]
-
-
-def _with(base: Model, now: Model, groups: Sequence[Weighed]) -> Model:
-    """The base with the groups' terms, started from the values of the model as it is now."""
-    known = {key_of(t): t for t in now.terms}
-    added = [t for g in groups for t in terms_of(g)]
-    terms = [known.get(key_of(t), t) for t in (*base.terms, *added)]
-    return dataclasses.replace(
-        base,
-        effects=tuple(t for t in terms if isinstance(t, Effect)),
-        biases=tuple(t for t in terms if isinstance(t, Bias)),
-    )
-
-
-def _refitted(
-    model: Model, last: ModelFit, known: NoiseEstimate | None
-) -> tuple[ModelFit, NoiseEstimate]:
-    """Fit, noise and inliers judged by what it leaves, and fit again."""
-    session = last.session
-    first = fit(
-        model, session, sigma=last.sigma, rho=last.rho, weights=last.weights, max_iterations=STEPS
-    )
-    nothing = np.zeros((*first.residual.shape, 0))
-    judged, weights = noise_step.from_residual(first, nothing)
-    if known is not None:
-        judged = noise_step.agreed(known, judged)
-    again = fit(
-        first.model,
-        session,
-        sigma=judged.sigma,
-        rho=judged.rho,
-        weights=weights,
-        max_iterations=STEPS,
-    )
-    return again, judged
-
-
-def _part(group: Weighed, members: Sequence[int]) -> Weighed:
-    if len(members) == len(group.candidate.members):
-        return group
-    candidate = dataclasses.replace(
-        group.candidate,
-        members=tuple(group.candidate.members[i] for i in members),
-        decay=tuple(group.candidate.decay[i] for i in members),
-    )
-    at = list(members)
-    return Weighed(candidate, group.log_evidence, group.mean[at], group.scale[at])
-
-
-def _same(a: Sequence[Weighed], b: Sequence[Weighed]) -> bool:
-    return [g.candidate.members for g in a] == [g.candidate.members for g in b]
-
-
 def _around(bank: Bank, candidate: Hypothesis, width: float) -> Iterator[Hypothesis]:
     """The same candidate with thresholds or frequencies near its own."""
-    factors = {f for function in candidate.functions for f in function.factors}
+    factors = dict.fromkeys(f for function in candidate.functions for f in function.factors)
     bent = [f for f in factors if isinstance(f, (Threshold, Wave))]
     by_name = bank.functions.inputs.by_name
     if len(bent) == 1:

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import floor, log10
 
-from longarm_comp.core.effects.components import COMPONENTS, Force, Turn, Wrench
+from longarm_comp.core.effects.components import BASE_PLACE, COMPONENTS, Force, Move, Turn, Wrench
+from longarm_comp.core.effects.function import Function
 from longarm_comp.core.effects.quantities import (
     Gravity,
     JointLoad,
@@ -19,7 +20,7 @@ from longarm_comp.core.effects.quantities import (
     Span,
     Warmth,
 )
-from longarm_comp.core.effects.shapes import Above, Below, Cosine, Function, Shape, Sine, Switch
+from longarm_comp.core.effects.shapes import Above, Below, Cosine, Shape, Sine, Switch
 from longarm_comp.core.identify.discover.bank import Hypothesis, Spot
 from longarm_comp.core.identify.discover.banks import CAMERA
 
@@ -140,6 +141,17 @@ def where(place: Spot) -> str:
     if place.at == CAMERA:
         return f"what the camera sees, {place.component}"
     return f"{place.at}, {place.component}"
+
+
+def seen_alike(candidate: Hypothesis) -> list[str]:
+    """What the camera may see in its place: a shift of all points, wherever the arm stands."""
+    traits = Traits.of(candidate)
+    moved = all(p.at == BASE_PLACE and p.component.startswith(Move.word) for p in traits.places)
+    recorded = all(isinstance(s.quantity, (Recorded, Warmth)) for s in traits.shapes)
+    if not (moved and recorded and traits.shapes):
+        return []
+    axes = ", ".join(p.component.split(" ")[1] for p in traits.places)
+    return [where(Spot(CAMERA, axes))]
 
 
 def domain(candidate: Hypothesis) -> list[str]:

@@ -1,0 +1,215 @@
+"""What an arm's folder lacks: missing files, implausible values, unmeasured assumptions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from longarm_comp.arm_folder.make import ARM, NODES
+from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
+from longarm_comp.arm_folder.servos import ZERO_TICKS
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.plan import sobol
+from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.devices.servo_config import ServoConfig
+
+Level = Literal["missing", "implausible", "unmeasured"]
+_REACH_M = (0.05, 20.0)
+_SAG_SHARE = 0.15
+"""A sag above this share of the reach is no arm's, or no longer a small deflection."""
+_TICK = 1.5
+_OFF_MM = 10.0
+_SESSIONS = ("samples.csv", "session", "session_1")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing to do about a folder.
+
+    Attributes:
+        level: missing and implausible must be put right; unmeasured is an assumption.
+        where: file, and the key in it.
+        text: what is the matter, and what to do.
+    """
+
+    level: Level
+    where: str
+    text: str
+
+    @property
+    def blocks(self) -> bool:
+        """Whether the folder cannot be used as it is."""
+        return self.level != "unmeasured"
+
+
+missing = partial(Finding, "missing")
+implausible = partial(Finding, "implausible")
+unmeasured = partial(Finding, "unmeasured")
+
+
+def check_folder(folder: Path) -> list[Finding]:
+    """Findings on a folder, what blocks first.
+
+    Raises:
+        InputError: there is no such folder.
+    """
+    if not folder.is_dir():
+        raise InputError(folder, "DIR", "missing", "an arm's folder: `longarm init DIR` makes one")
+    arm, found = _loaded(folder / ARM, Arm.load)
+    if arm is None:
+        return found
+    found += [*_of_arm(arm), *_of_servos(folder, arm)]
+    found += _of_cameras(folder, arm, look=not any(finding.blocks for finding in found))
+    if not any((folder / name).exists() for name in _SESSIONS):
+        found.append(
+            unmeasured(
+                "samples.csv",
+                "no session yet: longarm up, plan and collect, or put measured rows there",
+            )
+        )  # fmt: skip
+    return sorted(found, key=lambda finding: ("missing", "implausible", "unmeasured").index(
+        finding.level))  # fmt: skip
+
+
+def _loaded(path: Path, load: Callable[[Path], Any]) -> tuple[Any, list[Finding]]:
+    """What a file holds, or why it does not."""
+    if not path.is_file():
+        text = f"no such file; longarm init DIR --arm {ARM} makes it" if path.name != ARM else (
+            "no such file; longarm init makes it"
+        )  # fmt: skip
+        return None, [missing(path.name, text)]
+    try:
+        return load(path), []
+    except InputError as error:
+        said = f"{error.value!r}; allowed: {error.allowed}"
+        return None, [implausible(f"{path.name}: {error.field}", said)]
+
+
+def _of_arm(arm: Arm) -> Iterator[Finding]:
+    q = np.vstack([arm.mid, sobol(arm, 64, 0).q])
+    rigid = declared_model(arm, deflection=False).tip(q)
+    reach = float(np.linalg.norm(rigid - np.array(arm.base.xyz_m), axis=1).max())
+    if not _REACH_M[0] <= reach <= _REACH_M[1]:
+        low, high = _REACH_M
+        said = f"the tip is up to {reach:.3g} m from the base; usual: {low:g} to {high:g}"
+        yield implausible(ARM, f"{said}. Lengths are metres")
+    if float(np.ptp(rigid, axis=0).max()) < 1e-3 * reach:
+        yield implausible(f"{ARM}: joints", "no joint moves the tip")
+    if not arm.links:
+        yield unmeasured(f"{ARM}: links", "no beam is declared: the arm is taken as rigid")
+    else:
+        sag = np.linalg.norm(declared_model(arm).tip(q) - rigid, axis=1)
+        if float(sag.max()) > _SAG_SHARE * reach:
+            said = f"the tip sags by up to {1e3 * sag.max():.0f} mm of {1e3 * reach:.0f} mm"
+            yield implausible(f"{ARM}: links", f"{said}: check E_pa, sections, masses")
+    weight = sum(b.mass_kg for b in arm.links) + sum(m.mass_kg for m in arm.point_masses)
+    if not weight:
+        said = "no part has a mass: weigh them. Without weight no compliance can be found"
+        yield unmeasured(f"{ARM}: point_masses", said)
+    if arm.payload is None:
+        yield unmeasured(f"{ARM}: payload", "nothing is carried: weigh tool and marker")
+    if not any(arm.gravity_mps2):
+        yield implausible(f"{ARM}: gravity_mps2", "no gravity")
+
+
+def _of_servos(folder: Path, arm: Arm) -> list[Finding]:
+    path = folder / "servo_driver.yaml"
+    servos, found = _loaded(path, ServoConfig.load)
+    if servos is None:
+        return found
+    if sorted(servos.joints) != sorted(arm.joint_names):
+        said = f"{', '.join(servos.joints)}; arm.yaml has {', '.join(arm.joint_names)}"
+        return [implausible(f"{path.name}: joints", said)]
+    for name, lower, upper in zip(arm.joint_names, arm.lower, arm.upper, strict=True):
+        joint = servos.joints[name]
+        off = max(abs(joint.lower - lower), abs(joint.upper - upper))
+        if off > _TICK * joint.si_per_tick:
+            said = f"limits {joint.lower:g} to {joint.upper:g} {joint.unit}; "
+            said += f"arm.yaml has {lower:g} to {upper:g}"
+            found.append(implausible(f"{path.name}: joints.{name}", said))
+    try:
+        servos.check_steps(dict(zip(arm.joint_names, arm.steps.tolist(), strict=True)), path.name)
+    except InputError as error:
+        found.append(implausible(f"{ARM}: {error.field}", str(error.allowed)))
+    zeros = [name for name, joint in servos.joints.items() if joint.zero_ticks == ZERO_TICKS]
+    if zeros:
+        said = f"{ZERO_TICKS:g} of {', '.join(zeros)}: read the encoders at joint value 0"
+        said += "; check ids, gearing and directions too"
+        found.append(unmeasured(f"{path.name}: zero_ticks", said))
+    return found
+
+
+def _of_cameras(folder: Path, arm: Arm, look: bool) -> list[Finding]:
+    """Findings on cameras and marker; ``look``: also through rendered images."""
+    from longarm_comp.arm_folder.sight import seen_from
+
+    read, found = {}, []
+    for node in NODES[1:]:
+        given, faults = _loaded(folder / f"{node}.yaml", read_parameters)
+        found += faults
+        if given is not None:
+            found += _strangers(node, given)
+            read[node] = own_parameters(node) | given
+    if "stereo_bridge" not in read or any(finding.blocks for finding in found):
+        return found
+    bridge = read["stereo_bridge"]
+    found += _assumed(arm, bridge)
+    if not look or "simulated_arm" not in read or bridge["marker.kind"] != "tags":
+        return found  # the simulation has tags only
+    try:
+        sight = seen_from(arm, bridge, read["simulated_arm"])
+    except LongarmError as error:
+        return [*found, implausible("stereo_bridge.yaml", str(error))]
+    if sight.seen < 0.5:
+        said = f"the marker is seen at {sight}: move the cameras, turn the marker "
+        said += "(marker.mounting) or narrow the limits in arm.yaml"
+        found.append(implausible("simulated_arm.yaml: camera, marker", said))
+    elif sight.off_mm > _OFF_MM:
+        said = f"the tip is measured {sight.off_mm:.0f} mm from where it is: cameras and "
+        said += "marker of simulated_arm.yaml stand elsewhere"
+        found.append(implausible("stereo_bridge.yaml: hand_eye", said))
+    return found
+
+
+def _strangers(node: str, given: dict[str, Any]) -> Iterator[Finding]:
+    """Parameters that the node does not have, or of another kind than the package's file has."""
+    known = own_parameters(node)
+    for name, value in given.items():
+        if name not in known:
+            said = f"unknown; known: {', '.join(known)}"
+            yield implausible(f"{node}.yaml: {name}", said)
+        elif _kind(value) != _kind(known[name]):
+            said = f"{value!r}; allowed: {_kind(known[name])}, for instance {known[name]!r}"
+            yield implausible(f"{node}.yaml: {name}", said)
+
+
+def _kind(value: Any) -> str:
+    if isinstance(value, list):
+        return f"{len(value)} numbers" if all(_kind(v) == "a number" for v in value) else "a list"
+    if isinstance(value, bool):
+        return "true or false"
+    return "a number" if isinstance(value, int | float) else "text"
+
+
+def _assumed(arm: Arm, bridge: dict[str, Any]) -> Iterator[Finding]:
+    """What stands as `longarm init` writes it."""
+    from longarm_comp.arm_folder.head import head_for
+
+    file, made = "stereo_bridge.yaml", head_for(arm).bridge()
+    own = own_parameters("stereo_bridge")
+    if bridge["hand_eye.xyz"] in (made["hand_eye.xyz"], own["hand_eye.xyz"]):
+        yield unmeasured(f"{file}: hand_eye", "where the left camera stands is assumed")
+    if bridge["marker.tag_m"] in (made["marker.tag_m"], own["marker.tag_m"]):
+        yield unmeasured(f"{file}: marker", "measure the printed tags: tag_m and gap_m")
+    if not any(bridge["tip_in_marker"]):
+        yield unmeasured(f"{file}: tip_in_marker", "the marker's middle is taken as the tip")
+    if arm.camera is not None and not np.allclose(arm.camera.position_m, bridge["hand_eye.xyz"],
+                                                  atol=0.01):  # fmt: skip
+        yield implausible(f"{ARM}: camera", f"{list(arm.camera.position_m)}; {file} has "
+                      f"hand_eye.xyz {bridge['hand_eye.xyz']}")  # fmt: skip

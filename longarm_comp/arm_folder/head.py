@@ -1,0 +1,129 @@
+"""A stereo head and a marker that see an arm's tip over its range."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from longarm_comp.core.arm import quaternion
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.plan import sobol
+from longarm_comp.core.errors import JobError
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.sim.cameras import CameraPair
+
+FOCAL_PX, SIZE = 640.0, (640, 480)
+_POSES = 256
+_DIRECTIONS = 16
+_STEEPEST = math.cos(math.radians(60.0))
+"""A tag that is turned further from the camera is found unreliably."""
+_TAG_PX = 22.0
+_BASELINE = 0.18
+"""Distance of the two cameras as a share of their distance to the marker."""
+
+
+@dataclass(frozen=True, eq=False)
+class Head:
+    """Cameras and marker.
+
+    Attributes:
+        position_m, axis: left camera (m) and where it looks, in the base frame; level.
+        baseline_m: distance to the right camera.
+        tag_m: side of a tag; the marker has 2 x 2, a fifth of a tag apart.
+        mounting: rotation vector (3,) of the plate on the tip frame, rad; its centre is the tip.
+    """
+
+    position_m: tuple[float, float, float]
+    axis: tuple[float, float, float]
+    baseline_m: float
+    tag_m: float
+    mounting: tuple[float, float, float]
+
+    def simulated(self) -> dict[str, Any]:
+        """Parameters of `simulated_arm`."""
+        return {
+            "camera.position": list(self.position_m),
+            "camera.axis": list(self.axis),
+            "camera.baseline_m": self.baseline_m,
+            "camera.focal_px": FOCAL_PX,
+            "camera.width": SIZE[0],
+            "camera.height": SIZE[1],
+            "marker.tag_m": self.tag_m,
+            "marker.gap_m": round(self.tag_m / 5, 6),
+            "marker.mounting": list(self.mounting),
+        }
+
+    def bridge(self) -> dict[str, Any]:
+        """Parameters of `stereo_bridge`."""
+        pose = CameraPair(self.position_m, self.axis).left_in_base
+        turn = quaternion.from_rotation(pose[:3, :3])
+        return {
+            "hand_eye.xyz": list(self.position_m),
+            "hand_eye.quaternion": [round(float(v), 12) for v in turn],
+            "marker.tag_m": self.tag_m,
+            "marker.gap_m": round(self.tag_m / 5, 6),
+        }
+
+
+def head_for(arm: Arm) -> Head:
+    """The head that has the whole range of the tip in view, from the side where the marker shows.
+
+    Of 16 level directions it takes the one from which the marker, mounted for it, is turned away
+    the least over 256 poses.
+    """
+    model = declared_model(arm, deflection=False)
+    tips = model.pose(sobol(arm, _POSES, 0).q)
+    points, turns = tips[:, :3, 3], tips[:, :3, :3]
+    axis, mounting = _facing(turns)
+    x = np.cross(axis, [0.0, 0.0, 1.0])
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    off = points - middle
+    across, down, deep = np.abs(off @ x), np.abs(off[:, 2]), off @ axis
+    distance, tag = 0.3, 0.02
+    for _ in range(20):  # the marker and the second camera need room of their own
+        rim = 1.6 * tag
+        tag = math.ceil(1e3 * _TAG_PX / FOCAL_PX * (distance + deep.max())) / 1e3
+        ends = [
+            (0.9 * 0.5 * SIZE[0] / FOCAL_PX, across + rim + 0.5 * _BASELINE * distance),
+            (0.9 * 0.5 * SIZE[1] / FOCAL_PX, down + rim),
+        ]
+        distance = max(float((wide / slope - deep).max()) for slope, wide in ends)
+    baseline = round(_BASELINE * distance, 3)
+    position = middle - distance * axis - 0.5 * baseline * x
+    return Head(_three(position, 3), _three(axis, 9), baseline, tag, _three(mounting, 9))
+
+
+def _facing(turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Direction of looking (3,) and the plate's rotation vector (3,) on the tip."""
+    best: tuple[float, np.ndarray, np.ndarray] | None = None
+    for k in range(_DIRECTIONS):
+        angle = 0.5 * math.pi + 2 * math.pi * k / _DIRECTIONS
+        axis = np.array([math.cos(angle), math.sin(angle), 0.0]).round(12)
+        normal = (-turns.transpose(0, 2, 1) @ axis).mean(axis=0)
+        if np.linalg.norm(normal) < 1e-6:
+            continue
+        normal /= np.linalg.norm(normal)
+        facing = -(turns @ normal) @ axis
+        score = float((facing > _STEEPEST).mean() + 0.01 * facing.mean())
+        if best is None or score > best[0] + 1e-9:
+            best = score, axis, normal
+    if best is None:
+        raise JobError("the tip turns so much that no camera sees a marker on it at most poses")
+    _, axis, normal = best
+    up = (turns.transpose(0, 2, 1) @ np.array([0.0, 0.0, 1.0])).mean(axis=0)
+    up -= normal * (normal @ up)
+    if np.linalg.norm(up) < 1e-3:
+        up = np.eye(3)[np.argmin(np.abs(normal))]
+        up -= normal * (normal @ up)
+    up /= np.linalg.norm(up)
+    plate = np.column_stack([np.cross(up, normal), up, normal])
+    return axis, cv2.Rodrigues(plate)[0].ravel()
+
+
+def _three(values: np.ndarray, digits: int) -> tuple[float, float, float]:
+    x, y, z = (round(float(v), digits) + 0.0 for v in values)
+    return x, y, z

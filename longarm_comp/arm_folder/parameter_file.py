@@ -1,0 +1,101 @@
+"""ROS parameter files: read flat, and written from the package's own with other values.
+
+A written file keeps the comment of every parameter, because it is the package's file with values
+replaced line by line.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.strict_yaml import parse_yaml, read_yaml
+from longarm_comp.share import folder
+
+_LINE = re.compile(r"^(?P<indent> *)(?P<key>\w+):(?P<value>[^#]*)(?P<comment>#.*)?$")
+
+
+def own_text(node: str) -> str:
+    """Text of the package's own parameter file of a node."""
+    return (folder("config") / f"{node}.yaml").read_text("utf-8")
+
+
+def read_parameters(path: Path) -> dict[str, Any]:
+    """Values by dotted name of a ROS parameter file.
+
+    Raises:
+        InputError: unreadable, or no ROS parameter file.
+    """
+    return _flat(ros_parameters(read_yaml(path), path))
+
+
+def own_parameters(node: str) -> dict[str, Any]:
+    """Values by dotted name of the package's own file of a node."""
+    return _flat(ros_parameters(parse_yaml(own_text(node), node), node))
+
+
+def ros_parameters(data: Any, where: object) -> dict[str, Any]:
+    """The section ``ros__parameters`` of a parsed parameter file.
+
+    Raises:
+        InputError: there is none.
+    """
+    for node in data.values() if isinstance(data, dict) else ():
+        if isinstance(node, dict) and isinstance(node.get("ros__parameters"), dict):
+            return dict(node["ros__parameters"])
+    raise InputError(where, "ros__parameters", "missing", "a ROS 2 parameter file")
+
+
+def with_values(node: str, values: Mapping[str, Any], head: str) -> str:
+    """The package's own file of a node with other values; comments of parameters are kept.
+
+    Args:
+        node: whose file.
+        values: by dotted name. A mapping replaces a whole section.
+        head: comment on top, instead of the file's own.
+    """
+    lines = own_text(node).splitlines()
+    first = next(k for k, line in enumerate(lines) if not line.startswith("#"))
+    made = [f"# {line}".rstrip() for line in head.splitlines()] + lines[first : first + 2]
+    path: list[str] = []
+    left = dict(values)
+    for line in lines[first + 2 :]:
+        found = _LINE.match(line)
+        if found is None:
+            raise ValueError(f"{node}.yaml: {line!r} is no line of one parameter")
+        path = [*path[: len(found["indent"]) // 2 - 2], found["key"]]
+        if any(".".join(path[:k]) in values for k in range(1, len(path))):
+            continue  # within a section that is replaced
+        name = ".".join(path)
+        made += _written(found, left.pop(name)) if name in values else [line]
+    if left:
+        raise ValueError(f"{node}.yaml has no {', '.join(left)}")
+    return "\n".join(made) + "\n"
+
+
+def _written(line: re.Match[str], value: Any) -> list[str]:
+    indent = line["indent"]
+    if isinstance(value, Mapping):
+        inner = [f"{indent}  {key}: {one_line(item)}" for key, item in value.items()]
+        return [f"{indent}{line['key']}:", *inner]
+    comment = f"  {line['comment']}" if line["comment"] else ""
+    return [f"{indent}{line['key']}: {one_line(value)}{comment}"]
+
+
+def one_line(value: Any) -> str:
+    """A value as YAML on one line."""
+    text = yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=10**6)
+    return text.removesuffix("...\n").strip()
+
+
+def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in tree.items():
+        name = f"{prefix}{key}"
+        flat |= _flat(value, f"{name}.") if isinstance(value, Mapping) else {name: value}
+    return flat

@@ -1,0 +1,76 @@
+"""Servos that fit an arm: gearing by the joints' ranges and steps, limits from arm.yaml."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from longarm_comp.core.arm.arm import Arm, Joint
+from longarm_comp.core.errors import InputError
+from longarm_comp.devices.servo_bus import MODELS, ServoModel
+from longarm_comp.devices.servo_config import ServoConfig
+
+DEFAULT_MODEL = "sts3215"
+ZERO_TICKS = 2048.0
+"""What stands there until it is measured: the middle of the first turn."""
+_GEAR, _PINION_M = 10.0, 0.008
+_SPEED = 0.85 * 3000.0
+"""Velocity of a joint as ticks a second of its servo: 85 % of a small servo without load."""
+_ROOM = 0.98
+"""Share of the servo's turns that a joint's range may take."""
+
+
+def servo_section(arm: Arm, model: str = DEFAULT_MODEL) -> dict[str, Any]:
+    """Key ``joints`` of a servo driver's file, in the order of the arm.
+
+    The gearing is an assumption. It is the demonstration's (10:1, a pinion of 8 mm) where the
+    joint's range fits into the turns of the servo, else as much less as needed; where arm.yaml
+    declares a step, one tick of the servo is that step.
+
+    Raises:
+        InputError: unknown model, or a joint's range at its step is beyond the servo's turns.
+    """
+    if model not in MODELS:
+        raise InputError("init", "--servos", model, ", ".join(MODELS))
+    made = {
+        name: _servo(number, arm.joints[row - 1], MODELS[model])
+        for number, (name, row) in enumerate(zip(arm.joint_names, arm.commanded, strict=True), 1)
+    }
+    protocol = MODELS[model].protocol
+    ServoConfig.parse({"bus": {"protocol": protocol, "port": "-"}, "joints": made}, "servos")
+    return made
+
+
+def _servo(number: int, joint: Joint, model: ServoModel) -> dict[str, Any]:
+    low, high = model.multi_turn
+    room = _ROOM * min(high - ZERO_TICKS, ZERO_TICKS - low)
+    farthest = max(map(abs, joint.limits))
+    if joint.step and farthest / joint.step > room:
+        allowed = f"at least {farthest / room:.3g} with {model.name}, or a servo with more turns"
+        raise InputError("servos", f"step of {joint.name or joint.id}", joint.step, allowed)
+    transmission, tick = _transmission(joint, farthest / room, model.ticks_per_turn)
+    return {
+        "servo_id": number,
+        "model": model.name,
+        "type": joint.type,
+        "zero_ticks": ZERO_TICKS,
+        **transmission,
+        "multi_turn": True,
+        "lower": round(joint.limits[0], 7),
+        "upper": round(joint.limits[1], 7),
+        "max_velocity": float(f"{_SPEED * tick:.2g}"),
+    }
+
+
+def _transmission(joint: Joint, least: float, turn: int) -> tuple[dict[str, Any], float]:
+    """Keys of the gearing, and rad or m a tick; ``least``: the smallest tick that fits."""
+    if joint.type == "prismatic":
+        if joint.step:
+            return {"screw_lead_m": joint.step * turn}, joint.step
+        radius = max(_PINION_M, math.ceil(1e3 * least * turn / (2 * math.pi)) / 1e3)
+        return {"pinion_radius_m": radius}, 2 * math.pi * radius / turn
+    largest = 2 * math.pi / (turn * least)
+    gear = min(_GEAR, math.floor(10 * largest) / 10 or largest)
+    if joint.step:
+        gear = 2 * math.pi / (turn * joint.step)
+    return {"gear_ratio": gear}, 2 * math.pi / (turn * gear)

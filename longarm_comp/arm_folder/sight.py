@@ -1,0 +1,81 @@
+"""How well the cameras of a folder see the marker: rendered images through the real detector."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from longarm_comp.core.arm import quaternion
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.plan import sobol
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.devices.stereo import StereoEye, StereoRefusal, StereoRig, TagBoard
+from longarm_comp.sim.cameras import CameraPair, render, tag_plate
+from longarm_comp.sim.plant import mounting
+
+_POSES = 12
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What came of poses spread over the joints' limits.
+
+    Attributes:
+        poses, found: poses looked at, and those at which the tip was measured.
+        off_mm: median distance of the measured tip from the tip; NaN where none was measured.
+    """
+
+    poses: int
+    found: int
+    off_mm: float
+
+    @property
+    def seen(self) -> float:
+        """Share of the poses, 0 to 1."""
+        return self.found / self.poses
+
+    def __str__(self) -> str:
+        return f"{self.found} of {self.poses} poses"
+
+
+def seen_from(
+    arm: Arm, bridge: Mapping[str, Any], simulated: Mapping[str, Any], poses: int = _POSES
+) -> Sight:
+    """Look at an arm without errors at poses spread over its limits.
+
+    Args:
+        arm: as declared.
+        bridge, simulated: parameters of `stereo_bridge` and `simulated_arm`, by dotted name.
+        poses: how many.
+
+    Raises:
+        InputError: a value that cameras or marker cannot have.
+    """
+    head = CameraPair(
+        tuple(simulated["camera.position"]), tuple(simulated["camera.axis"]),
+        simulated["camera.baseline_m"], simulated["camera.focal_px"],
+        (simulated["camera.width"], simulated["camera.height"]),
+    )  # fmt: skip
+    marker = {k: simulated[f"marker.{k}"] for k in ("tag_m", "gap_m", "columns", "rows")}
+    plate, on_tip = tag_plate(**marker), mounting(simulated["marker.mounting"])
+    board = TagBoard(
+        bridge["marker.tag_m"], bridge["marker.gap_m"], bridge["marker.columns"],
+        bridge["marker.rows"], bridge["marker.dictionary"], bridge["marker.first_id"],
+    )  # fmt: skip
+    hand_eye = quaternion.pose(
+        np.array(bridge["hand_eye.xyz"]), np.array(bridge["hand_eye.quaternion"])
+    )
+    rig = StereoRig.from_camera_info(*head.camera_infos(), rectified=False)
+    eye = StereoEye(rig, board, hand_eye, bridge["tip_in_marker"])
+    rng = np.random.default_rng(0)
+    off = []
+    for k, tip in enumerate(declared_model(arm).pose(sobol(arm, poses, 0).q)):
+        left, right = render(tip @ on_tip, plate, head, rng)
+        try:
+            off.append(np.linalg.norm(eye.measure(left, right, k).point - tip[:3, 3]))
+        except StereoRefusal:
+            continue
+    return Sight(poses, len(off), 1e3 * float(np.median(off)) if off else np.nan)

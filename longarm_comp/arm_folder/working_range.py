@@ -1,0 +1,47 @@
+"""Joint limits for a first session: a part of each turning joint's range, about a home pose."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from longarm_comp.core.errors import InputError
+
+DEFAULT_DEG = 45.0
+
+
+def narrowed(
+    data: Mapping[str, Any], range_deg: float, home_deg: Mapping[str, float]
+) -> tuple[dict[str, Any], dict[int, str]]:
+    """An arm with narrower limits, and by row what they were.
+
+    Args:
+        data: what arm.yaml holds.
+        range_deg: largest range of a turning joint; 0 leaves them as they are.
+        home_deg: middle of the new range by joint name; default: of the old range.
+
+    Raises:
+        InputError: a home outside of the joint's limits, or of no joint.
+    """
+    names = [str(row.get("name") or f"joint{row['id']}") for row in data["joints"]]
+    for name in home_deg:
+        if name not in names:
+            raise InputError("init", "--home", name, ", ".join(names))
+    rows, notes = [], {}
+    for name, row in zip(names, data["joints"], strict=True):
+        limits = row.get("limits_deg")
+        if limits is None:
+            rows.append(row)
+            continue
+        low, high = map(float, limits)
+        home = home_deg.get(name, (low + high) / 2)
+        if not low <= home <= high:
+            raise InputError("init", f"--home {name}", home, f"{low:g} to {high:g} deg")
+        if not range_deg or high - low <= range_deg:
+            rows.append(row)
+            continue
+        start = min(max(home - range_deg / 2, low), high - range_deg)
+        made = [round(start, 6) + 0.0, round(start + range_deg, 6) + 0.0]
+        rows.append({**row, "limits_deg": made})
+        notes[row["id"]] = f"whole range {low:g} to {high:g} deg"
+    return {**data, "joints": rows}, notes

@@ -1,0 +1,188 @@
+"""``longarm init``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from longarm_comp.cli import options
+from longarm_comp.cli.output import note, print_json
+
+if TYPE_CHECKING:
+    from longarm_comp.arm_folder.make import Source
+
+_SOURCES = "--urdf FILE, --like demo, --arm FILE or --joint ROW"
+
+
+@click.command()
+@click.argument("out", type=click.Path(path_type=Path), metavar="DIR")
+@options.path_option("--urdf", "From a URDF.")
+@click.option("--base", default="", metavar="LINK", help="URDF: fixed link; default: its root.")
+@click.option("--tip", default="", metavar="LINK", help="URDF: link that is commanded.")
+@click.option("--like", type=click.Choice(["demo"]), help="A copy of the demonstration's files.")
+@options.path_option("--arm", "An arm.yaml that is there; the other files are made for it.")
+@click.option("--name", default="", help="Name of the arm.")
+@click.option(
+    "--joint",
+    "rows",
+    multiple=True,
+    metavar="ROW",
+    help="A row of the DH table, base to tip: 'type=revolute alpha=90 a=0.1 d=0 limits=-30..30'.",
+)
+@click.option("--tip-at", nargs=3, type=float, metavar="X Y Z", help="Tip in the last frame, m.")
+@click.option("--payload", type=float, default=None, help="Carried mass, kg.")
+@click.option(
+    "--range",
+    "range_deg",
+    type=click.FloatRange(0.0, 720.0),
+    default=None,
+    help="Largest range of a turning joint, deg; 0: as it is. Default: 45 for a URDF, else 0.",
+)
+@click.option("--home", multiple=True, metavar="JOINT=DEG", help="Middle of that range.")
+@click.option("--servos", default="sts3215", show_default=True, help="Model of the servos.")
+@options.as_json
+def command(
+    out: Path,
+    urdf: Path | None,
+    base: str,
+    tip: str,
+    like: str | None,
+    arm: Path | None,
+    name: str,
+    rows: tuple[str, ...],
+    tip_at: tuple[float, float, float] | None,
+    payload: float | None,
+    range_deg: float | None,
+    home: tuple[str, ...],
+    servos: str,
+    as_json: bool,
+) -> None:
+    """Write a new folder DIR: arm.yaml, and servo, camera and marker files that fit it.
+
+    The arm comes from a URDF, the demonstration, an arm.yaml or a DH table; without any of these
+    the table is asked row by row. `longarm up DIR/arm.yaml --sim` runs the folder as it is, and
+    `longarm check DIR` lists what is assumed and must be measured.
+
+    \b
+    Examples:
+      longarm init my_arm
+      longarm init my_arm --like demo
+      longarm init my_arm --urdf robot.urdf --base base_link --tip tool0
+      longarm init my_arm --joint 'alpha=0 d=0.1 limits=-60..60' \\
+        --joint 'alpha=90 limits=0..70 a=0 material=petg' --joint 'a=0.3 tube_a=30/26' \\
+        --tip-at 0.2 0 0
+    """
+    from longarm_comp.arm_folder.make import check_free, demonstration, files_of, write_folder
+
+    check_free(out)
+    _one_source(urdf, like, arm, rows)
+    if like is not None:
+        files = demonstration()
+    else:
+        homes = dict(map(_home, home))
+        if urdf is not None:
+            source = _from_urdf(urdf, base, tip, 45.0 if range_deg is None else range_deg, homes)
+        elif arm is not None:
+            source = _from_file(arm)
+        else:
+            table = _table(out, name, rows, tip_at, payload)
+            source = _narrowed(table, "a DH table", range_deg or 0.0, homes)
+        files = files_of(source, servos)
+    write_folder(out, files)
+    if as_json:
+        print_json({"folder": str(out), "files": list(files)})
+        return
+    note(f"{', '.join(files)} in {out}")
+    note(f"next: longarm check {out}; longarm up {out}/arm.yaml --sim")
+
+
+def _one_source(urdf: Path | None, like: str | None, arm: Path | None, rows: Sequence[str]) -> None:
+    from longarm_comp.core.errors import InputError
+
+    given = [k for k, v in zip(("--urdf", "--like", "--arm", "--joint"), (urdf, like, arm, rows),
+                               strict=True) if v]  # fmt: skip
+    if len(given) > 1:
+        raise InputError("init", "source", " and ".join(given), f"one of {_SOURCES}")
+
+
+def _home(text: str) -> tuple[str, float]:
+    from longarm_comp.core.errors import InputError
+
+    joint, _, degrees = text.rpartition("=")
+    try:
+        return joint, float(degrees)
+    except ValueError:
+        raise InputError("init", "--home", text, "JOINT=DEG, for instance joint2=30") from None
+
+
+def _from_urdf(
+    urdf: Path, base: str, tip: str, range_deg: float, homes: dict[str, float]
+) -> Source:
+    from longarm_comp.urdf import chain_ends, import_urdf
+
+    base, tip = chain_ends(urdf, base, tip)
+    data = import_urdf(urdf, base, tip)
+    return _narrowed(data, f"{urdf.name}, {base} to {tip}", range_deg, homes)
+
+
+def _from_file(arm: Path) -> Source:
+    from longarm_comp.arm_folder.make import Source
+
+    return Source.of_file(arm)
+
+
+def _narrowed(
+    data: dict[str, object], where: str, range_deg: float, homes: dict[str, float]
+) -> Source:
+    from longarm_comp.arm_folder.make import Source
+    from longarm_comp.arm_folder.working_range import narrowed
+
+    data, notes = narrowed(data, range_deg, homes)
+    head = f"The declared arm, from {where}. `longarm check` lists what is still assumed."
+    if notes:
+        head += (
+            f"\nTurning joints have {range_deg:g} deg at most: a first session drives through all"
+            "\nof the limits. Widen them where nothing is in the way and the marker is seen."
+        )
+    return Source.of_data(data, head, notes)
+
+
+def _table(
+    out: Path,
+    name: str,
+    rows: Sequence[str],
+    tip_at: Sequence[float] | None,
+    payload: float | None,
+) -> dict[str, object]:
+    """From the flags; without rows, asked."""
+    from longarm_comp.arm_folder.dh_table import arm_of, ask_rows, row_of
+    from longarm_comp.core.errors import InputError
+
+    if rows:
+        return arm_of(name or out.name, [row_of(r) for r in rows], tip_at or (0, 0, 0),
+                      payload or 0.0)  # fmt: skip
+    try:
+        name = name or click.prompt("name of the arm", default=out.name, err=True)
+        count = click.prompt("number of joints", type=click.IntRange(1, 30), err=True)
+        answers = ask_rows(lambda text, default: _asked(text, default), count)
+        if tip_at is None:
+            words = _asked("tip in the last frame: x y z, m", "0 0 0").split()
+            tip_at = [float(word) for word in words]
+        if payload is None:
+            payload = float(_asked("carried mass, kg", "0"))
+    except click.Abort:
+        click.echo(err=True)  # the cursor stands behind the question
+        if sys.stdin.isatty():
+            raise
+        raise InputError("init", "source", "none", f"{_SOURCES}, or a terminal") from None
+    except ValueError as error:
+        raise InputError("init", "answer", str(error), "numbers, with blanks between") from None
+    return arm_of(name, answers, tip_at, payload)
+
+
+def _asked(text: str, default: str) -> str:
+    return str(click.prompt(text, default=default, err=True))

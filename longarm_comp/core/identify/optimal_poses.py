@@ -1,0 +1,270 @@
+"""Which poses to measure so that the tip is known best afterwards: linear Bayesian design.
+
+Geometry and effects have priors, or the posterior of the rows measured so far.  A pose adds the
+information of what it measures.  I-optimal poses leave the least variance of the seen tip, averaged
+over the joint box; D-optimal poses leave the least volume of all parameters (Chaloner and
+Verdinelli 1995).  Poses are chosen one by one from a pool and then exchanged while that helps
+(Fedorov 1972).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.measurement import equations, posture
+from longarm_comp.core.data.plan import Plan, random_joints, sobol
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.calibrate import geometry
+from longarm_comp.core.identify.candidates import library
+from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.linear import whiten
+from longarm_comp.core.identify.sensor_frames import started
+from longarm_comp.core.model.model import Model, Slot
+
+Criterion = Literal["i-optimal", "d-optimal"]
+Measure = Literal["position", "pose", "distance"]
+POOL, REFERENCE = 1024, 256
+"""Poses to choose from, at least, and poses at which the tip shall be known."""
+AHEAD = 20
+"""Further poses that are tried, to say what they would bring."""
+WIDEST = 1.0
+"""Standard deviation (m, rad) of what nothing is known of: any pose tells it better."""
+PASSES = 2
+
+
+@dataclass(frozen=True, eq=False)
+class OptimalPlan(Plan):
+    """Poses, the most informative first.
+
+    Attributes:
+        expected_m: rms error of the tip, over the joint box, that is expected once they are
+            measured, m.
+        ahead_m: the same after `AHEAD` more.
+    """
+
+    expected_m: float = float("nan")
+    ahead_m: float = float("nan")
+
+    @property
+    def stop_rule(self) -> str:
+        """What more poses would bring."""
+        gain = 1e3 * (self.expected_m - self.ahead_m)
+        return (
+            f"expected error of the tip {1e3 * self.expected_m:.2f} mm; "
+            f"{AHEAD} more poses would bring {gain:.2f} mm"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """What is not known of an arm.
+
+    Attributes:
+        model: where columns are taken, with every term that is uncertain.
+        scale: (p,) units of its parameters: their prior standard deviations.
+        information: (p, p) inverse covariance in these units.
+        sigma: noise of a length (m) and of an angle (rad).
+    """
+
+    model: Model
+    scale: np.ndarray
+    information: np.ndarray
+    sigma: tuple[float, float]
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        measured: Session | None,
+        measure: Measure,
+        *,
+        known: bool,
+        sigma: tuple[float, float],
+    ) -> Uncertainty:
+        """Before any measurement, or after a session.
+
+        Args:
+            model: the arm as declared or calibrated.
+            measured: rows that were measured so far; they give the noise too.
+            measure: what the next poses measure.
+            known: whether the model holds every effect that the arm has; else all of the library
+                may be there.
+            sigma: noise where nothing was measured.
+
+        Raises:
+            InputError, JobError: as `fit`.
+        """
+        asked = _rows(model.arm, Plan(model.arm.mid[None], np.ones((1, model.arm.n))), measure)
+        whole = model
+        for rows in asked if measured is None else (*asked, measured):
+            whole = whole.with_missing(geometry(model.arm, rows))
+        fitted = None
+        if measured is not None:
+            fitted = fit(
+                started(model.with_missing(geometry(model.arm, measured)), measured), measured
+            )
+            whole = fitted.model.with_missing(whole.terms)
+            lengths = [s for s, u in zip(fitted.sigma, measured.units, strict=True) if u == "m"]
+            held = [s for s in lengths if np.isfinite(s)]
+            sigma = (float(np.median(held)) if held else sigma[0], sigma[1])
+        if not known:
+            sides = np.array([1.0, -1.0])
+            at = Session.record(np.tile(model.arm.mid, (2, 1)), np.zeros((2, 3)), approach=sides)
+            whole = whole.with_missing(_library(model.arm, at, whole))
+        scale = np.array([min(s.parameter.width, WIDEST) for s in whole.slots])
+        information = np.eye(len(scale))
+        if fitted is not None:
+            seen = fitted.session
+            columns = equations(whole, seen, posture(whole, seen)).columns * scale
+            white = whiten(columns, fitted.weights, fitted.sigma, fitted.rho, seen.mask)
+            information = information + white.T @ white
+        return cls(whole, scale, information, sigma)
+
+    @property
+    def slots(self) -> tuple[Slot, ...]:
+        """Its parameters."""
+        return self.model.slots
+
+    def measures(self, plan: Plan, measure: Measure) -> np.ndarray:
+        """(M, d, p) what the poses measure, in units of the noise, by every parameter."""
+        made = []
+        for rows in _rows(self.model.arm, plan, measure):
+            found = equations(self.model, rows, posture(self.model, rows)).columns
+            noise = np.array([self.sigma[unit == "rad"] for unit in rows.units])
+            made.append(found * self.scale / noise[:, None])
+        return np.concatenate(made, axis=1)
+
+    def tips(self, q: np.ndarray) -> np.ndarray:
+        """(p, p) mean square of the error of the seen tip (m^2), per parameter, over poses.
+
+        As it is seen: the scale of the camera and that of the arm are one, whatever is measured.
+        """
+        rows = Session.record(q, np.zeros((len(q), 3)), approach=_sides(len(q)))
+        columns = self.model.columns(posture(self.model, rows))[1] * self.scale
+        return np.asarray(np.einsum("nip,niq->pq", columns, columns) / len(q))
+
+
+def optimal_poses(
+    uncertain: Uncertainty,
+    n: int,
+    *,
+    criterion: Criterion = "i-optimal",
+    measure: Measure = "position",
+    allowed: Callable[[Plan], np.ndarray] | None = None,
+    rng: np.random.Generator | int = 0,
+) -> OptimalPlan:
+    """n poses of a pool within the limits, each joint with room for its run-up.
+
+    Args:
+        uncertain: what is not known.
+        n: number of poses.
+        criterion: what shall become small.
+        measure: what each pose measures.
+        allowed: (M,) which poses of a plan may be driven and are seen; all where absent.
+        rng: draws pool and sides.
+
+    Raises:
+        InputError: n is below 1, or fewer poses are allowed.
+    """
+    arm = uncertain.model.arm
+    rng = np.random.default_rng(rng)
+    pool = sobol(arm, max(POOL, 4 * n), rng)
+    kept = np.arange(len(pool)) if allowed is None else np.flatnonzero(allowed(pool))
+    if not 1 <= n <= len(kept) - AHEAD:
+        most = f"1 to {max(len(kept) - AHEAD, 0)} ({len(kept)} of {len(pool)} poses are allowed)"
+        raise InputError("plan", "n", n, most)
+    q, sides = pool.q[kept], pool.approach[kept]
+    x = uncertain.measures(Plan(q, sides), measure)
+    tips = uncertain.tips(random_joints(arm, REFERENCE, rng))
+    choice = _Choice(x, uncertain.information, tips if criterion == "i-optimal" else None)
+    chosen = choice.exchanged(choice.grown([], n))
+    more = choice.grown(chosen, AHEAD)
+    ends = [np.sqrt(np.trace(tips @ choice.covariance(rows))) for rows in (chosen, more)]
+    return OptimalPlan(q[chosen], sides[chosen], None, *map(float, ends))
+
+
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """Choice among M poses.
+
+    Attributes:
+        x: (M, d, p) what each measures.
+        information: (p, p) before any.
+        tips: (p, p) whose product with the covariance shall be small; None: its determinant.
+    """
+
+    x: np.ndarray
+    information: np.ndarray
+    tips: np.ndarray | None
+
+    def covariance(self, chosen: Sequence[int]) -> np.ndarray:
+        """(p, p) once these are measured."""
+        rows = self.x[list(chosen)].reshape(-1, self.x.shape[2])
+        return np.asarray(np.linalg.inv(self.information + rows.T @ rows))
+
+    def gains(self, covariance: np.ndarray, taken: Sequence[int]) -> np.ndarray:
+        """(M,) what each further pose would take off; none for those that are taken."""
+        through = self.x @ covariance
+        own = through @ np.swapaxes(self.x, 1, 2) + np.eye(self.x.shape[1])
+        if self.tips is None:
+            gain = np.linalg.slogdet(own)[1]
+        else:
+            left = through @ self.tips @ np.swapaxes(through, 1, 2)
+            gain = np.trace(np.linalg.solve(own, left), axis1=1, axis2=2)
+        gain[list(taken)] = -np.inf
+        return np.asarray(gain)
+
+    def grown(self, chosen: Sequence[int], n: int) -> list[int]:
+        """n more, each the best after those before it."""
+        made = list(chosen)
+        for _ in range(n):
+            made.append(int(np.argmax(self.gains(self.covariance(made), made))))
+        return made
+
+    def exchanged(self, chosen: list[int]) -> list[int]:
+        """Each pose replaced where another takes off more in its place."""
+        made = chosen.copy()
+        for _ in range(PASSES):
+            before = made.copy()
+            for k in range(len(made)):
+                others = made[:k] + made[k + 1 :]
+                made[k] = int(np.argmax(self.gains(self.covariance(others), others)))
+            if made == before:
+                break
+        return made
+
+
+def _rows(arm: Arm, plan: Plan, measure: Measure) -> list[Session]:
+    """What the poses measure, as sessions of one kind; the readings themselves do not matter."""
+    n, record = len(plan), partial(Session.record, plan.q, approach=plan.approach)
+    if measure == "position":
+        return [record(np.zeros((n, 3)))]
+    if measure == "pose":
+        turned = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
+        return [record(np.zeros((n, 3)), readings={"orientation": turned})]
+    places = [name for name, anchor in arm.anchors.items() if anchor.xyz_m is not None]
+    if not places:
+        raise InputError("plan", "measure", measure, "anchors with their places in arm.yaml")
+    blank, far = np.full((n, 3), np.nan), {"distance": np.ones((n, 1))}
+    return [record(blank, readings=far, labels={"anchor": np.full(n, name)}) for name in places]
+
+
+def _library(arm: Arm, rows: Session, model: Model) -> list[Effect | Bias]:
+    """Every effect that the arm may have and that needs no further record, once a place."""
+    made: dict[tuple[str, str], Effect | Bias] = {}
+    for candidate in library(arm, rows.context(), None, model.terms).testable:
+        for term in candidate.terms:
+            made.setdefault((term.name, term.where), term)
+    return list(made.values())
+
+
+def _sides(n: int) -> np.ndarray:
+    return np.where(np.arange(n) % 2 == 0, 1.0, -1.0)

@@ -1,0 +1,111 @@
+"""Which poses to measure: held-out error of the true tip by grid, Sobol and I-optimal poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.plan import Plan, grid, random_joints, sobol
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.identify.calibrate import stages
+from longarm_comp.core.identify.candidates import library
+from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.optimal_poses import Uncertainty, optimal_poses
+from longarm_comp.core.identify.search import search
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
+from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.context import TrueContext
+from longarm_comp.sim.hidden import catalogue
+from longarm_comp.sim.hidden.base import HiddenEffect
+
+COUNTS = (40, 60, 100, 200)
+SIGMA_M = 3e-4
+"""Noise of a coordinate."""
+FRESH = 300
+"""Poses that are never measured."""
+WAYS = ("grid", "sobol", "i-optimal")
+HIDDEN = ("joint_zero", "dh_error", "base_pose", "joint_compliance")
+"""What the true arm hides; the last is the effect that is known, or to be found."""
+
+
+@dataclass(frozen=True)
+class PoseOutcome:
+    """Mean error (m) of the true tip at fresh poses.
+
+    Attributes:
+        way: how the poses were chosen.
+        n: how many.
+        known: whether the calibration was told the hidden effect.
+        error: m.
+        expected: rms error that the plan had expected, m; NaN of other plans.
+    """
+
+    way: str
+    n: int
+    known: bool
+    error: float
+    expected: float
+
+
+def planned(arm: Arm, way: str, n: int, known: bool, seed: int) -> Plan:
+    """The poses of one way; only I-optimal ones depend on what is known."""
+    if way == "grid":
+        return grid(arm, n, seed)
+    if way == "sobol":
+        return sobol(arm, n, seed)
+    model = declared_model(arm)
+    if known:
+        model = model.plus(*JointCompliance.for_arm(arm))
+    uncertain = Uncertainty.of(model, None, "position", known=known, sigma=(SIGMA_M, 1e-3))
+    return optimal_poses(uncertain, n, rng=seed)
+
+
+def one_arm(
+    arm: Arm, seed: int, counts: Sequence[int] = COUNTS, ways: Sequence[str] = WAYS
+) -> Iterator[PoseOutcome]:
+    """Every way and count on one true arm, with the effect known and to be found."""
+    rng = np.random.default_rng([seed, 5])
+    drawn = (catalogue.hidden(name, arm, 1.0, rng) for name in HIDDEN)
+    true = TrueArm(arm, [effect for effect in drawn if isinstance(effect, HiddenEffect)])
+    fresh = random_joints(arm, FRESH, rng)
+    where = true.tip(fresh, TrueContext())
+    for n in counts:
+        for known in (True, False):
+            for way in ways:
+                plan = planned(arm, way, n, known, seed)
+                noise = np.random.default_rng([seed, n, 7])
+                xyz = true.tip(plan.q, TrueContext())
+                xyz = xyz + SIGMA_M * noise.standard_normal(xyz.shape)
+                session = Session.record(plan.q, xyz, approach=plan.approach, source=way)
+                model = _identified(arm, session, known)
+                error = np.linalg.norm(model.tip(fresh) - where, axis=1).mean()
+                expected = float(getattr(plan, "expected_m", np.nan))
+                yield PoseOutcome(way, n, known, float(error), expected)
+
+
+def _identified(arm: Arm, session: Session, known: bool) -> Model:
+    """The calibrated model with its effect: fitted where it is known, searched where it is not."""
+    base = dict(stages(declared_model(arm), session))["geometry"].model
+    if known:
+        return fit(base.plus(*JointCompliance.for_arm(arm)), session).model
+    candidates = library(arm, session.context(), None, base.terms)
+    return search(base, session, candidates.testable).fit.model
+
+
+def table(found: Sequence[PoseOutcome]) -> list[dict[str, Any]]:
+    """Mean error over the arms in mm: a row a count, known and to be found; a column a way."""
+    rows = []
+    for known in (True, False):
+        for n in sorted({one.n for one in found}):
+            row: dict[str, Any] = {"effect": "known" if known else "to be found", "poses": n}
+            for way in dict.fromkeys(one.way for one in found):
+                errors = [o.error for o in found if (o.n, o.known, o.way) == (n, known, way)]
+                row[f"{way}_mm"] = round(1e3 * float(np.mean(errors)), 3)
+            rows.append(row)
+    return rows

@@ -1,0 +1,243 @@
+"""`longarm init` and `longarm check`: files that fit together, for any arm; what is assumed."""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_shell import Shell
+from some_arms import COLUMN, HOBBY, NINE
+from test_urdf import example
+
+from longarm_comp.arm_folder.check import check_folder
+from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
+from longarm_comp.arm_folder.sight import seen_from
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.devices.servo_config import ServoConfig
+
+UR5 = ("--urdf", "UR5", "--base", "base_link", "--tip", "tool0")
+NODES = ("servo_driver", "stereo_bridge", "simulated_arm")
+
+
+def made(shell: Shell, folder: str, *words: str) -> Path:
+    path = str(example("ur_description/urdf/ur5_robot.urdf")) if "UR5" in words else ""
+    assert shell("init", folder, *(path if w == "UR5" else w for w in words)) == 0, shell.err
+    return shell.folder / folder
+
+
+def levels(folder: Path, level: str) -> list[str]:
+    return [f.where for f in check_folder(folder) if f.level == level]
+
+
+def replaced(file: Path, old: str, new: str) -> None:
+    text = file.read_text()
+    assert re.search(old, text), f"{old} is not in {file.name}"
+    file.write_text(re.sub(old, new, text, count=1))
+
+
+@pytest.mark.parametrize(
+    ("words", "joints", "seen"),
+    [
+        (UR5, 6, 0.95),
+        (HOBBY, 6, 0.85),
+        (NINE, 9, 0.8),
+        (COLUMN, 4, 0.7),
+        (("--like", "demo"), 7, 1),
+    ],
+    ids=["ur5", "hobby", "nine", "column", "demo"],
+)
+def test_files_fit_together(shell: Shell, words: tuple[str, ...], joints: int, seen: float) -> None:
+    folder = made(shell, "mine", *words)
+    arm = Arm.load(folder / "arm.yaml")
+    servos = ServoConfig.load(folder / "servo_driver.yaml")
+    assert arm.n == joints
+    assert tuple(servos.joints) == arm.joint_names
+    lower = [servos.joints[name].lower for name in arm.joint_names]
+    np.testing.assert_allclose(lower, arm.lower, atol=1e-6)
+    given = {n: own_parameters(n) | read_parameters(folder / f"{n}.yaml") for n in NODES[1:]}
+    sight = seen_from(arm, given["stereo_bridge"], given["simulated_arm"], poses=24)
+    assert sight.seen >= seen
+    assert sight.off_mm < 0.3
+    carried = arm.payload.mass_kg if arm.payload else 0.0
+    assert given["simulated_arm"]["payload_kg"] == carried
+    assert shell("check", folder) == 0
+
+
+def test_a_dh_table_is_the_same_arm_asked_or_given(
+    shell: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = made(shell, "given", *HOBBY, "--name", "hobby")
+    answers = ["hobby", "6"]
+    answers += ["", "", "", "0.09", "", "-60..60", "0", "0.06"]
+    answers += ["", "90", "", "", "60", "-30..30", "0.06"]
+    answers += ["", "", "0.16", "", "-70", "-40..40", "20/17", "petg", "0.06"]
+    answers += ["", "", "0.12", "", "-20", "-40..40", "20/17", "petg", "0.05"]
+    answers += ["", "-90", "", "0.05", "", "-40..40", "", "0.05"]
+    answers += ["", "90", "", "", "", "-40..40", "0.02", "0.06 0 0.03", "0.03"]
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n".join(answers) + "\n"))
+    asked = made(shell, "asked")
+    assert (asked / "arm.yaml").read_text() == (given / "arm.yaml").read_text()
+    arm = Arm.load(asked / "arm.yaml")
+    tube = arm.links[0]
+    assert tube.mass_kg == pytest.approx(1270 * math.pi / 4 * (0.02**2 - 0.017**2) * 0.16, rel=1e-3)
+    monkeypatch.setattr(sys, "stdin", io.StringIO("hobby\n2\n"))
+    assert "or a terminal" in shell.refused("init", "cut")
+    assert not (shell.folder / "cut").exists()
+
+
+def test_a_urdf_is_narrowed_about_its_home(shell: Shell) -> None:
+    folder = made(shell, "ur5", *UR5, "--home", "elbow_joint=60", "--range", "30")
+    arm = Arm.load(folder / "arm.yaml")
+    elbow = arm.joint_names.index("elbow_joint")
+    np.testing.assert_allclose(np.degrees([arm.lower[elbow], arm.upper[elbow]]), [45, 75])
+    np.testing.assert_allclose(np.degrees(arm.upper[0]), 15)
+    assert "whole range -360 to 360 deg" in (folder / "arm.yaml").read_text()
+    whole = Arm.load(made(shell, "whole", *UR5, "--range", "0") / "arm.yaml")
+    np.testing.assert_allclose(np.degrees(whole.upper[0]), 360)
+    wide = ServoConfig.load(shell.folder / "whole" / "servo_driver.yaml")
+    assert wide.joints["shoulder_pan_joint"].gear_ratio < 10
+    word = "--home", "elbow_joint=200"
+    assert "--home elbow_joint" in shell.refused("init", "no", *_urdf(), *word)
+    assert "shoulder_pan_joint" in shell.refused("init", "no", *_urdf(), "--home", "knee=2")
+
+
+def _urdf() -> tuple[str, ...]:
+    return ("--urdf", str(example("ur_description/urdf/ur5_robot.urdf")), *UR5[2:])
+
+
+def test_servos_stand_at_the_steps_that_the_arm_declares(shell: Shell) -> None:
+    folder = made(shell, "mine", *COLUMN)
+    file = folder / "arm.yaml"
+    replaced(file, r"limits_deg: \[-60.0, 60.0\]", "limits_deg: [-60.0, 60.0], step_deg: 0.01")
+    replaced(file, r"limits_m: \[0.0, 0.4\]", "limits_m: [0.0, 0.4], step_m: 2.0e-5")
+    assert levels(folder, "implausible")  # the gearing of before cannot stand there
+    again = made(shell, "again", "--arm", str(file))
+    assert (again / "arm.yaml").read_text() == file.read_text()
+    assert not [f for f in check_folder(again) if f.blocks]
+    joint = ServoConfig.load(again / "servo_driver.yaml").joints["swing"]
+    assert math.degrees(joint.si_per_tick) == pytest.approx(0.01)
+    replaced(file, "step_m: 2.0e-5", "step_m: 1.0e-6")
+    assert "step of lift" in shell.refused("init", "fine", "--arm", file)
+    assert shell("init", "fine", "--arm", file, "--servos", "xm430-w350") == 0
+    assert ServoConfig.load(shell.folder / "fine" / "servo_driver.yaml").bus.protocol == "dynamixel"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--joint", "type=spherical"), "joint 1, type"),
+        (("--joint", "limits=30..-30"), "joint 1, limits"),
+        (("--joint", "d=0.1", "--joint", "a=x"), "joint 2, a"),
+        (("--joint", "a=0.1 tube_a=3/4"), "joint 1, tube_a"),
+        (("--joint", "tube_a=30/26"), "because a is 0"),
+        (("--joint", "colour=red"), "--joint"),
+        (("--joint", "d=1 tube_d=9 material=gold"), "aluminium"),
+        (("--like", "demo", "--joint", "d=1"), "--like and --joint"),
+        (("--joint", "d=0.1", "--servos", "ax12"), "--servos"),
+        (("--urdf", "no.urdf"), "no.urdf"),
+        (("--arm", "no.yaml"), "no.yaml"),
+        (("--joint", "a=0.1 d=0.1", "--home", "joint1"), "--home"),
+    ],
+)
+def test_a_wrong_answer_is_one_line_and_leaves_nothing(
+    shell: Shell, words: tuple[str, ...], said: str
+) -> None:
+    assert said in shell.refused("init", "mine", *words)
+    assert list(shell.folder.iterdir()) == []
+
+
+def test_nothing_is_overwritten(shell: Shell) -> None:
+    (shell.folder / "mine").mkdir()
+    (shell.folder / "mine" / "thesis.txt").write_text("")
+    assert "new or empty" in shell.refused("init", "mine", "--like", "demo")
+    assert [p.name for p in (shell.folder / "mine").iterdir()] == ["thesis.txt"]
+
+
+FAULTS = {
+    "an arm in millimetres": ("arm.yaml", r"a_m: 0.16", "a_m: 160.0", "implausible", "arm.yaml"),
+    "an unknown key": ("arm.yaml", "tip:", "top:", "implausible", "arm.yaml: tip"),
+    "a soft tube": ("arm.yaml", r"E_pa: [\d.e+]+", "E_pa: 2.1e6", "implausible", "arm.yaml: links"),
+    "other limits": ("servo_driver.yaml", r"upper: [\d.]+", "upper: 0.9", "implausible",
+                     "servo_driver.yaml: joints.joint1"),
+    "another joint": ("servo_driver.yaml", "joint6:", "joint7:", "implausible",
+                      "servo_driver.yaml: joints"),
+    "an id twice": ("servo_driver.yaml", "servo_id: 2", "servo_id: 1", "implausible",
+                    "servo_driver.yaml: joints.joint2.servo_id"),
+    "cameras that look away": ("simulated_arm.yaml", r"axis: \[.*\]", "axis: [0.7, -0.7, 0.0]",
+                               "implausible", "simulated_arm.yaml: camera, marker"),
+    "a camera elsewhere": ("stereo_bridge.yaml", r"xyz: \[[-\d.]+", "xyz: [0.5", "implausible",
+                           "stereo_bridge.yaml: hand_eye"),
+    "a number as text": ("stereo_bridge.yaml", r"tag_m: [\d.]+", "tag_m: big", "implausible",
+                         "stereo_bridge.yaml: marker.tag_m"),
+    "an unknown parameter": ("simulated_arm.yaml", "seed:", "sead:", "implausible",
+                             "simulated_arm.yaml: sead"),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def hobby(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("folder") / "hobby"
+    assert Shell(folder.parent)("init", folder, *HOBBY) == 0
+    return folder
+
+
+def copied(folder: Path, to: Path) -> Path:
+    to.mkdir()
+    for file in folder.iterdir():
+        (to / file.name).write_text(file.read_text())
+    return to
+
+
+@pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS)
+def test_check_names_what_is_wrong(
+    shell: Shell, hobby: Path, fault: tuple[str, str, str, str, str]
+) -> None:
+    file, old, new, level, where = fault
+    folder = copied(hobby, shell.folder / "mine")
+    replaced(folder / file, old, new)
+    assert "cannot be used yet" in shell.refused("check", folder, code=3)
+    listed = [line for line in shell.out.splitlines() if line.startswith(level)]
+    assert any(line.split()[1].startswith(where.split()[0]) and where in line for line in listed)
+
+
+@pytest.mark.parametrize("name", ["arm.yaml", *(f"{node}.yaml" for node in NODES)])
+def test_check_names_a_missing_file(shell: Shell, hobby: Path, name: str) -> None:
+    folder = copied(hobby, shell.folder / "mine")
+    (folder / name).unlink()
+    assert levels(folder, "missing") == [name]
+
+
+def test_what_was_measured_is_no_longer_listed(shell: Shell, hobby: Path) -> None:
+    folder = copied(hobby, shell.folder / "mine")
+    before = levels(folder, "unmeasured")
+    assert [where.split(":")[0] for where in before] == [
+        *("servo_driver.yaml", "stereo_bridge.yaml", "stereo_bridge.yaml", "stereo_bridge.yaml"),
+        "samples.csv",
+    ]
+    servos = folder / "servo_driver.yaml"
+    servos.write_text(servos.read_text().replace("zero_ticks: 2048.0", "zero_ticks: 1990.0"))
+    replaced(
+        folder / "stereo_bridge.yaml", r"tip_in_marker: \[.*\]", "tip_in_marker: [0.0, 0.001, 0.0]"
+    )
+    (folder / "samples.csv").write_text("")
+    after = levels(folder, "unmeasured")
+    assert after == ["stereo_bridge.yaml: hand_eye", "stereo_bridge.yaml: marker"]
+    listed = shell.json("check", folder)
+    assert [finding["where"] for finding in listed] == after
+    assert "no such" not in shell.err
+    assert shell.refused("check", shell.folder / "nowhere").startswith("longarm: ")
+
+
+def test_the_arm_file_says_what_it_means(hobby: Path) -> None:
+    text = (hobby / "arm.yaml").read_text()
+    assert "# Modified DH (Craig)" in text and "# Elastic beams" in text
+    arm = Arm.load(hobby / "arm.yaml")
+    assert np.linalg.norm(declared_model(arm).tip(arm.mid)) < 0.6
+    comments = (hobby / "stereo_bridge.yaml").read_text()
+    assert "# left optical frame in the base frame, m" in comments

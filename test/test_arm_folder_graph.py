@@ -1,0 +1,77 @@
+"""`longarm up` with arms that are not the demonstration's, over a real graph."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from cli_shell import Shell
+from some_arms import COLUMN, HOBBY
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.jobs.client import ArmClient
+from longarm_comp.nodes.bringup import BringUp
+from longarm_comp.share import folder
+
+
+def test_a_new_folder_runs_as_it_is(ros_domain: int, tmp_path: Path) -> None:
+    """A column with two stages: every joint moves, and the tip is seen where it should be."""
+    assert Shell(tmp_path)("init", tmp_path / "column", *COLUMN) == 0
+    file = tmp_path / "column" / "arm.yaml"
+    arm = Arm.load(file)
+    words = [sys.executable, "-m", "longarm_comp", "up", str(file), "--sim", "--speed", "10"]
+    process = subprocess.Popen(words, text=True, stderr=subprocess.PIPE)
+    goal = arm.mid + 0.2 * (arm.upper - arm.lower) * np.array([1.0, -1.0, 1.0, -1.0])
+    try:
+        with ArmClient(arm) as client:
+            client.ready(120.0)
+            assert client.joints is not None
+            assert np.abs(goal - client.joints).min() > 0.05
+            client.send(goal[None], 0.1)
+            rest = client.arrive(goal[None], np.full(arm.n, 2e-3), 0.1, 120.0)
+            seen = client.look(rest + 50_000_000, 2, 60.0)
+        process.send_signal(signal.SIGINT)
+        noise = process.communicate(timeout=60)[1]
+    finally:
+        process.kill()
+    assert process.returncode == 0, noise
+    np.testing.assert_allclose(np.mean(seen, axis=0), declared_model(arm).tip(goal), atol=2e-3)
+
+
+def test_a_bare_arm_gets_files_that_fit_in_simulation_only(tmp_path: Path) -> None:
+    assert Shell(tmp_path)("init", tmp_path / "whole", *HOBBY) == 0
+    bare = tmp_path / "bare" / "arm.yaml"
+    bare.parent.mkdir()
+    bare.write_text((tmp_path / "whole" / "arm.yaml").read_text())
+    (bare.parent / "kinematics.yaml").write_text((folder("config") / "kinematics.yaml").read_text())
+    scratch = tmp_path / "scratch"
+    graph = BringUp(arm=bare, sim=True).fitted(scratch)
+    servos = ServoConfig.load(graph.file("servo_driver"))
+    assert tuple(servos.joints) == Arm.load(bare).joint_names
+    assert graph.parameters("simulated_arm", "")["servos"] == str(scratch / "servo_driver.yaml")
+    assert graph.file("kinematics") == scratch / "kinematics.yaml"
+    assert graph.file("error_predictor") == folder("config") / "error_predictor.yaml"
+    with pytest.raises(InputError, match=r"joint1, .* longarm init DIR --arm"):
+        BringUp(arm=bare).fitted(scratch)
+    given = tmp_path / "given"
+    given.mkdir()
+    (given / "servo_driver.yaml").write_text((folder("config") / "servo_driver.yaml").read_text())
+    with pytest.raises(InputError, match="given"):
+        BringUp(arm=bare, sim=True, config=given).fitted(scratch)
+
+
+def test_files_beside_the_arm_are_used(tmp_path: Path) -> None:
+    assert Shell(tmp_path)("init", tmp_path / "mine", *HOBBY) == 0
+    graph = BringUp(arm=tmp_path / "mine" / "arm.yaml", sim=True)
+    assert graph.fitted(tmp_path) is graph
+    assert graph.file("stereo_bridge") == tmp_path / "mine" / "stereo_bridge.yaml"

@@ -1,0 +1,178 @@
+"""Optimal poses: the algebra against brute force, what may be driven, what rows bring, commands."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+from sensed_arm import ANCHORS, SIGMA, ZEROS, declared, miss, read, sensed
+from small_arm import ARM
+
+import longarm_comp as la
+from longarm_comp.cli.plan import command
+from longarm_comp.core.arm.moves import run_up_lengths
+from longarm_comp.core.data.allowed_poses import in_view, outside_boxes
+from longarm_comp.core.data.plan import Plan, random_joints, sobol
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.calibrate import stages
+from longarm_comp.core.identify.optimal_poses import Uncertainty, _Choice, optimal_poses
+from longarm_comp.core.model.model import Model
+from longarm_comp.sessions.csv import write_csv
+from longarm_comp.sessions.poses import read_poses
+from longarm_comp.sim.arm_truth import TrueArm
+
+NOISE = (SIGMA, 1e-3)
+
+
+@pytest.fixture(scope="module")
+def unknown() -> Uncertainty:
+    return Uncertainty.of(Model(ARM), None, "position", known=True, sigma=NOISE)
+
+
+def expected(uncertain: Uncertainty, plan: Plan, measure: str = "position") -> float:
+    """Rms error of the tip, m, from the inverse of all information."""
+    x = uncertain.measures(plan, measure).reshape(-1, len(uncertain.scale))  # type: ignore[arg-type]
+    cover = np.linalg.inv(uncertain.information + x.T @ x)
+    return float(np.sqrt(np.trace(uncertain.tips(random_joints(ARM, 200, 3)) @ cover)))
+
+
+def test_a_gain_is_what_the_criterion_loses(unknown: Uncertainty) -> None:
+    x = unknown.measures(sobol(ARM, 20, 1), "position")
+    tips = unknown.tips(random_joints(ARM, 50, 2))
+    for weight in (tips, None):
+        choice = _Choice(x, unknown.information, weight)
+
+        def criterion(rows: list[int], choice: _Choice = choice) -> float:
+            cover = choice.covariance(rows)
+            if choice.tips is None:
+                return float(np.linalg.slogdet(cover)[1])
+            return float(np.trace(choice.tips @ cover))
+
+        taken = [0, 3, 4, 9]
+        gains = choice.gains(choice.covariance(taken), taken)
+        for k in (1, 7, 19):
+            lost = criterion(taken) - criterion([*taken, k])
+            assert gains[k] == pytest.approx(lost, rel=1e-5)
+        assert (gains[taken] == -np.inf).all()
+        grown = choice.grown([], 8)
+        assert criterion(choice.exchanged(grown)) <= criterion(grown) + 1e-12
+        assert len(set(choice.exchanged(grown))) == 8
+
+
+@pytest.mark.parametrize("measure", ["position", "pose", "distance"])
+def test_chosen_poses_leave_less_than_others(measure: str) -> None:
+    arm = declared(anchors={name: {"xyz_m": place} for name, place in ANCHORS.items()})
+    uncertain = Uncertainty.of(Model(arm), None, measure, known=True, sigma=NOISE)  # type: ignore[arg-type]
+    plan = optimal_poses(uncertain, 15, measure=measure, rng=0)  # type: ignore[arg-type]
+    others = [expected(uncertain, sobol(ARM, 15, seed), measure) for seed in range(8)]
+    mine = expected(uncertain, plan, measure)
+    assert mine < 0.95 * min(others)
+    assert plan.expected_m == pytest.approx(mine, rel=0.1)
+    assert plan.ahead_m < plan.expected_m
+    start = plan.q - plan.approach * run_up_lengths(ARM)
+    assert ((start >= ARM.lower) & (start <= ARM.upper)).all()
+
+
+def test_chosen_poses_calibrate_the_true_arm_better(unknown: Uncertainty) -> None:
+    true, left = TrueArm(ARM, ZEROS), {"sobol": [], "i-optimal": []}
+    for seed in range(6):
+        plans = {"sobol": sobol(ARM, 10, seed), "i-optimal": optimal_poses(unknown, 10, rng=seed)}
+        for way, plan in plans.items():
+            noise = 1e-3 * np.random.default_rng(seed).standard_normal((10, 3))
+            rows = Session.record(plan.q, true.tip(plan.q) + noise, approach=plan.approach)
+            *_, (_, fitted) = stages(Model(ARM), rows)
+            left[way].append(miss(fitted.model))
+    assert np.mean(left["i-optimal"]) < 0.9 * np.mean(left["sobol"])
+
+
+def test_rows_measured_so_far_count(unknown: Uncertainty) -> None:
+    session = read(sensed(n=40))
+    after = Uncertainty.of(Model(ARM), session, "position", known=True, sigma=(1.0, 1.0))
+    assert after.sigma[0] == pytest.approx(SIGMA, rel=0.3)  # the rows' own
+    first, next_ = optimal_poses(unknown, 10, rng=0), optimal_poses(after, 10, rng=0)
+    assert next_.expected_m < 0.7 * first.expected_m
+    wide = Uncertainty.of(Model(ARM), session, "position", known=False, sigma=NOISE)
+    assert len(wide.slots) > len(after.slots) + 5
+    assert optimal_poses(wide, 10, rng=0).expected_m > next_.expected_m
+
+
+def test_boxes_keep_the_whole_arm_and_its_run_up_out() -> None:
+    model, q = Model(ARM), ARM.mid[None]
+    tip = model.tip(q)[0]
+    elbow = model.posture(list(ARM.mid)).frames[3].matrix()[:3, 3]
+    ahead = Plan(q, np.ones((1, ARM.n)))
+    for place in (tip, elbow, 0.5 * (tip + model.tip(q)[0])):
+        box = np.array([place - 5e-3, place + 5e-3])
+        assert not outside_boxes(model, ahead, [box])[0]
+        assert not outside_boxes(model, ahead, [box[::-1], box + 5.0])[0]
+    assert outside_boxes(model, ahead, [np.array([tip, tip]) + 5.0])[0]
+    begun = model.tip(ARM.mid - run_up_lengths(ARM))
+    box = np.array([begun - 5e-3, begun + 5e-3])
+    assert not outside_boxes(model, ahead, [box])[0]
+    assert outside_boxes(model, Plan(q, -np.ones((1, ARM.n))), [box])[0]
+
+
+def test_the_tip_is_in_the_view_of_some_camera() -> None:
+    plan = sobol(ARM, 64, 0)
+    tip = Model(ARM).tip(plan.q)
+    place = np.array([0.4, -2.0, 0.4])
+    arm = declared(camera={"position_m": place.tolist(), "optical_axis": [0, 2, 0]})
+    ray = tip - place
+    angle = np.arccos(ray[:, 1] / np.linalg.norm(ray, axis=1))
+    half = float(np.median(angle))
+    np.testing.assert_array_equal(in_view(Model(arm), plan, half), angle <= half)
+    away = declared(camera={"position_m": place.tolist(), "optical_axis": [0, -1, 0]})
+    assert not in_view(Model(away), plan, 1.0).any()
+    side = {"kind": "camera", "xyz_m": place.tolist(), "rpy_deg": [-90, 0, 0]}  # looks along y
+    both = declared(camera=away.camera.model_dump(), sensors={"side": side})  # type: ignore[union-attr]
+    np.testing.assert_array_equal(in_view(Model(both), plan, half), angle <= half)
+    with pytest.raises(InputError, match=r"a camera in arm\.yaml"):
+        in_view(Model(ARM), plan, 1.0)
+
+
+def test_the_command_plans_says_when_to_stop_and_respects_a_box(tmp_path: Path) -> None:
+    file, out = tmp_path / "arm.yaml", tmp_path / "p.csv"
+    file.write_text(yaml.safe_dump(ARM.model_dump(mode="json", exclude_defaults=True)))
+    write_csv(read(sensed(n=40)), tmp_path / "rows.csv")
+    la.calibrate(ARM, tmp_path / "rows.csv").save(tmp_path / "model.yaml")
+    tips = Model(ARM).tip(random_joints(ARM, 200, 0))
+    low, high = np.median(tips, axis=0) - np.eye(3)[2], tips.max(axis=0) + 1.0
+    run = CliRunner().invoke
+    box = ["--keep-out", *map(str, (*low, *high))]
+    known = ["--model", str(tmp_path / "model.yaml"), "--measured", str(tmp_path / "rows.csv")]
+    words = [str(file), "--kind", "i-optimal", "-n", "12", "-o", str(out)]
+    done = run(command, [*words, *box, *known])
+    assert done.exit_code == 0, done.output
+    assert "20 more poses would bring" in done.stderr
+    there = Model(ARM).tip(read_poses(out, ARM).q)
+    assert len(there) == 12 and not ((there > low) & (there < high)).all(axis=1).any()
+    told = json.loads(run(command, [*words, "--json", *known]).stdout)
+    assert 0 < told["expected_with_20_more_mm"] < told["expected_mm"] < 0.5
+
+
+def test_what_cannot_be_planned_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="anchors with their places"):
+        la.plan(ARM, 5, kind="d-optimal", model=Model(ARM), measure="distance")
+    with pytest.raises(InputError, match=r"poses are allowed"):
+        everywhere = [[-9, -9, -9, 9, 9, 9]]
+        la.plan(ARM, 5, kind="i-optimal", model=Model(ARM), keep_out=everywhere)
+    with pytest.raises(InputError, match="two corners"):
+        la.plan(ARM, 5, kind="i-optimal", model=Model(ARM), keep_out=[[1, 2, 3]])
+    with pytest.raises(InputError, match=r"sobol.*i-optimal or d-optimal"):
+        la.plan(ARM, 5, keep_out=[[0, 0, 0, 1, 1, 1]])
+
+
+def test_a_diagnosis_is_what_is_known(tmp_path: Path) -> None:
+    write_csv(read(sensed(n=60)), tmp_path / "rows.csv")
+    la.diagnose(ARM, tmp_path / "rows.csv", network=False).save(tmp_path / "found")
+    after = la.plan(ARM, 10, kind="i-optimal", report=tmp_path / "found")
+    before = la.plan(ARM, 10, kind="i-optimal", model=Model(ARM))
+    assert after.expected_m < 0.7 * before.expected_m  # type: ignore[attr-defined]
+    (tmp_path / "rows.csv").unlink()
+    alone = la.plan(ARM, 10, kind="i-optimal", report=tmp_path / "found")
+    assert alone.expected_m > after.expected_m  # type: ignore[attr-defined]
