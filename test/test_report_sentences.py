@@ -163,6 +163,7 @@ def test_a_cause_without_a_name_has_a_card_and_is_counted(told: list[Told]) -> N
         domain=["q2 0..0.52 rad"],
         reading="behaves like a cable that pulls",
         title="cause without a name",
+        doubts=["q2 was measured at few positions; between them it is a guess"],
         action="Look there for what it behaves like.",
         log_evidence=40.0,
         tip_mm=record.TipShift(rms=1.25, max=3.75),
@@ -181,6 +182,8 @@ def test_a_cause_without_a_name_has_a_card_and_is_counted(told: list[Told]) -> N
     assert card.title == "Cause without a name, joint 5" and card.action == cause.action
     assert card.tip == "1.25 mm at the tip, up to 3.75 mm"
     assert card.sure == "certain; the place is open" and "joint 6, force y" in card.because
+    assert "few positions" in cards.open_questions(found, Detail())[0].items[0]
+    assert card.doubts == tuple(cause.doubts)
     assert card.improves == "1.39 → 0.11 mm" and "compensates it" in card.software
 
 

@@ -103,9 +103,9 @@ def _unnamed(found: ReportDiscovered) -> Card:
         more=0,
         reading=f"{found.formula}. {found.reading[:1].upper()}{found.reading[1:]}.",
         tip=tip,
-        sure=word + ("; the place is open" if others else ""),
+        sure=word + ("; the place is open" if others else _with_doubts(found.doubts)),
         because=said,
-        doubts=(),
+        doubts=tuple(found.doubts),
         action=found.action,
         software=held if found.compensated else "Commands leave it out.",
         improves=change(found.held_out_rms_mm),
@@ -185,9 +185,15 @@ def _sure(finding: ReportFinding) -> tuple[str, str]:
         sure += "; the name is open"
     elif _word(margin) != sure:
         sure += f"; the name is {_word(margin)}"
-    elif finding.doubts:
-        sure += ", with a doubt" if len(finding.doubts) == 1 else ", with doubts"
+    else:
+        sure += _with_doubts(finding.doubts)
     return sure, ". ".join(said) + "."
+
+
+def _with_doubts(doubts: list[str]) -> str:
+    if not doubts:
+        return ""
+    return ", with a doubt" if len(doubts) == 1 else ", with doubts"
 
 
 def _word(log_odds: float) -> str:
@@ -347,6 +353,11 @@ def open_questions(report: DiagnosisReport, detail: Detail) -> list[Open]:
         for f in report.findings
         if len(f.set) > 1 and tuple(f.set) not in split
     ]
+    doubts = dict.fromkeys(d for found in report.discovered if found.kept for d in found.doubts)
+    more = len(report.next_poses) - sum(len(split.poses) for split in detail.splits)
+    if doubts:
+        poses = f": {more} poses in next_poses.csv would tell" if more > 0 else ""
+        made.append(Open(f"What was found without a name is in doubt{poses}:", tuple(doubts)))
     rows = report.candidates
     untested = tuple(
         f"{c.effect}: {c.why}" for c in rows if c.state == "not_testable" and c.why != NO_PLACE
