@@ -51,7 +51,7 @@ class Card:
 
     Attributes:
         title: what it is and where, in a line.
-        names: canonical name, with those that cannot be told from it.
+        names: canonical name, with those that cannot be told from it; empty without a name.
         where: its places.
         sizes: its parameters; `more` of them are not among these.
         reading: what the effect says of itself.
@@ -97,7 +97,7 @@ def _unnamed(found: ReportDiscovered) -> Card:
     held = "Inside the range of the data the new model.yaml compensates it."
     return Card(
         title=f"{(found.title or 'cause without a name').capitalize()}, {found.frame}",
-        names="discovered",
+        names="",
         where=found.frame,
         sizes=(),
         more=0,
