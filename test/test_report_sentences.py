@@ -18,8 +18,10 @@ from hidden_arm import at, session
 from report_pages import Page
 from small_arm import ARM
 
+from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.identify.diagnosis import Diagnosis, diagnose
 from longarm_comp.core.identify.evidence import Score
+from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.practical import practical
 from longarm_comp.core.identify.structure import SIGNIFICANT
 from longarm_comp.report import Detail, assemble, cards, record, tables
@@ -44,6 +46,24 @@ def test_the_real_one_has_findings_of_both_sides() -> None:
     assert len(names) >= 3 and "camera_drift" in names
 
 
+def test_a_finding_in_practice_is_the_model_against_the_model_without_it() -> None:
+    """The rest fitted again to first order, against a whole fit; the size as a sum by hand."""
+    found, fitted = real(), real().fit
+    (drift,) = (f for f in found.findings if f.name == "camera_drift")
+    made = practical(fitted, drift.terms, found.held_out)
+    rate = np.array([getattr(drift.terms[0], axis) for axis in "xyz"])
+    hours = fitted.session.columns["t_s"] / 3600
+    assert made.tip_m == pytest.approx(hours * np.linalg.norm(rate), rel=1e-6)
+    bare = dataclasses.replace(fitted.model, biases=())
+    again = fit(bare, found.train, sigma=fitted.sigma, rho=fitted.rho, weights=fitted.weights)
+    left = np.linalg.norm(errors(again.model, found.held_out), axis=1).mean()
+    assert made.seen.before == pytest.approx(left, rel=0.02)
+    assert made.seen.after == pytest.approx(found.rows["with_effects"].mean)
+    assert made.seen.before > 1.5 * made.seen.after
+    assert made.commanded.before == pytest.approx(made.seen.before)
+    assert made.commanded.after > 1.5 * made.seen.after
+
+
 class Network:
     """Stands for a network that was kept."""
 
@@ -57,14 +77,14 @@ def drawn(seed: int) -> Diagnosis:
     size = 10 ** rng.uniform(-4, -1.5)
     n = len(base.proof.errors["nominal"])
 
-    def errors() -> np.ndarray:
+    def left() -> np.ndarray:
         tail = 1 + 4 * (rng.random((n, 1)) < 0.05)
         return np.asarray(size * rng.uniform(0.05, 1.5) * tail * rng.standard_normal((n, 3)))
 
     stages = [*base.models, *(["with_network"] if network else [])]
-    seen = {stage: errors() for stage in stages}
+    seen = {stage: left() for stage in stages}
     alike = rng.random() < 0.5
-    commanded = seen if alike else {stage: errors() for stage in stages}
+    commanded = seen if alike else {stage: left() for stage in stages}
     flag = bool(rng.integers(2)) or network is not None
     structure = dataclasses.replace(
         base.structure,
