@@ -24,7 +24,8 @@ from longarm_comp.core.identify.evidence import Score
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.practical import practical
 from longarm_comp.core.identify.structure import SIGNIFICANT
-from longarm_comp.report import Detail, assemble, cards, record, tables
+from longarm_comp.report import Detail, assemble, cards, record, tables, verdict
+from longarm_comp.report.open_questions import open_questions
 from longarm_comp.report.page import page as rendered
 from longarm_comp.report.words import DASH
 from longarm_comp.sim.hidden import drives
@@ -157,11 +158,11 @@ def line(page: Page, tag: str) -> list[str]:
 
 def test_the_verdict_counts_what_was_found(told: list[Told]) -> None:
     for report, page in told:
-        said = cards.meaning(report)
+        said = verdict.meaning(report)
         assert said in page.words()
         n = len(report.findings)
         if n:
-            assert said.startswith(f"{cards.COUNTS[n].capitalize()} physical effect")
+            assert said.startswith(f"{verdict.COUNTS[n].capitalize()} physical effect")
             assert (" effects explain" in said) == (n > 1)
         else:
             assert "added" in said and "effect explains" not in said
@@ -195,21 +196,21 @@ def test_a_cause_without_a_name_has_a_card_and_is_counted(told: list[Told]) -> N
         found = report.model_copy(
             update={"discovered": [cause.model_copy(update={"kept": kept}), cause]}
         )
-        said, made = cards.meaning(found), cards.cards(found)
+        said, made = verdict.meaning(found), cards.cards(found)
         assert len(made) == 1 + kept
         assert ("two causes without a name were" in said) == kept and "none was added" not in said
     (card,) = made
     assert card.title == "Cause without a name, joint 5" and card.action == cause.action
     assert card.tip == "1.25 mm at the tip, up to 3.75 mm"
     assert card.sure == "certain; the place is open" and "joint 6, force y" in card.because
-    assert "few positions" in cards.open_questions(found, Detail())[0].items[0]
+    assert "few positions" in open_questions(found, Detail())[0].items[0]
     assert card.doubts == tuple(cause.doubts)
     assert card.improves == "1.39 → 0.11 mm" and "compensates it" in card.software
 
 
 def test_the_figures_of_the_first_screen_are_those_of_the_table(told: list[Told]) -> None:
     for report, page in told:
-        gain = cards.improvement(report)
+        gain = verdict.improvement(report)
         assert gain is not None
         before, after = line(page, "before"), line(page, "after")
         assert before and after
