@@ -14,7 +14,9 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nodes_bench import ROOT, Bench, bench
+from rcl_interfaces.srv import SetParameters
 from rclpy.duration import Duration
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu, Temperature
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -168,6 +170,12 @@ def test_every_refusal_has_a_status_and_a_reason(
     def ask(matrix: np.ndarray, **more: object) -> Compensate.Response:
         return stage.call(client, request(matrix, arm, execute=True, **more))
 
+    setter = stage.node.create_client(SetParameters, "kinematics/set_parameters")
+    for value, fits in (("rubbish", False), ("deflection", True), ("both", True)):
+        asked = Parameter("method", value=value).to_parameter_msg()
+        answered = stage.call(setter, SetParameters.Request(parameters=[asked]))
+        assert answered.results[0].successful == fits
+        assert fits or "one of none, deflection" in answered.results[0].reason
     joints = graph.JOINT_STATES.publisher(stage.node)
     stage.connected(joints)
     unseeded = Compensate.Request(target=pose(reach), execute=True)
