@@ -236,6 +236,8 @@ def test_the_sentence_has_the_figures_of_the_table(told: list[Told]) -> None:
             wanted = [float(before[column]), float(after[column])]
             assert [float(v) for v in pair] == pytest.approx(wanted, abs=6e-3)
         assert len(pairs) == (2 if "as commanded" in tail else 1)
+        differs = max(abs(float(row[1]) - float(row[2])) for row in (before, after))
+        assert differs < 0.02 if len(pairs) == 1 else differs > 0.002
 
 
 def test_what_is_said_of_the_gain_is_what_its_interval_says(told: list[Told]) -> None:
