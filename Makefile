@@ -70,12 +70,8 @@ demo: $(STAMPS)/package
 	$(BIN)/longarm demo --out build/demo
 
 # Pages to read offline: build/docs/index.html. Warnings are errors; LONGARM_NOTEBOOKS=off runs none.
-docs: setup $(STAMPS)/docs
+docs: setup
 	$(BIN)/sphinx-build -q -W --keep-going docs build/docs
-
-$(STAMPS)/docs: setup.py | $(STAMPS)/package
-	$(PIP) install --quiet --no-build-isolation --editable '.[docs]'
-	@touch $@
 
 bench: setup
 	$(BIN)/longarm bench -o build/bench

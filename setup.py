@@ -32,15 +32,17 @@ RUNTIME = [
 
 STUDIES = ["joblib>=1.4", "scikit-learn>=1.4"]
 CLUSTER = ["dask[distributed]>=2024.1"]
+DOCS = ["furo>=2024.8", "myst-nb>=1.1", "sphinx>=7.4"]
 
 EXTRAS = {
     "test": ["pytest"],  # by this name colcon test finds that pytest runs the tests
     "studies": STUDIES,  # longarm study table1, study loop
     "cluster": [*STUDIES, *CLUSTER],  # study loop --dask
-    "docs": ["furo>=2024.8", "myst-nb>=1.1", "sphinx>=7.4"],  # make docs
+    "docs": DOCS,  # make docs
     "dev": [
         *STUDIES,
         *CLUSTER,
+        *DOCS,
         "PyNiteFEA",
         "colcon-common-extensions",
         "dynamixel-sdk",

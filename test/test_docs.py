@@ -11,9 +11,6 @@ from pathlib import Path
 
 import pytest
 
-for module in ("sphinx", "furo", "myst_nb"):
-    pytest.importorskip(module, reason="pip install 'longarm_comp[docs]', or make docs")
-
 import longarm_comp
 from longarm_comp.core.effects.catalogue import registered
 
