@@ -110,6 +110,12 @@ def sobol(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
     return _with_sides(arm, _in_box(arm, shares), rng)
 
 
+def at_levels(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
+    """n random poses with every joint at its lower limit, its middle or its upper limit."""
+    rng = np.random.default_rng(rng)
+    return _with_sides(arm, _in_box(arm, rng.integers(0, 3, (n, arm.n)) / 2.0), rng)
+
+
 def random_joints(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> np.ndarray:
     """n uniformly random joint vectors in the box, (n, arm.n)."""
     return _in_box(arm, np.random.default_rng(rng).random((n, arm.n)))

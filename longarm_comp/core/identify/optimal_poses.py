@@ -18,7 +18,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.measurement import equations, posture
-from longarm_comp.core.data.plan import Plan, random_joints, sobol
+from longarm_comp.core.data.plan import Plan, at_levels, random_joints, sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
@@ -163,6 +163,9 @@ def optimal_poses(
 ) -> OptimalPlan:
     """n poses of a pool within the limits, each joint with room for its run-up.
 
+    Half of the pool fills the joint box, half has every joint at a limit or in its middle, where
+    the same errors move the tip farthest.
+
     Args:
         uncertain: what is not known.
         n: number of poses.
@@ -176,7 +179,9 @@ def optimal_poses(
     """
     arm = uncertain.model.arm
     rng = np.random.default_rng(rng)
-    pool = sobol(arm, max(POOL, 4 * n), rng)
+    count = max(POOL, 4 * n) // 2
+    halves = sobol(arm, count, rng), at_levels(arm, count, rng)
+    pool = Plan(*(np.concatenate([getattr(h, k) for h in halves]) for k in ("q", "approach")))
     kept = np.arange(len(pool)) if allowed is None else np.flatnonzero(allowed(pool))
     if not 1 <= n <= len(kept) - AHEAD:
         most = f"1 to {max(len(kept) - AHEAD, 0)} ({len(kept)} of {len(pool)} poses are allowed)"
