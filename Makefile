@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 STAMPS := $(VENV)/stamps
 
-.PHONY: setup test fuzz lint demo bench format system colcon clean
+.PHONY: setup test fuzz lint demo docs bench format system colcon clean
 
 setup: $(STAMPS)/dev
 
@@ -68,6 +68,14 @@ format: setup
 # Only what runs is installed for it.
 demo: $(STAMPS)/package
 	$(BIN)/longarm demo --out build/demo
+
+# Pages to read offline: build/docs/index.html. Warnings are errors; LONGARM_NOTEBOOKS=off runs none.
+docs: setup $(STAMPS)/docs
+	$(BIN)/sphinx-build -q -W --keep-going docs build/docs
+
+$(STAMPS)/docs: setup.py | $(STAMPS)/package
+	$(PIP) install --quiet --no-build-isolation --editable '.[docs]'
+	@touch $@
 
 bench: setup
 	$(BIN)/longarm bench -o build/bench

@@ -220,6 +220,25 @@ def test_axes_alone_are_not_diagnosed_or_learned() -> None:
         la.train(arm(TURNS[0]), rows)
 
 
+def test_a_diagnosis_does_not_depend_on_where_the_base_stands() -> None:
+    """The same rows seen from 20 m away: the same name, and the evidence but for the noise.
+
+    The noise is estimated along the axes of the measuring frame, which are others then.
+    """
+    rows = sensed(GAIN, n=100, seed=5)
+    xyz = rows.position()
+    near, far = (
+        la.diagnose(declared(), Session.record(rows.q, seen), network=False)
+        for seen in (xyz, TURNS[0].apply(xyz) + FAR)
+    )
+    (one,), (other,) = near.findings, far.findings
+    assert near.verdict == far.verdict
+    assert (one.name, one.where, one.names) == (other.name, other.where, other.names)
+    assert other.log_bayes_factor == pytest.approx(one.log_bayes_factor, rel=0.05)
+    for name in ("calibrated", "with_effects"):
+        assert far.held_out[name].mean == pytest.approx(near.held_out[name].mean, rel=0.02)
+
+
 def test_diagnose_names_the_effect_from_rays() -> None:
     turn = TURNS[0]
     near = sensed(GAIN, n=160, seed=5)

@@ -29,6 +29,7 @@ def _cause(found: Cause, discovery: Discovery) -> dict[str, Any]:
         "reading": found.reading,
         "title": found.terms[0].heading(),
         "action": found.terms[0].action,
+        "doubts": list(discovery.doubts),
         "domain": list(found.domain),
         "terms": [
             {

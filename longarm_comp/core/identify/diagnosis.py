@@ -36,6 +36,8 @@ from longarm_comp.core.model.model import Model
 POSES_TO_SPLIT = 12
 LEAST_SHARE = 0.5
 """Where structure is left, names that took less than this of the held-out error are withdrawn."""
+MOST_UNEVEN = 20.0
+"""No sensor of positions is so much noisier along one axis than along another."""
 MOST_OUTLIERS = 0.16
 """More rejected rows than this are not outliers but something that the model lacks."""
 
@@ -337,6 +339,8 @@ def _identify(
     weights = result.fit.weights
     calibrated = fit(start, train, sigma=noise.sigma, rho=noise.rho, weights=weights)
     structure = examine(result.fit, calibrated, rng)
+    parts = [driver.part for driver in structure.drivers]
+    result = dataclasses.replace(result, noise=noise.without(result.fit, parts))
     confirmed = confirm(result, list(found), candidates, rng)
     return _Identified(calibrated, result, found, structure, confirmed, candidates, minor, memory)
 
@@ -472,8 +476,16 @@ def _all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Stru
     out = result.fit.weights == 0
     lengths = result.fit.residual * result.fit.metres
     rejected = float(np.sqrt((lengths[out] ** 2).sum() / len(out)))
+    positions = result.fit.session.blocks[0].kind == "position"
+    uneven = result.noise.unevenness if positions else 1.0
     for shows, size, where, sign in (
         (out.mean() > MOST_OUTLIERS, rejected, "outliers", "shows in the rows left out"),
+        (
+            uneven > MOST_UNEVEN,
+            float(np.max(result.noise.sigma[:3])),
+            "one axis",
+            f"shows as noise of one axis, {uneven:.0f} times that of another",
+        ),
         (proof.off, proof.excess_m, "unseen poses", "shows in the held-out poses"),
         (
             result.exhausted,
