@@ -18,7 +18,7 @@ from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.identify.candidates import library
-from longarm_comp.core.identify.diagnosis import diagnose
+from longarm_comp.core.identify.diagnose import diagnose
 
 GOAL_S = 30.0
 HIDDEN = (JointCompliance(2, 2e-3), Backlash(joint=4, width=6e-3))

@@ -20,7 +20,7 @@ from longarm_comp.core.effects.function import Function
 from longarm_comp.core.effects.prismatic_pitch import PrismaticPitch
 from longarm_comp.core.effects.shapes import Legendre, Linear, Square, Switch
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.identify import diagnosis as core
+from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.calibrate import declared_model, stages
 from longarm_comp.core.identify.discover.bank import Hypothesis, Spot
 from longarm_comp.core.identify.discover.discovery import Discovery, discover

@@ -11,7 +11,7 @@ from hidden_arm import session
 from small_arm import ARM
 
 from longarm_comp.core.effects.joint_gain import JointGain
-from longarm_comp.core.identify.diagnosis import diagnose
+from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.drivers import drivers
 
 N = 140

@@ -21,7 +21,7 @@ from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.candidates import library
-from longarm_comp.core.identify.diagnosis import diagnose
+from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.sim.hidden import drives
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -21,7 +21,8 @@ from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.joint_gain import JointGain
-from longarm_comp.core.identify.diagnosis import Diagnosis, diagnose
+from longarm_comp.core.identify.diagnose import diagnose
+from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.evidence import detectable
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.model.model import Model

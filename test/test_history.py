@@ -18,7 +18,7 @@ from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.diagnosis import diagnose
+from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sim.arm_truth import TrueArm

@@ -21,7 +21,8 @@ from longarm_comp.core.effects.measured_tilt import MeasuredTilt
 from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.identify.candidates import library
-from longarm_comp.core.identify.diagnosis import Diagnosis, diagnose
+from longarm_comp.core.identify.diagnose import diagnose
+from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.minor import Minor, taken_out
 from longarm_comp.core.model.model import Model

@@ -21,7 +21,7 @@ from longarm_comp.core.effects.catalogue import BUILT_IN, load_file
 from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.candidates import library
-from longarm_comp.core.identify.diagnosis import diagnose
+from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, save_model, store
 from longarm_comp.sessions.csv import read_csv

@@ -10,7 +10,7 @@ from hidden_arm import at, session
 from small_arm import ARM
 
 from longarm_comp.core.effects.joint_gain import JointGain
-from longarm_comp.core.identify.diagnosis import diagnose
+from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.proof import (
     DECIDES,
     NETWORK,

@@ -19,7 +19,8 @@ from report_pages import Page
 from small_arm import ARM
 
 from longarm_comp.core.data.measurement import errors
-from longarm_comp.core.identify.diagnosis import Diagnosis, diagnose
+from longarm_comp.core.identify.diagnose import diagnose
+from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.evidence import Score
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.practical import practical

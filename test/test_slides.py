@@ -18,7 +18,7 @@ from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.guide_curvature import GuideCurvature
 from longarm_comp.core.effects.slide_play import SlidePlay
 from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
-from longarm_comp.core.identify.diagnosis import diagnose
+from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import loads

@@ -17,7 +17,7 @@ from typing import Any
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.errors import InputError, LongarmError
-from longarm_comp.core.identify.diagnosis import diagnose
+from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.studies.extra import extra
 from longarm_comp.studies.loop_cases import Case
 from longarm_comp.studies.loop_score import score

@@ -13,9 +13,11 @@ from longarm_comp.core.data.admission import FEW_POSES
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import origin
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify import diagnosis as core
+from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.calibrate import Errors
+from longarm_comp.core.identify.diagnosis import Diagnosis
+from longarm_comp.core.identify.outcome import Train
 from longarm_comp.core.learn import ensemble as networks
 from longarm_comp.core.learn.predictor import Predictor, Provenance
 from longarm_comp.core.model.model import Model
@@ -50,7 +52,7 @@ class DiagnosisResult:
         session_file: file of the session, if it came from one.
     """
 
-    diagnosis: core.Diagnosis
+    diagnosis: Diagnosis
     session_hash: str
     facts: Mapping[str, str]
     model_before: Path | None = None
@@ -207,7 +209,7 @@ def diagnose_files(
     return found
 
 
-def _train(seed: int) -> core.Train:
+def _train(seed: int) -> Train:
     def train_on(model: Model, session: Session) -> Predictor:
         arm = model.arm
         origin = Provenance(arm.hash, session.hash, arm.joint_names, {"deflection": True})

@@ -1,0 +1,184 @@
+"""What the hold-out leaves of the findings; what has no name, and a network, come after it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.data.holdout import Sealed
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.identify.aliasing import EffectFinding
+from longarm_comp.core.identify.diagnosis import DISCOVERED
+from longarm_comp.core.identify.discover.discovery import Discovery, discover
+from longarm_comp.core.identify.fit import ModelFit
+from longarm_comp.core.identify.identified import Identified, Progress
+from longarm_comp.core.identify.noise import from_repeats
+from longarm_comp.core.identify.proof import NETWORK, LearnedCorrection, Proof
+from longarm_comp.core.identify.search import SearchResult
+from longarm_comp.core.identify.structure import Structure, examine
+from longarm_comp.core.model.model import Model
+
+LEAST_SHARE = 0.5
+"""Where structure is left, names that took less than this of the held-out error are withdrawn."""
+MOST_UNEVEN = 20.0
+"""No sensor of positions is so much noisier along one axis than along another."""
+MOST_OUTLIERS = 0.16
+"""More rejected rows than this are not outliers but something that the model lacks."""
+Train = Callable[[Model, Session], LearnedCorrection]
+Left = Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Learner:
+    """Trains the learned correction of what a model leaves of the inliers of a fit."""
+
+    train: Train | None
+    fitted: ModelFit
+    say: Progress
+
+    def on(self, model: Model, structure: Structure) -> LearnedCorrection | None:
+        """A correction on top of a model; None where nothing is left, or none is wanted."""
+        if not structure.flag or self.train is None or not self.fitted.session.located.any():
+            return None
+        self.say("network")
+        return self.train(model, self.fitted.session.take(self.fitted.weights > 0))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the hold-out leaves of the findings: the model to use and what goes with it."""
+
+    model: Model
+    findings: tuple[EffectFinding, ...]
+    structure: Structure
+    network: LearnedCorrection | None
+    proof: Proof
+    rolled_back: bool
+
+
+def judge(
+    identified: Identified,
+    calibrated: Model,
+    proof: Proof,
+    network: LearnedCorrection | None,
+    learn: Learner,
+    held_out: Session,
+    rng: np.random.Generator,
+) -> Outcome:
+    """Effects that do not help unseen poses are taken back, whatever the fitted rows say.
+
+    So are those that took less than half of what is wrong, where structure is left.
+    """
+    model, structure = identified.search.fit.model, identified.structure
+    minor = (structure.flag or proof.off) and proof.share < LEAST_SHARE
+    tested = proof.with_network(model, network, held_out)
+    if identified.findings and (minor or not proof.better):
+        return _roll_back(identified, calibrated, tested, learn, held_out, rng)
+    kept = network if tested.network_helps("with_effects") else None
+    return Outcome(model, identified.findings, structure, kept, tested, False)
+
+
+def _roll_back(
+    identified: Identified,
+    model: Model,
+    proof: Proof,
+    learn: Learner,
+    held_out: Session,
+    rng: np.random.Generator,
+) -> Outcome:
+    """The calibrated model, with a network trained on what that one leaves."""
+    structure = examine(identified.calibrated, identified.calibrated, rng)
+    network = learn.on(model, structure)
+    tested = proof.with_network(model, network, held_out)
+    kept = network if tested.network_helps("calibrated") else None
+    return Outcome(model, (), structure, kept, tested, True)
+
+
+def look_further(
+    identified: Identified,
+    outcome: Outcome,
+    sealed: Sealed,
+    rng: np.random.Generator,
+    say: Progress,
+    seed: int,
+) -> Discovery | None:
+    """Functions without a name for what is left, beside the effects or in their place.
+
+    Also where nothing was named and no structure shows: what a column drives on one axis may be
+    taken for noise.
+    """
+    named, plain = identified.search.fit, identified.calibrated
+    known = from_repeats(plain.model, plain.session)
+    bare = outcome.rolled_back or not outcome.findings
+    count = len(identified.candidates)
+
+    def unseal() -> Session:
+        opened = sealed.open("functions without a name")
+        return opened.take(opened.seen)
+
+    base, without = (plain, None) if bare else (named, plain)
+    return discover(base, without, count, unseal, known, rng, say, seed)
+
+
+def at_least(structure: Structure, found: Discovery) -> Structure:
+    """The structure with what was found of it, where no test showed any."""
+    if structure.flag:
+        return structure
+    size = max(cause.tip_m[0] for cause in found.found)
+    return dataclasses.replace(structure, flag=True, size_m=size, inputs=found.inputs)
+
+
+def with_discovery(
+    outcome: Outcome, found: Discovery, learn: Learner, held_out: Session
+) -> Outcome:
+    """The outcome with what was found: a network comes after it, of what that leaves."""
+    before = outcome.proof
+
+    def joined(before: Left, after: Left) -> Left:
+        kept = {stage: left for stage, left in before.items() if stage != NETWORK}
+        return {**kept, DISCOVERED: after["with_effects"]}
+
+    proof = dataclasses.replace(
+        before,
+        errors=joined(before.errors, found.proof.errors),
+        commanded=joined(before.commanded, found.proof.commanded),
+        turned=joined(before.turned, found.proof.turned),
+    )
+    network = learn.on(found.fit.model, found.structure)
+    tested = proof.with_network(found.fit.model, network, held_out)
+    kept = network if tested.network_helps(DISCOVERED) else None
+    findings = tuple(f for f in outcome.findings if f.name not in found.without)
+    return dataclasses.replace(outcome, findings=findings, network=kept, proof=tested)
+
+
+def all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Structure:
+    """The structure, also where other signs than the test of the fitted rows show some."""
+    out = result.fit.weights == 0
+    lengths = result.fit.residual * result.fit.metres
+    rejected = float(np.sqrt((lengths[out] ** 2).sum() / len(out)))
+    positions = result.fit.session.blocks[0].kind == "position"
+    uneven = result.noise.unevenness if positions else 1.0
+    for shows, size, where, sign in (
+        (out.mean() > MOST_OUTLIERS, rejected, "outliers", "shows in the rows left out"),
+        (
+            uneven > MOST_UNEVEN,
+            float(np.max(result.noise.sigma[:3])),
+            "one axis",
+            f"shows as noise of one axis, {uneven:.0f} times that of another",
+        ),
+        (proof.off, proof.excess_m, "unseen poses", "shows in the held-out poses"),
+        (
+            result.exhausted,
+            proof.excess_m,
+            "more than the library holds",
+            "would need more effects than may be added",
+        ),
+    ):
+        if shows and not structure.flag:
+            return dataclasses.replace(
+                structure, flag=True, size_m=size, inputs=(where,), sign=sign
+            )
+    return structure
