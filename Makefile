@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 STAMPS := $(VENV)/stamps
 
-.PHONY: setup test fuzz lint demo bench format system colcon clean
+.PHONY: setup test fuzz lint demo docs bench format system colcon clean
 
 setup: $(STAMPS)/dev
 
@@ -68,6 +68,10 @@ format: setup
 # Only what runs is installed for it.
 demo: $(STAMPS)/package
 	$(BIN)/longarm demo --out build/demo
+
+# Pages to read offline: build/docs/index.html. Warnings are errors; LONGARM_NOTEBOOKS=off runs none.
+docs: setup
+	$(BIN)/sphinx-build -q -W --keep-going docs build/docs
 
 bench: setup
 	$(BIN)/longarm bench -o build/bench

@@ -1,6 +1,7 @@
 """The build of longarm_comp: pip and colcon (ament_python) both read this file."""
 
 from glob import glob
+from pathlib import Path
 
 from setuptools import find_packages, setup
 
@@ -31,14 +32,17 @@ RUNTIME = [
 
 STUDIES = ["joblib>=1.4", "scikit-learn>=1.4"]
 CLUSTER = ["dask[distributed]>=2024.1"]
+DOCS = ["furo>=2024.8", "myst-nb>=1.1", "sphinx>=7.4"]
 
 EXTRAS = {
     "test": ["pytest"],  # by this name colcon test finds that pytest runs the tests
     "studies": STUDIES,  # longarm study table1, study loop
     "cluster": [*STUDIES, *CLUSTER],  # study loop --dask
+    "docs": DOCS,  # make docs
     "dev": [
         *STUDIES,
         *CLUSTER,
+        *DOCS,
         "PyNiteFEA",
         "colcon-common-extensions",
         "dynamixel-sdk",
@@ -64,11 +68,21 @@ EXTRAS = {
 # Files beside the modules that read them: arms, page templates.
 DATA_KINDS = ["css", "html", "j2", "js", "json", "yaml"]
 
+ROOT = Path(__file__).parent
+
 setup(
     name=NAME,
     version="0.1.0",
     description="Kinematics and error compensation of long, compliant robot arms, for ROS 2",
+    long_description=(ROOT / "README.md").read_text("utf-8"),
+    long_description_content_type="text/markdown",
     license="Apache-2.0",
+    classifiers=[
+        "Intended Audience :: Science/Research",
+        "Operating System :: POSIX :: Linux",
+        "Programming Language :: Python :: 3",
+        "Topic :: Scientific/Engineering",
+    ],
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={NAME: ["py.typed", *(f"**/*.{kind}" for kind in DATA_KINDS)]},

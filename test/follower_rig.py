@@ -10,7 +10,7 @@ import numpy as np
 from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
 from longarm_comp.devices.servo_bus import ServoState
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.servo_follower import EventKind, Step, TrajectoryFollower
+from longarm_comp.devices.servo_follower import EventKind, KeepsOut, Step, TrajectoryFollower
 
 DT = 0.02
 CONFIG = ServoConfig.parse(
@@ -53,9 +53,9 @@ def servo_state(ticks: int, **changes: Any) -> ServoState:
 class Rig:
     """A follower on servos that go where they are told within one step."""
 
-    def __init__(self, config: ServoConfig = CONFIG) -> None:
+    def __init__(self, config: ServoConfig = CONFIG, keeps_out: KeepsOut = lambda path: "") -> None:
         self.config = config
-        self.follower = TrajectoryFollower(config)
+        self.follower = TrajectoryFollower(config, keeps_out)
         self.now = 100.0
         self.states = {5: servo_state(TURN.to_ticks(0.2)), 9: servo_state(SLIDE.to_ticks(0.03))}
         self.obeys = {5, 9}

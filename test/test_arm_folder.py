@@ -8,6 +8,7 @@ import re
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from cli_shell import Shell
@@ -15,8 +16,9 @@ from some_arms import COLUMN, HOBBY, NINE
 from test_urdf import example
 
 from longarm_comp.arm_folder.check import check_folder
+from longarm_comp.arm_folder.marker_sheet import PAPERS, sheet
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
-from longarm_comp.arm_folder.sight import seen_from
+from longarm_comp.arm_folder.sight import board_of, seen_from
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.devices.servo_config import ServoConfig
@@ -232,6 +234,31 @@ def test_what_was_measured_is_no_longer_listed(shell: Shell, hobby: Path) -> Non
     assert [finding["where"] for finding in listed] == after
     assert "no such" not in shell.err
     assert shell.refused("check", shell.folder / "nowhere").startswith("longarm: ")
+
+
+def test_the_marker_is_printed_in_true_size(shell: Shell, hobby: Path) -> None:
+    """The page, scanned at 300 dpi, through the real detector."""
+    given = own_parameters("stereo_bridge") | read_parameters(hobby / "stereo_bridge.yaml")
+    board = board_of(given)
+    paper, page = sheet(board)
+    scan = io.BytesIO()
+    page.savefig(scan, format="png", dpi=300)
+    grey = cv2.imdecode(np.frombuffer(scan.getvalue(), np.uint8), cv2.IMREAD_GRAYSCALE)
+    seen = board.detect(grey)
+    assert len(seen) == board.n_corners
+    drawn = seen.pixels * [1, -1] * 0.0254 / 300
+    known = board.points(seen.ids)[:, :2]
+    np.testing.assert_allclose(drawn - drawn.mean(axis=0), known - known.mean(axis=0), atol=5e-5)
+    assert shell("stereo", "marker", hobby, "-o", "marker.pdf") == 0
+    width, height = PAPERS[paper]
+    box = re.search(rb"/MediaBox \[ ?0 0 ([\d.]+) ([\d.]+)", Path("marker.pdf").read_bytes())
+    assert box is not None
+    np.testing.assert_allclose(np.array(box.groups(), float) * 25.4 / 72, [width, height], atol=0.1)
+    folder = copied(hobby, shell.folder / "mine")
+    replaced(folder / "stereo_bridge.yaml", r"tag_m: [\d.]+", "tag_m: 0.9")
+    assert "fits on A0" in shell.refused("stereo", "marker", folder)
+    replaced(folder / "stereo_bridge.yaml", "kind: tags", "kind: charuco")
+    assert "marker.kind" in shell.refused("stereo", "marker", folder)
 
 
 def test_the_arm_file_says_what_it_means(hobby: Path) -> None:

@@ -81,8 +81,10 @@ def test_what_a_command_chooses_or_is_told_stays(term: Effect, rows: Session) ->
     assert not_commanded(model, rows) == []
 
 
-def test_a_command_knows_its_own_way_and_no_move_before_it(rows: Session) -> None:
+def test_of_a_side_that_was_told_nobody_knows_the_moves_before(rows: Session) -> None:
     assert np.count_nonzero(rows.legs[..., 1:]) > 20
+    assert np.array_equal(own_way(rows).legs, rows.legs), "moves that were followed are known"
+    rows = dataclasses.replace(rows, told=rows.approach)
     known = own_way(rows)
     assert np.array_equal(known.legs[..., 0], rows.legs[..., 0])
     assert np.array_equal(known.approach, rows.approach) and not known.legs[..., 1:].any()

@@ -16,11 +16,17 @@ from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import load_file
 from longarm_comp.core.effects.discovered import Discovered
+from longarm_comp.core.effects.function import Function
 from longarm_comp.core.effects.prismatic_pitch import PrismaticPitch
+from longarm_comp.core.effects.shapes import Legendre, Linear, Square, Switch
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify import diagnosis as core
 from longarm_comp.core.identify.calibrate import declared_model, stages
+from longarm_comp.core.identify.discover.bank import Hypothesis, Spot
 from longarm_comp.core.identify.discover.discovery import Discovery, discover
+from longarm_comp.core.identify.discover.functions import SWITCH, Functions, switch
+from longarm_comp.core.identify.discover.inputs import Argument, Arguments, levels_of
+from longarm_comp.core.identify.discover.propose import POSES, doubts, proposed
 from longarm_comp.core.identify.fit import ModelFit
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
@@ -62,7 +68,7 @@ def found(arm_name: str, *hidden: HiddenEffect, seed: int = 3) -> Discovery | No
     arm = {"small": SMALL, "demo": DEMO}[arm_name]
     fitted = calibrated(arm, measured(arm, hidden, ROWS, seed))
     held_out = measured(arm, hidden, HELD_OUT, seed + 100)
-    return discover(fitted, None, 100, held_out, None, np.random.default_rng(0))
+    return discover(fitted, None, 100, lambda: held_out, None, np.random.default_rng(0))
 
 
 def test_a_hose_is_a_force_at_its_place_with_its_size() -> None:
@@ -167,3 +173,50 @@ def test_there_is_no_effect_to_write_where_nothing_was_found(
     nothing = dataclasses.replace(diagnosed.diagnosis, discovery=None)
     with pytest.raises(JobError, match="nothing was found"):
         write_effects(nothing, tmp_path / "found.py")
+
+
+def test_what_a_column_drives_on_one_axis_is_no_noise() -> None:
+    """140 rows, x alone off by 4 mm x sin(6 pump_bar): beside it the noise is 0.2 mm."""
+    shake = (PumpShake(sway=4e-3, waves=6.0),)
+    session = measured(SMALL, shake, 140, 5)
+    result = core.diagnose(SMALL, session, kinds=(PrismaticPitch,))
+    assert result.verdict == "unknown"
+    assert result.added is not None
+    assert result.added.inputs == ("pump_bar",)
+    assert result.structure.inputs
+    assert result.added.found[0].where[1] == "what the camera sees, x"
+
+
+# ------------------------------------------------------------------ what the data cannot tell
+
+
+def test_of_three_positions_only_lines_are_tried() -> None:
+    three, many = np.tile([0.0, 0.5, 1.0], 20), np.linspace(-1.0, 1.0, 60)
+    of = (Argument("q1", three, levels_of(three)), Argument("q2", many, levels_of(many)))
+    made = Functions(Arguments(of, (), 2))
+    shapes = {factor for function in made.listed for factor in function.factors}
+    assert {type(s) for s in shapes if s.of == "q2"} > {Linear, Legendre, Switch, Square}
+    flat = [s for s in shapes if s.of == "q1"]
+    assert {type(s) for s in flat} == {Linear, Legendre}
+    assert {s.order for s in flat if isinstance(s, Legendre)} == {1}
+
+
+def test_poses_lie_in_the_gap_of_a_switch() -> None:
+    fitted = calibrated(SMALL, measured(SMALL, (), 40, 1))
+    flip = Function((Switch("q2", 0.2, 1.2, 0.7, 0.05),))
+    guess = Hypothesis(((Spot("joint 2", "turn z"), flip),), (1.0,), SWITCH, 0.0)
+    assert doubts(fitted, [guess]) == ("it changes over somewhere between q2 0.65 and 0.75",)
+    poses = proposed(fitted, [guess], seed=1)
+    assert len(poses) == POSES
+    assert (np.abs(poses[:, 1] - 0.7) < 0.05).all()
+    smooth = Hypothesis(((Spot("joint 2", "turn z"), Function(())),), (1.0,), SWITCH, 0.0)
+    assert doubts(fitted, [smooth]) == ()
+    assert proposed(fitted, [smooth], seed=1).shape == (0, SMALL.n)
+
+
+def test_a_ramp_fills_the_gap_of_the_data() -> None:
+    values = np.array([0.0, 0.1, 0.2, 0.6, 0.7, 1.0])
+    made = switch(Argument("q1", values, 6), 0.3)
+    assert (made.threshold, made.half) == pytest.approx((0.4, 0.2))
+    np.testing.assert_allclose(made.at(values), [-1, -1, -1, 1, 1, 1], atol=1e-12)
+    assert float(made.at(0.4)) == pytest.approx(0.0)

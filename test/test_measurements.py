@@ -25,6 +25,7 @@ from sensed_arm import (
 from small_arm import ARM
 
 import longarm_comp as la
+from longarm_comp.core.data.kinds import rotation_vector
 from longarm_comp.core.data.measurement import equations, errors, posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.anchor_place import AnchorPlace
@@ -317,3 +318,11 @@ def test_a_network_learns_from_whole_positions_and_says_what_it_leaves_out() -> 
     assert learned.samples == session.located.sum() < len(session)
     left = int((session.seen & ~session.located).sum())
     assert any(f"{left} rows hold no whole position" in text for text in said)
+
+
+def test_what_is_no_rotation_has_no_rotation_vector() -> None:
+    turn = Rotation.from_rotvec([0.1, 0.2, -0.3]).as_matrix()
+    mirrored, broken = np.diag([1.0, 1.0, -1.0]), np.full((3, 3), np.nan)
+    found = rotation_vector(np.stack([2.0 * turn, mirrored, broken]))
+    assert found[0] == pytest.approx([0.1, 0.2, -0.3])
+    assert np.isnan(found[1:]).all()

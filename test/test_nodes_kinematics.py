@@ -9,12 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nodes_bench import ROOT, Bench, bench
+from rcl_interfaces.srv import SetParameters
 from rclpy.duration import Duration
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu, Temperature
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -27,6 +30,7 @@ from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model_file import save_model, store
+from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_message
 from longarm_interfaces.srv import Compensate
@@ -156,9 +160,14 @@ def test_of_a_burst_every_target_and_request_is_answered_once(
 
 
 def test_every_refusal_has_a_status_and_a_reason(
-    stage: Bench, arm: Arm, demo_arm_path: Path
+    stage: Bench, arm: Arm, demo_arm_path: Path, tmp_path: Path
 ) -> None:
-    node = stage.start("kinematics", {"arm": demo_arm_path})
+    aside = np.where(np.arange(arm.n) == 0, 0.9 * arm.upper + 0.1 * arm.lower, arm.mid)
+    lamp = declared_model(arm).tip(aside)
+    box = {"min_m": (lamp - 0.01).tolist(), "max_m": (lamp + 0.01).tolist()}
+    declared = dict(read_yaml(demo_arm_path)) | {"keep_out": {"lamp": box}}
+    (tmp_path / "arm.yaml").write_text(yaml.safe_dump(declared))
+    node = stage.start("kinematics", {"arm": tmp_path / "arm.yaml"})
     trajectories = stage.collect(graph.JOINT_TRAJECTORY)
     stories = stage.collect(graph.COMPENSATION)
     client = graph.COMPENSATE.client(stage.node)
@@ -168,6 +177,12 @@ def test_every_refusal_has_a_status_and_a_reason(
     def ask(matrix: np.ndarray, **more: object) -> Compensate.Response:
         return stage.call(client, request(matrix, arm, execute=True, **more))
 
+    setter = stage.node.create_client(SetParameters, "kinematics/set_parameters")
+    for value, fits in (("rubbish", False), ("deflection", True), ("both", True)):
+        asked = Parameter("method", value=value).to_parameter_msg()
+        answered = stage.call(setter, SetParameters.Request(parameters=[asked]))
+        assert answered.results[0].successful == fits
+        assert fits or "one of none, deflection" in answered.results[0].reason
     joints = graph.JOINT_STATES.publisher(stage.node)
     stage.connected(joints)
     unseeded = Compensate.Request(target=pose(reach), execute=True)
@@ -212,6 +227,9 @@ def test_every_refusal_has_a_status_and_a_reason(
     answer = stage.call(client, foreign)
     assert answer.status == status.BAD_TARGET
     assert "elbow" in answer.message
+    answer = ask(declared_model(arm).pose(aside))
+    assert answer.status == status.KEPT_OUT
+    assert "keep_out lamp: the arm would enter it near" in answer.message
     wild = request(reach, arm)
     wild.seed.position[2] = 50.0
     answer = stage.call(client, wild)
@@ -230,7 +248,7 @@ def test_every_refusal_has_a_status_and_a_reason(
     assert answer.status == status.UNREACHABLE
     assert not answer.command.position
     assert not trajectories
-    stage.spin(lambda: len(stories) == count + 9)
+    stage.spin(lambda: len(stories) == count + 10)
     assert all(story.message and not story.executed.position for story in stories[count:])
 
     quiet = ask(reach)

@@ -15,11 +15,12 @@ import yaml
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
-from builtin_interfaces.msg import Duration
+from builtin_interfaces.msg import Duration, Time
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from nodes_bench import Bench, bench, own_graph
 from rcl_interfaces.srv import DescribeParameters
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -67,9 +68,11 @@ class Rig:
         self.trajectories = graph.JOINT_TRAJECTORY.publisher(stage.node)
         self.process = self.start()
 
-    def start(self, patience_s: float = 5.0) -> subprocess.Popen[str]:
+    def start(self, patience_s: float = 5.0, clock: str = "system") -> subprocess.Popen[str]:
         command = ["-m", "longarm_comp.nodes.servo_driver", "--ros-args"]
         command += ["--params-file", str(self.file), "-p", f"patience_s:={patience_s}"]
+        if clock == "nobody's":  # /clock is waited for, and never comes
+            command += ["-p", "use_sim_time:=true"]
         self.process = self.stage.python(command)
         return self.process
 
@@ -320,16 +323,31 @@ def test_a_signal_lets_the_servos_go(rig: Rig, signals: list[signal.Signals]) ->
     assert rig.free()
 
 
-def test_a_killed_driver_leaves_the_arm_standing_and_its_successor_takes_over(rig: Rig) -> None:
+def test_a_killed_driver_leaves_the_arm_standing_and_its_successor_needs_no_clock(rig: Rig) -> None:
     rig.goes(shoulder=0.3)
     rig.process.kill()
     rig.process.wait(timeout=10)
     assert rig.driving()  # the arm does not drop
-    del rig.diagnostics[:]
-    rig.start()
+    del rig.diagnostics[:], rig.states[:]
+    rig.start(clock="nobody's")
     rig.is_idle()
     assert rig.joints()["shoulder"] == pytest.approx(0.3, abs=1e-3)
-    rig.goes(shoulder=0.1)
+    rig.send("timeless", shoulder=0.1)
+    rig.becomes("timeless", Motion.ACCEPTED, Motion.REACHED)
+    assert rig.states[-1].header.stamp == Time()  # the node's clock stands at 0
+    rig.arrives(shoulder=0.1)
+    clocks = rig.stage.node.create_publisher(Clock, "/clock", 10)
+    for second in (50, 1000, 2):  # it runs away, and jumps back
+        del rig.states[:]
+
+        def at(second: int = second) -> bool:
+            clocks.publish(Clock(clock=Time(sec=second)))
+            return bool(rig.states) and rig.states[-1].header.stamp.sec == second
+
+        rig.stage.spin(at)
+        rig.goes(shoulder=0.0 if second == 50 else 1e-4 * second)
+    rig.process.send_signal(signal.SIGINT)
+    assert rig.process.wait(timeout=10) == 0
 
 
 def test_parameters_are_described_and_wrong_ones_refused(rig: Rig, tmp_path: Path) -> None:

@@ -168,6 +168,7 @@ def test_versions_agree() -> None:
         re.search(r'version = "([^"]+)"', (ROOT / "longarm_interfaces/pyproject.toml").read_text())[
             1
         ],
+        re.search(r"^version: (\S+)", (ROOT / "CITATION.cff").read_text("utf-8"), re.MULTILINE)[1],
     }
     assert written == {longarm_comp.__version__}
 
@@ -202,6 +203,15 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
+@pytest.fixture(scope="module")
+def prefix(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A prefix with the wheel installed below it."""
+    folder = tmp_path_factory.mktemp("prefix")
+    options = ["--quiet", "--no-deps", "--ignore-installed", "--prefix", folder]
+    subprocess.run([*PIP, "install", *options, wheel], check=True)
+    return folder
+
+
 def tracked(folder: str) -> list[str]:
     """Names of the files that belong to the project, below a folder of it."""
     command = ["git", "ls-files", folder]
@@ -218,6 +228,64 @@ def test_wheel_holds_every_file_of_the_package_and_nothing_else(wheel: Path) -> 
     assert files <= held, f"left out of the wheel: {sorted(files - held)}"
     folders = {name.split("/")[0] for name in held}
     assert {name for name in folders if not name.startswith(f"{PACKAGE}-")} == {PACKAGE}
+
+
+def test_the_source_distribution_builds_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
+    """Made in the copy that the wheel was made of, so that nothing of a working tree helps."""
+    make = "import sys; from setuptools import build_meta; build_meta.build_sdist(sys.argv[1])"
+    words = [sys.executable, "-c", make, str(tmp_path)]
+    subprocess.run(words, cwd=wheel.parent / "source", check=True, capture_output=True)
+    (sdist,) = tmp_path.glob("*.tar.gz")
+    options = ["--quiet", "--no-deps", "--no-build-isolation", "-w", tmp_path, sdist]
+    subprocess.run([*PIP, "wheel", *options], check=True)
+    (again,) = tmp_path.glob("*.whl")
+    assert again.name == wheel.name
+    with zipfile.ZipFile(wheel) as one, zipfile.ZipFile(again) as two:
+        assert set(one.namelist()) == set(two.namelist())
+
+
+WITHOUT_ROS = """
+import importlib.abc, sys
+ros = set(sys.argv[1].split())
+class Bare(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in ros:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Bare())
+from longarm_comp.cli.run import run
+sys.exit(run(sys.argv[2:]))
+"""
+
+
+def test_without_ros_files_are_worked_on_and_the_rest_says_what_it_lacks(
+    prefix: Path, work: Path, tmp_path: Path
+) -> None:
+    """The installed wheel, where nothing of ROS can be imported."""
+    ros = " ".join(ros_depends() | set(test_rooms.ROS))
+
+    def longarm(*words: object) -> subprocess.CompletedProcess[str]:
+        return below(prefix, sys.executable, "-c", WITHOUT_ROS, ros, *words)
+
+    assert longarm("--version").stdout == f"longarm, version {longarm_comp.__version__}\n"
+    arm, session = work / "arm.yaml", work / "samples.csv"
+    for words in (
+        ("init", tmp_path / "mine", "--arm", arm),
+        ("plan", arm, "--kind", "sobol", "-n", 8, "-o", tmp_path / "poses.csv"),
+        ("bag", "from-csv", arm, session, "-o", tmp_path / "bag"),
+        ("evaluate", arm, "--test", tmp_path / "bag", "--model", work / "model.yaml"),
+    ):
+        done = longarm(*words)
+        assert done.returncode == 0, done.stderr
+    for words in (
+        ("up", arm, "--sim"),
+        ("collect", arm, tmp_path / "poses.csv", "-o", tmp_path / "session"),
+        ("demo", "--out", tmp_path / "demo"),
+    ):
+        done = longarm(*words)
+        assert done.returncode == 3, done.stderr
+        assert done.stderr.startswith("longarm: this command needs ROS 2 (")
+        assert len(done.stderr.splitlines()) == 1
+    assert not (tmp_path / "session").exists() and not (tmp_path / "demo").exists()
 
 
 FIND_SHARES = """
@@ -241,7 +309,9 @@ def below(prefix: Path, *command: object) -> subprocess.CompletedProcess[str]:
     (packages,) = prefix.glob("**/site-packages")
     environment = os.environ | {"PYTHONPATH": str(packages)}
     words = [*map(str, command)]
-    return subprocess.run(words, cwd=prefix, env=environment, capture_output=True, text=True)
+    return subprocess.run(
+        words, cwd=prefix, env=environment, capture_output=True, text=True, timeout=300
+    )
 
 
 def finds_its_own_files(prefix: Path) -> None:
@@ -259,13 +329,11 @@ def finds_its_own_files(prefix: Path) -> None:
     assert found["interfaces"]
 
 
-def test_an_installation_below_any_prefix_finds_its_own_files(wheel: Path, tmp_path: Path) -> None:
-    options = ["--quiet", "--no-deps", "--ignore-installed", "--prefix", tmp_path]
-    subprocess.run([*PIP, "install", *options, wheel], check=True)
-    finds_its_own_files(tmp_path)
-    longarm = tmp_path / "bin" / "longarm"
-    assert "--sim" in below(tmp_path, longarm, "up", "--help").stdout
-    bench = below(tmp_path, longarm, "bench")
+def test_an_installation_below_any_prefix_finds_its_own_files(prefix: Path) -> None:
+    finds_its_own_files(prefix)
+    longarm = prefix / "bin" / "longarm"
+    assert "--sim" in below(prefix, longarm, "up", "--help").stdout
+    bench = below(prefix, longarm, "bench")
     assert bench.returncode == 3
     assert "is run from a checkout of the project" in bench.stderr
 

@@ -11,7 +11,14 @@ from small_arm import ARM
 
 from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.identify.diagnosis import diagnose
-from longarm_comp.core.identify.proof import DECIDES, _better, _Unseen
+from longarm_comp.core.identify.proof import (
+    DECIDES,
+    NETWORK,
+    Proof,
+    _better,
+    _Unseen,
+    off_levels,
+)
 from longarm_comp.sim.hidden import drives
 
 SPREAD = 1e-4
@@ -76,3 +83,31 @@ def test_outliers_of_the_hold_out_withdraw_no_true_effect() -> None:
     assert [f.name for f in spoilt.findings] == ["joint_gain"]
     assert spoilt.proof.set_aside == 2
     assert "2 of 60 rows set aside" in spoilt.summary
+
+
+# ------------------------------------------------------------------ a network off the grid's levels
+
+
+def helps(on: float, between: float, off: np.ndarray) -> bool:
+    """Of a network that leaves a share of the error on the levels, and one between them."""
+    before = np.full((len(off), 3), 1e-3)
+    left = {"with_effects": before, NETWORK: before * np.where(off, between, on)[:, None]}
+    proof = Proof(left, {}, {}, True, 1.0, 0.0, 1.0, off_levels=off)
+    return proof.network_helps("with_effects")
+
+
+def test_a_network_is_kept_only_where_it_helps_between_the_levels() -> None:
+    off = np.arange(60) % 3 == 0
+    assert helps(0.3, 0.3, off)
+    assert not helps(0.1, 1.2, off)
+    assert not helps(1.5, 0.9, off)
+    assert not helps(0.3, 0.3, np.zeros(60, bool))
+
+
+def test_rows_between_the_levels_of_a_grid(rng: np.random.Generator) -> None:
+    grid = rng.integers(5, size=(200, 3)) / 4.0 * [1.0, 0.5, 2.0]
+    grid[:, 1] = rng.uniform(0.0, 0.5, 200)
+    on = np.array([[0.25, 0.1234, 1.5], [0.26, 0.4, 1.98]])
+    between = np.array([[0.375, 0.1, 1.5], [0.5, 0.1, 1.2]])
+    np.testing.assert_array_equal(off_levels(grid, np.concatenate([on, between])), [0, 0, 1, 1])
+    assert off_levels(rng.random((200, 3)), on).all()

@@ -228,6 +228,7 @@ def test_words_for_numbers() -> None:
     assert words.number(0.0) == "0"
     assert words.odds(np.log(20)) == "20 : 1"
     assert words.odds(-np.log(20)) == "1 : 20"
+    assert words.odds(np.log(1974)) == "1974 : 1"
     assert words.odds(34 * np.log(10)) == "10³⁴ : 1"
     assert words.odds(-84_010.0) == "1 : more than 10¹⁰⁰"
     assert words.number(84_010.0) == "84010"

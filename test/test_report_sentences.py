@@ -18,11 +18,14 @@ from hidden_arm import at, session
 from report_pages import Page
 from small_arm import ARM
 
+from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.identify.diagnosis import Diagnosis, diagnose
 from longarm_comp.core.identify.evidence import Score
+from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.practical import practical
 from longarm_comp.core.identify.structure import SIGNIFICANT
-from longarm_comp.report import Detail, assemble, cards, record, tables
+from longarm_comp.report import Detail, assemble, cards, record, tables, verdict
+from longarm_comp.report.open_questions import open_questions
 from longarm_comp.report.page import page as rendered
 from longarm_comp.report.words import DASH
 from longarm_comp.sim.hidden import drives
@@ -44,6 +47,24 @@ def test_the_real_one_has_findings_of_both_sides() -> None:
     assert len(names) >= 3 and "camera_drift" in names
 
 
+def test_a_finding_in_practice_is_the_model_against_the_model_without_it() -> None:
+    """The rest fitted again to first order, against a whole fit; the size as a sum by hand."""
+    found, fitted = real(), real().fit
+    (drift,) = (f for f in found.findings if f.name == "camera_drift")
+    made = practical(fitted, drift.terms, found.held_out)
+    rate = np.array([getattr(drift.terms[0], axis) for axis in "xyz"])
+    hours = fitted.session.columns["t_s"] / 3600
+    assert made.tip_m == pytest.approx(hours * np.linalg.norm(rate), rel=1e-6)
+    bare = dataclasses.replace(fitted.model, biases=())
+    again = fit(bare, found.train, sigma=fitted.sigma, rho=fitted.rho, weights=fitted.weights)
+    left = np.linalg.norm(errors(again.model, found.held_out), axis=1).mean()
+    assert made.seen.before == pytest.approx(left, rel=0.02)
+    assert made.seen.after == pytest.approx(found.rows["with_effects"].mean)
+    assert made.seen.before > 1.5 * made.seen.after
+    assert made.commanded.before == pytest.approx(made.seen.before)
+    assert made.commanded.after > 1.5 * made.seen.after
+
+
 class Network:
     """Stands for a network that was kept."""
 
@@ -57,14 +78,14 @@ def drawn(seed: int) -> Diagnosis:
     size = 10 ** rng.uniform(-4, -1.5)
     n = len(base.proof.errors["nominal"])
 
-    def errors() -> np.ndarray:
+    def left() -> np.ndarray:
         tail = 1 + 4 * (rng.random((n, 1)) < 0.05)
         return np.asarray(size * rng.uniform(0.05, 1.5) * tail * rng.standard_normal((n, 3)))
 
     stages = [*base.models, *(["with_network"] if network else [])]
-    seen = {stage: errors() for stage in stages}
+    seen = {stage: left() for stage in stages}
     alike = rng.random() < 0.5
-    commanded = seen if alike else {stage: errors() for stage in stages}
+    commanded = seen if alike else {stage: left() for stage in stages}
     flag = bool(rng.integers(2)) or network is not None
     structure = dataclasses.replace(
         base.structure,
@@ -137,11 +158,11 @@ def line(page: Page, tag: str) -> list[str]:
 
 def test_the_verdict_counts_what_was_found(told: list[Told]) -> None:
     for report, page in told:
-        said = cards.meaning(report)
+        said = verdict.meaning(report)
         assert said in page.words()
         n = len(report.findings)
         if n:
-            assert said.startswith(f"{cards.COUNTS[n].capitalize()} physical effect")
+            assert said.startswith(f"{verdict.COUNTS[n].capitalize()} physical effect")
             assert (" effects explain" in said) == (n > 1)
         else:
             assert "added" in said and "effect explains" not in said
@@ -163,6 +184,7 @@ def test_a_cause_without_a_name_has_a_card_and_is_counted(told: list[Told]) -> N
         domain=["q2 0..0.52 rad"],
         reading="behaves like a cable that pulls",
         title="cause without a name",
+        doubts=["q2 was measured at few positions; between them it is a guess"],
         action="Look there for what it behaves like.",
         log_evidence=40.0,
         tip_mm=record.TipShift(rms=1.25, max=3.75),
@@ -174,19 +196,21 @@ def test_a_cause_without_a_name_has_a_card_and_is_counted(told: list[Told]) -> N
         found = report.model_copy(
             update={"discovered": [cause.model_copy(update={"kept": kept}), cause]}
         )
-        said, made = cards.meaning(found), cards.cards(found)
+        said, made = verdict.meaning(found), cards.cards(found)
         assert len(made) == 1 + kept
         assert ("two causes without a name were" in said) == kept and "none was added" not in said
     (card,) = made
     assert card.title == "Cause without a name, joint 5" and card.action == cause.action
     assert card.tip == "1.25 mm at the tip, up to 3.75 mm"
     assert card.sure == "certain; the place is open" and "joint 6, force y" in card.because
+    assert "few positions" in open_questions(found, Detail())[0].items[0]
+    assert card.doubts == tuple(cause.doubts)
     assert card.improves == "1.39 → 0.11 mm" and "compensates it" in card.software
 
 
 def test_the_figures_of_the_first_screen_are_those_of_the_table(told: list[Told]) -> None:
     for report, page in told:
-        gain = cards.improvement(report)
+        gain = verdict.improvement(report)
         assert gain is not None
         before, after = line(page, "before"), line(page, "after")
         assert before and after
@@ -212,6 +236,8 @@ def test_the_sentence_has_the_figures_of_the_table(told: list[Told]) -> None:
             wanted = [float(before[column]), float(after[column])]
             assert [float(v) for v in pair] == pytest.approx(wanted, abs=6e-3)
         assert len(pairs) == (2 if "as commanded" in tail else 1)
+        differs = max(abs(float(row[1]) - float(row[2])) for row in (before, after))
+        assert differs < 0.02 if len(pairs) == 1 else differs > 0.002
 
 
 def test_what_is_said_of_the_gain_is_what_its_interval_says(told: list[Told]) -> None:

@@ -41,6 +41,22 @@ class Sight:
         return f"{self.found} of {self.poses} poses"
 
 
+def board_of(bridge: Mapping[str, Any]) -> TagBoard:
+    """The printed tags that parameters of `stereo_bridge` describe, by dotted name.
+
+    Raises:
+        InputError: a value that tags cannot have.
+    """
+    return TagBoard(
+        bridge["marker.tag_m"],
+        bridge["marker.gap_m"],
+        bridge["marker.columns"],
+        bridge["marker.rows"],
+        bridge["marker.dictionary"],
+        bridge["marker.first_id"],
+    )
+
+
 def seen_from(
     arm: Arm, bridge: Mapping[str, Any], simulated: Mapping[str, Any], poses: int = _POSES
 ) -> Sight:
@@ -61,15 +77,11 @@ def seen_from(
     )  # fmt: skip
     marker = {k: simulated[f"marker.{k}"] for k in ("tag_m", "gap_m", "columns", "rows")}
     plate, on_tip = tag_plate(**marker), mounting(simulated["marker.mounting"])
-    board = TagBoard(
-        bridge["marker.tag_m"], bridge["marker.gap_m"], bridge["marker.columns"],
-        bridge["marker.rows"], bridge["marker.dictionary"], bridge["marker.first_id"],
-    )  # fmt: skip
     hand_eye = quaternion.pose(
         np.array(bridge["hand_eye.xyz"]), np.array(bridge["hand_eye.quaternion"])
     )
     rig = StereoRig.from_camera_info(*head.camera_infos(), rectified=False)
-    eye = StereoEye(rig, board, hand_eye, bridge["tip_in_marker"])
+    eye = StereoEye(rig, board_of(bridge), hand_eye, bridge["tip_in_marker"])
     rng = np.random.default_rng(0)
     off = []
     for k, tip in enumerate(declared_model(arm).pose(sobol(arm, poses, 0).q)):

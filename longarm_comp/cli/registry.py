@@ -57,12 +57,14 @@ COMMANDS = (
     Entry("schema", "schema", "JSON schema of arm.yaml, for editors."),
     Entry("compare", "compare", "Two diagnoses, models or sessions side by side."),
     Entry("report compare", "report_compare", "Two diagnoses side by side."),
+    Entry("stereo marker", "stereo_marker", "The marker as a page to print, with a ruler."),
     Entry("undo", "undo", "Restore the version of a model.yaml before the last change."),
 )
 
 GROUPS = {
     "report": "Reports of diagnoses.",
     "bag": "Sessions as rosbag2.",
+    "stereo": "Cameras and marker.",
     "study": "Studies: Table I, real arms, realisable joints, a day of work, closing the loop.",
 }
 """One line of help for each first word of a two-word name."""

@@ -81,6 +81,14 @@ def _of_the_machine(error: OSError | MemoryError | RecursionError) -> str:
     return "the input is nested too deeply"
 
 
+def _of_ros(error: ModuleNotFoundError) -> bool:
+    """Whether a module is missing that comes with ROS 2 or is built for it."""
+    name = (error.name or "").split(".")[0]
+    return name in ("rclpy", "longarm_interfaces", "rpyutils") or name.endswith(
+        ("_interfaces", "_msgs", "_srvs")
+    )
+
+
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run a command line and return the exit code.
 
@@ -100,6 +108,12 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return error.exit_code
     except BrokenPipeError:  # `longarm ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return JobError.exit_code
+    except ModuleNotFoundError as error:
+        if not _of_ros(error):
+            raise
+        way = "source ROS 2 Jazzy and its workspace, or run `make setup` in a checkout"
+        click.echo(f"longarm: this command needs ROS 2 ({error.name} is missing): {way}", err=True)
         return JobError.exit_code
     except (OSError, MemoryError, RecursionError) as error:
         click.echo(f"longarm: {_of_the_machine(error)}", err=True)

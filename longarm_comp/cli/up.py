@@ -53,6 +53,9 @@ def command(
     import signal
     import threading
 
+    import rclpy  # noqa: F401
+
+    import longarm_interfaces.msg  # noqa: F401  (missing: said here, not by five processes)
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.nodes.bringup import BringUp, running
 

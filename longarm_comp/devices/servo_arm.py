@@ -19,7 +19,13 @@ from longarm_comp.devices.servo_bus import (
     ServoState,
 )
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.servo_follower import Accepted, FollowerState, Step, TrajectoryFollower
+from longarm_comp.devices.servo_follower import (
+    Accepted,
+    FollowerState,
+    KeepsOut,
+    Step,
+    TrajectoryFollower,
+)
 
 _DRIVEN_EVERY = 25  # cycles between two checks that the torque is still on
 _REOPEN_S = 0.5
@@ -62,9 +68,9 @@ class ServoArm:
         JobError: a servo is of another model than configured.
     """
 
-    def __init__(self, config: ServoConfig) -> None:
+    def __init__(self, config: ServoConfig, keeps_out: KeepsOut = lambda path: "") -> None:
         self.config = config
-        self.follower = TrajectoryFollower(config)
+        self.follower = TrajectoryFollower(config, keeps_out)
         self._ids = list(config.ids.values())
         self._powered = False
         self._owing_off = False  # torque off is still to be sent to an unplugged bus

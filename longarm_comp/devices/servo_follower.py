@@ -19,7 +19,7 @@ the goals that it returns. On a fault every servo holds its position and no more
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -35,16 +35,23 @@ __all__ = ["Accepted", "Event", "EventKind", "FollowerState", "Step", "Trajector
 
 _SETTLED_TICKS_S = 30.0
 
+KeepsOut = Callable[[Array], str]
+
 
 class TrajectoryFollower:
     """Follows one trajectory at a time within the limits of ``config``.
 
     Call ``step`` at a steady rate, also while idle, so that the read-back stays up to date.
     ``now`` is monotonic seconds everywhere.
+
+    Args:
+        config: the joints and their limits.
+        keeps_out: says why way-points (k, n), the first where the arm stands, must not be
+            followed; empty where they may.
     """
 
-    def __init__(self, config: ServoConfig) -> None:
-        self._config = config
+    def __init__(self, config: ServoConfig, keeps_out: KeepsOut = lambda path: "") -> None:
+        self._config, self._keeps_out = config, keeps_out
         self._joints = list(config.joints.values())
         self._names = tuple(config.joints)
         self._lower = np.array([j.lower for j in self._joints])
@@ -83,7 +90,7 @@ class TrajectoryFollower:
         Raises:
             InputError: unknown or repeated joint, wrong length, not finite, times not increasing,
                 outside the limits, also between points; nothing changes then.
-            JobError: no trusted read-back yet, fault, or emergency stop.
+            JobError: no trusted read-back yet, fault, emergency stop, held, or kept out.
         """
         self._check_ready(now)
         start = self._start()
@@ -101,6 +108,9 @@ class TrajectoryFollower:
                 start, wanted.times, wanted.positions, wanted.velocities, self._max_velocity
             )
             self._check_inside(path)
+            entry = self._keeps_out(np.vstack([start, wanted.positions]))
+            if entry:
+                raise JobError(entry)
         self._set = start
         self._path, self._path_time, self._from = path, 0.0, (start, self._velocity.copy())
         self._state, self._settled, self._still_s = FollowerState.TRACKING, False, 0.0

@@ -25,8 +25,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.images import stamp_ns
 from longarm_comp.nodes.messages import joints_of, sighting_of
+from longarm_comp.nodes.stamps import stamp_ns
 from longarm_interfaces.msg import DriverState
 
 _ASK_AGAIN_S = 2.0

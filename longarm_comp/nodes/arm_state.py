@@ -16,8 +16,8 @@ from longarm_comp.core.compensation.joint_trust import JointTrust
 from longarm_comp.core.compensation.online import Readings
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.images import stamp_ns
 from longarm_comp.nodes.messages import joints_of, tilt_of
+from longarm_comp.nodes.stamps import stamp_ns
 
 NO_JOINTS = "no joint_states yet"
 """What `kinematics` says of its targets on /diagnostics until it knows the joints."""

@@ -16,6 +16,8 @@ from longarm_comp.core.compensation.joint_trust import check_inside
 from longarm_comp.core.compensation.online import CompensationOptions, StaleContext, compensate_now
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.expansion import Nearby
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.keep_out import entered
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.driver_link import DriverLink
 from longarm_comp.nodes.messages import Answer, FileHashes, Refusal, joints_of, target_of
@@ -54,6 +56,7 @@ class Compensator:
     ) -> None:  # fmt: skip
         self._node, self._files, self._state = node, files, state
         self._predictor, self._driver, self._survived = predictor, driver, survived
+        self._declared = declared_model(files.arm)
         self._base_frame: str = p["base_frame"]
         self._max_age_s = p["context_max_age_s"]
         self._settling = Settling(
@@ -123,12 +126,18 @@ class Compensator:
             client, why = None, f": {absent.reason}"
             arrival = compensate_now(loaded.model, None, target, **known)
         outcome = arrival.outcome
+        status = outcome.status
+        reason = outcome.reason + (why if status is Status.NO_PREDICTOR else "")
+        if outcome.success:
+            path = np.vstack([start, arrival.move.points])
+            entry = entered(self._declared, path)
+            status, reason = (Status.KEPT_OUT, entry) if entry else (status, reason)
         return Answer(
             name,
             request.target,
             request.position_only,
-            outcome.status,
-            outcome.reason + (why if outcome.status is Status.NO_PREDICTOR else ""),
+            status,
+            reason,
             options.method.value,
             FileHashes(
                 self._files.arm.hash, loaded.file_hash, "" if client is None else client.file_hash

@@ -24,6 +24,7 @@ from longarm_comp.nodes.messages import joints_of, sides_of, vector_message
 from longarm_comp.nodes.model_files import ModelFiles, file_hash
 from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.runner import run
+from longarm_comp.nodes.steady import steady_timer
 from longarm_comp.nodes.watch import FileWatch
 from longarm_comp.nodes.worker import ManualCallbackGroup, Worker
 from longarm_interfaces.srv import PredictError
@@ -67,7 +68,7 @@ class ErrorPredictor(Node):
         self._errors = graph.PREDICTED_ERROR.publisher(self)
         graph.RELOAD.server(self, self._on_reload, ReentrantCallbackGroup())
         self._watch = FileWatch((self._path, p["model"]))
-        self.create_timer(p["watch_period_s"], self._look)
+        steady_timer(self, p["watch_period_s"], self._look)
         self._health = Health(self, {"predictor": self._report}, p[PERIOD.name])
         self._files.start()
         self._asked.start(

@@ -10,6 +10,7 @@ from rclpy.node import Node
 
 from longarm_comp.nodes.interfaces import DIAGNOSTICS
 from longarm_comp.nodes.params import Param
+from longarm_comp.nodes.steady import steady_timer
 
 PERIOD = Param("diagnostics_period_s", 1.0, "between two reports on /diagnostics", 0.05, 60.0)
 """A parameter of every node."""
@@ -62,7 +63,7 @@ class Health:
         self._node = node
         self._parts = dict(parts)
         self._publisher = DIAGNOSTICS.publisher(node)
-        self._timer = node.create_timer(period_s, self.publish)
+        self._timer = steady_timer(node, period_s, self.publish)
         self.faults = 0
         self.last_fault = ""
         self._parts["process"] = self._process

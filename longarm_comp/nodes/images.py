@@ -6,11 +6,11 @@ import array
 
 import cv2
 import numpy as np
-from builtin_interfaces.msg import Time
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image
 
 from longarm_comp.devices.stereo import CameraInfoLike, RefusalReason, StereoRefusal
+from longarm_comp.nodes.stamps import stamp_of
 
 Grey = NDArray[np.uint8]
 _CHANNELS = {"mono8": 1, "8UC1": 1, "bgr8": 3, "8UC3": 3, "rgb8": 3, "bgra8": 4, "rgba8": 4}
@@ -19,16 +19,6 @@ _TO_BGR = {
     "bgra8": cv2.COLOR_BGRA2BGR,
     "rgba8": cv2.COLOR_RGBA2BGR,
 }
-
-
-def stamp_ns(stamp: Time) -> int:
-    """A message's stamp in nanoseconds."""
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-
-
-def stamp_of(ns: int) -> Time:
-    """Nanoseconds as a stamp."""
-    return Time(sec=ns // 1_000_000_000, nanosec=ns % 1_000_000_000)
 
 
 def pixels_of(message: Image) -> Grey:

@@ -34,6 +34,7 @@ from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.predictor_client import PredictorClient
 from longarm_comp.nodes.reach import ReachServer
 from longarm_comp.nodes.runner import run
+from longarm_comp.nodes.steady import steady_timer
 from longarm_comp.nodes.targets import Targets
 from longarm_comp.nodes.watch import FileWatch
 from longarm_comp.nodes.worker import Worker
@@ -102,9 +103,9 @@ class Kinematics(Node):
         self._tips = graph.TIP_MEASURED.subscription(self, self._on_tip)
         graph.RELOAD.server(self, self._on_reload, ReentrantCallbackGroup())
         self._watch = FileWatch((p["model"],))
-        self.create_timer(p["watch_period_s"], self._look)
+        steady_timer(self, p["watch_period_s"], self._look)
         if p["markers.period_s"]:
-            self.create_timer(p["markers.period_s"], self._draw)
+            steady_timer(self, p["markers.period_s"], self._draw)
         parts = {
             "targets": self._targets.report,
             "driver": self._driver.report,

@@ -6,13 +6,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
 from rclpy.exceptions import (
     InvalidParameterTypeException,
     InvalidParameterValueException,
     ParameterImmutableException,
 )
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from longarm_comp.core.errors import InputError
 
@@ -127,7 +133,22 @@ def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) ->
         ):
             raise InputError(where(node), name, value, param.allowed) from None
         values[name] = value
+    node.add_on_set_parameters_callback(lambda asked: _checked(known, asked))
     return values
+
+
+def _checked(known: Mapping[str, Param], asked: Sequence[Parameter]) -> SetParametersResult:
+    """Refuse what a parameter does not allow while the node runs, in words."""
+    for given in asked:
+        param = known.get(given.name)
+        if param is None:  # of ROS, or of a section that is checked elsewhere
+            continue
+        try:
+            param.check(given.value)
+        except (TypeError, ValueError):
+            why = f"{given.name}: {given.value!r}; allowed: {param.allowed}"
+            return SetParametersResult(successful=False, reason=why)
+    return SetParametersResult(successful=True)
 
 
 def redeclare(node: Node, name: str, value: Any, descriptor: ParameterDescriptor) -> None:

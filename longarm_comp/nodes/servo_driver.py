@@ -22,11 +22,13 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.errors import LongarmError
+from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.keep_out import entered
 from longarm_comp.devices.servo_arm import Cycle, ServoArm
 from longarm_comp.devices.servo_bus import BusUnplugged, IncompleteReply
 from longarm_comp.devices.servo_config import BusConfig, FollowerConfig, ServoConfig
-from longarm_comp.devices.servo_follower import Accepted, Event, EventKind, FollowerState
+from longarm_comp.devices.servo_follower import Accepted, Event, EventKind, FollowerState, KeepsOut
 from longarm_comp.devices.servo_joint import JointConfig
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
@@ -38,7 +40,7 @@ from longarm_interfaces.msg import DriverState, Motion
 
 PARAMS = (
     Param("rate_hz", 50.0, "cycles a second: read all servos, command all", 1.0, 500.0),
-    Param("arm", "", "arm.yaml whose steps the servos must stand at; empty: not checked"),
+    Param("arm", "", "arm.yaml whose steps and keep-out boxes hold; empty: not checked"),
     Param("autostart", True, "configure and activate by itself, and again after a failure"),
     Param("retry_s", 1.0, "pause between two such attempts", 0.1, 60.0),
     Param("patience_s", 5.0, "no servos at the start are an error only after it", 0.0, 600.0),
@@ -63,10 +65,9 @@ class ServoDriver(LifecycleNode):
         super().__init__("servo_driver", automatically_declare_parameters_from_overrides=True)
         p = declare(self, PARAMS, sections=tuple(SECTIONS))
         self._config = self._servo_config()
+        self._keeps_out: KeepsOut = lambda path: ""
         if p["arm"]:
-            arm = Arm.load(p["arm"])
-            steps = dict(zip(arm.joint_names, arm.steps.tolist(), strict=True))
-            self._config.check_steps(steps, p["arm"])
+            self._keeps_out = self._rules_of(Arm.load(p["arm"]), p["arm"])
         self._autostart, self._period_s = p["autostart"], 1.0 / p["rate_hz"]
         self._arm: ServoArm | None = None
         self._active = False
@@ -112,6 +113,22 @@ class ServoDriver(LifecycleNode):
             )
         return ServoConfig.parse(nested(given), "parameters of servo_driver")
 
+    def _rules_of(self, arm: Arm, file: str) -> KeepsOut:
+        """Check the declared steps; how moves are kept out of the declared boxes.
+
+        Raises:
+            InputError: a step that the servo does not have; boxes, and a joint without a servo.
+        """
+        self._config.check_steps(dict(zip(arm.joint_names, arm.steps.tolist(), strict=True)), file)
+        if not arm.keep_out:
+            return lambda path: ""
+        names, model = list(self._config.joints), declared_model(arm)
+        for name in arm.joint_names:
+            if name not in names:
+                raise InputError(file, f"servo of {name}", "missing", ", ".join(names))
+        order = [names.index(name) for name in arm.joint_names]
+        return lambda path: entered(model, path[:, order])
+
     # ------------------------------------------------------------------ lifecycle
 
     def _start(self) -> None:
@@ -125,7 +142,7 @@ class ServoDriver(LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open the port and find every servo."""
         try:
-            self._arm = ServoArm(self._config)
+            self._arm = ServoArm(self._config, self._keeps_out)
         except LongarmError as error:
             return self._failed(error)
         self._fault = ""

@@ -22,9 +22,11 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import OK, PERIOD, Health, Report
-from longarm_comp.nodes.images import image_message, info_message, stamp_of
+from longarm_comp.nodes.images import image_message, info_message
 from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.runner import run
+from longarm_comp.nodes.stamps import stamp_of
+from longarm_comp.nodes.steady import steady_timer
 from longarm_comp.nodes.worker import Worker
 from longarm_comp.sim.cameras import CameraPair, tag_plate
 from longarm_comp.sim.plant import Plant, PlantConfig, hidden_effects, mounting
@@ -130,12 +132,12 @@ class SimulatedArm(Node):
         self._temperature = graph.TEMPERATURE.publisher(self)
         self._payload = graph.PAYLOAD.publisher(self)
         if p["frame_rate_hz"]:
-            self.create_timer(1.0 / p["frame_rate_hz"], self._expose)
+            steady_timer(self, 1.0 / p["frame_rate_hz"], self._expose)
         if p["context_rate_hz"]:
-            self.create_timer(1.0 / p["context_rate_hz"], self._tell)
+            steady_timer(self, 1.0 / p["context_rate_hz"], self._tell)
         if p["wire_faults_hz"]:
             self._chance = np.random.default_rng([p["seed"], 1])
-            self.create_timer(1.0 / p["wire_faults_hz"], self._spoil)
+            steady_timer(self, 1.0 / p["wire_faults_hz"], self._spoil)
         self._health = Health(self, {"plant": self._report}, p[PERIOD.name])
         self._plant.start()
 

@@ -30,10 +30,11 @@ from longarm_comp.devices.stereo import (
 )
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import OK, PERIOD, STALE, WARN, Health, Report
-from longarm_comp.nodes.images import pixels_of, same_camera, stamp_ns, stamp_of
+from longarm_comp.nodes.images import pixels_of, same_camera
 from longarm_comp.nodes.messages import pose_message
 from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.runner import run
+from longarm_comp.nodes.stamps import stamp_ns, stamp_of
 from longarm_comp.nodes.worker import Worker
 
 PARAMS = (

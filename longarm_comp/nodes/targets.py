@@ -20,7 +20,6 @@ from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.compensator import Compensator
 from longarm_comp.nodes.driver_link import DriverLink
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report, Tally
-from longarm_comp.nodes.images import stamp_ns
 from longarm_comp.nodes.messages import (
     Answer,
     compensation_message,
@@ -28,6 +27,7 @@ from longarm_comp.nodes.messages import (
     trajectory_message,
 )
 from longarm_comp.nodes.params import Param
+from longarm_comp.nodes.stamps import stamp_ns
 from longarm_comp.nodes.worker import ManualCallbackGroup, Worker
 from longarm_interfaces.srv import Compensate
 

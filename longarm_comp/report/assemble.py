@@ -159,9 +159,17 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding) -> dict[str, Any]:
         "seen_mm": _pair_mm(real.seen),
         "commanded_mm": _pair_mm(real.commanded),
         "stable": diagnosis.confirmed.stable[found.name],
-        "doubts": list(diagnosis.confirmed.notes[found.name]),
+        "doubts": [*diagnosis.confirmed.notes[found.name], *_overlapping(diagnosis, found.name)],
         "action": first.action,
     }
+
+
+def _overlapping(diagnosis: Diagnosis, name: str) -> list[str]:
+    """Which other findings would take most of what is its, in words."""
+    named = {f.name for f in diagnosis.findings}
+    pairs = (set(o.names) for o in diagnosis.confirmed.overlaps)
+    others = [other for pair in pairs if name in pair for other in pair - {name} if other in named]
+    return [f"{other} alone explains most of what both do" for other in others]
 
 
 def _pair_mm(gain: Gain) -> list[float]:

@@ -1,4 +1,4 @@
-"""The first screen in words: what was found, what it means, what to do; all from report.json."""
+"""A card per finding in words: what, how big, how sure, what to do; all from report.json."""
 
 from __future__ import annotations
 
@@ -6,33 +6,20 @@ import re
 from dataclasses import dataclass
 from math import log
 
-from longarm_comp.core.data.commanded import CAMERA_SIDE
 from longarm_comp.core.effects.units import for_people
-from longarm_comp.core.identify.candidates import NO_PLACE
-from longarm_comp.report.detail import Detail, SetSplit
 from longarm_comp.report.record import (
     DiagnosisReport,
     FindingParameter,
     ReportDiscovered,
     ReportFinding,
 )
-from longarm_comp.report.words import interval, millimetres, number, odds
+from longarm_comp.report.words import change, interval, listed, millimetres, number, odds
 
 CERTAIN, LIKELY = log(1000.0), log(20.0)
 """Log odds from which on something is called certain, and likely."""
 FEW = 0.05
 """Share of a mean error below which a change of it is no improvement worth a word."""
 MOST_SIZES = 8
-
-STAGES = {
-    "nominal": "the model before",
-    "frames_only": "base and marker placed",
-    "calibrated": "the calibrated geometry",
-    "with_effects": "the geometry with the effects found",
-    "with_discovered": "the model with what was found without a name",
-    "with_network": "the model with the network",
-}
-COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
 
 @dataclass(frozen=True)
@@ -51,7 +38,7 @@ class Card:
 
     Attributes:
         title: what it is and where, in a line.
-        names: canonical name, with those that cannot be told from it.
+        names: canonical name, with those that cannot be told from it; empty without a name.
         where: its places.
         sizes: its parameters; `more` of them are not among these.
         reading: what the effect says of itself.
@@ -92,20 +79,20 @@ def _unnamed(found: ReportDiscovered) -> Card:
     word, others = _word(found.log_evidence), found.set[1:]
     said = f"Odds of {odds(found.log_evidence)} for it, the choice among all functions paid for."
     if others:
-        said += f" Places that explain it as well: {_listed(others)}."
+        said += f" Places that explain it as well: {listed(others)}."
     tip = f"{millimetres(found.tip_mm.rms)} at the tip, up to {millimetres(found.tip_mm.max)}"
     held = "Inside the range of the data the new model.yaml compensates it."
     return Card(
         title=f"{(found.title or 'cause without a name').capitalize()}, {found.frame}",
-        names="discovered",
+        names="",
         where=found.frame,
         sizes=(),
         more=0,
         reading=f"{found.formula}. {found.reading[:1].upper()}{found.reading[1:]}.",
         tip=tip,
-        sure=word + ("; the place is open" if others else ""),
+        sure=word + ("; the place is open" if others else _with_doubts(found.doubts)),
         because=said,
-        doubts=(),
+        doubts=tuple(found.doubts),
         action=found.action,
         software=held if found.compensated else "Commands leave it out.",
         improves=change(found.held_out_rms_mm),
@@ -176,7 +163,7 @@ def _sure(finding: ReportFinding) -> tuple[str, str]:
     others = [name for name in finding.set if name != finding.effect]
     margin = there
     if others:
-        said.append(f"These data do not tell it from {_listed(others)}")
+        said.append(f"These data do not tell it from {listed(others)}")
     elif finding.runner_up is not None:
         margin = there - finding.runner_up.log_bayes_factor
         said.append(f"Next best: {finding.runner_up.effect}, odds of {odds(margin)} for the name")
@@ -185,9 +172,15 @@ def _sure(finding: ReportFinding) -> tuple[str, str]:
         sure += "; the name is open"
     elif _word(margin) != sure:
         sure += f"; the name is {_word(margin)}"
-    elif finding.doubts:
-        sure += ", with a doubt" if len(finding.doubts) == 1 else ", with doubts"
+    else:
+        sure += _with_doubts(finding.doubts)
     return sure, ". ".join(said) + "."
+
+
+def _with_doubts(doubts: list[str]) -> str:
+    if not doubts:
+        return ""
+    return ", with a doubt" if len(doubts) == 1 else ", with doubts"
 
 
 def _word(log_odds: float) -> str:
@@ -199,7 +192,7 @@ def _word(log_odds: float) -> str:
 def _software(finding: ReportFinding, report: DiagnosisReport) -> str:
     """What commands make of it."""
     if finding.compensated:
-        return "Until then the new model.yaml compensates it."
+        return "The new model.yaml compensates it."
     mine = [s for s in report.held_out.not_commanded if s.startswith(f"{finding.effect} (")]
     why = mine[0][len(finding.effect) :] if mine else ""
     return f"Commands leave it out{why}: software does not compensate it."
@@ -215,155 +208,6 @@ def _improves(finding: ReportFinding) -> str:
     return text if helps(finding.commanded_mm) else f"{text}: no gain for commands on these rows"
 
 
-def change(pair: tuple[float, float]) -> str:
-    """``7.72 → 0.49 mm``."""
-    return f"{millimetres(pair[0]).removesuffix(' mm')} → {millimetres(pair[1])}"
-
-
 def helps(pair: tuple[float, float]) -> bool:
     """Whether an error falls by a share worth a word."""
     return pair[1] < (1 - FEW) * pair[0]
-
-
-def _listed(names: list[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"
-
-
-# ------------------------------------------------------------------ the verdict
-
-
-def meaning(report: DiagnosisReport) -> str:
-    """The verdict in one sentence."""
-    n, open_ = len(report.findings), sum(len(f.set) > 1 for f in report.findings)
-    left, unnamed = report.structure_left, sum(found.kept for found in report.discovered)
-    none = f"{_count(unnamed).lower()} cause without a name was found and added"
-    none = none.replace("cause", "causes").replace("was", "were") if unnamed > 1 else none
-    added = none if unnamed else "none was added"
-    return {
-        "noise": "Nothing beyond the noise was found; nothing was added.",
-        "named": f"{_count(n)} {_explain(n)} what the model lacked.",
-        "set": (
-            f"{_count(n)} {_explain(n)} what the model lacked; "
-            f"{_of(open_, n)} may have another name, and more poses may tell."
-        ),
-        "partly": (
-            f"{_count(n)} {_explain(n)} a part of what the model lacked; "
-            + ("structure is left" if left.flag else "one could have too many names")
-            + (f"; {none}." if unnamed else ".")
-        ),
-        "unknown": (
-            f"There is structure that no effect of the library explains; {added}."
-            if left.flag
-            else f"Effects were found in the fitted poses but not proven on others; {added}."
-        ),
-        "bad_data": "The data were refused; nothing was fitted, nothing was added.",
-    }[report.verdict]
-
-
-def _count(n: int) -> str:
-    return (COUNTS[n] if n < len(COUNTS) else str(n)).capitalize()
-
-
-def _explain(n: int) -> str:
-    return "physical effect explains" if n == 1 else "physical effects explain"
-
-
-def _of(part: int, n: int) -> str:
-    if part == n:
-        return "it" if n == 1 else "each of them"
-    return f"{COUNTS[part] if part < len(COUNTS) else part} of them"
-
-
-@dataclass(frozen=True)
-class Improvement:
-    """What changed on the held-out rows, from one stage to another.
-
-    Attributes:
-        stages: their names, before and after.
-        commanded: mean error as a command would have it.
-        seen: mean error as seen; empty where it reads the same.
-        proof: what the interval says; empty where nothing was added.
-        between: what a command leaves out, where the two differ.
-        camera: whether a finding is on the camera's side.
-    """
-
-    stages: tuple[str, str]
-    commanded: str
-    seen: str
-    proof: str
-    between: tuple[str, ...]
-    camera: bool
-
-
-def improvement(report: DiagnosisReport) -> Improvement | None:
-    """Of the stages that the verdict compares; None where there is nothing to compare."""
-    held = report.held_out
-    rows = {row.model: row for row in held.rows}
-    if held.before not in rows or held.after not in rows:
-        return None
-    before, after = rows[held.before], rows[held.after]
-    seen = change((before.mean_mm, after.mean_mm))
-    commanded = seen
-    if before.commanded_mean_mm is not None and after.commanded_mean_mm is not None:
-        commanded = change((before.commanded_mean_mm, after.commanded_mean_mm))
-    differs = commanded != seen
-    return Improvement(
-        (STAGES[held.before], STAGES[held.after]),
-        commanded,
-        seen if differs else "",
-        _proof(held.commanded_ci95_mm or held.before_after_ci95_mm),
-        tuple(held.not_commanded) if differs else (),
-        any(said.endswith(CAMERA_SIDE) for said in held.not_commanded) and bool(report.findings),
-    )
-
-
-def _proof(pair: tuple[float, float] | None) -> str:
-    if pair is None:
-        return ""
-    if pair[0] > 0:
-        return f"The mean falls by {interval(pair, 3)} mm (95 %)."
-    if pair[1] < 0:
-        return f"The mean grows by {interval((-pair[1], -pair[0]), 3)} mm (95 %)."
-    return f"The change of the mean, {interval((-pair[1], -pair[0]), 3)} mm (95 %), is not proven."
-
-
-# ------------------------------------------------------------------ what is open
-
-
-@dataclass(frozen=True)
-class Open:
-    """Something that these data cannot tell, and the effects that it is about."""
-
-    what: str
-    items: tuple[str, ...] = ()
-
-
-def open_questions(report: DiagnosisReport, detail: Detail) -> list[Open]:
-    """Sets and the poses that split them, effects not testable, effects too small to be seen."""
-    made = [Open(_split(split)) for split in detail.splits]
-    split = {tuple(split.members) for split in detail.splits}
-    made += [
-        Open(f"Whether it is {_listed(f.set)}. No splitting poses were sought.")
-        for f in report.findings
-        if len(f.set) > 1 and tuple(f.set) not in split
-    ]
-    rows = report.candidates
-    untested = tuple(
-        f"{c.effect}: {c.why}" for c in rows if c.state == "not_testable" and c.why != NO_PLACE
-    )
-    if untested:
-        made.append(Open("Not testable with this session:", untested))
-    unseen = tuple(f"{c.effect}, {c.where}: {c.why}" for c in rows if c.state == "invisible")
-    if unseen:
-        made.append(Open("May be there, but would not show at its usual size:", unseen))
-    return made
-
-
-def _split(split: SetSplit) -> str:
-    """A set, and what would split it."""
-    said = f"Whether it is {_listed(list(split.members))}"
-    if not split.poses:
-        return f"{said}. {split.reason or 'No pose of this arm tells them apart.'}"
-    expected = split.expected_log_bayes_factor
-    figure = "" if expected is None else f" (expected odds {odds(expected)})"
-    return f"{said}: {len(split.poses)} poses in next_poses.csv would tell{figure}."

@@ -20,15 +20,16 @@ def discovered(discovery: Discovery | None) -> list[dict[str, Any]]:
 
 def _cause(found: Cause, discovery: Discovery) -> dict[str, Any]:
     before, after = (discovery.proof.rows[k].rms for k in ("calibrated", "with_effects"))
-    frame, _, component = found.where[0].partition(", ")
+    at = [a.where.partition(", ") for a in found.amounts]
     return {
-        "frame": frame,
-        "component": component,
+        "frame": ", ".join(dict.fromkeys(frame for frame, _, _ in at)),
+        "component": ", ".join(dict.fromkeys(component for _, _, component in at)),
         "set": list(found.where),
         "formula": found.formula,
         "reading": found.reading,
         "title": found.terms[0].heading(),
         "action": found.terms[0].action,
+        "doubts": list(discovery.doubts),
         "domain": list(found.domain),
         "terms": [
             {

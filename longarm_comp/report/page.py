@@ -10,9 +10,10 @@ from importlib.resources import files
 from plotly.offline import get_plotlyjs
 
 from longarm_comp.core.identify.structure import SIGNIFICANT
-from longarm_comp.report import cards, tables, words
+from longarm_comp.report import cards, tables, verdict, words
 from longarm_comp.report.arrows import MOST, exaggeration, stages_of
 from longarm_comp.report.detail import Detail
+from longarm_comp.report.open_questions import open_questions
 from longarm_comp.report.record import DiagnosisReport
 from longarm_comp.report.scene import scene_json
 from longarm_comp.report.style import LOOKS
@@ -36,6 +37,8 @@ def page(report: DiagnosisReport, detail: Detail, plots: Mapping[str, bytes]) ->
         report=report,
         detail=detail,
         cards=cards,
+        verdict=verdict,
+        open_questions=open_questions,
         tables=tables,
         words=words,
         picture=place_name,

@@ -173,6 +173,7 @@ class ReportDiscovered(_Record):
     reading: str
     title: str = ""
     action: str = ""
+    doubts: list[str] = []
     log_evidence: float
     tip_mm: TipShift
     held_out_rms_mm: tuple[float, float]

@@ -35,7 +35,7 @@ def odds(log_bayes_factor: float) -> str:
     """A log Bayes factor as odds."""
     power = abs(log_bayes_factor) / np.log(10)
     if power < 4:
-        larger = f"{10**power:.3g}"
+        larger = f"{10**power:.3g}" if power < 3 else f"{10**power:.0f}"
     elif power < _CERTAIN:
         larger = _ten(round(power))
     else:
@@ -46,3 +46,13 @@ def odds(log_bayes_factor: float) -> str:
 def _ten(power: int) -> str:
     """A power of ten with its exponent raised."""
     return "10" + str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def change(pair: tuple[float, float]) -> str:
+    """``7.72 → 0.49 mm``."""
+    return f"{millimetres(pair[0]).removesuffix(' mm')} → {millimetres(pair[1])}"
+
+
+def listed(names: list[str]) -> str:
+    """``a, b or c``."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} or {names[-1]}"

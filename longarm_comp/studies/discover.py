@@ -132,7 +132,7 @@ def _told(found: DiagnosisResult) -> dict[str, Any]:
     return {
         "names": ", ".join(f.name for f in found.findings),
         "found": "; ".join(c.formula for c in causes),
-        "or": "; ".join(" or ".join(c.where[1:3]) for c in causes),
+        "or": "; ".join(" or ".join(c.where[1:3]) for c in causes if len(c.where) > 1),
     }
 
 

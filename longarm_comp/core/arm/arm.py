@@ -18,6 +18,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from longarm_comp.core.arm.beam import Beam
+from longarm_comp.core.arm.boxes import Box
 from longarm_comp.core.arm.measuring import (
     Anchor,
     CameraPlacement,
@@ -186,6 +187,7 @@ class Arm(Declared):
     markers: dict[str, Marker] = Field(default_factory=dict)
     anchors: dict[str, Anchor] = Field(default_factory=dict)
     sensors: Sensors = Field(default_factory=dict)
+    keep_out: dict[str, Box] = Field(default_factory=dict)
     tolerance: Placements = Placements()
 
     @model_validator(mode="after")

@@ -1,9 +1,10 @@
 """Errors as a command would have them: what the tip would miss a target by, with this model.
 
 A measurement holds more than a command can use.  A cause on the camera's side moves what is seen,
-not the tip, so no command compensates it.  A command knows its own way, but not what the joints
-did before it.  And it is told the circumstances in `TOLD` only.  `errors` of a model uses all of
-that and therefore flatters it; the errors here use what a command has.
+not the tip, so no command compensates it.  A command knows its own way, and what the joints did
+before it where their moves are followed, as in a running graph; of rows that only say from which
+side a joint came, nobody does.  And it is told the circumstances in `TOLD` only.  `errors` of a
+model uses all of that and therefore flatters it; the errors here use what a command has.
 """
 
 from __future__ import annotations
@@ -47,9 +48,9 @@ def commandable(term: Effect | Bias) -> bool:
 
 
 def own_way(session: Session) -> Session:
-    """The rows with their sides of arrival and the last leg of each joint; no move before it."""
+    """The rows without moves before the last that nobody recorded: only a side was told."""
     legs = session.legs.copy()
-    legs[..., 1:] = 0.0
+    legs[session.told != 0, 1:] = 0.0
     return dataclasses.replace(session, legs=legs)
 
 
@@ -61,6 +62,6 @@ def not_commanded(model: Model, session: Session) -> list[str]:
         if not term.geometry and not commandable(term)
     ]
     reads = [e for e in model.effects if "legs" in e.inputs]
-    if reads and session.legs[..., 1:].any():
+    if reads and session.legs[session.told != 0, 1:].any():
         said.append(f"earlier moves of the joints ({reads[0].name})")
     return list(dict.fromkeys(said))

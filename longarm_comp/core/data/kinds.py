@@ -202,7 +202,14 @@ def by_name(declared: Callable[[str], Any], names: np.ndarray) -> np.ndarray:
 
 
 def rotation_vector(matrix: np.ndarray) -> np.ndarray:
-    """Rotation vectors (N, 3) in rad of matrices (N, 3, 3); a common scale of one is left out."""
+    """Rotation vectors (N, 3) in rad of matrices (N, 3, 3); a common scale of one is left out.
+
+    NaN where a matrix is none of a rotation: not finite, or mirrored.
+    """
     from scipy.spatial.transform import Rotation  # not for a control program
 
-    return np.asarray(Rotation.from_matrix(matrix).as_rotvec())
+    finite = np.isfinite(matrix).all(axis=(1, 2))
+    proper = finite & (np.linalg.det(np.where(finite[:, None, None], matrix, 0.0)) > 0)
+    found = np.full((len(matrix), 3), np.nan)
+    found[proper] = Rotation.from_matrix(matrix[proper]).as_rotvec()
+    return found

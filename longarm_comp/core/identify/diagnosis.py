@@ -36,6 +36,8 @@ from longarm_comp.core.model.model import Model
 POSES_TO_SPLIT = 12
 LEAST_SHARE = 0.5
 """Where structure is left, names that took less than this of the held-out error are withdrawn."""
+MOST_UNEVEN = 20.0
+"""No sensor of positions is so much noisier along one axis than along another."""
 MOST_OUTLIERS = 0.16
 """More rejected rows than this are not outliers but something that the model lacks."""
 
@@ -226,11 +228,11 @@ def diagnose(
     outcome = _judge(identified, calibrated, proof, network, learn, held_out, rng)
     structure = _all_signs(outcome.structure, identified.search, outcome.proof)
     discovery = None
-    if structure.flag:
-        opened = sealed.open("functions without a name").take(opened.seen)
-        discovery = _discover(identified, outcome, opened, rng, say)
+    if structure.flag or not outcome.findings:
+        discovery = _discover(identified, outcome, sealed, rng, say, seed)
     if discovery is not None and discovery.kept:
         outcome = _with_discovery(outcome, discovery, learn, held_out)
+        structure = _at_least(structure, discovery)
     looked_at = np.concatenate([train.q, held_out.q])
     found = tuple(
         on_few_levels(identified.search, identified.candidates, f, looked_at)
@@ -337,6 +339,8 @@ def _identify(
     weights = result.fit.weights
     calibrated = fit(start, train, sigma=noise.sigma, rho=noise.rho, weights=weights)
     structure = examine(result.fit, calibrated, rng)
+    parts = [driver.part for driver in structure.drivers]
+    result = dataclasses.replace(result, noise=noise.without(result.fit, parts))
     confirmed = confirm(result, list(found), candidates, rng)
     return _Identified(calibrated, result, found, structure, confirmed, candidates, minor, memory)
 
@@ -413,18 +417,35 @@ def _roll_back(
 def _discover(
     identified: _Identified,
     outcome: _Outcome,
-    held_out: Session,
+    sealed: Sealed,
     rng: np.random.Generator,
     say: Progress,
+    seed: int,
 ) -> Discovery | None:
-    """Functions without a name for what is left, beside the effects or in their place."""
+    """Functions without a name for what is left, beside the effects or in their place.
+
+    Also where nothing was named and no structure shows: what a column drives on one axis may be
+    taken for noise.
+    """
     named, plain = identified.search.fit, identified.calibrated
     known = from_repeats(plain.model, plain.session)
     bare = outcome.rolled_back or not outcome.findings
     count = len(identified.candidates)
-    if bare:
-        return discover(plain, None, count, held_out, known, rng, say)
-    return discover(named, plain, count, held_out, known, rng, say)
+
+    def unseal() -> Session:
+        opened = sealed.open("functions without a name")
+        return opened.take(opened.seen)
+
+    base, without = (plain, None) if bare else (named, plain)
+    return discover(base, without, count, unseal, known, rng, say, seed)
+
+
+def _at_least(structure: Structure, found: Discovery) -> Structure:
+    """The structure with what was found of it, where no test showed any."""
+    if structure.flag:
+        return structure
+    size = max(cause.tip_m[0] for cause in found.found)
+    return dataclasses.replace(structure, flag=True, size_m=size, inputs=found.inputs)
 
 
 def _with_discovery(
@@ -455,8 +476,16 @@ def _all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Stru
     out = result.fit.weights == 0
     lengths = result.fit.residual * result.fit.metres
     rejected = float(np.sqrt((lengths[out] ** 2).sum() / len(out)))
+    positions = result.fit.session.blocks[0].kind == "position"
+    uneven = result.noise.unevenness if positions else 1.0
     for shows, size, where, sign in (
         (out.mean() > MOST_OUTLIERS, rejected, "outliers", "shows in the rows left out"),
+        (
+            uneven > MOST_UNEVEN,
+            float(np.max(result.noise.sigma[:3])),
+            "one axis",
+            f"shows as noise of one axis, {uneven:.0f} times that of another",
+        ),
         (proof.off, proof.excess_m, "unseen poses", "shows in the held-out poses"),
         (
             result.exhausted,

@@ -26,6 +26,10 @@ DECIDES = (4 * ndtri(0.95)) ** 2
 would pass a 95 % test 95 times in 100: the gain scatters by twice its root."""
 AGAINST = np.log(20.0)
 """Log odds against the effects from which on such a hold-out withdraws them all the same."""
+FEW_LEVELS = 12
+"""A joint that was fitted at no more positions stood on a grid."""
+ENOUGH_OFF = 10
+"""Held-out rows off the levels of a grid, at least, that a network is proven on."""
 NETWORK = "with_network"
 """Name of the stage with a learned correction on top of the model."""
 RESAMPLES = 2000
@@ -64,6 +68,7 @@ class Proof:
             uncertainty would give.
         excess_m: its RMS beyond the noise, outliers clipped, m.
         share: of the squared held-out error beyond the noise, what the effects took.
+        off_levels: (M,) rows off the levels that the fitted rows have (`off_levels`).
         set_aside: number of held-out rows that the models miss both with and without effects; they
             do not count for `better`.
     """
@@ -76,6 +81,7 @@ class Proof:
     excess_m: float
     share: float
     set_aside: int = 0
+    off_levels: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, bool))
 
     @property
     def rows(self) -> dict[str, Errors]:
@@ -105,11 +111,15 @@ class Proof:
     def network_helps(self, beside: str) -> bool:
         """Whether the network's mean error is below that of a model without it, beyond chance.
 
-        Paired block bootstrap: 95 %, one-sided.
+        Paired block bootstrap: 95 %, one-sided. On the levels of a grid a network may be right and
+        between them anywhere: it must have been asked between them, and help there.
         """
-        if NETWORK not in self.errors:
+        between = self.off_levels
+        if NETWORK not in self.errors or between.sum() < ENOUGH_OFF:
             return False
         without, learned = (np.linalg.norm(self.errors[k], axis=1) for k in (beside, NETWORK))
+        if learned[between].mean() >= without[between].mean():
+            return False
         drawn = block_means(without - learned, np.random.default_rng(0))
         return bool(np.percentile(drawn, 5.0) > 0)
 
@@ -148,7 +158,26 @@ def prove(
         *final,
         share,
         int((~kept).sum()),
+        off_levels(with_effects.session.q, rows.take(rows.placed).q),
     )
+
+
+def off_levels(fitted: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """(M,) which rows have a joint between the few levels that it was fitted at; all without such.
+
+    Args:
+        fitted: (N, n) commanded joints of the fitted rows.
+        q: (M, n) of the rows in question.
+    """
+    off, grid = np.zeros(len(q), bool), False
+    for seen, asked in zip(fitted.T, q.T, strict=True):
+        span = float(np.ptp(seen))
+        levels = np.unique(np.round(seen / (span or 1.0), 2)) * span
+        if 1 < len(levels) <= FEW_LEVELS:
+            grid = True
+            away = np.abs(asked[:, None] - levels).min(axis=1)
+            off |= away > 0.25 * np.diff(levels).min()
+    return off if grid else np.ones(len(q), bool)
 
 
 @dataclass(frozen=True)

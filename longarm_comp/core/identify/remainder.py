@@ -25,9 +25,9 @@ VARIES = 0.3
 """Share by which the shift of an effect may differ from its form (prior standard deviation)."""
 BENDS = 3
 """Functions of a joint or a load, by order, that the difference may follow."""
-WEAK = 0.1
-"""Evidence of a weak name, per equation of the fitted rows: without it their squared error is a
-fifth larger at most."""
+WEAK = 0.2
+"""Evidence of a weak name, per equation of the fitted rows: without it their squared error is two
+fifths larger at most."""
 SHARED = 0.5
 """Share of its evidence that a weaker name must lose to such differences."""
 

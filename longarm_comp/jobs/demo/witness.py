@@ -6,7 +6,7 @@ import numpy as np
 from geometry_msgs.msg import PointStamped
 
 from longarm_comp.jobs.client import ArmClient
-from longarm_comp.nodes.images import stamp_ns
+from longarm_comp.nodes.stamps import stamp_ns
 
 
 class TrueTip:

@@ -72,8 +72,4 @@ def _left(last: Round) -> str:
     structure = last.report.structure_left
     if not structure.flag:
         return "The last diagnosis found no structure in what is left of its session."
-    inputs = ", ".join(structure.inputs)
-    return (
-        f"The last diagnosis left {structure.size_mm:.2f} mm of structure that depends on "
-        f"{inputs} and that no effect of the library explains."
-    )
+    return f"Of the last diagnosis: {structure.text}; no effect of the library explains it."

@@ -20,8 +20,8 @@ from longarm_comp.jobs.soak.leaks import LeakWatch
 from longarm_comp.jobs.soak.ledger import Ledger
 from longarm_comp.jobs.soak.setting import NAMESPACE, SoakSettings
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.images import stamp_ns, stamp_of
 from longarm_comp.nodes.messages import pose_message
+from longarm_comp.nodes.stamps import stamp_ns, stamp_of
 from longarm_comp.nodes.supervisor import Supervisor
 from longarm_interfaces.msg import Compensation
 

@@ -49,6 +49,7 @@ class Cause:
         formula: place, component and function with units.
         reading: what it behaves like.
         domain: range of each quantity in the data; outside, it counts as at the end.
+        inputs: names of these quantities.
         amounts: the coefficients.
         log_evidence: on top of the rest, the choice among all candidates paid for.
         tip_m: rms and largest shift of the tip over the fitted rows.
@@ -60,6 +61,7 @@ class Cause:
     formula: str
     reading: str
     domain: tuple[str, ...]
+    inputs: tuple[str, ...]
     amounts: tuple[Coefficient, ...]
     log_evidence: float
     tip_m: tuple[float, float]
@@ -102,6 +104,11 @@ class Discovery:
     next_q: np.ndarray
 
     @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of what its functions depend on."""
+        return tuple(dict.fromkeys(name for f in self.found for name in f.inputs))
+
+    @property
     def sentence(self) -> str:
         """What was found, and the hold-out with it."""
         before, after = (self.proof.rows[k].rms for k in ("calibrated", "with_effects"))
@@ -119,7 +126,7 @@ def discover(
     base: ModelFit,
     plain: ModelFit | None,
     count: int,
-    held_out: Session,
+    unseal: Callable[[], Session],
     known: NoiseEstimate | None,
     rng: np.random.Generator,
     say: Callable[[str], None] = lambda _: None,
@@ -132,7 +139,7 @@ def discover(
         plain: fit of the geometry alone, where `base` holds effects of the library: they may be
             stand-ins for something else.
         count: number of candidates of the library; effects of it pay for their choice too.
-        held_out: rows of the proof.
+        unseal: opens the rows of the proof; not called where nothing was found.
         known: noise from repeats, if there are any.
         rng: for bootstrap and permutations.
         say: told what is being looked at.
@@ -147,6 +154,7 @@ def discover(
             best, start = alone, plain
     if best is None:
         return None
+    held_out = unseal()
     proof = prove(
         {"calibrated": base.model, "with_effects": best.fit.model}, base, best.fit, held_out, rng
     )
@@ -219,6 +227,7 @@ def _one(result: SearchedFunctions, k: int) -> Cause:
         words.formula(group.candidate, [(v, e, u) for _, _, v, e, u in amounts]),
         words.reading(group.candidate),
         tuple(words.domain(group.candidate)),
+        tuple(dict.fromkeys(s.of for f in group.candidate.functions for s in f.factors)),
         tuple(Coefficient(w, f, v, (v - 1.96 * e, v + 1.96 * e), u) for w, f, v, e, u in amounts),
         group.log_evidence,
         (float(np.sqrt((size**2).mean())), float(size.max())),

@@ -1,0 +1,114 @@
+"""The verdict in words: what was found in a sentence, and what it changed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from longarm_comp.core.data.commanded import CAMERA_SIDE
+from longarm_comp.report.record import DiagnosisReport
+from longarm_comp.report.words import change, interval
+
+STAGES = {
+    "nominal": "the model before",
+    "frames_only": "base and marker placed",
+    "calibrated": "the calibrated geometry",
+    "with_effects": "the geometry with the effects found",
+    "with_discovered": "the model with what was found without a name",
+    "with_network": "the model with the network",
+}
+COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+
+
+def meaning(report: DiagnosisReport) -> str:
+    """The verdict in one sentence."""
+    n, open_ = len(report.findings), sum(len(f.set) > 1 for f in report.findings)
+    left, unnamed = report.structure_left, sum(found.kept for found in report.discovered)
+    none = f"{_count(unnamed).lower()} cause without a name was found and added"
+    none = none.replace("cause", "causes").replace("was", "were") if unnamed > 1 else none
+    added = none if unnamed else "none was added"
+    return {
+        "noise": "Nothing beyond the noise was found; nothing was added.",
+        "named": f"{_count(n)} {_explain(n)} what the model lacked.",
+        "set": (
+            f"{_count(n)} {_explain(n)} what the model lacked; "
+            f"{_of(open_, n)} may have another name, and more poses may tell."
+        ),
+        "partly": (
+            f"{_count(n)} {_explain(n)} a part of what the model lacked; "
+            + ("structure is left" if left.flag else "one could have too many names")
+            + (f"; {none}." if unnamed else ".")
+        ),
+        "unknown": (
+            f"There is structure that no effect of the library explains; {added}."
+            if left.flag
+            else f"Effects were found in the fitted poses but not proven on others; {added}."
+        ),
+        "bad_data": "The data were refused; nothing was fitted, nothing was added.",
+    }[report.verdict]
+
+
+def _count(n: int) -> str:
+    return (COUNTS[n] if n < len(COUNTS) else str(n)).capitalize()
+
+
+def _explain(n: int) -> str:
+    return "physical effect explains" if n == 1 else "physical effects explain"
+
+
+def _of(part: int, n: int) -> str:
+    if part == n:
+        return "it" if n == 1 else "each of them"
+    return f"{COUNTS[part] if part < len(COUNTS) else part} of them"
+
+
+@dataclass(frozen=True)
+class Improvement:
+    """What changed on the held-out rows, from one stage to another.
+
+    Attributes:
+        stages: their names, before and after.
+        commanded: mean error as a command would have it.
+        seen: mean error as seen; empty where it reads the same.
+        proof: what the interval says; empty where nothing was added.
+        between: what a command leaves out, where the two differ.
+        camera: whether a finding is on the camera's side.
+    """
+
+    stages: tuple[str, str]
+    commanded: str
+    seen: str
+    proof: str
+    between: tuple[str, ...]
+    camera: bool
+
+
+def improvement(report: DiagnosisReport) -> Improvement | None:
+    """Of the stages that the verdict compares; None where there is nothing to compare."""
+    held = report.held_out
+    rows = {row.model: row for row in held.rows}
+    if held.before not in rows or held.after not in rows:
+        return None
+    before, after = rows[held.before], rows[held.after]
+    seen = change((before.mean_mm, after.mean_mm))
+    commanded = seen
+    if before.commanded_mean_mm is not None and after.commanded_mean_mm is not None:
+        commanded = change((before.commanded_mean_mm, after.commanded_mean_mm))
+    differs = commanded != seen
+    return Improvement(
+        (STAGES[held.before], STAGES[held.after]),
+        commanded,
+        seen if differs else "",
+        _proof(held.commanded_ci95_mm or held.before_after_ci95_mm),
+        tuple(held.not_commanded) if differs else (),
+        any(said.endswith(CAMERA_SIDE) for said in held.not_commanded) and bool(report.findings),
+    )
+
+
+def _proof(pair: tuple[float, float] | None) -> str:
+    if pair is None:
+        return ""
+    if pair[0] > 0:
+        return f"The mean falls by {interval(pair, 3)} mm (95 %)."
+    if pair[1] < 0:
+        return f"The mean grows by {interval((-pair[1], -pair[0]), 3)} mm (95 %)."
+    return f"The change of the mean, {interval((-pair[1], -pair[0]), 3)} mm (95 %), is not proven."
