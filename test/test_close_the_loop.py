@@ -14,7 +14,6 @@ from small_arm import ARM
 
 from longarm_comp.cli.run import run
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.learn.predictor_file import load
 from longarm_comp.core.model.model_file import load_model
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sessions.poses import read_poses
@@ -69,7 +68,7 @@ def test_the_poses_that_are_asked_for_split_the_set(arm: Path, tmp_path: Path) -
     assert [f["effect"] for f in second["findings"]] == ["joint_gain"]
 
 
-def test_what_has_no_name_is_left_to_a_network_that_must_help(arm: Path, tmp_path: Path) -> None:
+def test_what_has_no_name_is_found_and_written_to_the_model(arm: Path, tmp_path: Path) -> None:
     span = float(ARM.upper[0] - ARM.lower[0])
     bump = [drives.CoggingBump(0, float(ARM.mid[0]), 0.12 * span, 8e-3)]
     samples, test, out = (tmp_path / n for n in ("samples.csv", "test.csv", "diagnosis"))
@@ -79,14 +78,12 @@ def test_what_has_no_name_is_left_to_a_network_that_must_help(arm: Path, tmp_pat
     made = report(out)
     assert made["verdict"] in ("unknown", "partly")
     assert "q1" in made["structure_left"]["inputs"]
+    assert all("q1" in one["formula"] and one["kept"] for one in made["discovered"])
     rows = {row["model"]: row for row in made["held_out"]["rows"]}
-    assert rows["with_network"]["mean_mm"] < 0.7 * rows["with_effects"]["mean_mm"]
+    assert rows["with_discovered"]["mean_mm"] < 0.7 * rows["with_effects"]["mean_mm"]
+    assert rows["with_discovered"]["commanded_mean_mm"] == rows["with_discovered"]["mean_mm"]
+    assert "with_network" not in rows, "nothing is left that a network could prove"
 
-    predictor = load(out / "predictor.npz", arm_hash=ARM.hash, joint_names=ARM.joint_names)
     model, held = load_model(out / "model.yaml", ARM), read_csv(test, ARM)
-    left = held.xyz - model.measured(held.q, held.context())
-    found = predictor.predict(held.q, held.context())
-    inside = found.in_domain
-    assert inside.mean() > 0.8
-    before, after = (np.linalg.norm(e[inside], axis=1).mean() for e in (left, left - found.error))
-    assert after < 0.7 * before
+    left = 1e3 * np.linalg.norm(held.xyz - model.measured(held.q, held.context()), axis=1).mean()
+    assert left == pytest.approx(rows["with_discovered"]["mean_mm"], rel=1e-6)

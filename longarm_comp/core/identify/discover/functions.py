@@ -236,6 +236,8 @@ def switch(one: Argument, threshold: float) -> Switch:
 
 def orders(one: Argument) -> list[float]:
     """Harmonics that are tried of an input."""
+    if one.smooth:
+        return []
     if one.circular:
         return [float(n) for n in range(1, HARMONICS + 1)]
     span = one.high - one.low
@@ -244,6 +246,8 @@ def orders(one: Argument) -> list[float]:
 
 def thresholds(one: Argument) -> list[float]:
     """Thresholds that are tried of an input: its quantiles, off the levels."""
+    if one.smooth:
+        return []
     shares = np.arange(1, THRESHOLDS + 1) / (THRESHOLDS + 1)
     return [float(v) for v in np.unique(np.quantile(one.values, shares))[1:-1]]
 

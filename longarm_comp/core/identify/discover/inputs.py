@@ -32,6 +32,10 @@ _FAR = 20.0
 _BOOKKEEPING = ("index",)
 
 
+SEEN = "seen_"
+"""What coordinates of the seen point begin with."""
+
+
 @dataclass(frozen=True)
 class Argument:
     """One input at N rows.
@@ -41,12 +45,14 @@ class Argument:
         values: (N,).
         levels: number of distinct values, to a fiftieth of the range (a sagging arm blurs them).
         circular: an angle, of which harmonics are natural.
+        smooth: a coordinate of what is seen: lenses bend it slowly, without waves or thresholds.
     """
 
     name: str
     values: np.ndarray
     levels: int
     circular: bool = False
+    smooth: bool = False
 
     @cached_property
     def low(self) -> float:
@@ -125,7 +131,7 @@ def camera_inputs(points: np.ndarray, session: Session) -> Arguments:
     """Arguments of the camera's side: the seen point (N, 3) m, and recorded columns."""
     made: list[Argument] = []
     for axis, values in zip("xyz", points.T, strict=True):
-        _add(made, f"seen_{axis}", values, None)
+        _add(made, f"{SEEN}{axis}", values, None)
     for name, values in session.columns.items():
         if name not in _BOOKKEEPING and is_column(name):
             _add(made, name, values, None)
@@ -163,7 +169,8 @@ def _add(made: list[Argument], name: str, values: np.ndarray, arm: Arm | None) -
     found = quantity(name)
     circular = arm is not None and found is not None and name.startswith("q")
     circular = circular and found is not None and arm is not None and found.unit(arm) == "rad"
-    made.append(Argument(name, np.ascontiguousarray(values), levels, circular))
+    smooth = name.startswith(SEEN)
+    made.append(Argument(name, np.ascontiguousarray(values), levels, circular, smooth))
 
 
 def levels_of(values: np.ndarray) -> int:
