@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import longarm_comp
-from longarm_comp.core.effects.catalogue import registered
+from longarm_comp.core.effects.catalogue import BUILT_IN
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 
@@ -63,7 +63,7 @@ def test_every_page_is_there_linked_and_loads_nothing_from_elsewhere(site: Path)
 
 
 def test_pages_of_effects_and_names_come_from_the_package(site: Path) -> None:
-    for name, kind in registered().items():
+    for name, kind in BUILT_IN.items():
         text = (site / "made" / "effects" / f"{name}.html").read_text("utf-8")
         assert f"{kind.__name__}" in text
         assert all(p.name in text for p in kind.declared())

@@ -129,11 +129,11 @@ def test_poses_off_the_grid_split_the_set() -> None:
 def test_dose_decides_between_invisible_set_and_named() -> None:
     found = {
         dose: diagnose(ARM, session([drives.JointGain(at(1, dose))], n=150))
-        for dose in (0.0, 0.01, 0.1)
+        for dose in (0.0, 0.006, 0.1)
     }
     assert {dose: d.verdict for dose, d in found.items()} == {
         0.0: "noise",
-        0.01: "set",
+        0.006: "set",
         0.1: "named",
     }
 

@@ -78,7 +78,8 @@ def test_reads_public_measurements_as_they_are(name: str, rows: int, data_dir: P
     target = np.stack([session.columns[f"target_{c}"] for c in "xyz"], -1)
     difference = np.stack([session.columns[f"dif_{c}"] for c in "xyz"], -1)
     assert np.allclose(session.xyz, target + difference, atol=1e-6)
-    assert {finding.check for finding in admit(session, arm).findings} <= {"outliers"}
+    # joints 7 of the WAM and 6 of the UR5 turn about a line through the target
+    assert {finding.check for finding in admit(session, arm).findings} <= {"outliers", "sign"}
 
 
 def test_only_joints_and_positions_are_required(tmp_path: Path) -> None:

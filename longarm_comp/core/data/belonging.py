@@ -58,7 +58,7 @@ class Belief:
         stray: share of the rows far beyond where the closest quarter is.
         mistake: what explains much more of them, if anything does.
         undone: median distance without that mistake, m.
-        signs: joints whose sign cannot be told, with the median distance (m) by which the tip moves
+        signs: joints whose sign cannot be told, with the RMS distance (m) by which the tip moves
             when they are negated and base and tip are placed anew.
     """
 
@@ -119,9 +119,10 @@ def _signs(model: Model, rows: Session, misfit: float) -> tuple[tuple[int, float
     for j in np.flatnonzero(np.ptp(rows.q, axis=0) > 0):
         q = rows.q.copy()
         q[:, j] *= -1
-        moved = register(Sightings.of(model, dataclasses.replace(made, q=q))).misfit
-        if moved < misfit:
-            untold.append((int(j), moved))
+        moved = register(Sightings.of(model, dataclasses.replace(made, q=q))).residual
+        size = float(np.sqrt((moved**2).sum(axis=1).mean()))
+        if size < misfit:
+            untold.append((int(j), size))
     return tuple(untold)
 
 
