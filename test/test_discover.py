@@ -151,6 +151,7 @@ def test_what_was_found_is_in_the_written_model(diagnosed: DiagnosisResult, tmp_
     assert entry.origin.startswith("unknown, session 0000")
 
 
+@pytest.mark.usefixtures("catalogue_of_ours")
 def test_what_was_found_is_written_as_an_effect_of_a_library(
     diagnosed: DiagnosisResult, tmp_path: Path
 ) -> None:

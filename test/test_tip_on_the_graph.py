@@ -97,24 +97,26 @@ class Stage:
             "kinematics is not ready",
         )
 
-    def rest(self, path: np.ndarray) -> int:
-        """Wait until the arm rests at the end of a path (k, n); when, ns."""
+    def rest(self, path: np.ndarray, start: np.ndarray | None) -> int:
+        """Wait until the arm, sent from some joints, rests at the end of a path (k, n); when, ns."""
         tolerance = np.where(self.turning, 3e-4, 3e-5)
         self.at = path[-1]
-        return self.client.arrive(path, tolerance, 0.2, 60.0)
+        return self.client.arrive(path, tolerance, 0.2, 60.0, start=start)
 
     def go(self, q: np.ndarray) -> None:
         """Command joints (n,) and wait."""
+        start = self.client.joints
         self.client.send(q[None], 0.05)
         self.client.spin(0.05)
-        self.rest(q[None])
+        self.rest(q[None], start)
 
     def reach(self, target: np.ndarray, *, whole: bool) -> np.ndarray:
         """Command a target; by how much the true tip misses it, (3,) m."""
+        start = self.client.joints
         answer = self.ask(target, whole=whole, execute=True)
         assert answer.success, answer.message
         self.client.spin(0.05)
-        rest = self.rest(self.path(answer)) + 100_000_000
+        rest = self.rest(self.path(answer), start) + 100_000_000
         self.client.until(lambda: self.truth and self.truth[-1][0] > rest, 30.0, "no true_tip")
         return self.truth[-1][1] - target[:3, 3]
 

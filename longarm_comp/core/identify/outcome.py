@@ -48,7 +48,7 @@ class Learner:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Judged:
     """What the hold-out leaves of the findings: the model to use and what goes with it."""
 
     model: Model
@@ -67,7 +67,7 @@ def judge(
     learn: Learner,
     held_out: Session,
     rng: np.random.Generator,
-) -> Outcome:
+) -> Judged:
     """Effects that do not help unseen poses are taken back, whatever the fitted rows say.
 
     So are those that took less than half of what is wrong, where structure is left.
@@ -78,7 +78,7 @@ def judge(
     if identified.findings and (minor or not proof.better):
         return _roll_back(identified, calibrated, tested, learn, held_out, rng)
     kept = network if tested.network_helps("with_effects") else None
-    return Outcome(model, identified.findings, structure, kept, tested, False)
+    return Judged(model, identified.findings, structure, kept, tested, False)
 
 
 def _roll_back(
@@ -88,18 +88,18 @@ def _roll_back(
     learn: Learner,
     held_out: Session,
     rng: np.random.Generator,
-) -> Outcome:
+) -> Judged:
     """The calibrated model, with a network trained on what that one leaves."""
     structure = examine(identified.calibrated, identified.calibrated, rng)
     network = learn.on(model, structure)
     tested = proof.with_network(model, network, held_out)
     kept = network if tested.network_helps("calibrated") else None
-    return Outcome(model, (), structure, kept, tested, True)
+    return Judged(model, (), structure, kept, tested, True)
 
 
 def look_further(
     identified: Identified,
-    outcome: Outcome,
+    outcome: Judged,
     sealed: Sealed,
     rng: np.random.Generator,
     say: Progress,
@@ -131,9 +131,7 @@ def at_least(structure: Structure, found: Discovery) -> Structure:
     return dataclasses.replace(structure, flag=True, size_m=size, inputs=found.inputs)
 
 
-def with_discovery(
-    outcome: Outcome, found: Discovery, learn: Learner, held_out: Session
-) -> Outcome:
+def with_discovery(outcome: Judged, found: Discovery, learn: Learner, held_out: Session) -> Judged:
     """The outcome with what was found: a network comes after it, of what that leaves."""
     before = outcome.proof
 

@@ -138,10 +138,13 @@ def _tested(fit: ModelFit, base: ModelFit, rng: np.random.Generator) -> Structur
     limit = float(np.quantile(highest, 0.99))
     order = sorted(range(len(statistics)), key=lambda k: -statistics[k][1])
     strong = [k for k in order if statistics[k][1] > limit][:MOST_GROUPS]
-    size, rss_rich = _smooth(fit, marginal, [smooth[k] for k in strong])
+    sizes, rss_rich = _smooth(fit, marginal, [smooth[k] for k in strong])
+    size, noise = float(np.linalg.norm(sizes)), _noise_m(fit)
+    worth = size > WORTH * float(np.linalg.norm(noise))
+    worth = worth or bool((sizes > WORTH * np.sqrt(3.0) * noise)[noise > 0].any())
     said = [statistics[k][0] for k in strong if statistics[k][1] > top / 3]
     inputs = tuple(dict.fromkeys(name for group in said for name in group.inputs))
-    flag = p < SIGNIFICANT and size > WORTH * float(np.linalg.norm(_noise_m(fit)))
+    flag = p < SIGNIFICANT and worth
     rss_named = float(residual @ residual)
     white_base = fit.whitened(base.residual[..., None])[:, 0]
     rss_base = float(white_base @ white_base)
@@ -158,17 +161,17 @@ def _tested(fit: ModelFit, base: ModelFit, rng: np.random.Generator) -> Structur
     )
 
 
-def _smooth(fit: ModelFit, marginal: Marginal, bases: list[np.ndarray]) -> tuple[float, float]:
-    """RMS (m, 3-D) of the smooth part in the given features, and the whitened RSS they leave."""
+def _smooth(fit: ModelFit, marginal: Marginal, bases: list[np.ndarray]) -> tuple[np.ndarray, float]:
+    """(d,) RMS (m) of the smooth part in the given features, and the whitened RSS they leave."""
     residual = fit.whitened(fit.residual[..., None])[:, 0]
     if not bases:
-        return 0.0, float(residual @ residual)
+        return np.zeros(fit.width), float(residual @ residual)
     b = np.concatenate(bases, axis=1)
     added = marginal.added(b)
     part = marginal.project(b) @ added.mean
     rows = (part.reshape(-1, fit.width) * _noise_m(fit)) ** 2
     left = residual - part
-    return float(np.sqrt(rows.sum(1).mean())), float(left @ left)
+    return np.sqrt(rows.mean(0)), float(left @ left)
 
 
 @dataclass(frozen=True)
@@ -192,14 +195,19 @@ class Group:
 
 
 def groups(fit: ModelFit) -> list[Group]:
-    """Everything that is tried: functions of each input, products of joints, seen or at a joint."""
+    """Everything that is tried: functions of each input, products of joints, seen or at a joint.
+
+    What is seen is tried along all axes together, and functions of one input along each axis too.
+    """
     session = fit.session
     curves = [smooth_in(session.q[:, j]) for j in range(session.n)]
-    made = [
-        Group(inputs, "", _of_channels(features, fit))
-        for inputs, features in _of_the_tip(session, curves)
-        if features.shape[1]
-    ]
+    made = []
+    for inputs, features in _of_the_tip(session, curves):
+        if features.shape[1]:
+            columns = _of_channels(features, fit)
+            made.append(Group(inputs, "", columns))
+            if len(inputs) == 1:
+                made += [Group(inputs, "", own) for own in _alone(columns)]
     for slot, column in zip(fit.slots, np.moveaxis(fit.columns, -1, 0), strict=True):
         if slot.owner.displaces_joint:
             for inputs, features in _of_a_joint(curves):
@@ -276,6 +284,13 @@ def _of_channels(features: np.ndarray, fit: ModelFit) -> np.ndarray:
             own = features if held is None else features * held[:, channel, None]
             made[:, channel, channel * m : (channel + 1) * m] = own * sigma
     return made
+
+
+def _alone(columns: np.ndarray) -> list[np.ndarray]:
+    """Columns (N, d, dm) of each channel alone: what moves one axis only hides among three."""
+    width = columns.shape[1]
+    parts = np.split(columns, width, axis=2)
+    return [part for part in parts if part.any()] if width > 1 else []
 
 
 def _noise_m(fit: ModelFit) -> np.ndarray:
