@@ -98,7 +98,7 @@ class Stage:
         )
 
     def rest(self, path: np.ndarray, start: np.ndarray | None) -> int:
-        """Wait until the arm, sent from some joints, rests at the end of a path (k, n); when, ns."""
+        """Wait until the arm, sent from ``start``, rests at the end of a path (k, n); when, ns."""
         tolerance = np.where(self.turning, 3e-4, 3e-5)
         self.at = path[-1]
         return self.client.arrive(path, tolerance, 0.2, 60.0, start=start)
