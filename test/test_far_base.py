@@ -33,7 +33,7 @@ from longarm_comp.core.data.lifted_base import lifted_base, multilaterated
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import stages
-from longarm_comp.core.identify.fit import ModelFit
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.standing import untold
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model

@@ -17,7 +17,8 @@ from longarm_comp.core.identify.calibrate import declared_model, geometry
 from longarm_comp.core.identify.candidates import Term, library
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.evidence import Score
-from longarm_comp.core.identify.fit import ModelFit, fit
+from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.model.model import Model
 from longarm_comp.studies.loop_setting import LoopSetting
 from longarm_comp.studies.loop_truth import places, values

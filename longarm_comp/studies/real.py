@@ -27,7 +27,8 @@ from longarm_comp.core.identify.calibrate import (
     geometry,
     warm,
 )
-from longarm_comp.core.identify.fit import ModelFit, fit_together
+from longarm_comp.core.identify.fit import fit_together
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.placement import placed
 from longarm_comp.core.model.model import Slot
 from longarm_comp.studies.real_sessions import Measured, justin, laser_tracked

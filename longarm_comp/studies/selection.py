@@ -14,8 +14,8 @@ import numpy as np
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify import linear
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, library
-from longarm_comp.core.identify.fit import ModelFit, priors
 from longarm_comp.core.identify.linear import whiten
+from longarm_comp.core.identify.model_fit import ModelFit, priors
 
 Term = Effect | Bias
 

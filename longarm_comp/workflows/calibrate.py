@@ -16,7 +16,8 @@ from longarm_comp.core.effects.catalogue import effect_class
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import Rung, ladder
-from longarm_comp.core.identify.fit import ModelFit, fit
+from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.plausible import (
     check_carries_over,
     check_fits,

@@ -15,7 +15,8 @@ from longarm_comp.core.effects.dh_error import DhError
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.fit import ModelFit, fit
+from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.standing import frames, standing, with_frames
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model

@@ -14,7 +14,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
 from longarm_comp.core.identify.evidence import columns_at, key, neighbours
-from longarm_comp.core.identify.fit import ModelFit, priors
+from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.identify.search import SearchResult
 
 RESAMPLES = 300

@@ -14,9 +14,9 @@ from longarm_comp.core.identify.aliasing import MOST_NAMES, EffectFinding
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.confirm import Confirmed
 from longarm_comp.core.identify.discover.discovery import Discovery
-from longarm_comp.core.identify.fit import ModelFit
 from longarm_comp.core.identify.in_words import improvement, left_in_words, sentence
 from longarm_comp.core.identify.minor import Minor
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.next_poses import NextPoses
 from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.proof import NETWORK, LearnedCorrection, Proof

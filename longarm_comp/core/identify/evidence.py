@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 from scipy.special import log_ndtr
 
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
-from longarm_comp.core.identify.fit import ModelFit, priors
 from longarm_comp.core.identify.linear import Added, Marginal, Products
+from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.model.model import Slot, slots_of
 
 LOCATED = 2.0

@@ -9,22 +9,16 @@ every step.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
-from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.posture import Posture
-from longarm_comp.core.arm.spatial import Scalar
-from longarm_comp.core.data.measurement import equations, metres, posture
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify import linear
-from longarm_comp.core.identify.linear import inliers, spread, whiten
-from longarm_comp.core.model.model import Model, Slot, unstack
+from longarm_comp.core.identify.model_fit import ModelFit, priors
+from longarm_comp.core.identify.session_problem import SessionProblem
+from longarm_comp.core.model.model import Model, Slot
 
 CLOSE = 0.01
 """A fit has converged when its last step was below so many standard errors."""
@@ -33,93 +27,6 @@ SHORTEST = 1e-3
 WORSE = 0.1
 """Rise of the cost, as a share of it, from which a step is shortened.  Columns leave out how loads
 follow a change, so that close to the solution a good step may raise the cost a little."""
-
-
-@dataclass(frozen=True)
-class ModelFit:
-    """A model fitted to a session's seen rows.
-
-    Attributes:
-        model: at the posterior mode.
-        session: the seen rows that were fitted.
-        residual: (N, d) measured - predicted in the d channels of the session, m or rad; 0 where
-            a row does not hold a channel.
-        columns: (N, d, p) design at the solution.
-        covariance: (p, p) of the parameters, Laplace approximation.
-        weights: (N,) 1 or 0 (outlier).
-        sigma: (d,) noise per channel, m or rad; infinite where nothing was measured.
-        effective: number of parameters that the data determine.
-        iterations: Gauss-Newton steps taken.
-        converged: whether the last step was small enough.
-        rho: correlation of the noise from one row to the next.
-    """
-
-    model: Model
-    session: Session
-    residual: np.ndarray
-    columns: np.ndarray
-    covariance: np.ndarray
-    weights: np.ndarray
-    sigma: np.ndarray
-    effective: float
-    iterations: int
-    converged: bool
-    rho: float = 0.0
-
-    @cached_property
-    def slots(self) -> tuple[Slot, ...]:
-        """The fitted parameters."""
-        return self.model.slots
-
-    @cached_property
-    def standard_errors(self) -> np.ndarray:
-        """(p,) Laplace standard errors."""
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def outliers(self) -> np.ndarray:
-        """Rows (positions in `session`) that got weight 0."""
-        return np.flatnonzero(self.weights == 0)
-
-    def whitened(self, columns: np.ndarray) -> np.ndarray:
-        """(N, d, k) columns per unit -> (dM, k) of the M inliers, in units of the noise."""
-        return whiten(columns, self.weights, self.sigma, self.rho, self.session.mask)
-
-    @property
-    def width(self) -> int:
-        """Number d of channels."""
-        return self.residual.shape[1]
-
-    @cached_property
-    def posture(self) -> Posture:
-        """The arm at the rows."""
-        return posture(self.model, self.session)
-
-    @cached_property
-    def metres(self) -> np.ndarray:
-        """(d,) length (m) that a unit of each channel stands for; 0 where it is none."""
-        return metres(self.model, self.session)
-
-    @cached_property
-    def design(self) -> np.ndarray:
-        """(dM, p) whitened, prior-scaled design."""
-        return self.whitened(self.columns * priors(self.slots))
-
-    @cached_property
-    def gram(self) -> np.ndarray:
-        """(p, p) product of the design with itself."""
-        return np.asarray(self.design.T @ self.design)
-
-    @cached_property
-    def data(self) -> np.ndarray:
-        """(dM,) whitened linearised data: the residual with all parameters at their prior mean."""
-        taken = self.columns @ self.model.values
-        return self.whitened((self.residual + taken)[..., None])[:, 0]
-
-
-def priors(slots: tuple[Slot, ...]) -> np.ndarray:
-    """(p,) prior standard deviations."""
-    return np.array([s.parameter.width for s in slots], dtype=float)
 
 
 def fit(
@@ -152,7 +59,7 @@ def fit(
         InputError: fewer than four seen rows, or an input that a term needs is missing.
         JobError: the fit did not stay finite.
     """
-    part = _SessionProblem.of(model, session, sigma, weights, robust, rho)
+    part = SessionProblem.of(model, session, sigma, weights, robust, rho)
     if begun is not None:
         part.took(begun)
     return _fit_parts([part], max_iterations, close)[0]
@@ -160,7 +67,7 @@ def fit(
 
 def unfitted(model: Model, session: Session) -> ModelFit:
     """A model held against a session as it is: residual and design, nothing fitted yet."""
-    part = _SessionProblem.of(model, session, None, None, False)
+    part = SessionProblem.of(model, session, None, None, False)
     part.look()
     part.weigh(settled=False)
     return part.fitted(np.diag(priors(model.slots) ** 2))
@@ -183,142 +90,12 @@ def fit_together(
     Raises:
         InputError, JobError: as `fit`.
     """
-    made = [_SessionProblem.of(model, session, None, None, True) for model, session in parts]
+    made = [SessionProblem.of(model, session, None, None, True) for model, session in parts]
     return _fit_parts(made, max_iterations, CLOSE, own)
 
 
-@dataclass
-class _SessionProblem:
-    """One session on its way through the Gauss-Newton steps."""
-
-    model: Model
-    seen: Session
-    context: Context
-    q: tuple[Scalar, ...]
-    sigma: np.ndarray | None
-    fixed: np.ndarray | None
-    robust: bool
-    weights: np.ndarray
-    noise: np.ndarray
-    residual: np.ndarray
-    columns: np.ndarray
-    effective: float = 0.0
-    rho: float = 0.0
-    posture: Posture | None = None
-    looked: Model | None = None
-
-    @classmethod
-    def of(
-        cls,
-        model: Model,
-        session: Session,
-        sigma: np.ndarray | None,
-        weights: np.ndarray | None,
-        robust: bool,
-        rho: float = 0.0,
-    ) -> _SessionProblem:
-        seen = session.take(session.seen)
-        if len(seen) < 4:
-            raise InputError(session.source, "xyz", f"{len(seen)} seen rows", "at least 4")
-        context = seen.context()
-        for term in model.terms:
-            term.require(context)
-        start = np.ones(len(seen)) if weights is None else np.asarray(weights, float)
-        noise = np.full(len(seen.channels), np.nan) if sigma is None else np.asarray(sigma, float)
-        empty = np.empty(0)
-        return cls(
-            dataclasses.replace(model, arrivals=seen.arrivals),
-            seen,
-            context,
-            unstack(seen.q),
-            sigma,
-            weights,
-            robust,
-            start,
-            noise,
-            empty,
-            empty,
-            rho=rho,
-        )
-
-    def look(self) -> None:
-        """Residual and design of the model as it is now."""
-        if self.looked is self.model:
-            return
-        self.posture = self.model.posture(self.q, self.context)
-        found = equations(self.model, self.seen, self.posture)
-        self.residual, self.columns, self.looked = found.residual, found.columns, self.model
-        if not (np.isfinite(self.residual).all() and np.isfinite(self.columns).all()):
-            raise JobError("the fit did not stay finite", session=self.seen.source)
-
-    def took(self, begun: ModelFit) -> None:
-        """Residual and design as they were found before."""
-        self.residual, self.columns, self.looked = begun.residual, begun.columns, self.model
-
-    def fitted(
-        self, covariance: np.ndarray, iterations: int = 0, converged: bool = False
-    ) -> ModelFit:
-        """The model as it is now."""
-        found = ModelFit(
-            self.model,
-            self.seen,
-            self.residual,
-            self.columns,
-            covariance,
-            self.weights,
-            self.noise,
-            self.effective,
-            iterations,
-            converged,
-            self.rho,
-        )
-        if self.posture is not None:
-            found.__dict__["posture"] = self.posture
-        return found
-
-    def moved(self, values: np.ndarray) -> None:
-        """Take other parameter values."""
-        self.model = self.model.with_values(values)
-        self.look()
-
-    def cost(self) -> float:
-        """Squared residual of the inliers in units of the noise."""
-        white = whiten(self.residual[..., None], self.weights, self.noise, self.rho, self.seen.mask)
-        return float((white**2).sum())
-
-    def weigh(self, settled: bool) -> None:
-        """Outliers and noise for the residual as it is now."""
-        if self.robust and self.fixed is None:
-            known = self.noise if settled else None
-            self.weights = inliers(self.residual, known, self.seen.mask)
-        if self.sigma is None:
-            self.noise = self._common(self.spread())
-
-    def spread(self) -> np.ndarray:
-        """(d,) noise of every channel in the residual as it is now."""
-        return spread(self.residual, self.weights, self.effective, self.seen.mask)
-
-    def _common(self, sigma: np.ndarray) -> np.ndarray:
-        """(d,) one figure for all channels of a kind and sensor."""
-        made, start = [], 0
-        for block in self.seen.blocks:
-            mine = sigma[start : start + len(block.channels)]
-            start += len(mine)
-            held = mine[np.isfinite(mine)]
-            common = np.sqrt((held**2).mean()) if len(held) else np.inf
-            made.append(np.full(len(mine), common))
-        return np.concatenate(made)
-
-    def whitened(self, scale: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(dN, p) prior-scaled design and (dN,) linearised data, in units of the noise."""
-        y = self.residual + self.columns @ (self.model.values - centre)
-        both = np.concatenate([self.columns * scale, y[..., None]], axis=-1)
-        white = whiten(both, self.weights, self.noise, self.rho, self.seen.mask)
-        return white[:, :-1], white[:, -1]
-
-
 def _fit_parts(
-    parts: list[_SessionProblem],
+    parts: list[SessionProblem],
     max_iterations: int,
     close: float,
     own: Callable[[Slot], bool] | None = None,
@@ -377,7 +154,7 @@ def _fit_parts(
 
 
 def _stepped(
-    parts: list[_SessionProblem],
+    parts: list[SessionProblem],
     maps: list[np.ndarray],
     now: np.ndarray,
     goal: np.ndarray,

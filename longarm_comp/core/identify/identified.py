@@ -12,8 +12,9 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.aliasing import EffectFinding, findings
 from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.identify.confirm import Confirmed, confirm
-from longarm_comp.core.identify.fit import ModelFit, fit
+from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.minor import Minor, settled
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import from_repeats
 from longarm_comp.core.identify.remainder import without_remainders
 from longarm_comp.core.identify.search import SearchResult, search

@@ -5,7 +5,7 @@ from __future__ import annotations
 from longarm_comp.core.effects.units import for_people
 from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.confirm import Confirmed, Interval
-from longarm_comp.core.identify.fit import ModelFit
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.structure import Structure
 

@@ -19,7 +19,7 @@ from longarm_comp.core.identify.evidence import (
     marginal_without,
     shift_of,
 )
-from longarm_comp.core.identify.fit import ModelFit
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.search import SearchResult
 
 SMALLEST_M = 5e-5

@@ -10,7 +10,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.candidates import CandidateColumns
 from longarm_comp.core.identify.evidence import Score, key
-from longarm_comp.core.identify.fit import ModelFit, priors
+from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.identify.search import SearchResult
 
 POOL = 512

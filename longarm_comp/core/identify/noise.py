@@ -12,8 +12,8 @@ from scipy.special import fdtri
 from longarm_comp.core.data.measurement import equations, posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify import linear
-from longarm_comp.core.identify.fit import ModelFit, priors
 from longarm_comp.core.identify.linear import MAD, OUTLIER, freedom, mean, median, whiten
+from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.model.model import Model
 
 ENOUGH_REPEATS = 15

@@ -13,8 +13,8 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.diagnosis import DISCOVERED
 from longarm_comp.core.identify.discover.discovery import Discovery, discover
-from longarm_comp.core.identify.fit import ModelFit
 from longarm_comp.core.identify.identified import Identified, Progress
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import from_repeats
 from longarm_comp.core.identify.proof import NETWORK, LearnedCorrection, Proof
 from longarm_comp.core.identify.search import SearchResult

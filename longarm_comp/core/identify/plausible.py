@@ -83,13 +83,12 @@ def check_placed(model: Model, session: Session) -> None:
     Raises:
         JobError: the base, or the tip, is somewhere else.
     """
-    rows = session.take(session.placed)
-    if len(rows) >= ENOUGH and misplaced(model, rows):
-        raise JobError(
-            f"the arm is {1e3 * _median(errors(model, rows)):.3g} mm from where the model puts it; "
-            "calibrate first, which solves where base and tip are, and use that model",
-            session=session.source,
-        )
+    _check_place(
+        model,
+        session,
+        "the arm is {:.3g} mm from where the model puts it; "
+        "calibrate first, which solves where base and tip are, and use that model",
+    )
 
 
 def check_fits(model: Model, session: Session) -> None:
@@ -102,13 +101,19 @@ def check_fits(model: Model, session: Session) -> None:
     Raises:
         JobError: it is not, so the rows are not this arm's.
     """
+    _check_place(
+        model,
+        session,
+        "{:.3g} mm is left after calibration; the rows are not this arm's: "
+        "look at their order, the units and the names of joints and anchors",
+    )
+
+
+def _check_place(model: Model, session: Session, text: str) -> None:
+    """Refuse a misplaced arm with a text that takes its median error (mm)."""
     rows = session.take(session.placed)
     if len(rows) >= ENOUGH and misplaced(model, rows):
-        raise JobError(
-            f"{1e3 * _median(errors(model, rows)):.3g} mm is left after calibration; the rows are "
-            "not this arm's: look at their order, the units and the names of joints and anchors",
-            session=session.source,
-        )
+        raise JobError(text.format(1e3 * _median(errors(model, rows))), session=session.source)
 
 
 def check_noise(sigma: np.ndarray, session: Session) -> None:

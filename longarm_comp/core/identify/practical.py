@@ -19,7 +19,7 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify import linear
 from longarm_comp.core.identify.candidates import Term
 from longarm_comp.core.identify.evidence import columns_at, key, marginal_without
-from longarm_comp.core.identify.fit import ModelFit, priors
+from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.identify.proof import block_means
 from longarm_comp.core.model.model import Model
 

@@ -15,8 +15,8 @@ from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import equations, errors, metres, posture, turns
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.calibrate import Errors
-from longarm_comp.core.identify.fit import ModelFit
 from longarm_comp.core.identify.linear import MAD, OUTLIER, median
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.model.model import Model
 
 OFF = 1.5

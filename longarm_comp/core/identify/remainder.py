@@ -15,8 +15,8 @@ import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
 from longarm_comp.core.identify.evidence import columns_at, key, marginal_without, score, shift_of
-from longarm_comp.core.identify.fit import ModelFit
 from longarm_comp.core.identify.minor import Minor, families, taken_out, worth
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.search import SearchResult
 from longarm_comp.core.identify.structure import smooth_in
 from longarm_comp.core.model.model import slots_of

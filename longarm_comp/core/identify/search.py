@@ -17,7 +17,8 @@ from itertools import combinations
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.candidates import Candidate, Term
 from longarm_comp.core.identify.evidence import FitMarginal, Score, columns_at, key, reshaped, score
-from longarm_comp.core.identify.fit import ModelFit, fit
+from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
 from longarm_comp.core.identify.search_state import SearchState
 from longarm_comp.core.model.model import Model

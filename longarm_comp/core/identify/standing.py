@@ -11,7 +11,7 @@ from longarm_comp.core.effects.base_pose import BasePose
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.tip_offset import TipOffset
 from longarm_comp.core.effects.tip_orientation import TipOrientation
-from longarm_comp.core.identify.fit import ModelFit
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.placement import placed
 from longarm_comp.core.identify.sensor_frames import framed, reference, sensor_frames, started
 from longarm_comp.core.model.model import Model

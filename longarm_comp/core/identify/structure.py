@@ -18,8 +18,8 @@ import numpy as np
 from longarm_comp.core.arm.history import play
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.drivers import Driver, drivers
-from longarm_comp.core.identify.fit import ModelFit
 from longarm_comp.core.identify.linear import Marginal
+from longarm_comp.core.identify.model_fit import ModelFit
 
 PERMUTATIONS = 400
 SIGNIFICANT = 0.005

@@ -22,8 +22,9 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.friction_hysteresis import SLIDE, FrictionHysteresis
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns
 from longarm_comp.core.identify.evidence import columns_at
-from longarm_comp.core.identify.fit import ModelFit, fit
+from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.linear import Marginal
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import from_residual
 from longarm_comp.core.identify.search import SearchResult
 from longarm_comp.core.model.model import Model

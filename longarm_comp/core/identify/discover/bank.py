@@ -22,8 +22,8 @@ from longarm_comp.core.identify.discover.functions import (
     Functions,
 )
 from longarm_comp.core.identify.discover.score import many, rank_one
-from longarm_comp.core.identify.fit import ModelFit, priors
 from longarm_comp.core.identify.linear import Marginal
+from longarm_comp.core.identify.model_fit import ModelFit, priors
 
 MOST_ROWS = 350
 """Rows that candidates are screened on; the best are scored on all."""

@@ -13,7 +13,7 @@ from longarm_comp.core.effects.quantities import AXES, SeenCoordinate
 from longarm_comp.core.identify.discover.bank import Bank, Spot
 from longarm_comp.core.identify.discover.functions import Functions
 from longarm_comp.core.identify.discover.inputs import arm_inputs, camera_inputs
-from longarm_comp.core.identify.fit import ModelFit
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.model.model import slots_of
 
 CAMERA = "camera"

@@ -15,8 +15,8 @@ from longarm_comp.core.identify.discover.banks import CAMERA
 from longarm_comp.core.identify.discover.propose import doubts, proposed
 from longarm_comp.core.identify.discover.search import SearchedFunctions, search
 from longarm_comp.core.identify.discover.terms import key_of, terms_of
-from longarm_comp.core.identify.fit import ModelFit
 from longarm_comp.core.identify.linear import Marginal
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
 from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.proof import Proof, prove

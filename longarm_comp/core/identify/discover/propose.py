@@ -11,7 +11,7 @@ from longarm_comp.core.effects.quantities import JointPosition, OfPosture
 from longarm_comp.core.effects.shapes import Shape, Switch
 from longarm_comp.core.identify.discover.bank import Hypothesis
 from longarm_comp.core.identify.discover.inputs import FEW_LEVELS, levels_of
-from longarm_comp.core.identify.fit import ModelFit
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.model.model import unstack
 
 POOL = 512

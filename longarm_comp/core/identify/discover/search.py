@@ -30,8 +30,8 @@ from longarm_comp.core.identify.discover.terms import (
     terms_of,
     with_terms,
 )
-from longarm_comp.core.identify.fit import ModelFit
 from longarm_comp.core.identify.linear import Marginal
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
 
 ENOUGH = 2.5

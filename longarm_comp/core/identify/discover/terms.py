@@ -11,7 +11,8 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify import noise as noise_step
 from longarm_comp.core.identify.discover.bank import Weighed
 from longarm_comp.core.identify.discover.banks import term_of
-from longarm_comp.core.identify.fit import ModelFit, fit
+from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
 from longarm_comp.core.model.model import Model
 

@@ -1,0 +1,101 @@
+"""A model fitted to the rows of a session: residual, design, covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.data.measurement import metres, posture
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.identify.linear import whiten
+from longarm_comp.core.model.model import Model, Slot
+
+
+@dataclass(frozen=True)
+class ModelFit:
+    """A model fitted to a session's seen rows.
+
+    Attributes:
+        model: at the posterior mode.
+        session: the seen rows that were fitted.
+        residual: (N, d) measured - predicted in the d channels of the session, m or rad; 0 where
+            a row does not hold a channel.
+        columns: (N, d, p) design at the solution.
+        covariance: (p, p) of the parameters, Laplace approximation.
+        weights: (N,) 1 or 0 (outlier).
+        sigma: (d,) noise per channel, m or rad; infinite where nothing was measured.
+        effective: number of parameters that the data determine.
+        iterations: Gauss-Newton steps taken.
+        converged: whether the last step was small enough.
+        rho: correlation of the noise from one row to the next.
+    """
+
+    model: Model
+    session: Session
+    residual: np.ndarray
+    columns: np.ndarray
+    covariance: np.ndarray
+    weights: np.ndarray
+    sigma: np.ndarray
+    effective: float
+    iterations: int
+    converged: bool
+    rho: float = 0.0
+
+    @cached_property
+    def slots(self) -> tuple[Slot, ...]:
+        """The fitted parameters."""
+        return self.model.slots
+
+    @cached_property
+    def standard_errors(self) -> np.ndarray:
+        """(p,) Laplace standard errors."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def outliers(self) -> np.ndarray:
+        """Rows (positions in `session`) that got weight 0."""
+        return np.flatnonzero(self.weights == 0)
+
+    def whitened(self, columns: np.ndarray) -> np.ndarray:
+        """(N, d, k) columns per unit -> (dM, k) of the M inliers, in units of the noise."""
+        return whiten(columns, self.weights, self.sigma, self.rho, self.session.mask)
+
+    @property
+    def width(self) -> int:
+        """Number d of channels."""
+        return self.residual.shape[1]
+
+    @cached_property
+    def posture(self) -> Posture:
+        """The arm at the rows."""
+        return posture(self.model, self.session)
+
+    @cached_property
+    def metres(self) -> np.ndarray:
+        """(d,) length (m) that a unit of each channel stands for; 0 where it is none."""
+        return metres(self.model, self.session)
+
+    @cached_property
+    def design(self) -> np.ndarray:
+        """(dM, p) whitened, prior-scaled design."""
+        return self.whitened(self.columns * priors(self.slots))
+
+    @cached_property
+    def gram(self) -> np.ndarray:
+        """(p, p) product of the design with itself."""
+        return np.asarray(self.design.T @ self.design)
+
+    @cached_property
+    def data(self) -> np.ndarray:
+        """(dM,) whitened linearised data: the residual with all parameters at their prior mean."""
+        taken = self.columns @ self.model.values
+        return self.whitened((self.residual + taken)[..., None])[:, 0]
+
+
+def priors(slots: tuple[Slot, ...]) -> np.ndarray:
+    """(p,) prior standard deviations."""
+    return np.array([s.parameter.width for s in slots], dtype=float)

@@ -1,0 +1,148 @@
+"""One session on its way through the Gauss-Newton steps of a fit."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.arm.spatial import Scalar
+from longarm_comp.core.data.measurement import equations
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.identify.linear import inliers, spread, whiten
+from longarm_comp.core.identify.model_fit import ModelFit
+from longarm_comp.core.model.model import Model, unstack
+
+
+@dataclass
+class SessionProblem:
+    """One session on its way through the Gauss-Newton steps."""
+
+    model: Model
+    seen: Session
+    context: Context
+    q: tuple[Scalar, ...]
+    sigma: np.ndarray | None
+    fixed: np.ndarray | None
+    robust: bool
+    weights: np.ndarray
+    noise: np.ndarray
+    residual: np.ndarray
+    columns: np.ndarray
+    effective: float = 0.0
+    rho: float = 0.0
+    posture: Posture | None = None
+    looked: Model | None = None
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        session: Session,
+        sigma: np.ndarray | None,
+        weights: np.ndarray | None,
+        robust: bool,
+        rho: float = 0.0,
+    ) -> SessionProblem:
+        seen = session.take(session.seen)
+        if len(seen) < 4:
+            raise InputError(session.source, "xyz", f"{len(seen)} seen rows", "at least 4")
+        context = seen.context()
+        for term in model.terms:
+            term.require(context)
+        start = np.ones(len(seen)) if weights is None else np.asarray(weights, float)
+        noise = np.full(len(seen.channels), np.nan) if sigma is None else np.asarray(sigma, float)
+        empty = np.empty(0)
+        return cls(
+            dataclasses.replace(model, arrivals=seen.arrivals),
+            seen,
+            context,
+            unstack(seen.q),
+            sigma,
+            weights,
+            robust,
+            start,
+            noise,
+            empty,
+            empty,
+            rho=rho,
+        )
+
+    def look(self) -> None:
+        """Residual and design of the model as it is now."""
+        if self.looked is self.model:
+            return
+        self.posture = self.model.posture(self.q, self.context)
+        found = equations(self.model, self.seen, self.posture)
+        self.residual, self.columns, self.looked = found.residual, found.columns, self.model
+        if not (np.isfinite(self.residual).all() and np.isfinite(self.columns).all()):
+            raise JobError("the fit did not stay finite", session=self.seen.source)
+
+    def took(self, begun: ModelFit) -> None:
+        """Residual and design as they were found before."""
+        self.residual, self.columns, self.looked = begun.residual, begun.columns, self.model
+
+    def fitted(
+        self, covariance: np.ndarray, iterations: int = 0, converged: bool = False
+    ) -> ModelFit:
+        """The model as it is now."""
+        found = ModelFit(
+            self.model,
+            self.seen,
+            self.residual,
+            self.columns,
+            covariance,
+            self.weights,
+            self.noise,
+            self.effective,
+            iterations,
+            converged,
+            self.rho,
+        )
+        if self.posture is not None:
+            found.__dict__["posture"] = self.posture
+        return found
+
+    def moved(self, values: np.ndarray) -> None:
+        """Take other parameter values."""
+        self.model = self.model.with_values(values)
+        self.look()
+
+    def cost(self) -> float:
+        """Squared residual of the inliers in units of the noise."""
+        white = whiten(self.residual[..., None], self.weights, self.noise, self.rho, self.seen.mask)
+        return float((white**2).sum())
+
+    def weigh(self, settled: bool) -> None:
+        """Outliers and noise for the residual as it is now."""
+        if self.robust and self.fixed is None:
+            known = self.noise if settled else None
+            self.weights = inliers(self.residual, known, self.seen.mask)
+        if self.sigma is None:
+            self.noise = self._common(self.spread())
+
+    def spread(self) -> np.ndarray:
+        """(d,) noise of every channel in the residual as it is now."""
+        return spread(self.residual, self.weights, self.effective, self.seen.mask)
+
+    def _common(self, sigma: np.ndarray) -> np.ndarray:
+        """(d,) one figure for all channels of a kind and sensor."""
+        made, start = [], 0
+        for block in self.seen.blocks:
+            mine = sigma[start : start + len(block.channels)]
+            start += len(mine)
+            held = mine[np.isfinite(mine)]
+            common = np.sqrt((held**2).mean()) if len(held) else np.inf
+            made.append(np.full(len(mine), common))
+        return np.concatenate(made)
+
+    def whitened(self, scale: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(dN, p) prior-scaled design and (dN,) linearised data, in units of the noise."""
+        y = self.residual + self.columns @ (self.model.values - centre)
+        both = np.concatenate([self.columns * scale, y[..., None]], axis=-1)
+        white = whiten(both, self.weights, self.noise, self.rho, self.seen.mask)
+        return white[:, :-1], white[:, -1]
