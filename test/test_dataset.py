@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from small_arm import measured
 
 from longarm_comp.core.arm.history import recorded
-from longarm_comp.core.data.holdout import Sealed, SealedError, blocked_split, random_split
+from longarm_comp.core.data.holdout import Sealed, SealedError, blocked_split, random_split, spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 
@@ -170,3 +170,14 @@ def test_sealed_hold_out_opens_after_release_only(rng: np.random.Generator) -> N
     assert sealed.open("proof") is session
     sealed.open("again")
     assert sealed.uses == ("proof", "again")
+
+
+def test_of_a_long_session_runs_are_taken_from_end_to_end(rng: np.random.Generator) -> None:
+    rows = measured(1000, rng)
+    assert spread(rows, 1000) is rows
+    taken = spread(rows, 400)
+    assert 350 <= len(taken) <= 400
+    assert (taken.index[0], taken.index[-1]) == (rows.index[0], rows.index[-1])
+    gaps = np.diff(taken.index)
+    assert (gaps >= 1).all() and (gaps > 1).sum() == 7, "eight runs of fifty"
+    assert gaps[gaps > 1].max() - gaps[gaps > 1].min() <= 1, "evenly"
