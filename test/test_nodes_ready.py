@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +16,19 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 import rclpy
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
-from nodes_bench import Bench, bench, own_graph
+from nodes_bench import ROOT, Bench, bench, own_graph
 from rclpy.executors import SingleThreadedExecutor
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Header
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.dummy_predictor import train_dummy
 from longarm_comp.nodes import compensator
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.bringup import BringUp
 from longarm_comp.nodes.kinematics import Kinematics
 from longarm_comp.nodes.messages import joints_message, pose_message
 from longarm_interfaces.srv import Compensate
@@ -38,6 +41,13 @@ def arm() -> Arm:
     return Arm.load(Path(__file__).parents[1] / "config" / "arm_demo.yaml")
 
 
+@pytest.fixture(scope="module")
+def learned(arm: Arm, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("learned") / "predictor.npz"
+    train_dummy(arm, path)
+    return path
+
+
 @pytest.fixture
 def stage(tmp_path: Path) -> Iterator[Bench]:
     with own_graph(tmp_path), bench() as made:
@@ -47,10 +57,10 @@ def stage(tmp_path: Path) -> Iterator[Bench]:
 class Watched:
     """/diagnostics of `kinematics`, and its service."""
 
-    def __init__(self, stage: Bench, arm: Arm) -> None:
+    def __init__(self, stage: Bench, arm: Arm, space: str = "") -> None:
         self.stage, self.arm = stage, arm
         self.heard = stage.collect(graph.DIAGNOSTICS)
-        self.client = graph.COMPENSATE.client(stage.node)
+        self.client = stage.node.create_client(Compensate, f"{space}/{graph.COMPENSATE.name}")
         self.pose = pose_message(declared_model(arm).pose(arm.mid))
 
     def part(self, name: str) -> Any:
@@ -84,11 +94,10 @@ class Watched:
 
 
 def test_ready_means_compiled_and_the_predictor_probed_also_after_its_return(
-    stage: Bench, arm: Arm, demo_arm_path: Path, tmp_path: Path
+    stage: Bench, arm: Arm, demo_arm_path: Path, learned: Path
 ) -> None:
     pytest.importorskip("llvmlite", reason="nothing is compiled without it")
-    files = {"arm": demo_arm_path, "predictor": tmp_path / "predictor.npz"}
-    train_dummy(arm, files["predictor"])
+    files = {"arm": demo_arm_path, "predictor": learned}
     predictor = stage.start("error_predictor", files)
     given = {"arm": demo_arm_path, "compiled": True, "diagnostics_period_s": 0.1}
     node = stage.start("kinematics", given)
@@ -125,6 +134,31 @@ def test_ready_means_compiled_and_the_predictor_probed_also_after_its_return(
     seen.says("targets", "compensating")  # found without a target
     answer = seen.ask()
     assert answer.status == STATUS.SUCCESS, answer.message
+
+
+def test_composed_the_predictor_is_called_and_not_asked_over_the_middleware(
+    stage: Bench, arm: Arm, demo_arm_path: Path, learned: Path, tmp_path: Path
+) -> None:
+    made = BringUp(
+        arm=demo_arm_path, predictor=learned, without=("servo_driver", "stereo_bridge"),
+        set={"kinematics": {"compiled": False, "acknowledged": False, "reach.look_s": 1.0}},
+        composed=True, namespace="one",
+    )  # fmt: skip
+    ((name, words),) = made.commands(tmp_path).items()
+    assert name == "composed"
+    process = stage.program(words, ROOT, ROOT)
+    seen = Watched(stage, arm, "/one")
+    answer = seen.ask()
+    assert answer.status == STATUS.SUCCESS, answer.message
+    assert answer.in_domain and answer.predicted_error.x != 0.0
+    asks = stage.node.get_client_names_and_types_by_node("kinematics", "/one")
+    assert asks == []
+    serves = stage.node.get_service_names_and_types_by_node("error_predictor", "/one")
+    assert "/one/predict_error" in dict(serves)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=10) == 0
+    with pytest.raises(InputError, match="composed: 'kinematics'"):
+        replace(made, without=("kinematics",))
 
 
 @pytest.fixture

@@ -88,10 +88,16 @@ class ErrorPredictor(Node):
     def _on_predict(
         self, request: PredictError.Request, reply: Callable[[PredictError.Response], None]
     ) -> None:
+        reply(self.answer(request))
+
+    def answer(self, request: PredictError.Request) -> PredictError.Response:
+        """The answer to a question, also of another thread of this process."""
         response = self._answer(request)
-        reply(response)
-        if not response.success:
-            return
+        if response.success:
+            self._publish(response)
+        return response
+
+    def _publish(self, response: PredictError.Response) -> None:
         message = Vector3Stamped(vector=response.error)
         message.header.stamp = self.get_clock().now().to_msg()
         message.header.frame_id = self._base_frame
