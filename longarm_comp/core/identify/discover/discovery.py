@@ -11,7 +11,7 @@ import numpy as np
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.discover import words
-from longarm_comp.core.identify.discover.bank import Weighed
+from longarm_comp.core.identify.discover.bank import Weighed, weight
 from longarm_comp.core.identify.discover.banks import CAMERA
 from longarm_comp.core.identify.discover.propose import doubts, proposed
 from longarm_comp.core.identify.discover.search import SearchedFunctions, first, search
@@ -23,6 +23,8 @@ from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.proof import ENOUGH_OFF, Proof, prove
 from longarm_comp.core.identify.structure import Structure, examine
 
+FAR = 2.0
+"""Terms that leave this many times what the library's effects leave do not come to replace them."""
 SIMPLER = 3.0
 """Log odds that effects of the library beside what was found must bring to stay."""
 CLEAR = math.log(1000.0)
@@ -152,7 +154,7 @@ def discover(
     best = search(base, known, say)
     start = base
     if plain is not None:
-        alone = search(plain, known, say)
+        alone = search(plain, known, say, lambda fit: _near(fit, base))
         if alone is not None and _advantage(alone, best, base, plain, count) > -SIMPLER:
             best, start = alone, plain
     return None if best is None else _proven(best, base, start, unseal(), rng, seed)
@@ -224,6 +226,12 @@ def _between(proof: Proof) -> bool:
         np.linalg.norm(proof.errors[k][off], axis=1) for k in ("calibrated", "with_effects")
     )
     return len(after) < ENOUGH_OFF or bool(after.mean() < before.mean())
+
+
+def _near(fit: ModelFit, base: ModelFit) -> bool:
+    """Whether what a fit leaves is of the size that the library's effects leave."""
+    rms = [np.sqrt(((f.residual * weight(base)) ** 2).sum()) for f in (fit, base)]
+    return bool(rms[0] < FAR * rms[1])
 
 
 def _advantage(
