@@ -1,4 +1,4 @@
-"""The documentation as pages: `make docs`. Pictures and pages of effects are made with it."""
+"""The documentation as pages: `make docs`. The pages of effects are made with it."""
 
 from __future__ import annotations
 
@@ -42,12 +42,10 @@ def linked(app: Any, name: str, source: list[str]) -> None:
 
 
 def make(app: Any) -> None:
-    """Write the pages of the effects and the pictures, below docs/made."""
+    """Write the pages of the effects, below docs/made."""
     import effect_pages
-    import pictures
 
     effect_pages.write(HERE / "made" / "effects")
-    pictures.draw(HERE / "made" / "pictures")
 
 
 def setup(app: Any) -> None:
