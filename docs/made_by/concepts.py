@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from drawing import BLUE, GREEN, GREY, INK, ORANGE, VERMILLION, arrow, bare
 from matplotlib.figure import Figure
@@ -155,3 +157,21 @@ def commanded_and_seen(figure: Figure) -> None:
     axes.set(xlim=(-0.1, 5.2), ylim=(0.45, 2.2),
              title="As commanded and as seen: every table has both")  # fmt: skip
     bare(axes)
+
+
+def how_many_poses(figure: Figure) -> None:
+    """The table of docs/studies.md, "Which poses to measure", where the effect is known."""
+    axes = figure.subplots()
+    rows = [line.replace("*", "").split("|")[1:-1] for line in _studies() if "| known |" in line]
+    poses, *errors = np.array([[float(v) for v in row[1:]] for row in rows]).T
+    kinds = (("grid", GREY, "s", "--"), ("Sobol", ORANGE, "^", "-."), ("I-optimal", BLUE, "o", "-"))
+    for (name, color, sign, dash), mm in zip(kinds, errors, strict=True):
+        axes.plot(poses, mm, dash, marker=sign, color=color, lw=2, ms=8, label=name)
+    axes.set(xlabel="poses measured", ylabel="error of the true tip, mm", ylim=(0, 0.27),
+             title="The effect is known: fewer poses, if they are chosen")  # fmt: skip
+    axes.set_xticks(poses, [f"{n:g}" for n in poses])
+    axes.legend(title="poses are")
+
+
+def _studies() -> list[str]:
+    return (Path(__file__).resolve().parents[1] / "studies.md").read_text("utf-8").splitlines()

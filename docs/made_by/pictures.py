@@ -24,6 +24,7 @@ COMPUTED: dict[Callable[[Figure], None], tuple[float, float]] = {
     concepts.hold_out: (7.6, 3.9),
     concepts.pseudo_target: (7.6, 3.4),
     concepts.commanded_and_seen: (7.6, 3.0),
+    concepts.how_many_poses: (7.6, 3.4),
     own_arm.mdh_row: (7.6, 3.2),
     own_arm.mdh_frames: (7.6, 4.7),
     own_arm.beams: (7.6, 3.0),
