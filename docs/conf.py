@@ -22,6 +22,7 @@ html_theme = "furo"
 html_title = f"longarm_comp {release}"
 html_show_sourcelink = False
 html_copy_source = False
+html_show_copyright = False
 myst_heading_anchors = 3
 napoleon_use_ivar = True
 autodoc_typehints = "none"
@@ -36,9 +37,9 @@ PAGE = re.compile(r"`docs/(\w+)\.md`")
 
 
 def linked(app: Any, name: str, source: list[str]) -> None:
-    """Pages that are named become links."""
+    """Pages that are named become links with their titles."""
     up = "../" * name.count("/")
-    source[0] = PAGE.sub(rf"[\1]({up}\1.md)", source[0])
+    source[0] = PAGE.sub(rf"[]({up}\1.md)", source[0])
 
 
 def make(app: Any) -> None:
