@@ -28,6 +28,20 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.long
+def test_notebooks_run(tmp_path: Path) -> None:
+    """As `make docs` builds the pages: every cell is run, an error in one ends it."""
+    words = [sys.executable, "-m", "sphinx", "-q", "-W", str(DOCS), str(tmp_path)]
+    done = subprocess.run(words, env=os.environ | {"LONGARM_NOTEBOOKS": "force"},
+                          capture_output=True, text=True)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    notebooks = sorted((DOCS / "notebooks").glob("*.md"))
+    assert len(notebooks) > 3
+    for notebook in notebooks:
+        page = (tmp_path / "notebooks" / notebook.with_suffix(".html").name).read_text("utf-8")
+        assert "cell_output" in page, notebook.name
+
+
 class Links(HTMLParser):
     """What a page loads or leads to."""
 
