@@ -78,7 +78,8 @@ def test_the_servo_file_fits_the_demonstration_arm() -> None:
 def test_names_are_relative_and_appear_once() -> None:
     names = [topic.name for topic in graph.TOPICS] + [service.name for service in graph.SERVICES]
     assert len(set(names)) == len(names)
-    assert [name for name in names if name.startswith("/")] == ["/diagnostics"]
+    shared = {"/diagnostics", *(("/tf", "/tf_static") if graph.HAS_TF else ())}
+    assert {name for name in names if name.startswith("/")} == shared
 
 
 @pytest.mark.parametrize(
