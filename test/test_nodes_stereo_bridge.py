@@ -123,12 +123,10 @@ def test_cameras_and_the_measured_tip_are_frames(cameras: Cameras) -> None:
     assert [at.x, at.y, at.z] == tip.tolist()
     fixed = cameras.fixed[-1].transforms
     assert [t.child_frame_id for t in fixed] == ["left", "right"]  # as camera_info names them
-    places = [(t.transform.translation, t.transform.rotation) for t in fixed]
-    assert [(p.x, p.y, p.z) for p, _ in places] == pytest.approx(
-        [(0.75, -1.7, 0.3), (1.05, -1.7, 0.3)], abs=1e-9
-    )
     half = math.sqrt(0.5)  # x right, y down, z forward: the arm's y
-    for _, turn in places:
+    for sent, x in zip(fixed, (0.75, 1.05), strict=True):
+        at, turn = sent.transform.translation, sent.transform.rotation
+        assert [at.x, at.y, at.z] == pytest.approx([x, -1.7, 0.3], abs=1e-9)
         assert [turn.x, turn.y, turn.z, turn.w] == pytest.approx([-half, 0, 0, half], abs=1e-9)
 
 
