@@ -5,10 +5,12 @@ ros2 launch longarm_comp longarm.launch.py arm:=arm.yaml sim:=true rviz:=true
 """
 
 import os
+import tempfile
 from pathlib import Path
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, RegisterEventHandler, Shutdown
+from launch.event_handlers import OnProcessExit
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
@@ -24,7 +26,7 @@ ARGUMENTS = (
     ("hidden", "", "simulation: undeclared effects, 'backlash=2.0' (mm)"),
     ("speed", "1.0", "simulation: motion so many times faster"),
     ("port", "", "serial port of the servos; empty: the file's"),
-    ("bus", "/tmp/longarm_servo_bus", "simulation: link to make to the servo bus"),
+    ("bus", "", "simulation: link to make to the servo bus; empty: in a new temporary folder"),
     ("namespace", "", "of this arm, so that several share a network"),
     ("config", "", "folder of parameter files that replace the package's own"),
     ("rviz", "false", "start RViz too"),
@@ -34,6 +36,15 @@ ARGUMENTS = (
 def path(text):
     """A path, or None for nothing."""
     return Path(text) if text else None
+
+
+BAD_INPUT = 2
+"""Exit code of a node whose files or parameters are wrong: a second start would not help."""
+
+
+def end_on_bad_input(event, context):
+    """End the whole launch, which otherwise starts a node again that has ended."""
+    return [Shutdown(reason=event.process_name)] if event.returncode == BAD_INPUT else None
 
 
 def nodes(context):
@@ -52,7 +63,7 @@ def nodes(context):
         speed=float(given["speed"]),
         set={"simulated_arm": {"hidden": given["hidden"]}} if sim else {},
     )
-    bus = "_".join(filter(None, (given["bus"], given["namespace"].strip("/").replace("/", "_"))))
+    bus = given["bus"] or os.path.join(tempfile.mkdtemp(prefix="longarm_"), "servo_bus")
     made = [
         Node(
             package="longarm_comp",
@@ -67,13 +78,12 @@ def nodes(context):
         for name in graph.nodes
     ]
     if given["rviz"].lower() in ("true", "1"):
-        still = ["--frame-id", "world", "--child-frame-id", "base"]  # RViz wants a known frame
-        view = ["-d", str(folder("config") / "longarm.rviz")]
-        made += [
-            Node(package="tf2_ros", executable="static_transform_publisher", arguments=still),
-            Node(package="rviz2", executable="rviz2", namespace=graph.namespace, arguments=view),
-        ]
-    return made
+        base = "/".join(filter(None, (graph.namespace.strip("/"), "base")))
+        view = ["-d", str(folder("config") / "longarm.rviz"), "-f", base]
+        made.append(
+            Node(package="rviz2", executable="rviz2", namespace=graph.namespace, arguments=view)
+        )
+    return [*made, RegisterEventHandler(OnProcessExit(on_exit=end_on_bad_input))]
 
 
 def generate_launch_description():

@@ -134,7 +134,7 @@ LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
 def launched(file: Path, monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
     """A launch file, run. `launch` is in no registry: stand-ins only keep their arguments."""
     for name in (
-        *("launch", "launch.actions", "launch.substitutions"),
+        *("launch", "launch.actions", "launch.event_handlers", "launch.substitutions"),
         *("launch.launch_description_sources", "launch_ros", "launch_ros.actions"),
     ):
         monkeypatch.setitem(sys.modules, name, MagicMock(name=name))
@@ -163,6 +163,28 @@ def test_a_launch_file_describes_itself(file: Path, monkeypatch: pytest.MonkeyPa
         assert [call["executable"] for call in calls[: len(SIMULATED)]] == list(SIMULATED)
         for call in calls[: len(SIMULATED)]:
             passes_what_the_node_has(call["executable"], *call["parameters"])
+
+
+def test_bad_input_ends_a_launch_and_nothing_else_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = launched(ROOT / "launch" / "longarm.launch.py", monkeypatch)
+    for code, ends in ((2, True), (0, False), (1, False), (-9, False)):
+        event = types.SimpleNamespace(returncode=code, process_name="kinematics-3")
+        done = module.end_on_bad_input(event, None)
+        assert done == ([module.Shutdown.return_value] if ends else None)
+
+
+@pytest.mark.parametrize("name", ["longarm.rviz", "two_arms.rviz"])
+def test_rviz_shows_topics_and_frames_that_there_are(name: str) -> None:
+    view = read_yaml(ROOT / "config" / name)["Visualization Manager"]
+    topics = {d["Topic"]["Value"] for d in view["Displays"] if "Topic" in d}
+    sides = ("left_arm", "right_arm") if name == "two_arms.rviz" else ("",)
+    known = {f"/{side}/{t.name}" if side else t.name for side in sides for t in graph.TOPICS}
+    assert topics <= known
+    assert {t for t in topics if t.endswith("markers")} == {
+        f"/{side}/markers" if side else "markers" for side in sides
+    }
+    frames = {d["Reference Frame"] for d in view["Displays"] if "Reference Frame" in d}
+    assert frames == {f"{side}/base" if side else "base" for side in sides}
 
 
 def passes_what_the_node_has(node: str, listed: str, given: dict[str, Any]) -> None:
@@ -198,3 +220,6 @@ def test_what_includes_another_launch_file_passes_arguments_that_it_has(
     declared = {call.args[0] for call in module.DeclareLaunchArgument.call_args_list}
     used = {call.args[0] for call in module.LaunchConfiguration.call_args_list}
     assert used <= declared
+    if "STANDS" in module.__dict__:  # all files of each arm may be given
+        every = known - {"sim", "rviz", "namespace"}
+        assert {f"{side}_{name}" for side in module.STANDS for name in every} <= declared
