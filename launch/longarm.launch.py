@@ -4,7 +4,9 @@ ros2 launch longarm_comp longarm.launch.py arm:=arm.yaml model:=model.yaml port:
 ros2 launch longarm_comp longarm.launch.py arm:=arm.yaml sim:=true rviz:=true
 """
 
+import atexit
 import os
+import shutil
 import tempfile
 from pathlib import Path
 
@@ -51,6 +53,8 @@ def nodes(context):
     """One launch_ros Node for each of the graph."""
     given = {name: LaunchConfiguration(name).perform(context) for name, _, _ in ARGUMENTS}
     sim = given["sim"].lower() in ("true", "1")
+    scratch = Path(tempfile.mkdtemp(prefix="longarm_"))
+    atexit.register(shutil.rmtree, scratch, ignore_errors=True)
     graph = BringUp(
         arm=Path(given["arm"]),
         model=path(given["model"]),
@@ -62,8 +66,8 @@ def nodes(context):
         port=given["port"],
         speed=float(given["speed"]),
         set={"simulated_arm": {"hidden": given["hidden"]}} if sim else {},
-    )
-    bus = given["bus"] or os.path.join(tempfile.mkdtemp(prefix="longarm_"), "servo_bus")
+    ).fitted(scratch)
+    bus = given["bus"] or str(scratch / "servo_bus")
     made = [
         Node(
             package="longarm_comp",

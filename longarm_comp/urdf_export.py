@@ -272,7 +272,8 @@ def _text(values: Sequence[float] | np.ndarray) -> str:
 def _remark(model: Model) -> str:
     left = sorted({e.name for e in model.effects if not e.geometry})
     zeros = ", ".join(f"{z.joint} {z.value:.9g} {z.unit}" for z in zero_offsets(model))
-    lines = ["Calibrated origins, written by longarm export-urdf. The payload is not in it."]
+    origins = "Calibrated" if any(e.geometry for e in model.effects) else "Declared"
+    lines = [f"{origins} origins, written by longarm export-urdf. The payload is not in it."]
     lines += [f"Joint zeros, in the origins already: {zeros}"] if zeros else []
     lines += [f"Left out, as a URDF is rigid: {', '.join(left)}"] if left else []
     return "\n  ".join(["", *lines, ""]).replace("--", "- -")

@@ -153,7 +153,8 @@ def test_a_launch_file_describes_itself(file: Path, monkeypatch: pytest.MonkeyPa
     assert len(entities) >= 2
     if "nodes" in module.__dict__:
         arguments = {name: default or "" for name, default, _ in module.ARGUMENTS}
-        given = {**arguments, "arm": "arm.yaml", "sim": "true", "rviz": "true"}
+        arm = str(folder("config") / "arm_demo.yaml")
+        given = {**arguments, "arm": arm, "sim": "true", "rviz": "true"}
         module.LaunchConfiguration = lambda name: types.SimpleNamespace(
             perform=lambda context: given[name]
         )
