@@ -28,8 +28,12 @@ from longarm_interfaces.msg import Compensation, DriverState, Motion
 from longarm_interfaces.srv import Compensate, PredictError
 
 try:
+    from control_msgs.action import FollowJointTrajectory
+except ImportError:  # no package registry has it, nor tf2_msgs: a sourced ROS does
+    FollowJointTrajectory = None
+try:
     from tf2_msgs.msg import TFMessage
-except ImportError:  # no package registry has it: a sourced ROS does
+except ImportError:
     TFMessage = None
 
 RELIABLE = ReliabilityPolicy.RELIABLE
@@ -96,7 +100,7 @@ class Action:
     """One action."""
 
     name: str
-    type: type
+    type: Any  # with Goal, Result and Feedback
     meaning: str
 
 
@@ -186,6 +190,12 @@ HOLD = Service("~/hold", SetBool, "true: stop, stay with torque on, refuse comma
 RESET = Service("~/reset", Trigger, "leave a fault once its cause is gone")
 
 REACH = Action("reach", Reach, "move the tip to a target and say where it came to rest")
+FOLLOW = Action(
+    "servo_driver/follow_joint_trajectory", FollowJointTrajectory,
+    "joint_trajectory as an action; where control_msgs is installed (`HAS_FOLLOW`)",
+)  # fmt: skip
+
+HAS_FOLLOW = FollowJointTrajectory is not None
 
 TOPICS: tuple[Topic, ...] = (
     *(TARGET_POSE, JOINT_TRAJECTORY, COMPENSATION, JOINT_STATES, MOTION, DRIVER_STATE),

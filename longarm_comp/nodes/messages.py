@@ -158,10 +158,15 @@ def _in_order(at: Mapping[str, float], names: list[str], arm: Arm, where: str) -
     return np.array([at[name] for name in arm.joint_names])
 
 
-def duration(seconds: float) -> Duration:
+def duration(value_s: float) -> Duration:
     """A duration of some seconds, 0 or more."""
-    whole, rest = divmod(round(seconds * 1e9), 10**9)
+    whole, rest = divmod(round(value_s * 1e9), 10**9)
     return Duration(sec=whole, nanosec=rest)
+
+
+def seconds(message: Duration) -> float:
+    """A duration in seconds."""
+    return float(message.sec + 1e-9 * message.nanosec)
 
 
 def trajectory_message(
@@ -182,7 +187,7 @@ def trajectory_of(message: JointTrajectory) -> devices.JointTrajectory:
     """The trajectory for the servo side. It starts now: the header's stamp is not used."""
     points = tuple(
         devices.TrajectoryPoint(
-            point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec,
+            seconds(point.time_from_start),
             tuple(point.positions),
             tuple(point.velocities),
         )
