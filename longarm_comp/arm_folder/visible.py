@@ -106,7 +106,7 @@ class View:
                 why.append(f"out of view of {_cameras(sides)} ({self._where(middle[k])})")
             elif facing[k] < _STEEPEST:
                 turned = np.degrees(np.arccos(np.clip(facing[k], -1.0, 1.0)))
-                why.append(f"turned away by {turned:.0f} deg")
+                why.append(f"turned away: {turned:.0f} deg")
             elif pixels[k] < _TAG_PX:
                 why.append(f"too far: {depth[k]:.2f} m, a tag is {pixels[k]:.0f} px")
             else:

@@ -87,7 +87,7 @@ def plan(
         InputError: n is out of range, no such kind, or the diagnosis asks for no poses.
         JobError: the rows measured so far could not be fitted; too few poses are allowed.
     """
-    bounded = _bounded(arm, keep_out, floor)
+    within = bounded(arm, keep_out, floor)
 
     def allowed(poses: Plan, where: Model) -> np.ndarray:
         free = outside_boxes(where, poses)
@@ -101,7 +101,7 @@ def plan(
         known = physics(arm, model)
         rows = None if measured is None else admitted(measured, arm, known, note=note)
         uncertain = Uncertainty.of(known, rows, measure, known=model is not None, sigma=noise)
-        fitted = uncertain.model.arm.model_copy(update={"keep_out": bounded.keep_out})
+        fitted = uncertain.model.arm.model_copy(update={"keep_out": within.keep_out})
         where = replace(uncertain.model, arm=fitted)
         return optimal_poses(
             uncertain, n, criterion=kind, measure=measure,
@@ -109,7 +109,7 @@ def plan(
         )  # fmt: skip
     if measured is not None or model is not None:
         raise InputError("plan", "kind", kind, f"{' or '.join(_OPTIMAL)}, with model or rows")
-    where = declared_model(bounded)
+    where = declared_model(within)
     if report is not None:
         asked = read_next_poses(report, arm, n)
         free = np.flatnonzero(allowed(asked, where))
@@ -122,7 +122,7 @@ def plan(
     return filled(make, arm, n, seed, lambda poses: allowed(poses, where), most(arm))
 
 
-def _bounded(arm: Arm, keep_out: Sequence[Sequence[float]], floor: float | None) -> Arm:
+def bounded(arm: Arm, keep_out: Sequence[Sequence[float]], floor: float | None) -> Arm:
     """The arm with further boxes and a floor."""
     boxes = {f"box {k}": _box(given) for k, given in enumerate(keep_out, 1)}
     arm = arm.model_copy(update={"keep_out": {**arm.keep_out, **boxes}})

@@ -22,7 +22,7 @@ class Box(Declared):
         return self
 
     def crossed(self, points: np.ndarray) -> np.ndarray:
-        """(..., k - 1) bool: which segments of polylines (..., k, 3), m, have a point in the box."""
+        """(..., k - 1) bool: which segments of polylines (..., k, 3), m, are partly in the box."""
         begin, way = points[..., :-1, :], np.diff(points, axis=-2)
         low, high = np.array(self.min_m), np.array(self.max_m)
         with np.errstate(divide="ignore", invalid="ignore"):
