@@ -310,15 +310,22 @@ class ArmClient(GraphClient):
         return int(self.node.get_clock().now().nanoseconds)
 
     def look(self, after_ns: int, count: int, within_s: float) -> list[np.ndarray]:
-        """Up to ``count`` sightings (3,) taken after a time (ns), without lost ones."""
+        """Up to ``count`` sightings (3,) taken after a time (ns), without lost ones.
+
+        Where the marker is lost in twice as many pictures in a row, it is not waited for.
+        """
 
         def taken() -> list[np.ndarray]:
-            return [
-                xyz for ns, xyz, _ in self.sightings if ns > after_ns and np.isfinite(xyz).all()
-            ]
+            return [xyz for xyz in told() if np.isfinite(xyz).all()]
+
+        def told() -> list[np.ndarray]:
+            return [xyz for ns, xyz, _ in self.sightings if ns > after_ns]
+
+        def over() -> bool:
+            good = len(taken())
+            lost = not good and len(told()) >= 2 * count
+            return good >= count or lost or time.monotonic() > end
 
         end = time.monotonic() + within_s
-        self.until(
-            lambda: len(taken()) >= count or time.monotonic() > end, within_s + 60.0, "sightings"
-        )
+        self.until(over, within_s + 60.0, "sightings")
         return taken()

@@ -75,11 +75,11 @@ class Preview:
     def blocked(self) -> dict[int, str]:
         """Visits that may not be driven, by index, and why."""
         found: dict[int, str] = {}
-        for check in self.checks if self.visits else ():
+        for check in self.checks:
             for visit, fault in zip(self.visits, check.faults, strict=True):
                 if fault and check.blocks:
                     found.setdefault(visit.index, fault)
-        return found
+        return dict(sorted(found.items()))
 
     @property
     def lowest_m(self) -> float:
