@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Vector3Stamped
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -178,6 +178,9 @@ TF_STATIC = Topic("/tf_static", TFMessage, 100, RELIABLE, "cameras, foot of the 
 
 HAS_TF = TFMessage is not None
 
+COLLECT_PROGRESS = Topic(
+    "collect/progress", DiagnosticStatus, 1, RELIABLE, "how far `longarm collect` is", latched=True
+)
 DIAGNOSTICS = Topic(
     "/diagnostics", DiagnosticArray, 50, RELIABLE, "health of every node, once a second"
 )
@@ -187,6 +190,7 @@ PREDICT_ERROR = Service("predict_error", PredictError, "learned error at given j
 RELOAD = Service("~/reload", Trigger, "read the node's files again")
 ESTOP = Service("~/estop", SetBool, "true: torque off now, commands refused; false: ready again")
 HOLD = Service("~/hold", SetBool, "true: stop, stay with torque on, refuse commands; false: ready")
+PAUSE = Service("collect/pause", SetBool, "true: `longarm collect` rests after the pose at hand")
 RESET = Service("~/reset", Trigger, "leave a fault once its cause is gone")
 
 REACH = Action("reach", Reach, "move the tip to a target and say where it came to rest")
@@ -202,7 +206,7 @@ TOPICS: tuple[Topic, ...] = (
     PREDICTED_ERROR,
     TIP_MEASURED,
     *(LEFT_IMAGE, RIGHT_IMAGE, LEFT_INFO, RIGHT_INFO, TEMPERATURE, PAYLOAD, INCLINATION),
-    *(MARKERS, DIAGNOSTICS, ROBOT_DESCRIPTION),
+    *(MARKERS, COLLECT_PROGRESS, DIAGNOSTICS, ROBOT_DESCRIPTION),
     *((TF, TF_STATIC) if HAS_TF else ()),
 )
-SERVICES: tuple[Service, ...] = (COMPENSATE, PREDICT_ERROR, RELOAD, ESTOP, HOLD, RESET)
+SERVICES: tuple[Service, ...] = (COMPENSATE, PREDICT_ERROR, RELOAD, ESTOP, HOLD, RESET, PAUSE)
