@@ -1,6 +1,6 @@
 # Everything runs from .venv, which `make setup` builds from nothing out of the package registry.
 PYTHON ?= python3
-PYTEST_ARGS ?= -n 2 --dist loadfile
+PYTEST_ARGS ?= -m 'not long' -n 2 --dist loadfile --no-loadscope-reorder
 TORCH_ARGS ?=
 
 VENV := .venv
@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 STAMPS := $(VENV)/stamps
 
-.PHONY: setup test fuzz lint demo docs bench format system colcon clean
+.PHONY: setup test long fuzz lint demo docs bench format system colcon clean
 
 setup: $(STAMPS)/dev
 
@@ -51,6 +51,10 @@ $(STAMPS)/dev: $(STAMPS)/package
 
 test: setup
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+# Every test, those that take a minute too.
+long: setup
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 # Damaged files given to every command that reads one; `make test` runs a tenth of it.
 fuzz: setup

@@ -10,7 +10,7 @@ import numpy as np
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.discover import words
-from longarm_comp.core.identify.discover.bank import Weighed
+from longarm_comp.core.identify.discover.bank import Weighed, weight
 from longarm_comp.core.identify.discover.banks import CAMERA
 from longarm_comp.core.identify.discover.propose import doubts, proposed
 from longarm_comp.core.identify.discover.search import SearchedFunctions, search
@@ -22,6 +22,8 @@ from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.proof import Proof, prove
 from longarm_comp.core.identify.structure import Structure, examine
 
+FAR = 2.0
+"""Terms that leave this many times what the library's effects leave do not come to replace them."""
 SIMPLER = 3.0
 """Log odds that effects of the library beside what was found must bring to stay."""
 
@@ -149,7 +151,7 @@ def discover(
     best = search(base, known, say)
     start = base
     if plain is not None:
-        alone = search(plain, known, say)
+        alone = search(plain, known, say, lambda fit: _near(fit, base))
         if alone is not None and _simpler(alone, best, base, plain, count):
             best, start = alone, plain
     if best is None:
@@ -175,6 +177,12 @@ def discover(
         doubts(best.fit, hypotheses),
         proposed(best.fit, hypotheses, seed),
     )
+
+
+def _near(fit: ModelFit, base: ModelFit) -> bool:
+    """Whether what a fit leaves is of the size that the library's effects leave."""
+    rms = [np.sqrt(((f.residual * weight(base)) ** 2).sum()) for f in (fit, base)]
+    return bool(rms[0] < FAR * rms[1])
 
 
 def _simpler(
