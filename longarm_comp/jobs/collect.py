@@ -22,6 +22,7 @@ from longarm_comp.core.data.rest_pose import JOINT_REST
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.measurement_schedule import Visit
+from longarm_comp.jobs.progress import ProgressTeller
 from longarm_comp.jobs.recorder import Recorder
 from longarm_comp.sessions.bag import open_bag
 from longarm_comp.sessions.bag_segments import SegmentedBag
@@ -90,6 +91,7 @@ def collect(
     done = visited(path, todo, client) if resume and (path / "metadata.yaml").is_file() else set()
     unseen: list[int] = []
     payload = client.node.create_publisher(Float64, "payload", 5)
+    teller = ProgressTeller(client.node)
     with SegmentedBag(path, resume=resume) as bag:
         recorder = Recorder(client.node, bag)
         client.ready()
@@ -97,6 +99,7 @@ def collect(
         left = [visit for visit in todo if visit.index not in done]
         for k, visit in enumerate(left):
             progress(f"pose {visit.index}", k / len(left))
+            teller.tell(len(done) + k, len(todo), f"at pose {visit.index}{_lost(unseen)}")
             recorder.drop()
             if visit.payload_kg is not None:
                 payload.publish(Float64(data=visit.payload_kg))
@@ -107,7 +110,13 @@ def collect(
             recorder.keep(since_ns=begun)
             if len(unseen) > max(5, len(left) // 2):
                 raise JobError("the marker is not seen at most poses", lost=len(unseen))
+        teller.tell(len(done) + len(left), len(todo), f"all poses visited{_lost(unseen)}")
     return Collected(len(left), len(done), len(todo), tuple(unseen))
+
+
+def _lost(unseen: Sequence[int]) -> str:
+    """In words, at how many poses the marker was not seen; nothing where it always was."""
+    return f"; marker lost at {len(unseen)} poses" if unseen else ""
 
 
 def _hear_circumstances(client: ArmClient, recorder: Recorder) -> None:

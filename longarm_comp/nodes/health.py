@@ -22,6 +22,9 @@ OK, WARN, ERROR, STALE = (
     DiagnosticStatus.STALE,
 )
 
+PROGRESS = "progress"
+"""Part in which a job that drives the graph says how far it is: facts ``done`` and ``of``."""
+
 
 @dataclass(frozen=True)
 class Report:
@@ -30,6 +33,23 @@ class Report:
     level: bytes
     message: str
     facts: Mapping[str, object] = field(default_factory=dict)
+
+
+def reports(node: Node, parts: Mapping[str, Report]) -> DiagnosticArray:
+    """The message of a node's reports by part. A status is named ``<node>: <part>``."""
+    array = DiagnosticArray()
+    array.header.stamp = node.get_clock().now().to_msg()
+    for part, report in parts.items():
+        array.status.append(
+            DiagnosticStatus(
+                level=report.level,
+                name=f"{node.get_fully_qualified_name()}: {part}",
+                message=report.message,
+                hardware_id=node.get_namespace(),
+                values=[KeyValue(key=k, value=str(v)) for k, v in report.facts.items()],
+            )
+        )
+    return array
 
 
 class Tally:
@@ -52,7 +72,7 @@ class Health:
     """Collects a report from every part of a node and publishes them.
 
     Args:
-        node: the publishing node. A status is named ``<node>: <part>``.
+        node: the publishing node.
         parts: function that reports on each part.
         period_s: time between two publications.
     """
@@ -76,22 +96,8 @@ class Health:
 
     def publish(self) -> None:
         """Publish the report of every part now."""
-        name = self._node.get_fully_qualified_name()
-        array = DiagnosticArray()
-        array.header.stamp = self._node.get_clock().now().to_msg()
-        for part, ask in self._parts.items():
-            report = ask()
-            values = [KeyValue(key=k, value=str(v)) for k, v in report.facts.items()]
-            array.status.append(
-                DiagnosticStatus(
-                    level=report.level,
-                    name=f"{name}: {part}",
-                    message=report.message,
-                    hardware_id=self._node.get_namespace(),
-                    values=values,
-                )
-            )
-        self._publisher.publish(array)
+        said = {part: ask() for part, ask in self._parts.items()}
+        self._publisher.publish(reports(self._node, said))
 
     def _process(self) -> Report:
         if self.faults:
