@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 STAMPS := $(VENV)/stamps
 
-.PHONY: setup test long fuzz lint demo docs bench format system colcon clean
+.PHONY: setup test long fuzz lint demo docs pictures bench format system colcon clean
 
 setup: $(STAMPS)/dev
 
@@ -82,6 +82,13 @@ demo: $(STAMPS)/package
 # Pages to read offline: build/docs/index.html. Warnings are errors; LONGARM_NOTEBOOKS=off runs none.
 docs: setup
 	$(BIN)/sphinx-build -q -W --keep-going docs build/docs
+
+# Pictures of README and pages, drawn again (docs/pictures); some are of a demonstration in build/demo.
+pictures: setup build/demo/report.html
+	$(BIN)/python docs/made_by/pictures.py build/demo
+
+build/demo/report.html: | $(STAMPS)/package
+	$(BIN)/longarm demo --out build/demo
 
 bench: setup
 	$(BIN)/longarm bench -o build/bench

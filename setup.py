@@ -34,16 +34,19 @@ RUNTIME = [
 STUDIES = ["joblib>=1.4", "scikit-learn>=1.4"]
 CLUSTER = ["dask[distributed]>=2024.1"]
 DOCS = ["furo>=2024.8", "myst-nb>=1.1", "sphinx>=7.4"]
+VIEW = ["viser==1.1.1", "websockets>=14"]  # pinned: longarm_comp/view/server.py wraps how it serves
 
 EXTRAS = {
     "test": ["pytest"],  # by this name colcon test finds that pytest runs the tests
     "studies": STUDIES,  # longarm study table1, study loop
     "cluster": [*STUDIES, *CLUSTER],  # study loop --dask
     "docs": DOCS,  # make docs
+    "view": VIEW,  # longarm view
     "dev": [
         *STUDIES,
         *CLUSTER,
         *DOCS,
+        *VIEW,
         "PyNiteFEA",
         "colcon-common-extensions",
         "dynamixel-sdk",
@@ -55,6 +58,7 @@ EXTRAS = {
         "mypy",
         "packaging",
         "pin",
+        "playwright",
         "pytest",
         "pytest-xdist",
         "pytracik",
@@ -108,6 +112,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", sorted(glob("config/*.yaml") + glob("config/*.rviz"))),
+        (f"share/{NAME}/config/layouts", sorted(glob("config/layouts/*"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
         *programs(),
     ],

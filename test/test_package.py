@@ -169,6 +169,7 @@ def test_versions_agree() -> None:
             1
         ],
         re.search(r"^version: (\S+)", (ROOT / "CITATION.cff").read_text("utf-8"), re.MULTILINE)[1],
+        re.search(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)[1],
     }
     assert written == {longarm_comp.__version__}
 

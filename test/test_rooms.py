@@ -262,7 +262,7 @@ def test_only_its_command_imports_the_benchmarks() -> None:
         ("nodes", "import scipy.linalg"),
         ("nodes", "from bench import arms"),
         ("report", "from longarm_comp.nodes.kinematics import Kinematics"),
-        ("workflows", "from longarm_comp.jobs.collect import collect"),
+        ("workflows", "from longarm_comp.jobs.collect.run import collect"),
         ("workflows", "def f():\n    import click"),
         ("nodes", "from longarm_comp.workflows.train import train"),
     ],

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Vector3Stamped
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
@@ -84,6 +84,7 @@ class Topic:
         callback: Callable[..., None],
         group: CallbackGroup | None = None,
         listens: ReliabilityPolicy | None = None,
+        events: SubscriptionEventCallbacks = _UNHEARD_SUBSCRIPTION,
     ) -> Any:
         """Create a subscription on a node; ``listens`` replaces the topic's own reliability."""
         qos = QoSProfile(
@@ -91,7 +92,7 @@ class Topic:
         )
         return node.create_subscription(
             self.type, self.name, callback, qos,
-            callback_group=group, event_callbacks=_UNHEARD_SUBSCRIPTION,
+            callback_group=group, event_callbacks=events,
         )  # fmt: skip
 
 
@@ -186,6 +187,9 @@ TF_STATIC = Topic("/tf_static", TFMessage, 100, RELIABLE, "cameras, foot of the 
 
 HAS_TF = TFMessage is not None
 
+COLLECT_PROGRESS = Topic(
+    "collect/progress", DiagnosticStatus, 1, RELIABLE, "how far `longarm collect` is", latched=True
+)
 DIAGNOSTICS = Topic(
     "/diagnostics", DiagnosticArray, 50, RELIABLE, "health of every node, once a second"
 )
@@ -195,6 +199,7 @@ PREDICT_ERROR = Service("predict_error", PredictError, "learned error at given j
 RELOAD = Service("~/reload", Trigger, "read the node's files again")
 ESTOP = Service("~/estop", SetBool, "true: torque off now, commands refused; false: ready again")
 HOLD = Service("~/hold", SetBool, "true: stop, stay with torque on, refuse commands; false: ready")
+PAUSE = Service("collect/pause", SetBool, "true: `longarm collect` rests after the pose at hand")
 RESET = Service("~/reset", Trigger, "leave a fault once its cause is gone")
 
 REACH = Action("reach", Reach, "move the tip to a target and say where it came to rest")
@@ -209,18 +214,9 @@ TOPICS: tuple[Topic, ...] = (
     *(TARGET_POSE, JOINT_TRAJECTORY, COMPENSATION, JOINT_STATES, MOTION, DRIVER_STATE),
     PREDICTED_ERROR,
     TIP_MEASURED,
-    *(
-        LEFT_COMPRESSED,
-        RIGHT_COMPRESSED,
-        LEFT_IMAGE,
-        RIGHT_IMAGE,
-        LEFT_INFO,
-        RIGHT_INFO,
-        TEMPERATURE,
-        PAYLOAD,
-        INCLINATION,
-    ),
-    *(MARKERS, DIAGNOSTICS, ROBOT_DESCRIPTION),
+    *(LEFT_IMAGE, RIGHT_IMAGE, LEFT_COMPRESSED, RIGHT_COMPRESSED, LEFT_INFO, RIGHT_INFO),
+    *(TEMPERATURE, PAYLOAD, INCLINATION),
+    *(MARKERS, COLLECT_PROGRESS, DIAGNOSTICS, ROBOT_DESCRIPTION),
     *((TF, TF_STATIC) if HAS_TF else ()),
 )
-SERVICES: tuple[Service, ...] = (COMPENSATE, PREDICT_ERROR, RELOAD, ESTOP, HOLD, RESET)
+SERVICES: tuple[Service, ...] = (COMPENSATE, PREDICT_ERROR, RELOAD, ESTOP, HOLD, RESET, PAUSE)
