@@ -148,9 +148,33 @@ runpy.run_module({program!r}, run_name="__main__")
     )
     assert done.returncode == 2
     assert done.stderr.splitlines() == [
-        "longarm_comp: too old: pydantic 1.10.14, OpenCV 4.6.0; "
+        "longarm_comp: pydantic 1.10.14 is too old; OpenCV 4.6.0 is too old; "
         "run: pip install 'pydantic>=2.6' 'opencv-python-headless>=4.10'"
     ]
+
+
+def test_a_library_that_cannot_be_imported_is_named_with_the_command(tmp_path: Path) -> None:
+    """As Ubuntu's OpenCV, which was made for an older numpy than pip's."""
+    (tmp_path / "cv2.py").write_text("raise ImportError('numpy.core failed\\n to import')\n")
+    code = """
+import importlib.metadata as metadata, runpy
+known = metadata.version
+def version(name):
+    if name.startswith("opencv"):
+        raise metadata.PackageNotFoundError(name)
+    return known(name)
+metadata.version = version
+runpy.run_module("longarm_comp.nodes.stereo_bridge", run_name="__main__")
+"""
+    environment = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert done.stderr == (
+        "longarm_comp: OpenCV cannot be used: numpy.core failed to import; "
+        "run: pip install 'opencv-python-headless>=4.10'\n"
+    )
 
 
 def test_the_least_versions_are_those_that_pip_installs(wheel: Path) -> None:
