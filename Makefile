@@ -45,7 +45,13 @@ $(STAMPS)/package: setup.py setup.cfg pyproject.toml package.xml $(STAMPS)/inter
 	@for name in $(PROGRAMS); do ln -sf ../../bin/$$name $(VENV)/lib/longarm_comp/$$name; done
 	@touch $@
 
-$(STAMPS)/dev: $(STAMPS)/package
+# Packages of ROS that no registry has, for the tests.
+STAND_INS := $(shell find test/stand_ins -type f -not -path '*/build/*')
+$(STAMPS)/stand_ins: $(STAND_INS) $(STAMPS)/interfaces
+	$(PIP) install --quiet --no-build-isolation ./test/stand_ins
+	@touch $@
+
+$(STAMPS)/dev: $(STAMPS)/package $(STAMPS)/stand_ins
 	$(PIP) install --quiet --no-build-isolation --editable '.[dev]'
 	@touch $@
 

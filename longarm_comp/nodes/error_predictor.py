@@ -19,6 +19,7 @@ from longarm_comp.core.learn.expansion import Expander
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.learn.predictor_file import belongs, load
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.frames import prefix_of
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
 from longarm_comp.nodes.messages import joints_of, sides_of, vector_message
 from longarm_comp.nodes.model_files import ModelFiles, file_hash
@@ -57,7 +58,7 @@ class ErrorPredictor(Node):
         p = declare(self, PARAMS)
         self._model = ModelFiles(p["arm"], p["model"])
         self._arm = self._model.arm
-        self._path, self._base_frame = p["predictor"], p["base_frame"]
+        self._path, self._base_frame = p["predictor"], prefix_of(self) + p["base_frame"]
         self._loaded: Loaded | None = None
         self._fault = ""
         self._answered = self._refused = self._outside = 0

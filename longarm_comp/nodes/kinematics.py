@@ -20,11 +20,13 @@ from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.online import StaleContext
 from longarm_comp.core.effects.catalogue import load_file
 from longarm_comp.core.ik import solver as ik
-from longarm_comp.nodes import compensator, markers, monitoring, reach, targets
+from longarm_comp.nodes import arm_frames, compensator, markers, monitoring, reach, targets
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.arm_frames import ArmFrames
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.compensator import Compensator
 from longarm_comp.nodes.driver_link import DriverLink
+from longarm_comp.nodes.frames import FrameListener, prefix_of
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report, Tally
 from longarm_comp.nodes.interfaces import BEST_EFFORT
 from longarm_comp.nodes.markers import Markers
@@ -56,6 +58,7 @@ PARAMS = (
     *reach.PARAMS,
     *monitoring.PARAMS,
     *markers.PARAMS,
+    *arm_frames.PARAMS,
     PERIOD,
 )
 
@@ -70,7 +73,7 @@ class Kinematics(Node):
             load_file(path)
         self._files = ModelFiles(p["arm"], p["model"])
         self._arm = self._files.arm
-        self._base_frame = p["base_frame"]
+        self._base_frame = prefix_of(self) + p["base_frame"]
         self._max_age_s = p["context_max_age_s"]
         tally = Tally(self)
         self._worker = Worker(self, executor, p["queue"], self.survived)
@@ -93,11 +96,16 @@ class Kinematics(Node):
             refused=tally.count,
         )  # fmt: skip
         compute = Compensator(
-            self, p, self._files, self._state, self._predictor, self._driver, self.survived
-        )
+            self, p, self._base_frame, self._files, self._state, self._predictor, self._driver,
+            FrameListener(self, p["frames.wait_s"], tally.count), self.survived,
+        )  # fmt: skip
+        ArmFrames(
+            self, self._files, self._base_frame, p["frames.period_s"],
+            lambda: self._state.joints, lambda: self._now_context(self._driver.history),
+        )  # fmt: skip
         self._targets = Targets(
-            self, self._arm, p, self._worker, compute, self._driver, self._state, tally,
-            self._markers.on_answer, self._monitor.aimed,
+            self, self._arm, p, self._base_frame, self._worker, compute, self._driver, self._state,
+            tally, self._markers.on_answer, self._monitor.aimed,
         )  # fmt: skip
         self._reach = ReachServer(self, self._arm, self, p["reach.feedback_s"], p["reach.look_s"])
         self._tips = graph.TIP_MEASURED.subscription(self, self._on_tip)

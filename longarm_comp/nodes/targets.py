@@ -59,6 +59,7 @@ class Targets:
 
     Args:
         node, arm, p: the node, its arm and the values of its parameters.
+        base_frame: full name of the frame that answers are given in.
         worker: computes the answers, one after another.
         compensator, driver, state: what answers, who moves the arm, what is known of it.
         tally: of targets by their status.
@@ -67,11 +68,11 @@ class Targets:
     """
 
     def __init__(
-        self, node: Node, arm: Arm, p: dict[str, Any], worker: Worker, compensator: Compensator,
-        driver: DriverLink, state: ArmState, tally: Tally, answered: Callable[[Answer], None],
-        aimed: Callable[[np.ndarray, np.ndarray], None],
+        self, node: Node, arm: Arm, p: dict[str, Any], base_frame: str, worker: Worker,
+        compensator: Compensator, driver: DriverLink, state: ArmState, tally: Tally,
+        answered: Callable[[Answer], None], aimed: Callable[[np.ndarray, np.ndarray], None],
     ) -> None:  # fmt: skip
-        self._node, self._arm, self._base_frame = node, arm, p["base_frame"]
+        self._node, self._arm, self._base_frame = node, arm, base_frame
         self._worker, self._compensator, self._driver = worker, compensator, driver
         self._state, self._tally = state, tally
         self._answered, self._aimed = answered, aimed
