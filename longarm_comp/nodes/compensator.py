@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -14,7 +14,7 @@ from rclpy.node import Node
 from std_msgs.msg import Header
 
 from longarm_comp.core.arm.frame_tree import UnknownPlace, carried
-from longarm_comp.core.compensation.compensate import Method, Settling, Status
+from longarm_comp.core.compensation.compensate import Method, Settling, Status, physics_of
 from longarm_comp.core.compensation.joint_trust import check_inside
 from longarm_comp.core.compensation.online import CompensationOptions, StaleContext, compensate_now
 from longarm_comp.core.errors import InputError
@@ -28,6 +28,7 @@ from longarm_comp.nodes.messages import (
     Answer,
     FileHashes,
     Refusal,
+    joints_message,
     joints_of,
     pose_message,
     target_of,
@@ -81,8 +82,29 @@ class Compensator:
 
     @property
     def learned(self) -> bool:
-        """Whether a predictor is on the graph."""
-        return self._predictor.present
+        """Whether a predictor answers."""
+        return self._predictor.answers
+
+    def kind(self) -> Hashable:
+        """What the programs that a target needs depend on: model, options, what is known.
+
+        Raises:
+            StaleContext: a circumstance that the model needs is not known.
+        """
+        loaded, options = self._files.loaded, self._options()
+        now = self._state.readings.context(
+            physics_of(loaded.model, options.method), time.monotonic(), self._max_age_s
+        )
+        known = tuple(sorted(now.columns))
+        return loaded.file_hash, options.method, options.run_up, options.realisable, known
+
+    def rehearse(self) -> None:
+        """Compute a target that nobody asked for: the next one finds everything compiled."""
+        mid = self._files.arm.mid
+        seed = joints_message(self._files.arm, mid)
+        frame = Header(frame_id=self._base_frame)
+        target = PoseStamped(header=frame, pose=pose_message(self._files.rigid.pose(mid)))
+        self.answer("", Compensate.Request(target=target, seed=seed))
 
     def answer(self, name: str, request: Compensate.Request) -> Answer:
         """The answer to a request; a refusal is one too. ``name``: id of the target."""

@@ -84,6 +84,7 @@ class Topic:
         callback: Callable[[Any], None],
         group: CallbackGroup | None = None,
         listens: ReliabilityPolicy | None = None,
+        events: SubscriptionEventCallbacks = _UNHEARD_SUBSCRIPTION,
     ) -> Any:
         """Create a subscription on a node; ``listens`` replaces the topic's own reliability."""
         qos = QoSProfile(
@@ -91,7 +92,7 @@ class Topic:
         )
         return node.create_subscription(
             self.type, self.name, callback, qos,
-            callback_group=group, event_callbacks=_UNHEARD_SUBSCRIPTION,
+            callback_group=group, event_callbacks=events,
         )  # fmt: skip
 
 
