@@ -24,7 +24,8 @@ def words(svg: bytes) -> list[str]:
 
 
 def test_every_picture_is_committed_small_and_shown_with_words_for_it() -> None:
-    made = {f"{p.__name__}.svg" for p in pictures.COMPUTED} | set(pictures.OF_A_DEMONSTRATION)
+    made = {f"{p.__name__}.svg" for p in pictures.COMPUTED} | set(pictures.OF_COMMANDS)
+    made |= set(pictures.OF_A_DEMONSTRATION)
     files = {file.name: file.stat().st_size for file in PICTURES.iterdir()}
     assert set(files) == made
     limits = {".webp": 1_500_000}
