@@ -93,21 +93,20 @@ def test_every_import_is_declared(folder: str, wheel: Path) -> None:
     assert not undeclared, f"not in setup.py or package.xml: {undeclared}"
 
 
-OPTIONAL = (f"{PACKAGE}/studies/", f"{PACKAGE}/view/", f"{PACKAGE}/cli/view.py")
-"""Where libraries are used that are extras."""
+WITH_EXTRAS = tuple(f"{PACKAGE}/{name}" for name in ("studies/", "view/", "cli/view.py"))
 
 
-def test_what_is_installed_with_the_package_is_what_it_uses_outside_of_studies(wheel: Path) -> None:
+def test_what_is_installed_with_the_package_is_what_it_uses_outside_of_extras(wheel: Path) -> None:
     found = outside_imports(ROOT / PACKAGE)
     needed = {
         name: distributions(name)
         for name, files in found.items()
-        if any(not file.startswith(OPTIONAL) for file in files) and name not in ros_depends()
+        if any(not file.startswith(WITH_EXTRAS) for file in files) and name not in ros_depends()
     }
     runtime = declared(wheel, extras=False)
     assert not {name for name, brought in needed.items() if not brought & runtime}
     assert not runtime - set().union(*needed.values())
-    assert not {"scikit-learn", "joblib", "dask"} & runtime
+    assert not {"scikit-learn", "joblib", "dask", "viser", "websockets"} & runtime
 
 
 @pytest.mark.parametrize(
