@@ -46,6 +46,7 @@ COMMANDS = (
     Entry("study loop", "study_loop", "Benchmark the diagnosis on simulated arms."),
     Entry("bench", "bench", "Speed compared with peers, in one run."),
     Entry("demo", "demo", "The whole loop over the ROS graph on a simulated arm."),
+    Entry("view", "view", "A page that shows the running graph, with buttons to stop it."),
     Entry("collect", "collect", "Drive a pose plan over ROS and record the session."),
     Entry("verify", "verify", "Drive fresh targets over ROS, without and with compensation."),
     Entry("apply", "apply", "Put a diagnosis to work on the running graph."),
@@ -57,6 +58,8 @@ COMMANDS = (
     Entry("schema", "schema", "JSON schema of arm.yaml, for editors."),
     Entry("compare", "compare", "Two diagnoses, models or sessions side by side."),
     Entry("report compare", "report_compare", "Two diagnoses side by side."),
+    Entry("servo scan", "servo_scan", "The servos on a bus: id, model, firmware, ids used twice."),
+    Entry("servo setup", "servo_setup", "Ids, zeros and directions of the servos, by hand."),
     Entry("stereo marker", "stereo_marker", "The marker as a page to print, with a ruler."),
     Entry("undo", "undo", "Restore the version of a model.yaml before the last change."),
 )
@@ -64,6 +67,7 @@ COMMANDS = (
 GROUPS = {
     "report": "Reports of diagnoses.",
     "bag": "Sessions as rosbag2.",
+    "servo": "Servo bus: what is on it, ids, zeros, directions.",
     "stereo": "Cameras and marker.",
     "study": "Studies: Table I, real arms, realisable joints, a day of work, closing the loop.",
 }
