@@ -1,15 +1,16 @@
-"""`longarm collect` and `longarm record`: what they leave, also when they are broken off."""
+"""`longarm collect` and `longarm record`: what they leave, also when they are broken off.
+
+The arm goes where it is sent at once (`quick_arm.py`); `test_demo.py` collects with real servos.
+"""
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from nodes_bench import Bench, bench
+from quick_arm import quick_arm
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.moves import run_up_lengths
@@ -26,7 +28,6 @@ from longarm_comp.core.data.plan import Plan, from_both_sides, sobol
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.jobs.measurement_schedule import Visit, visits
-from longarm_comp.nodes.bringup import BringUp, running
 from longarm_comp.sessions.bag import open_bag
 from longarm_comp.sessions.bag_info import bag_info
 from longarm_comp.sessions.bag_segments import SegmentedBag
@@ -34,7 +35,7 @@ from longarm_comp.sessions.message_types import message_types
 from longarm_comp.sessions.poses import write_poses
 from longarm_comp.sessions.read import read_session
 
-POSES = 5
+POSES = 8
 TEXT = "std_msgs/msg/String"
 
 
@@ -194,22 +195,6 @@ os.kill(os.getpid(), signal.SIGKILL)
 # ------------------------------------------------------------------ on the graph
 
 
-@contextlib.contextmanager
-def simulated(demo_arm_path: Path) -> Iterator[None]:
-    graph = BringUp(
-        arm=demo_arm_path,
-        sim=True,
-        speed=20.0,
-        set={
-            "simulated_arm": {"hidden": "backlash=3.0", "frame_rate_hz": 10.0},
-            "servo_driver": {"follower.blend_s": 0.05},
-        },
-        without=("kinematics", "error_predictor"),
-    )
-    with running(graph):
-        yield
-
-
 def longarm(*words: object) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-m", "longarm_comp", *map(str, words)],
@@ -245,7 +230,7 @@ def test_a_session_survives_interruptions_and_is_resumed(
     bag = tmp_path / "bag"
     words = ("collect", demo_arm_path, tmp_path / "poses.csv", "-o", bag, "--sightings", 2)
     words += ("--dwell", 0.1, "--move", 0.05, "--seed", 3, "--resume")
-    with simulated(demo_arm_path):
+    with quick_arm(arm, lambda q: True):
         first = longarm(*words)
         killed = wait_for_a_visit(bag, first)
         os.kill(first.pid, signal.SIGKILL)
