@@ -274,6 +274,7 @@ def spin_for(stage: Bench, seconds: float) -> None:
 
 def test_record_keeps_every_message_and_resumes(ros_domain: int, tmp_path: Path) -> None:
     from geometry_msgs.msg import PoseStamped
+    from rclpy.duration import Duration
 
     from longarm_comp.nodes import interfaces as graph
 
@@ -292,7 +293,7 @@ def test_record_keeps_every_message_and_resumes(ros_domain: int, tmp_path: Path)
                 targets.publish(target)
                 time.sleep(0.001)
             sent += 400
-            spin_for(stage, 1.0)
+            assert targets.wait_for_all_acked(Duration(seconds=60))
             process.send_signal(signal.SIGINT)
             said = process.communicate(timeout=30)[0]
             assert process.returncode == 0, said
