@@ -258,7 +258,7 @@ def test_the_marker_is_printed_in_true_size(shell: Shell, hobby: Path) -> None:
     replaced(folder / "stereo_bridge.yaml", r"tag_m: [\d.]+", "tag_m: 0.9")
     assert "fits on A0" in shell.refused("stereo", "marker", folder)
     replaced(folder / "stereo_bridge.yaml", "kind: tags", "kind: charuco")
-    assert "marker.kind" in shell.refused("stereo", "marker", folder)
+    assert "charuco board: columns" in shell.refused("stereo", "marker", folder)
 
 
 def test_the_arm_file_says_what_it_means(hobby: Path) -> None:
