@@ -1,5 +1,6 @@
 """The build of longarm_comp: pip and colcon (ament_python) both read this file."""
 
+import sys
 from glob import glob
 from pathlib import Path
 
@@ -33,16 +34,19 @@ RUNTIME = [
 STUDIES = ["joblib>=1.4", "scikit-learn>=1.4"]
 CLUSTER = ["dask[distributed]>=2024.1"]
 DOCS = ["furo>=2024.8", "myst-nb>=1.1", "sphinx>=7.4"]
+VIEW = ["viser==1.1.1", "websockets>=14"]  # pinned: longarm_comp/view/server.py wraps how it serves
 
 EXTRAS = {
     "test": ["pytest"],  # by this name colcon test finds that pytest runs the tests
     "studies": STUDIES,  # longarm study table1, study loop
     "cluster": [*STUDIES, *CLUSTER],  # study loop --dask
     "docs": DOCS,  # make docs
+    "view": VIEW,  # longarm view
     "dev": [
         *STUDIES,
         *CLUSTER,
         *DOCS,
+        *VIEW,
         "PyNiteFEA",
         "colcon-common-extensions",
         "dynamixel-sdk",
@@ -54,6 +58,7 @@ EXTRAS = {
         "mypy",
         "packaging",
         "pin",
+        "playwright",
         "pytest",
         "pytest-xdist",
         "pytracik",
@@ -69,6 +74,23 @@ EXTRAS = {
 DATA_KINDS = ["css", "html", "j2", "js", "json", "yaml"]
 
 ROOT = Path(__file__).parent
+
+
+def programs():
+    """Of a wheel: what `ros2 run` and `ros2 launch` look for below lib, which runs that in bin.
+
+    colcon needs none: it puts the programs themselves there (setup.cfg).
+    """
+    if "bdist_wheel" not in sys.argv:
+        return []
+    made = Path("build", "programs")
+    made.mkdir(parents=True, exist_ok=True)
+    for name in ("longarm", *NODES):
+        text = f'#!/bin/sh\nexec "$(dirname "$(readlink -f "$0")")/../../bin/{name}" "$@"\n'
+        (made / name).write_text(text)
+        (made / name).chmod(0o755)
+    return [(f"lib/{NAME}", [str(made / name) for name in ("longarm", *NODES)])]
+
 
 setup(
     name=NAME,
@@ -90,7 +112,9 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", sorted(glob("config/*.yaml") + glob("config/*.rviz"))),
+        (f"share/{NAME}/config/layouts", sorted(glob("config/layouts/*"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
+        *programs(),
     ],
     install_requires=RUNTIME,
     extras_require=EXTRAS,

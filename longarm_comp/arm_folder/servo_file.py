@@ -35,8 +35,8 @@ def with_joints(
     for name, joint in joints.items():
         for key in KEYS:
             if getattr(joint, key) != getattr(old.joints[name], key):
-                path = (*root, "joints", name, key)
-                values[path] = getattr(joint, key)
+                place = (*root, "joints", name, key)
+                values[place] = getattr(joint, key)
     made = edited(text, values, where)
     if ServoConfig.parse(parse_yaml(made, str(where)), str(where)).joints != joints:
         raise InputError(where, "joints", "cannot be edited", "a line or a block for each joint")

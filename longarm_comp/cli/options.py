@@ -22,6 +22,9 @@ seed = click.option(
 as_json = click.option("--json", "as_json", is_flag=True, help="Print results as JSON.")
 
 
+floor = click.option(
+    "--floor", type=float, metavar="Z", help="Height that the arm must stay above, m, base frame."
+)
 namespace = click.option("--namespace", default="", help="Namespace of the arm.")
 
 

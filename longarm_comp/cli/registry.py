@@ -46,6 +46,7 @@ COMMANDS = (
     Entry("study loop", "study_loop", "Benchmark the diagnosis on simulated arms."),
     Entry("bench", "bench", "Speed compared with peers, in one run."),
     Entry("demo", "demo", "The whole loop over the ROS graph on a simulated arm."),
+    Entry("view", "view", "A page that shows the running graph, with buttons to stop it."),
     Entry("collect", "collect", "Drive a pose plan over ROS and record the session."),
     Entry("verify", "verify", "Drive fresh targets over ROS, without and with compensation."),
     Entry("apply", "apply", "Put a diagnosis to work on the running graph."),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -21,6 +22,10 @@ OK, WARN, ERROR, STALE = (
     DiagnosticStatus.ERROR,
     DiagnosticStatus.STALE,
 )
+
+
+_FRESH_S = 60.0
+"""For so long a fault is an error on /diagnostics, unless it is known to be mended."""
 
 
 @dataclass(frozen=True)
@@ -66,13 +71,19 @@ class Health:
         self._timer = steady_timer(node, period_s, self.publish)
         self.faults = 0
         self.last_fault = ""
+        self._fault_s: float | None = None
         self._parts["process"] = self._process
 
     def fault(self, error: Exception) -> None:
         """Count an exception after which the node goes on."""
         self.faults += 1
+        self._fault_s = time.monotonic()
         self.last_fault = f"{type(error).__name__}: {error}"
         self._node.get_logger().error(f"survived {self.last_fault}")
+
+    def mended(self) -> None:
+        """What a fault may have broken works again."""
+        self._fault_s = None
 
     def publish(self) -> None:
         """Publish the report of every part now."""
@@ -94,6 +105,7 @@ class Health:
         self._publisher.publish(array)
 
     def _process(self) -> Report:
-        if self.faults:
-            return Report(ERROR, f"survived {self.faults} faults, last {self.last_fault}")
-        return Report(OK, "running")
+        facts = {"faults": self.faults, "last fault": self.last_fault}
+        if self._fault_s is not None and time.monotonic() - self._fault_s < _FRESH_S:
+            return Report(ERROR, f"survived {self.faults} faults, last {self.last_fault}", facts)
+        return Report(OK, "running", facts)

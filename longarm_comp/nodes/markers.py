@@ -70,6 +70,7 @@ class Markers:
             self._marker(0, "declared", Marker.LINE_STRIP, DECLARED, 0.008, straight),
             self._marker(1, "hanging", Marker.LINE_STRIP, HANGING, 0.012, hanging),
         ]
+        drawn[1].text = f"{sag:g}"  # so that whoever reads it can undo the exaggeration
         spots = (("target", TARGET, self._target), ("pseudo_target", PSEUDO, self._pseudo),
                  ("tip_measured", TIP, self._tip))  # fmt: skip
         for number, (name, colour, at) in enumerate(spots, 2):

@@ -28,6 +28,9 @@ PARAMS = (
     Param("monitor.run_length", 10000.0, "rest poses between false alarms, at least", 2.0, 1e9),
 )
 
+EVIDENCE = "evidence (1 warns)"
+"""Name of the fact on /diagnostics that says how near to a warning the test is."""
+
 
 def advice(arm: str, model: str, namespace: str) -> str:
     """Shell commands that find what has changed: plan poses, collect a session, diagnose it."""
@@ -159,7 +162,7 @@ class TipMonitor:
         verdict = self._at_target.verdict()
         facts = {
             "targets": verdict.samples,
-            "evidence (1 warns)": round(verdict.evidence, 3),
+            EVIDENCE: round(verdict.evidence, 3),
             "last": self._last_miss,
         }
         if not verdict.drifted:
@@ -176,7 +179,7 @@ class TipMonitor:
         verdict = self._monitor.verdict()
         facts = {
             "rest poses": verdict.samples,
-            "evidence (1 warns)": round(verdict.evidence, 3),
+            EVIDENCE: round(verdict.evidence, 3),
             "last": self._last,
             "outside the training data": self._outside,
         }

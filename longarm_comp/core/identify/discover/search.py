@@ -102,6 +102,25 @@ def search(
     return SearchedFunctions(state.fit, groups, state.noise, others)
 
 
+def first(
+    base: ModelFit, known: NoiseEstimate | None, say: Callable[[str], None] = lambda _: None
+) -> SearchedFunctions | None:
+    """The term that explains most of what a fit leaves, fitted; None where none pays.
+
+    Args as `search`, of which it is the first step.
+    """
+    state = _State(base, known)
+    best = state.best()
+    if best is None or best.log_evidence < ENOUGH:
+        return None
+    say(_label(best.candidate))
+    try:
+        state.take((best,))
+    except JobError:
+        return None
+    return SearchedFunctions(state.fit, state.groups, state.noise, ((),) * len(state.groups))
+
+
 class _State:
     def __init__(self, base: ModelFit, known: NoiseEstimate | None) -> None:
         self.base, self.known = base, known

@@ -1,0 +1,48 @@
+"""``longarm view``."""
+
+from __future__ import annotations
+
+import click
+
+from longarm_comp.cli import options
+
+
+@click.command()
+@options.namespace
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=8080,
+    show_default=True,
+    help="Of the page; the next free one where it is taken, any free one for 0.",
+)
+@click.option("--open/--no-open", "show", default=True, help="Open the page in the browser.")
+def command(namespace: str, port: int, show: bool) -> None:
+    """Show a running graph on a page in the browser of this machine, until Ctrl-C.
+
+    Arm as declared and as it hangs, target, tip and errors, charts, health of the nodes, progress
+    of `collect`, and buttons for hold, software stop and reset. Only this machine reaches the page,
+    and only with the link that is printed: it holds a token that is new with every start.
+
+    \b
+    Examples:
+      longarm view
+      longarm view --namespace left_arm --port 8081 --no-open
+    """
+    from longarm_comp.cli.signals import stop_on_signals
+    from longarm_comp.core.errors import JobError
+
+    try:
+        import viser  # noqa: F401
+    except ModuleNotFoundError as error:
+        wanted = "pip install 'longarm_comp[view]'"
+        raise JobError(f"longarm view needs {error.name}: {wanted}") from error
+    from longarm_comp.view.run import view
+
+    def opened(link: str) -> None:
+        click.echo(link)
+        if show:
+            click.launch(link)
+
+    with stop_on_signals() as stop:
+        view(namespace, port, stop, opened)

@@ -1,0 +1,112 @@
+"""Who may look at the page and press its buttons.
+
+Any page that a browser on this machine opens can send requests to a loopback address. So a request
+is served only if it was sent to this server by name (`Host`, against DNS rebinding), from this page
+(`Origin`, which every WebSocket of a browser carries) and with the cookie that the link with the
+token sets.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from http import HTTPStatus
+from http.cookies import CookieError, SimpleCookie
+from urllib.parse import parse_qs, urlsplit
+
+from websockets.asyncio.server import ServerConnection
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+Serve = Callable[[ServerConnection, Request], "Response | None"]
+
+LOOPBACK = "127.0.0.1"
+_NAMES = (LOOPBACK, "localhost")
+
+
+@dataclass(frozen=True)
+class Gate:
+    """Refuses whoever has no token. A new one is drawn for every start."""
+
+    token: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
+
+    def link(self, port: int) -> str:
+        """The address to open; it sets the cookie."""
+        return f"http://{LOOPBACK}:{port}/?token={self.token}"
+
+    def guarded(self, serve: Serve) -> Serve:
+        """The server's function of HTTP requests and WebSocket handshakes, behind the gate."""
+
+        def answer(connection: ServerConnection, request: Request) -> Response | None:
+            port = connection.local_address[1]
+            hosts = [f"{name}:{port}" for name in _NAMES]
+            why = self._stranger(request.headers, hosts)
+            if why:
+                return connection.respond(HTTPStatus.FORBIDDEN, f"longarm view: {why}\n")
+            where = urlsplit(request.path)
+            if where.path == "/" and self._is_token(*parse_qs(where.query).get("token", [])):
+                return self._welcome(port)
+            if not self._is_token(*_cookies(request.headers, _cookie(port))):
+                why = "open the link that `longarm view` printed; every start has a new one"
+                return connection.respond(HTTPStatus.FORBIDDEN, f"longarm view: {why}\n")
+            if where.query:  # the viewer would connect to the server that ?websocket= names
+                return connection.respond(HTTPStatus.NOT_FOUND, "longarm view: no such page\n")
+            response = serve(connection, request)
+            if response is not None:
+                response.headers.update(_policy(hosts))
+            return response
+
+        return answer
+
+    def _stranger(self, headers: Headers, hosts: list[str]) -> str:
+        """Why a request is not from this page; empty if it is."""
+        asked, origins = headers.get_all("Host"), headers.get_all("Origin")
+        if len(asked) != 1 or asked[0] not in hosts:
+            return f"Host {', '.join(asked)!r} is not this server; allowed: {', '.join(hosts)}"
+        if origins and origins != [f"http://{asked[0]}"]:
+            return f"Origin {', '.join(origins)!r} is not this page"
+        if not origins and "Upgrade" in headers:
+            return "a WebSocket needs an Origin"
+        return ""
+
+    def _is_token(self, *given: str) -> bool:
+        return len(given) == 1 and secrets.compare_digest(given[0].encode(), self.token.encode())
+
+    def _welcome(self, port: int) -> Response:
+        cookie = f"{_cookie(port)}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+        headers = Headers(
+            {"Location": "/", "Set-Cookie": cookie, "Referrer-Policy": "no-referrer",
+             "Cache-Control": "no-store", "Content-Length": "0"}
+        )  # fmt: skip
+        return Response(HTTPStatus.SEE_OTHER, "See Other", headers)
+
+
+def _cookie(port: int) -> str:
+    """Name of the cookie. Cookies are shared by all ports of a host."""
+    return f"longarm_view_{port}"
+
+
+def _cookies(headers: Headers, name: str) -> list[str]:
+    jar: SimpleCookie = SimpleCookie()
+    try:
+        for line in headers.get_all("Cookie"):
+            jar.load(line)
+    except CookieError:
+        return []
+    return [jar[name].value] if name in jar else []
+
+
+def _policy(hosts: list[str]) -> dict[str, str]:
+    """Headers of every page: it talks to this server alone, and nobody frames it."""
+    sockets = " ".join(f"ws://{host}" for host in hosts)
+    return {
+        "Content-Security-Policy": (
+            "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; "
+            f"connect-src 'self' data: blob: {sockets}; frame-ancestors 'none'; form-action 'none'"
+        ),
+        "X-Frame-Options": "DENY",
+        "X-Content-Type-Options": "nosniff",
+        "Referrer-Policy": "no-referrer",
+        "Cache-Control": "no-store",
+    }

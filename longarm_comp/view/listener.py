@@ -1,0 +1,130 @@
+"""Turns the messages of an arm's graph into the page's record."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from visualization_msgs.msg import MarkerArray
+
+from longarm_comp.core.compensation.result import Status
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.messages import sighting_of
+from longarm_comp.nodes.monitoring import EVIDENCE
+from longarm_comp.view.state import Answer, Part, Picture, Progress, State, Tip, true_to_scale
+from longarm_interfaces.msg import Compensation, DriverState
+
+_DRIVER = {
+    DriverState.UNCONFIGURED: "not configured",
+    DriverState.INACTIVE: "inactive: torque off",
+    DriverState.READY: "ready",
+    DriverState.MOVING: "moving",
+    DriverState.HOLDING: "held: torque on, trajectories refused",
+    DriverState.FAULT: "in fault: torque on, trajectories refused",
+    DriverState.ESTOP: "stopped: torque off, trajectories refused",
+}
+
+
+class Listener:
+    """Subscribes to an arm's topics; `state` is what they have said last."""
+
+    def __init__(self, node: Node, clock: Callable[[], float] = time.monotonic) -> None:
+        self.state = State()
+        self._clock = clock
+        self._namespace = node.get_namespace().rstrip("/") + "/"
+        for topic, callback in (
+            (graph.MARKERS, self._on_markers),
+            (graph.TIP_MEASURED, self._on_tip),
+            (graph.JOINT_STATES, self._on_joints),
+            (graph.DRIVER_STATE, self._on_driver),
+            (graph.COMPENSATION, self._on_answer),
+            (graph.DIAGNOSTICS, self._on_diagnostics),
+            (graph.COLLECT_PROGRESS, self._on_progress),
+        ):
+            topic.subscription(node, callback)
+
+    def _heard(self, **changes: Any) -> None:
+        self.state = replace(self.state, heard=self._clock(), **changes)
+
+    def _on_markers(self, message: MarkerArray) -> None:
+        lines = {marker.ns: marker for marker in message.markers}
+        points = {name: _points(marker.points) for name, marker in lines.items()}
+        declared, drawn = points.get("declared", _NONE), points.get("hanging", _NONE)
+        factor = _number(lines["hanging"].text) if "hanging" in lines else math.nan
+        if declared.shape != drawn.shape or not len(drawn) or not factor > 0.0:
+            return
+        hanging = true_to_scale(drawn, declared, factor)
+        target, pseudo = (
+            points[name][0] if len(points.get(name, _NONE)) else None
+            for name in ("target", "pseudo_target")
+        )
+        self._heard(picture=Picture(declared, hanging, target, pseudo, self._clock()))
+
+    def _on_tip(self, message: PoseWithCovarianceStamped) -> None:
+        self._heard(tip=Tip(sighting_of(message)[0], self._clock()))
+
+    def _on_joints(self, message: JointState) -> None:
+        joints = dict(zip(message.name, message.position, strict=False))
+        self.state = self.state.with_joints(joints, self._clock())
+        self._heard()
+
+    def _on_driver(self, message: DriverState) -> None:
+        words = _DRIVER.get(message.state, f"in the unknown state {message.state}")
+        self._heard(driver=(words, message.message))
+
+    def _on_answer(self, message: Compensation) -> None:
+        known = message.status in set(Status)
+        status = Status(message.status).name if known else f"status {message.status}"
+        sent = dict(zip(message.executed.name, message.executed.position, strict=False))
+        self._heard(answer=Answer(status, message.message, sent))
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        reports: dict[str, list[DiagnosticStatus]] = {}
+        for status in message.status:
+            node, colon, _ = status.name.partition(": ")
+            inside = node.removeprefix(self._namespace)
+            if colon and inside != node and "/" not in inside:
+                reports.setdefault(inside, []).append(status)
+        for node, statuses in reports.items():
+            self._on_report(node, statuses)
+
+    def _on_report(self, node: str, statuses: list[DiagnosticStatus]) -> None:
+        now, parts = self._clock(), []
+        for status in statuses:
+            part = status.name.partition(": ")[2]
+            facts = {value.key: value.value for value in status.values}
+            if EVIDENCE in facts and part == "monitor":
+                self._heard(evidence=_number(facts[EVIDENCE]))
+            parts.append(Part(part, ord(status.level), status.message))
+        if parts:
+            self.state = self.state.with_report(node, tuple(parts), now)
+            self._heard()
+
+    def _on_progress(self, message: DiagnosticStatus) -> None:
+        facts = {value.key: value.value for value in message.values}
+        done, of = _number(facts.get("done", "")), _number(facts.get("total", ""))
+        if math.isfinite(done) and of > 0:
+            job, words = message.name.rpartition("/")[2], message.message
+            self._heard(progress=Progress(job, int(done), int(of), words, self._clock()))
+
+
+_NONE = np.empty((0, 3))
+
+
+def _points(points: Iterable[Any]) -> np.ndarray:
+    return np.array([[p.x, p.y, p.z] for p in points]).reshape(-1, 3)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan

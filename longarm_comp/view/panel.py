@@ -1,0 +1,128 @@
+"""The page's panel: state in words, buttons, sliders, charts, health and progress."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+import viser
+from viser import uplot
+
+from longarm_comp.view import words
+from longarm_comp.view.commands import RELEASES, STOPS, Button, Said
+from longarm_comp.view.scene import Exaggeration
+from longarm_comp.view.state import State
+from longarm_comp.view.trace import Trace
+
+_BAD, _DOUBTFUL, _GOOD = "#b00020", "#8a4b00", "inherit"
+_COLOURS = {words.WELL: _GOOD, words.WARNING: _DOUBTFUL}
+"""By the sign that a line of the health begins with; the others are bad."""
+
+
+class Panel:
+    """Handles of the panel. Texts of the graph are escaped: they may hold anything."""
+
+    def __init__(
+        self, server: viser.ViserServer, press: Callable[[Button], None], namespace: str
+    ) -> None:
+        self._server, self._namespace = server, namespace
+        gui = server.gui
+        gui.set_panel_label(f"longarm view {namespace}")
+        gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()
+        self._state = gui.add_html("")
+        for button in STOPS:
+            made = gui.add_button(button.label, color=button.colour, hint=button.hint)
+            made.on_click(lambda _, pressed=button: press(pressed))
+        ways_on = {button.label: button for button in RELEASES}
+        group = gui.add_button_group(
+            "", tuple(ways_on), hint="\n".join(button.hint for button in RELEASES)
+        )
+        group.on_click(lambda event: press(ways_on[event.target.value]))
+        self._said = gui.add_html("")
+        self._job = gui.add_html("", visible=False)
+        self._bar = gui.add_progress_bar(0.0, visible=False)
+        self._tip = gui.add_html("")
+        with gui.add_folder("Health"):
+            self._health = gui.add_html("")
+        self._deflection = gui.add_slider("Deflection ×", min=1, max=100, step=1, initial_value=10)
+        self._error = gui.add_slider("Error arrows ×", min=1, max=500, step=1, initial_value=100)
+        self._scale = gui.add_html("")
+        self._errors = self._chart(
+            "Error at rest, mm", ("tip − target", "tip − predicted"), ("#c81e28", "#e17800")
+        )
+        self._drift = self._chart(
+            "Evidence of drift", ("evidence", "warns at 1"), ("#1e64dc", "#888888")
+        )
+
+    def _chart(self, title: str, names: Sequence[str], colours: Sequence[str]) -> Any:
+        lines = [
+            uplot.Series(label=name, stroke=colour, width=2)
+            for name, colour in zip(names, colours, strict=True)
+        ]
+        nothing = tuple(np.zeros(0) for _ in range(len(names) + 1))
+        return self._server.gui.add_uplot(
+            nothing, (uplot.Series(label="time"), *lines), title=title, height=150,
+            scales={"x": uplot.Scale(time=True), "y": uplot.Scale(range=(0.0, 1.1))},
+            legend=uplot.Legend(show=True),
+        )  # fmt: skip
+
+    @property
+    def exaggeration(self) -> Exaggeration:
+        """What the sliders say."""
+        return Exaggeration(self._deflection.value, self._error.value)
+
+    def show(self, state: State, now: float, said: Said) -> None:
+        """Show a state, and what came of the last press of a button."""
+        colour = _BAD if state.silent_s(now) else _GOOD
+        headline = words.headline(state, now, self._namespace)
+        self._write(self._state, [_line(headline, colour, bold=True), _line(words.target(state))])
+        self._write(
+            self._said, [_line(said.text, _GOOD if said.well else _BAD)] if said.text else []
+        )
+        told = [words.tip_at_target(state, now), words.tip_as_predicted(state, now)]
+        self._write(self._tip, [_line(text) for text in (*told, words.drift(state))])
+        factor = self.exaggeration
+        scale = words.exaggeration(factor.deflection, factor.error)
+        self._write(self._scale, [_line(scale)])
+        self._show_health(state, now)
+        if state.progress is not None:
+            job = state.progress
+            self._write(self._job, [_line(words.progress(job, now))])
+            _set(self._bar, "value", 100.0 * min(job.done / job.of, 1.0))
+            for handle in (self._job, self._bar):
+                _set(handle, "visible", True)
+
+    def draw(self, trace: Trace) -> None:
+        """Show the charts of a trace."""
+        for chart, data, (low, high) in (
+            (self._errors, trace.errors, trace.error_range),
+            (self._drift, trace.drift, trace.drift_range),
+        ):
+            chart.data = data
+            _set(chart, "scales", {"x": chart.scales["x"], "y": uplot.Scale(range=(low, high))})
+
+    def _show_health(self, state: State, now: float) -> None:
+        lines = []
+        for name in sorted(state.nodes):
+            for k, text in enumerate(words.health(state.nodes[name], now)):
+                lines.append(_line(text, _COLOURS.get(text[0], _BAD), bold=k == 0, indent=k > 0))
+        self._write(self._health, lines or [_line("no node has reported yet")])
+
+    @staticmethod
+    def _write(handle: Any, lines: Sequence[str]) -> None:
+        style = "font-size:0.85em;line-height:1.4;padding:0 0.75em;overflow-wrap:anywhere"
+        _set(handle, "content", f"<div style='{style}'>{''.join(lines)}</div>" if lines else "")
+
+
+def _line(text: str, colour: str = _GOOD, *, bold: bool = False, indent: bool = False) -> str:
+    style = f"color:{colour};font-weight:{'bold' if bold else 'normal'}"
+    return f"<div style='{style};padding-left:{1 if indent else 0}em'>{escape(text)}</div>"
+
+
+def _set(handle: Any, name: str, value: Any) -> None:
+    """Set a property of a handle where it changes: every assignment is sent to the browsers."""
+    if getattr(handle, name) != value:
+        setattr(handle, name, value)

@@ -1,0 +1,48 @@
+"""Runs the page: one thread listens to the graph and draws, viser's threads serve the browsers."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from longarm_comp.jobs.client import GraphClient
+from longarm_comp.view.commands import Commands
+from longarm_comp.view.gate import Gate
+from longarm_comp.view.listener import Listener
+from longarm_comp.view.panel import Panel
+from longarm_comp.view.scene import Scene
+from longarm_comp.view.server import serving
+from longarm_comp.view.trace import Trace
+
+_DRAWN_S, _CHART_S = 0.2, 0.5
+"""Between two pictures; charts are sent whole, so rarely."""
+
+
+def view(namespace: str, port: int, stop: threading.Event, opened: Callable[[str], None]) -> None:
+    """Show the graph of a namespace until ``stop`` is set.
+
+    Args:
+        port: of the page, on the loopback address; the next free one where it is taken, and any
+            free one for 0.
+        opened: gets the link to the page, which holds its token.
+    """
+    gate = Gate()
+    with serving(port, gate) as server, GraphClient(namespace, stop, "view") as client:
+        listener, commands = Listener(client.node), Commands(client.node)
+        panel = Panel(server, commands.press, client.node.get_namespace())
+        scene, trace = Scene(server), Trace()
+        opened(gate.link(server.get_port()))
+        drawn = charted = 0.0
+        while not stop.is_set():
+            client.executor.spin_once(timeout_sec=0.02)
+            now = time.monotonic()
+            commands.step(now)
+            if now - drawn >= _DRAWN_S:
+                drawn = now
+                panel.show(listener.state, now, commands.said)
+                scene.show(listener.state, now, panel.exaggeration)
+            if now - charted >= _CHART_S:
+                charted = now
+                if trace.add(listener.state, now, time.time()):
+                    panel.draw(trace)

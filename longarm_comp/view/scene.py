@@ -1,0 +1,116 @@
+"""The arm in 3-D: declared, as it hangs, target and tip, errors as arrows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import viser
+
+from longarm_comp.core.model.outline import exaggerated
+from longarm_comp.view.state import Picture, State
+from longarm_comp.view.words import length_mm
+
+GREY, PALE = (150, 150, 150), (205, 205, 205)
+BLUE, GREEN, RED, ORANGE, YELLOW = (
+    *((30, 100, 220), (20, 150, 60), (200, 30, 40), (225, 120, 0), (210, 170, 0)),
+)
+_FAR = np.array([0.2, -0.9, 0.3])
+"""Where the camera stands at the start, seen from the middle of the arm."""
+
+
+@dataclass(frozen=True)
+class Exaggeration:
+    """How many times larger the deflection, and how many times longer error arrows are drawn."""
+
+    deflection: float
+    error: float
+
+
+class Scene:
+    """Handles of what is drawn. They are made with the first picture, whose size they have."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._handles: dict[str, Any] = {}
+
+    def show(self, state: State, now: float, factor: Exaggeration) -> None:
+        """Draw a state; pale where the graph is silent."""
+        picture = state.picture
+        if picture is None:
+            return
+        with self._server.atomic():
+            if not self._handles:
+                self._begin(picture)
+            pale = bool(state.silent_s(now))
+            hanging = exaggerated(picture.hanging, picture.declared, factor.deflection)
+            self._line("declared", picture.declared, PALE if pale else GREY)
+            self._line("hanging", hanging, PALE if pale else BLUE)
+            end = hanging[-1]
+            self._label("hanging", end, "" if pale else f"deflection × {factor.deflection:g}")
+            tip = None if pale else state.seen_tip(now)
+            for name, at in (("target", picture.target), ("tip", tip),
+                             ("pseudo_target", picture.pseudo_target)):  # fmt: skip
+                self._handles[name].visible = at is not None and not pale
+                if at is not None:
+                    self._handles[name].position = at
+            missed = None if pale else state.missed(now)
+            beside = None if pale else state.unpredicted(now)
+            self._arrow("missed", picture.target, missed, factor.error, "tip − target")
+            self._arrow("beside", picture.hanging[-1], beside, factor.error, "tip − predicted")
+
+    def _begin(self, picture: Picture) -> None:
+        scene, size = self._server.scene, float(np.ptp(picture.declared, axis=0).max())
+        middle = 0.5 * (picture.declared.min(axis=0) + picture.declared.max(axis=0))
+        scene.world_axes.visible = False
+        scene.add_frame("/base", axes_length=0.08 * size, axes_radius=0.004 * size)
+        scene.add_grid("/grid", width=2 * size, height=2 * size, cell_size=0.1, section_size=1.0)
+        for name, radius, colour in (("target", 0.009, GREEN), ("tip", 0.007, RED),
+                                     ("pseudo_target", 0.005, YELLOW)):  # fmt: skip
+            self._handles[name] = scene.add_icosphere(
+                f"/{name}", radius=radius * size, color=colour, opacity=0.6, visible=False
+            )
+        start = np.stack([picture.declared[:-1], picture.declared[1:]], axis=1)
+        for name, width in (("declared", 3.0), ("hanging", 6.0)):
+            self._handles[name] = scene.add_line_segments(
+                f"/{name}", start, GREY, thickness=width, thickness_units="screen"
+            )
+        for name, colour in (("missed", RED), ("beside", ORANGE)):
+            self._handles[name] = scene.add_arrows(
+                f"/{name}", start[:1], colour, shaft_radius=0.003 * size, head_radius=0.008 * size,
+                head_length=0.02 * size, visible=False,
+            )  # fmt: skip
+        for name, anchor in (("hanging", "top-left"), ("missed", "bottom-left"),
+                             ("beside", "top-right")):  # fmt: skip
+            self._handles[f"{name} label"] = scene.add_label(
+                f"/{name}_label", "", anchor=anchor, font_screen_scale=0.9, visible=False
+            )
+        camera = self._server.initial_camera
+        camera.look_at, camera.position = middle, middle + 1.1 * size * _FAR
+        for client in self._server.get_clients().values():
+            client.camera.position, client.camera.look_at = middle + 1.1 * size * _FAR, middle
+
+    def _line(self, name: str, points: np.ndarray, colour: tuple[int, int, int]) -> None:
+        handle = self._handles[name]
+        handle.points = np.stack([points[:-1], points[1:]], axis=1)
+        handle.colors = np.array(colour, np.uint8)
+
+    def _arrow(
+        self, name: str, start: np.ndarray | None, error: np.ndarray | None, factor: float,
+        what: str,
+    ) -> None:  # fmt: skip
+        handle = self._handles[name]
+        handle.visible = start is not None and error is not None
+        if start is None or error is None:
+            self._label(name, np.zeros(3), "")
+            return
+        end = exaggerated(start + error, start, factor)
+        handle.points = np.stack([start, end])[None]
+        self._label(name, end, f"{what} {length_mm(error):.2f} mm × {factor:g}")
+
+    def _label(self, name: str, at: np.ndarray, text: str) -> None:
+        handle = self._handles[f"{name} label"]
+        handle.visible = bool(text)
+        if text:
+            handle.text, handle.position = text, at

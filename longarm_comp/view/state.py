@@ -1,0 +1,183 @@
+"""What the graph has said last, as one frozen record. Times are of a monotonic clock, s."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from longarm_comp.core.data.rest_pose import JOINT_REST
+from longarm_comp.core.model.outline import exaggerated
+
+SILENT_S = 3.0
+"""Joints come many times a second: after so long without any message the graph is silent."""
+_NODE_SILENT_S = 5.0
+_SETTLED_S = 0.6
+"""A picture is a half second old and a sighting some frames: what came later after the last
+movement is of the arm at rest."""
+_TIP_AGE_S = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """The arm as `markers` shows it: polylines (k, 3) m from foot to tip, base frame.
+
+    Attributes:
+        declared: as declared, rigid.
+        hanging: as the model in use says that it hangs, true to scale.
+        target, pseudo_target: (3,) of the last target; None without one.
+        at: when it came.
+    """
+
+    declared: np.ndarray
+    hanging: np.ndarray
+    target: np.ndarray | None
+    pseudo_target: np.ndarray | None
+    at: float
+
+
+@dataclass(frozen=True, eq=False)
+class Tip:
+    """The tip as the cameras see it, (3,) m; NaN where the marker is lost."""
+
+    xyz: np.ndarray
+    at: float
+
+    @property
+    def seen(self) -> bool:
+        """Whether the marker was found."""
+        return bool(np.isfinite(self.xyz).all())
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What became of the last target: status, reason, joints sent by name (none: not sent)."""
+
+    status: str
+    message: str
+    sent: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of a node on /diagnostics; level 0 well, 1 warning, 2 error, 3 stale."""
+
+    name: str
+    level: int
+    message: str
+
+
+@dataclass(frozen=True)
+class NodeHealth:
+    """What a node reports, and when it did so last."""
+
+    name: str
+    parts: tuple[Part, ...]
+    at: float
+    every_s: float = 0.0
+
+    def silent_s(self, now: float) -> float:
+        """For how long it has said nothing that it should have said; 0: it speaks."""
+        quiet = now - self.at
+        return quiet if quiet > max(_NODE_SILENT_S, 3.0 * self.every_s) else 0.0
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a job is that drives the graph."""
+
+    job: str
+    done: int
+    of: int
+    message: str
+    at: float
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Everything that the page shows.
+
+    Attributes:
+        heard: when any message came last; None before the first.
+        joints: last reading by name, rad and m.
+        moved: when a joint moved last by more than `JOINT_REST`.
+        driver: state of the driver in a word, and its reason; empty before the first.
+        evidence: of drift, share of what warns; NaN where nothing judges.
+        seed: reading that later ones are compared with for `moved`.
+    """
+
+    heard: float | None = None
+    picture: Picture | None = None
+    tip: Tip | None = None
+    joints: Mapping[str, float] = field(default_factory=dict)
+    moved: float = -math.inf
+    driver: tuple[str, str] = ("", "")
+    answer: Answer | None = None
+    nodes: Mapping[str, NodeHealth] = field(default_factory=dict)
+    progress: Progress | None = None
+    evidence: float = math.nan
+    seed: Mapping[str, float] = field(default_factory=dict)
+
+    def with_joints(self, joints: Mapping[str, float], now: float) -> State:
+        """After a reading of the joints."""
+        if _same_joints(joints, self.seed):
+            return replace(self, joints=joints)
+        return replace(self, joints=joints, seed=joints, moved=now)
+
+    def with_report(self, node: str, parts: tuple[Part, ...], now: float) -> State:
+        """After a report of a node on /diagnostics."""
+        before = self.nodes.get(node)
+        every = 0.0 if before is None else now - before.at
+        return replace(
+            self, nodes={**self.nodes, node: NodeHealth(node, parts, now, min(every, 60.0))}
+        )
+
+    def silent_s(self, now: float) -> float:
+        """For how long the whole graph has said nothing; 0: it speaks."""
+        quiet = math.inf if self.heard is None else now - self.heard
+        return quiet if quiet > SILENT_S else 0.0
+
+    def seen_tip(self, now: float) -> np.ndarray | None:
+        """(3,) m where the tip is seen now; None where it is not."""
+        tip = self.tip
+        return tip.xyz if tip is not None and tip.seen and now - tip.at < _TIP_AGE_S else None
+
+    @property
+    def resting(self) -> bool:
+        """Whether picture and sighting are both of the arm at rest."""
+        since = self.moved + _SETTLED_S
+        both = self.picture is not None and self.tip is not None
+        return both and min(self.picture.at, self.tip.at) > since  # type: ignore[union-attr]
+
+    @property
+    def at_target(self) -> bool:
+        """Whether the joints stand where the last target sent them."""
+        return self.answer is not None and _same_joints(self.answer.sent, self.joints)
+
+    def missed(self, now: float) -> np.ndarray | None:
+        """tip - target (3,) m, where the arm rests at its target and is seen."""
+        tip, picture = self.seen_tip(now), self.picture
+        if tip is None or picture is None or picture.target is None:
+            return None
+        return tip - picture.target if self.resting and self.at_target else None
+
+    def unpredicted(self, now: float) -> np.ndarray | None:
+        """tip - predicted tip (3,) m, where the arm rests and is seen."""
+        tip, picture = self.seen_tip(now), self.picture
+        if tip is None or picture is None or not self.resting:
+            return None
+        return tip - picture.hanging[-1]
+
+
+def true_to_scale(drawn: np.ndarray, declared: np.ndarray, factor: float) -> np.ndarray:
+    """The hanging arm (k, 3) of one whose deflection was drawn ``factor`` (> 0) times larger."""
+    return exaggerated(drawn, declared, 1.0 / factor)
+
+
+def _same_joints(sent: Mapping[str, float], joints: Mapping[str, float]) -> bool:
+    """Whether there are joints and all of them stand there, within `JOINT_REST`."""
+    return bool(sent) and all(
+        name in joints and abs(joints[name] - value) <= JOINT_REST for name, value in sent.items()
+    )

@@ -1,0 +1,125 @@
+"""The page's sentences."""
+
+from __future__ import annotations
+
+import math
+import os
+
+import numpy as np
+
+from longarm_comp.view.state import NodeHealth, Progress, State
+
+WELL, WARNING, BAD, SILENT = "●", "▲", "✖", "■"
+LEVELS = ((WELL, "well"), (WARNING, "warning"), (BAD, "error"), (SILENT, "stale"))
+"""Signs and words of the levels on /diagnostics, so that colour is not needed."""
+
+
+def headline(state: State, now: float, namespace: str) -> str:
+    """Whether the graph speaks, and what the arm does."""
+    silent = state.silent_s(now)
+    if math.isinf(silent):
+        domain = os.environ.get("ROS_DOMAIN_ID", "0")
+        return (
+            f"Nothing heard yet in namespace {namespace} of ROS domain {domain}. "
+            "Is the graph up (longarm up)?"
+        )
+    if silent:
+        return f"The graph is silent for {_ago(silent)}. What is shown is what it said last."
+    words, why = state.driver
+    if not words:
+        return "The graph speaks; no driver has said what it does."
+    return f"The driver is {words}{f' ({why})' if why else ''}."
+
+
+def target(state: State) -> str:
+    """What became of the last target."""
+    if state.answer is None:
+        return "No target since this page was opened."
+    why = f": {state.answer.message}" if state.answer.message else ""
+    sent = "" if state.answer.sent else ", nothing sent"
+    return f"Last target: {state.answer.status}{sent}{why}."
+
+
+def tip_at_target(state: State, now: float) -> str:
+    """tip - target, or why there is none."""
+    missed = state.missed(now)
+    if missed is not None:
+        return f"tip − target: {millimetres(missed)}"
+    return f"tip − target: {_no_error(state, now)}"
+
+
+def tip_as_predicted(state: State, now: float) -> str:
+    """tip - predicted tip, or why there is none."""
+    beside = state.unpredicted(now)
+    if beside is not None:
+        return f"tip − predicted: {millimetres(beside)}"
+    return f"tip − predicted: {_no_error(state, now)}"
+
+
+def _no_error(state: State, now: float) -> str:
+    if state.seen_tip(now) is None:
+        return "no camera sees the tip"
+    if state.picture is None:
+        return "kinematics has shown no arm yet"
+    if not state.resting:
+        return "the arm moves"
+    if state.answer is None:
+        return "no target was heard since this page was opened"
+    return "the arm is not at the last target"
+
+
+def millimetres(vector: np.ndarray) -> str:
+    """Length and components of a vector (3,) in m."""
+    parts = ", ".join(
+        f"{axis} {1e3 * part:+.2f}" for axis, part in zip("xyz", vector.tolist(), strict=True)
+    )
+    return f"{length_mm(vector):.2f} mm ({parts})"
+
+
+def length_mm(vector: np.ndarray | None) -> float:
+    """Length in mm of a vector (3,) in m; NaN without one."""
+    return math.nan if vector is None else 1e3 * math.dist((0.0, 0.0, 0.0), vector.tolist())
+
+
+def exaggeration(deflection: float, error: float) -> str:
+    """What is drawn larger than it is."""
+    bent = "to scale" if deflection == 1.0 else f"{deflection:g} times larger than it is"
+    arrows = "to scale" if error == 1.0 else f"{error:g} times longer than they are"
+    return (
+        f"The blue arm's deflection is drawn {bent}, error arrows {arrows}. All else is to scale."
+    )
+
+
+def drift(state: State) -> str:
+    """How near the test of drift is to a warning."""
+    if math.isnan(state.evidence):
+        return "Drift: nothing judged yet."
+    warns = "warns" if state.evidence >= 1.0 else "does not warn"
+    return f"Drift: evidence {state.evidence:.2f} of 1; the test {warns}."
+
+
+def progress(job: Progress, now: float) -> str:
+    """How far a job is."""
+    heard = f"; heard {_ago(now - job.at)} ago" if now - job.at > 5.0 else ""
+    return f"{job.job}: {job.done} of {job.of}, {job.message}{heard}"
+
+
+def health(node: NodeHealth, now: float) -> list[str]:
+    """A node in one line, and one for each of its parts that is not well; a sign first."""
+    silent = node.silent_s(now)
+    if silent:
+        return [f"{SILENT} {node.name}: silent for {_ago(silent)}"]
+    sign, word = _level(max(part.level for part in node.parts))
+    ill = [part for part in node.parts if part.level]
+    return [
+        f"{sign} {node.name}: {word}",
+        *(f"{_level(part.level)[0]} {part.name}: {part.message}" for part in ill),
+    ]
+
+
+def _level(level: int) -> tuple[str, str]:
+    return LEVELS[min(level, len(LEVELS) - 1)]
+
+
+def _ago(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 120.0 else f"{seconds / 60.0:.0f} min"
