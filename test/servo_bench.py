@@ -47,9 +47,9 @@ STOPS = {"joint1": (-60, 60), "joint2": (-30, 50), "joint3": (0, 100)}
 UNITS = {"joint1": math.radians(1.0), "joint2": math.radians(1.0), "joint3": 1e-3}
 
 
-def folder(shell: Shell, model: str) -> Path:
+def folder(shell: Shell, model: str, to: Path | str = "mine") -> Path:
     rows = [word for row in ROWS for word in ("--joint", row)]
-    assert shell("init", "mine", *rows, "--tip-at", 0.1, 0, 0, "--servos", model) == 0, shell.err
+    assert shell("init", to, *rows, "--tip-at", 0.1, 0, 0, "--servos", model) == 0, shell.err
     file = shell.folder / "mine" / "servo_driver.yaml"
     text = file.read_text().replace("reply_timeout_s: 0.02", "reply_timeout_s: 0.2")
     file.write_text(text)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import dataclasses
 import io
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -21,6 +23,9 @@ from longarm_comp.devices.stereo.camera_file import read_camera
 from longarm_comp.devices.stereo.views import gaps, view_of
 from longarm_comp.sim.cameras import Conditions, render
 from longarm_comp.sim.marker_images import charuco_plate, tag_plate
+
+if TYPE_CHECKING:
+    from longarm_comp.jobs.client import GraphClient
 
 TRUE = dataclasses.replace(
     HEAD, baseline_m=0.2, focal_px=640.0, size=(512, 384), d=(-0.15, 0.05, 0.0, 0.0, 0.0),
@@ -152,3 +157,64 @@ def test_the_board_is_printed_in_true_size(shell: Shell) -> None:
     assert shell("stereo", "marker", "--board", "7x5", "-o", "board.pdf") == 0
     assert re.match(rb"%PDF", Path("board.pdf").read_bytes())
     assert "one of the two" in shell.refused("stereo", "marker")
+
+
+# ---- over topics --------------------------------------------------------------------------------
+
+
+class Board:
+    """Shows a picture until it was taken, then the next; blank ones in between."""
+
+    def __init__(self, folder: Path) -> None:
+        self._pairs = [
+            [cv2.imread(str(folder / side / f"{k:02d}.png"), 0) for side in ("left", "right")]
+            for k in range(len(PLACES))
+        ]
+        self.shown, self._topics = 0, None
+
+    def step(self, client: GraphClient, number: int) -> None:
+        from longarm_comp.nodes import interfaces as graph
+        from longarm_comp.nodes.images import image_message
+
+        topics = (graph.LEFT_IMAGE, graph.RIGHT_IMAGE)
+        self._topics = self._topics or [t.publisher(client.node) for t in topics]
+        pair = self._pairs[min(self.shown, len(self._pairs) - 1)]
+        for topic, image in zip(self._topics, pair, strict=True):
+            topic.publish(image_message(image, number * 10**8, "camera"))
+
+    def told(self, text: str) -> None:
+        """Go on to the next picture once as many views as pictures were shown are taken."""
+        if text.split()[0].isdigit():
+            self.shown = int(text.split()[0])
+
+
+def test_a_board_shown_to_the_topics_calibrates_the_head(
+    shell: Shell, pictures: Path, ros_domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+    from publishing import publishing
+
+    from longarm_comp.jobs import board_capture
+
+    (shell.folder / "mine").mkdir()
+    board, said = Board(pictures), []
+    original = board_capture.capture
+
+    def capture(target: Any, within: float, tell: Callable[[str], None], **more: Any) -> Any:
+        def both(text: str) -> None:
+            board.told(text)
+            tell(text)
+
+        found = original(target, within, both, **more)
+        said.append(gaps(*found))
+        return found
+
+    monkeypatch.setattr(board_capture, "capture", capture)
+    with publishing(board.step):
+        words = ("stereo", "calibrate", "mine", "--live", "--save", "taken", *FLAGS)
+        found = shell.json(*words)
+    assert said == [[]]
+    assert "hold the board still" in shell.err and "only -28 to -28 deg yet" in shell.err
+    assert found["baseline_mm"] == pytest.approx(200.0, abs=0.5)
+    again = shell.json("stereo", "calibrate", "mine", "--images", "taken", *FLAGS)
+    assert again["focal_left_px"] == pytest.approx(found["focal_left_px"])
