@@ -38,7 +38,7 @@ class TrueJoint:
 
 TRUE = {
     "joint1": TrueJoint(2, -1, 1500.0, 2 * math.pi / 40960),
-    "joint2": TrueJoint(1, +1, 2300.0, 2 * math.pi / 40960),
+    "joint2": TrueJoint(1, +1, 2048.0, 2 * math.pi / 40960),
     "joint3": TrueJoint(3, -1, 2600.0, 2 * math.pi * 0.008 / 4096),
 }
 """The file of `folder` has ids 1, 2, 3, every direction + and every zero 2048."""

@@ -220,7 +220,7 @@ def test_what_was_measured_is_no_longer_listed(shell: Shell, hobby: Path) -> Non
     before = levels(folder, "unmeasured")
     assert [where.split(":")[0] for where in before] == [
         *("servo_driver.yaml", "stereo_bridge.yaml", "stereo_bridge.yaml", "stereo_bridge.yaml"),
-        "samples.csv",
+        *("samples.csv", "cameras"),
     ]
     servos = folder / "servo_driver.yaml"
     servos.write_text(servos.read_text().replace("zero_ticks: 2048.0", "zero_ticks: 1990.0"))
@@ -229,7 +229,7 @@ def test_what_was_measured_is_no_longer_listed(shell: Shell, hobby: Path) -> Non
     )
     (folder / "samples.csv").write_text("")
     after = levels(folder, "unmeasured")
-    assert after == ["stereo_bridge.yaml: hand_eye", "stereo_bridge.yaml: marker"]
+    assert after == ["stereo_bridge.yaml: hand_eye", "stereo_bridge.yaml: marker", "cameras"]
     listed = shell.json("check", folder)
     assert [finding["where"] for finding in listed] == after
     assert "no such" not in shell.err

@@ -13,6 +13,7 @@ from cli_shell import Shell
 from servo_bench import folder as arm_folder
 from small_arm import ARM
 
+from longarm_comp.arm_folder.check import check_folder
 from longarm_comp.arm_folder.head_file import head_pose
 from longarm_comp.arm_folder.measured import read_measured
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
@@ -107,6 +108,9 @@ def test_the_tip_is_seen_where_it_is_afterwards(
     assert found["held_out_mm"] < 0.5
     off = 1e3 * np.abs(head_pose(folder)[:3, 3] - head.true.camera_in_base[:3, 3])
     assert (off < 4.0 * np.array(found["position_sd_mm"]) + 0.2).all()
+    listed = {f.where: f.level for f in check_folder(folder)}
+    assert listed["stereo_bridge.yaml"] == "measured" and listed["arm.yaml: camera"] == "unmeasured"
+    assert not {"missing", "implausible"} & set(listed.values())
     given = read_parameters(folder / "simulated_arm.yaml")
     np.testing.assert_allclose(given["camera.axis"], head.true.optical_axis, atol=1e-3)
     assert "# its orientation x, y, z, w" in (folder / "stereo_bridge.yaml").read_text()

@@ -19,7 +19,9 @@ import servo_bench
 from cli_shell import Shell
 from servo_bench import TRUE, bus, folder, hand, off_by, through_the_stops
 
+from longarm_comp.arm_folder.check import check_folder
 from longarm_comp.arm_folder.measured import read_measured
+from longarm_comp.arm_folder.measured_check import of_record
 from longarm_comp.arm_folder.yaml_edit import edited
 from longarm_comp.cli import sweep_table
 from longarm_comp.core.errors import InputError
@@ -109,6 +111,12 @@ def test_setup_finds_the_true_zeros(
         assert ends == pytest.approx(stops, abs=0.2)
     text = (mine / "servo_driver.yaml").read_text()
     assert "# cycles a second" in text and f"port: {emulator.port}" in text
+    file = mine / "servo_driver.yaml"
+    if zero == "pose":  # joint2 was found at 2048, which is also what stands there unmeasured
+        assert [f.level for f in check_folder(mine) if file.name in f.where] == ["measured"]
+    file.write_text(text.replace("direction: -1", "direction: 1", 1))
+    (listed,) = (f for f in of_record(mine) if file.name in f.where)
+    assert listed.level == "unmeasured" and "joint1.direction" in listed.text
     measured = read_measured(mine)["servo_driver.yaml"]
     assert measured.values["joints.joint1.servo_id"] == 2 and measured.facts["zero"] == zero
 

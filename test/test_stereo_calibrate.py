@@ -18,6 +18,7 @@ from stereo_head import HEAD, marker_pose
 from longarm_comp.arm_folder.camera_files import camera_path
 from longarm_comp.arm_folder.marker_sheet import sheet
 from longarm_comp.arm_folder.measured import read_measured
+from longarm_comp.arm_folder.measured_check import of_record
 from longarm_comp.devices.stereo import CharucoTarget, StereoEye, StereoRig, TagBoard, fit_rigid
 from longarm_comp.devices.stereo.camera_file import read_camera
 from longarm_comp.devices.stereo.views import gaps, view_of
@@ -96,6 +97,14 @@ def test_the_written_files_measure_the_tip_where_it_is(shell: Shell, pictures: P
     assert np.linalg.norm(np.subtract(seen, true), axis=1).max() < 1.5e-3
     # Where the head stands is found by hand-eye: what is left is what the tip is measured to.
     assert fit_rigid(np.array(seen), np.array(true)).rms_m < 0.2e-3
+    assert [f.level for f in of_record(Path("mine"))] == ["measured"]
+    left = camera_path(Path("mine"), "left")
+    left.write_text(
+        re.sub(r"(camera_matrix:(?:.|\n)*?data: \[)", r"\g<1>1", left.read_text(), count=1)
+    )
+    assert [(f.level, "left.k" in f.text) for f in of_record(Path("mine"))] == [
+        ("unmeasured", True)
+    ]
     measured = read_measured(Path("mine"))["cameras"]
     assert measured.facts["views"] == found["views_used"]
 
