@@ -29,7 +29,7 @@ def options(name: str) -> set[str]:
 
 def calls(text: str) -> list[list[str]]:
     """The words after `longarm`, of blocks and of code in a line; without comments."""
-    blocks = re.findall(r"```\w*\n(.*?)```", text, re.DOTALL)
+    blocks = re.findall(r"```[^\n]*\n(.*?)```", text, re.DOTALL)
     lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
     inline = re.findall(r"`(longarm [^`]+)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
     said = [*lines, *(" ".join(each.split()) for each in inline)]
