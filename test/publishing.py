@@ -10,7 +10,7 @@ from longarm_comp.jobs.client import GraphClient
 
 
 @contextmanager
-def publishing(step: Callable[[GraphClient, int], None]) -> Iterator[None]:
+def publishing(step: Callable[[GraphClient, int], None], pause_s: float = 0.02) -> Iterator[None]:
     """Call a function again and again, in a thread with a node of its own."""
     stop = threading.Event()
 
@@ -19,7 +19,7 @@ def publishing(step: Callable[[GraphClient, int], None]) -> Iterator[None]:
             number = 0
             while not stop.is_set():
                 step(client, number)
-                client.executor.spin_once(timeout_sec=0.02)
+                client.executor.spin_once(timeout_sec=pause_s)
                 number += 1
 
     thread = threading.Thread(target=run, daemon=True)

@@ -42,7 +42,8 @@ TRUE = {
     "joint3": TrueJoint(3, -1, 2600.0, 2 * math.pi * 0.008 / 4096),
 }
 """The file of `folder` has ids 1, 2, 3, every direction + and every zero 2048."""
-POSE = {"joint1": 0.0, "joint2": math.radians(10.0), "joint3": 0.02}
+POSE = {"joint1": math.radians(-60.0), "joint2": math.radians(10.0), "joint3": 0.02}
+POSE_FLAGS = ("--pose", "joint1=-60", "--pose", "joint2=10", "--pose", "joint3=20")
 STOPS = {"joint1": (-60, 60), "joint2": (-30, 50), "joint3": (0, 100)}
 UNITS = {"joint1": math.radians(1.0), "joint2": math.radians(1.0), "joint3": 1e-3}
 

@@ -15,14 +15,16 @@ from small_arm import ARM
 
 from longarm_comp.arm_folder.check import check_folder
 from longarm_comp.arm_folder.head_file import head_pose
-from longarm_comp.arm_folder.measured import read_measured
+from longarm_comp.arm_folder.measured import note_measured, read_measured
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
+from longarm_comp.arm_folder.servo_file import SERVOS, servo_values
 from longarm_comp.arm_folder.sight import board_of
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.stereo import StereoEye, StereoRig
 from longarm_comp.jobs.camera_placement import placed_cameras
 from longarm_comp.sessions.csv import write_csv
@@ -108,8 +110,11 @@ def test_the_tip_is_seen_where_it_is_afterwards(
     assert found["held_out_mm"] < 0.5
     off = 1e3 * np.abs(head_pose(folder)[:3, 3] - head.true.camera_in_base[:3, 3])
     assert (off < 4.0 * np.array(found["position_sd_mm"]) + 0.2).all()
+    joints = ServoConfig.load(folder / SERVOS).joints  # at 2048, as if that had been measured
+    note_measured(folder, SERVOS, "servo setup", servo_values(joints), {})
     listed = {f.where: f.level for f in check_folder(folder)}
     assert listed["stereo_bridge.yaml"] == "measured" and listed["arm.yaml: camera"] == "unmeasured"
+    assert listed[SERVOS] == "measured" and f"{SERVOS}: zero_ticks" not in listed
     assert not {"missing", "implausible"} & set(listed.values())
     given = read_parameters(folder / "simulated_arm.yaml")
     np.testing.assert_allclose(given["camera.axis"], head.true.optical_axis, atol=1e-3)

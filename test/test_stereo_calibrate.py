@@ -163,7 +163,7 @@ def test_the_board_is_printed_in_true_size(shell: Shell) -> None:
     drawn = seen.pixels * [1, -1] * 0.0254 / 150
     known = board.points(seen.ids)[:, :2]
     np.testing.assert_allclose(drawn - drawn.mean(axis=0), known - known.mean(axis=0), atol=1e-4)
-    assert shell("stereo", "marker", "--board", "7x5", "-o", "board.pdf") == 0
+    assert shell("stereo", "marker", "--board", "3x3", "-o", "board.pdf") == 0
     assert re.match(rb"%PDF", Path("board.pdf").read_bytes())
     assert "one of the two" in shell.refused("stereo", "marker")
 
@@ -219,7 +219,7 @@ def test_a_board_shown_to_the_topics_calibrates_the_head(
         return found
 
     monkeypatch.setattr(board_capture, "capture", capture)
-    with publishing(board.step):
+    with publishing(board.step, 0.05):
         words = ("stereo", "calibrate", "mine", "--live", "--save", "taken", *FLAGS)
         found = shell.json(*words)
     assert said == [[]]
