@@ -79,6 +79,7 @@ class Commands:
 
     def __init__(self, node: Node) -> None:
         self.said = Said()
+        self._node = node
         self._pressed: deque[Button] = deque()
         self._calls: list[_Call] = []
         services = {button.service for button in (*STOPS, *RELEASES)}
@@ -97,7 +98,8 @@ class Commands:
     def _begin(self, button: Button, now: float) -> None:
         client = self._clients[button.service]
         if not client.service_is_ready():
-            self._say(button, f"not done, nobody offers {client.srv_name}; is the driver up?")
+            name = self._node.resolve_service_name(client.srv_name)
+            self._say(button, f"not done, nobody offers {name}; is the driver up?")
             return
         self._say(button, "asked", well=True)
         self._calls.append(_Call(button, now))

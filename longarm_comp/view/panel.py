@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from html import escape
 from typing import Any
 
@@ -30,12 +31,12 @@ class Panel:
         self._server, self._namespace = server, namespace
         gui = server.gui
         gui.set_panel_label(f"longarm view {namespace}")
-        gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+        gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
         self._state = gui.add_html("")
         for button in STOPS:
             made = gui.add_button(button.label, color=button.colour, hint=button.hint)
-            made.on_click(lambda _, pressed=button: press(pressed))
+            made.on_click(partial(_pressed, press, button))
         ways_on = {button.label: button for button in RELEASES}
         group = gui.add_button_group(
             "", tuple(ways_on), hint="\n".join(button.hint for button in RELEASES)
@@ -86,7 +87,7 @@ class Panel:
         self._write(self._tip, [_line(text) for text in (*told, words.drift(state))])
         factor = self.exaggeration
         scale = words.exaggeration(factor.deflection, factor.error)
-        self._write(self._scale, [_line(scale)])
+        self._write(self._scale, [_line(scale), _line(words.LEGEND)])
         self._show_health(state, now)
         if state.progress is not None:
             job = state.progress
@@ -115,6 +116,10 @@ class Panel:
     def _write(handle: Any, lines: Sequence[str]) -> None:
         style = "font-size:0.85em;line-height:1.4;padding:0 0.75em;overflow-wrap:anywhere"
         _set(handle, "content", f"<div style='{style}'>{''.join(lines)}</div>" if lines else "")
+
+
+def _pressed(press: Callable[[Button], None], button: Button, _: object) -> None:
+    press(button)
 
 
 def _line(text: str, colour: str = _GOOD, *, bold: bool = False, indent: bool = False) -> str:

@@ -81,6 +81,12 @@ def length_mm(vector: np.ndarray | None) -> float:
     return math.nan if vector is None else 1e3 * math.dist((0.0, 0.0, 0.0), vector.tolist())
 
 
+LEGEND = (
+    "Grey: the arm as declared, rigid. Blue: as predicted. Green: target. Yellow: pseudo-target. "
+    "Red: tip, and tip − target. Orange: tip − predicted."
+)
+
+
 def exaggeration(deflection: float, error: float) -> str:
     """What is drawn larger than it is."""
     bent = "to scale" if deflection == 1.0 else f"{deflection:g} times larger than it is"
