@@ -1,6 +1,6 @@
 # Everything runs from .venv, which `make setup` builds from nothing out of the package registry.
 PYTHON ?= python3
-PYTEST_ARGS ?= -n 2 --dist loadfile
+PYTEST_ARGS ?= -m 'not long' -n 2 --dist loadfile --no-loadscope-reorder
 TORCH_ARGS ?=
 
 VENV := .venv
@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 STAMPS := $(VENV)/stamps
 
-.PHONY: setup test fuzz lint demo docs bench format system colcon clean
+.PHONY: setup test long fuzz lint demo docs pictures bench format system colcon clean
 
 setup: $(STAMPS)/dev
 
@@ -45,12 +45,22 @@ $(STAMPS)/package: setup.py setup.cfg pyproject.toml package.xml $(STAMPS)/inter
 	@for name in $(PROGRAMS); do ln -sf ../../bin/$$name $(VENV)/lib/longarm_comp/$$name; done
 	@touch $@
 
-$(STAMPS)/dev: $(STAMPS)/package
+# Packages of ROS that no registry has, for the tests.
+STAND_INS := $(shell find test/stand_ins -type f -not -path '*/build/*')
+$(STAMPS)/stand_ins: $(STAND_INS) $(STAMPS)/interfaces
+	$(PIP) install --quiet --no-build-isolation ./test/stand_ins
+	@touch $@
+
+$(STAMPS)/dev: $(STAMPS)/package $(STAMPS)/stand_ins
 	$(PIP) install --quiet --no-build-isolation --editable '.[dev]'
 	@touch $@
 
 test: setup
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+# Every test, those that take a minute too.
+long: setup
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 # Damaged files given to every command that reads one; `make test` runs a tenth of it.
 fuzz: setup
@@ -72,6 +82,13 @@ demo: $(STAMPS)/package
 # Pages to read offline: build/docs/index.html. Warnings are errors; LONGARM_NOTEBOOKS=off runs none.
 docs: setup
 	$(BIN)/sphinx-build -q -W --keep-going docs build/docs
+
+# Pictures of README and pages, drawn again (docs/pictures); some are of a demonstration in build/demo.
+pictures: setup build/demo/report.html
+	$(BIN)/python docs/made_by/pictures.py build/demo
+
+build/demo/report.html: | $(STAMPS)/package
+	$(BIN)/longarm demo --out build/demo
 
 bench: setup
 	$(BIN)/longarm bench -o build/bench

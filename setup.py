@@ -1,5 +1,6 @@
 """The build of longarm_comp: pip and colcon (ament_python) both read this file."""
 
+import sys
 from glob import glob
 from pathlib import Path
 
@@ -74,6 +75,23 @@ DATA_KINDS = ["css", "html", "j2", "js", "json", "yaml"]
 
 ROOT = Path(__file__).parent
 
+
+def programs():
+    """Of a wheel: what `ros2 run` and `ros2 launch` look for below lib, which runs that in bin.
+
+    colcon needs none: it puts the programs themselves there (setup.cfg).
+    """
+    if "bdist_wheel" not in sys.argv:
+        return []
+    made = Path("build", "programs")
+    made.mkdir(parents=True, exist_ok=True)
+    for name in ("longarm", *NODES):
+        text = f'#!/bin/sh\nexec "$(dirname "$(readlink -f "$0")")/../../bin/{name}" "$@"\n'
+        (made / name).write_text(text)
+        (made / name).chmod(0o755)
+    return [(f"lib/{NAME}", [str(made / name) for name in ("longarm", *NODES)])]
+
+
 setup(
     name=NAME,
     version="0.1.0",
@@ -94,7 +112,9 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", sorted(glob("config/*.yaml") + glob("config/*.rviz"))),
+        (f"share/{NAME}/config/layouts", sorted(glob("config/layouts/*"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
+        *programs(),
     ],
     install_requires=RUNTIME,
     extras_require=EXTRAS,

@@ -1,6 +1,8 @@
 """Benchmarks of the graph's latency against a bare rclpy echo of the same messages.
 
 Processes: `kinematics`, `error_predictor` with a trained predictor, the echo, and this one.
+`composed` has the first two in one process, as `longarm up --composed`; `plain` gives messages to
+the workers through rclpy's executor, as where `nodes/rclpy_inside.py` does not fit.
 Blocks of calls alternate, so that all sides are measured under the same load.  The p50 of a target
 is divided into shares.  DDS is the echo.  The predictor is the round trip of its service times the
 requests of a target.  The inverse kinematics is the whole compensation, computed here with a known
@@ -17,7 +19,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -79,6 +81,42 @@ def ros_compensate_vs_echo_p99_ms() -> Result:
     return _beside("ros_compensate_vs_echo_p99_ms", f.service, f.service_echo, 99)
 
 
+def ros_composed_target_to_trajectory_vs_echo_p50_ms() -> Result:
+    """`target_pose` to `joint_trajectory`, `kinematics` and `error_predictor` in one process."""
+    f = figures("composed")
+    return _beside("ros_composed_target_to_trajectory_vs_echo_p50_ms", f.topic, f.topic_echo, 50)
+
+
+def ros_composed_target_to_trajectory_vs_echo_p99_ms() -> Result:
+    """The slow ones."""
+    f = figures("composed")
+    return _beside("ros_composed_target_to_trajectory_vs_echo_p99_ms", f.topic, f.topic_echo, 99)
+
+
+def ros_composed_compensate_vs_echo_p50_ms() -> Result:
+    """Round trip of the `compensate` service, in one process."""
+    f = figures("composed")
+    return _beside("ros_composed_compensate_vs_echo_p50_ms", f.service, f.service_echo, 50)
+
+
+def ros_composed_compensate_vs_echo_p99_ms() -> Result:
+    """The slow ones."""
+    f = figures("composed")
+    return _beside("ros_composed_compensate_vs_echo_p99_ms", f.service, f.service_echo, 99)
+
+
+def ros_plain_target_to_trajectory_vs_echo_p50_ms() -> Result:
+    """`target_pose` to `joint_trajectory` through rclpy's executor."""
+    f = figures("plain")
+    return _beside("ros_plain_target_to_trajectory_vs_echo_p50_ms", f.topic, f.topic_echo, 50)
+
+
+def ros_plain_target_to_trajectory_vs_echo_p99_ms() -> Result:
+    """The slow ones."""
+    f = figures("plain")
+    return _beside("ros_plain_target_to_trajectory_vs_echo_p99_ms", f.topic, f.topic_echo, 99)
+
+
 def ros_share_dds_ms() -> Result:
     """Share of a target: the echo."""
     return _share("dds")
@@ -127,13 +165,16 @@ def _share(of: str, **further: object) -> Result:
     return alone(f"ros_share_{of}_ms", "ms", figures().shares[of], note, **further)
 
 
-@lru_cache(maxsize=1)
-def figures(blocks: int = BLOCKS, per_block: int = PER_BLOCK) -> Figures:
-    """All measurements, taken once per process."""
+How = Literal["processes", "composed", "plain"]
+
+
+@lru_cache(maxsize=3)
+def figures(how: How = "processes", blocks: int = BLOCKS, per_block: int = PER_BLOCK) -> Figures:
+    """All measurements of one kind of graph, taken once per process."""
     from bench.ros_calls import Calls
 
     arm = demo_arm()
-    with _graph(arm) as calls_on:
+    with _graph(arm, how) as calls_on:
         calls: Calls = calls_on(Calls)
         calls.warm_up()
         sides: tuple[Callable[[int], float], ...] = (
@@ -155,8 +196,9 @@ def figures(blocks: int = BLOCKS, per_block: int = PER_BLOCK) -> Figures:
 
 
 @contextmanager
-def _graph(arm: Arm) -> Iterator[Callable[[Any], Any]]:
+def _graph(arm: Arm, how: How) -> Iterator[Callable[[Any], Any]]:
     """Run the processes; yields a function that creates the caller's side."""
+    from longarm_comp.nodes.bringup import COMPOSED, REAL, BringUp
     from longarm_comp.nodes.supervisor import Supervisor
 
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -165,19 +207,15 @@ def _graph(arm: Arm) -> Iterator[Callable[[Any], Any]]:
         os.environ.setdefault("ROS_LOG_DIR", scratch)
         predictor = Path(scratch) / "predictor.npz"
         train_dummy(arm, predictor)
-        module, ros = [sys.executable, "-m"], ["--ros-args", "-r", f"__ns:=/{space}"]
-        file = ["-p", f"arm:='{demo_arm_file()}'"]
-        commands = {
-            "echo": [sys.executable, str(Path(__file__).with_name("ros_echo.py")), *ros],
-            "kinematics": [
-                *(*module, "longarm_comp.nodes.kinematics", *ros, *file),
-                *("-p", "acknowledged:=false"),  # there is no driver
-            ],
-            "error_predictor": [
-                *(*module, "longarm_comp.nodes.error_predictor", *ros, *file),
-                *("-p", f"predictor:='{predictor}'"),
-            ],
-        }
+        direct = {"direct": how != "plain"}
+        graph = BringUp(
+            arm=demo_arm_file(), predictor=predictor, namespace=space, composed=how == "composed",
+            without=tuple(node for node in REAL if node not in COMPOSED),
+            set={"kinematics": {**direct, "acknowledged": False}, "error_predictor": direct},
+        )  # fmt: skip
+        echo = str(Path(__file__).with_name("ros_echo.py"))
+        ros = ["--ros-args", "-r", f"__ns:=/{space}"]
+        commands = {"echo": [sys.executable, echo, *ros], **graph.commands(Path(scratch))}
         with Supervisor(commands, respawn=False):
             nodes: list[Any] = []
 

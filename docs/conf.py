@@ -1,4 +1,4 @@
-"""The documentation as pages: `make docs`. Pictures and pages of effects are made with it."""
+"""The documentation as pages: `make docs`. The pages of effects are made with it."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ html_theme = "furo"
 html_title = f"longarm_comp {release}"
 html_show_sourcelink = False
 html_copy_source = False
+html_show_copyright = False
 myst_heading_anchors = 3
 napoleon_use_ivar = True
 autodoc_typehints = "none"
@@ -36,18 +37,16 @@ PAGE = re.compile(r"`docs/(\w+)\.md`")
 
 
 def linked(app: Any, name: str, source: list[str]) -> None:
-    """Pages that are named become links."""
+    """Pages that are named become links with their titles."""
     up = "../" * name.count("/")
-    source[0] = PAGE.sub(rf"[\1]({up}\1.md)", source[0])
+    source[0] = PAGE.sub(rf"[]({up}\1.md)", source[0])
 
 
 def make(app: Any) -> None:
-    """Write the pages of the effects and the pictures, below docs/made."""
+    """Write the pages of the effects, below docs/made."""
     import effect_pages
-    import pictures
 
     effect_pages.write(HERE / "made" / "effects")
-    pictures.draw(HERE / "made" / "pictures")
 
 
 def setup(app: Any) -> None:

@@ -2,7 +2,7 @@
 
 The joints of the simulated arm turn some per cent too far or too little, and a cable drags at one
 of them. The first is in the library of effects, so that the diagnosis can name it; the second is
-not, and is left to the network.
+not, and is found as a function of the posture. The network learns what is left.
 """
 
 from __future__ import annotations

@@ -4,11 +4,15 @@ ros2 launch longarm_comp longarm.launch.py arm:=arm.yaml model:=model.yaml port:
 ros2 launch longarm_comp longarm.launch.py arm:=arm.yaml sim:=true rviz:=true
 """
 
+import atexit
 import os
+import shutil
+import tempfile
 from pathlib import Path
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, RegisterEventHandler, Shutdown
+from launch.event_handlers import OnProcessExit
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
@@ -24,7 +28,7 @@ ARGUMENTS = (
     ("hidden", "", "simulation: undeclared effects, 'backlash=2.0' (mm)"),
     ("speed", "1.0", "simulation: motion so many times faster"),
     ("port", "", "serial port of the servos; empty: the file's"),
-    ("bus", "/tmp/longarm_servo_bus", "simulation: link to make to the servo bus"),
+    ("bus", "", "simulation: link to make to the servo bus; empty: in a new temporary folder"),
     ("namespace", "", "of this arm, so that several share a network"),
     ("config", "", "folder of parameter files that replace the package's own"),
     ("rviz", "false", "start RViz too"),
@@ -36,10 +40,21 @@ def path(text):
     return Path(text) if text else None
 
 
+BAD_INPUT = 2
+"""Exit code of a node whose files or parameters are wrong: a second start would not help."""
+
+
+def end_on_bad_input(event, context):
+    """End the whole launch, which otherwise starts a node again that has ended."""
+    return [Shutdown(reason=event.process_name)] if event.returncode == BAD_INPUT else None
+
+
 def nodes(context):
     """One launch_ros Node for each of the graph."""
     given = {name: LaunchConfiguration(name).perform(context) for name, _, _ in ARGUMENTS}
     sim = given["sim"].lower() in ("true", "1")
+    scratch = Path(tempfile.mkdtemp(prefix="longarm_"))
+    atexit.register(shutil.rmtree, scratch, ignore_errors=True)
     graph = BringUp(
         arm=Path(given["arm"]),
         model=path(given["model"]),
@@ -51,8 +66,8 @@ def nodes(context):
         port=given["port"],
         speed=float(given["speed"]),
         set={"simulated_arm": {"hidden": given["hidden"]}} if sim else {},
-    )
-    bus = "_".join(filter(None, (given["bus"], given["namespace"].strip("/").replace("/", "_"))))
+    ).fitted(scratch)
+    bus = given["bus"] or str(scratch / "servo_bus")
     made = [
         Node(
             package="longarm_comp",
@@ -67,13 +82,12 @@ def nodes(context):
         for name in graph.nodes
     ]
     if given["rviz"].lower() in ("true", "1"):
-        still = ["--frame-id", "world", "--child-frame-id", "base"]  # RViz wants a known frame
-        view = ["-d", str(folder("config") / "longarm.rviz")]
-        made += [
-            Node(package="tf2_ros", executable="static_transform_publisher", arguments=still),
-            Node(package="rviz2", executable="rviz2", namespace=graph.namespace, arguments=view),
-        ]
-    return made
+        base = "/".join(filter(None, (graph.namespace.strip("/"), "base")))
+        view = ["-d", str(folder("config") / "longarm.rviz"), "-f", base]
+        made.append(
+            Node(package="rviz2", executable="rviz2", namespace=graph.namespace, arguments=view)
+        )
+    return [*made, RegisterEventHandler(OnProcessExit(on_exit=end_on_bad_input))]
 
 
 def generate_launch_description():

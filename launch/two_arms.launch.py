@@ -1,32 +1,77 @@
-"""Two arms in two namespaces: every name of the graph is relative, so nothing else is needed."""
+"""Two arms in two namespaces; each has the arguments of `longarm.launch.py` after its own name.
 
+ros2 launch longarm_comp two_arms.launch.py left_arm_arm:=a.yaml right_arm_arm:=b.yaml sim:=true
+"""
+
+import runpy
 from pathlib import Path
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, GroupAction, IncludeLaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    GroupAction,
+    IncludeLaunchDescription,
+    OpaqueFunction,
+)
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
 
-SIDES = ("left_arm", "right_arm")
+from longarm_comp.share import folder
+
+WHOLE = Path(__file__).with_name("longarm.launch.py")
+STANDS = {"left_arm": "0 0 0 0 0 0", "right_arm": "0 -1 0 0 0 0"}
+SHARED = (
+    ("sim", "false", "simulated arms"),
+    ("rviz", "false", "start RViz too, which shows both arms in the frame world"),
+)
+
+
+def view(context):
+    """RViz, and where the arms stand in its world."""
+    given = {name: LaunchConfiguration(name).perform(context) for name in ("rviz", *places())}
+    if given.pop("rviz").lower() not in ("true", "1"):
+        return []
+    made = [Node(package="rviz2", executable="rviz2",
+                 arguments=["-d", str(folder("config") / "two_arms.rviz")])]  # fmt: skip
+    for side, place in zip(STANDS, given.values(), strict=True):
+        words = ["--frame-id", "world", "--child-frame-id", f"{side}/base"]
+        names = ("x", "y", "z", "yaw", "pitch", "roll")
+        for name, value in zip(names, place.split(), strict=True):
+            words += [f"--{name}", value]
+        made.append(
+            Node(package="tf2_ros", executable="static_transform_publisher", name=f"{side}_stands",
+                 arguments=words)
+        )  # fmt: skip
+    return made
+
+
+def places():
+    """Names of the arguments that say where the arms stand."""
+    return [f"{side}_at" for side in STANDS]
 
 
 def generate_launch_description():
     """`longarm.launch.py` once for each arm."""
-    whole = PythonLaunchDescriptionSource(str(Path(__file__).with_name("longarm.launch.py")))
-    made = [DeclareLaunchArgument("sim", default_value="false", description="simulated arms")]
-    for side in SIDES:
-        made += [
-            DeclareLaunchArgument(f"{side}_arm", description=f"arm.yaml of {side}"),
-            DeclareLaunchArgument(f"{side}_port", default_value="", description="its servo bus"),
-            DeclareLaunchArgument(f"{side}_model", default_value="", description="its model.yaml"),
-        ]
-        given = {
-            "arm": LaunchConfiguration(f"{side}_arm"),
-            "port": LaunchConfiguration(f"{side}_port"),
-            "model": LaunchConfiguration(f"{side}_model"),
-            "sim": LaunchConfiguration("sim"),
-            "namespace": side,
-        }
-        arm = IncludeLaunchDescription(whole, launch_arguments=given.items())
+    own = [
+        (name, default, text)
+        for name, default, text in runpy.run_path(str(WHOLE))["ARGUMENTS"]
+        if name not in ("sim", "rviz", "namespace")
+    ]
+    made = [DeclareLaunchArgument(n, default_value=d, description=t) for n, d, t in SHARED]
+    for side, place in STANDS.items():
+        for name, default, text in own:
+            made.append(
+                DeclareLaunchArgument(f"{side}_{name}", default_value=default, description=text)
+                if default is not None
+                else DeclareLaunchArgument(f"{side}_{name}", description=text)
+            )
+        text = "where its base stands in RViz's world: x y z yaw pitch roll, m and rad"
+        made.append(DeclareLaunchArgument(f"{side}_at", default_value=place, description=text))
+        given = {name: LaunchConfiguration(f"{side}_{name}") for name, _, _ in own}
+        given |= {"sim": LaunchConfiguration("sim"), "rviz": "false", "namespace": side}
+        arm = IncludeLaunchDescription(
+            PythonLaunchDescriptionSource(str(WHOLE)), launch_arguments=given.items()
+        )
         made.append(GroupAction([arm], scoped=True))
-    return LaunchDescription(made)
+    return LaunchDescription([*made, OpaqueFunction(function=view)])

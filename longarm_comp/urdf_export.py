@@ -13,16 +13,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm, Joint
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import roll_pitch_yaw
 from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.link_frames import BASE_LINK, TIP, joint_name, link_name
 from longarm_comp.core.model.model import Model, unstack
 
-BASE, TIP = "base_link", "tip"
 _EFFORT, _VELOCITY = "0", "0"
 
 
@@ -62,17 +62,16 @@ def export_urdf(model: Model, group: str = "", marker: str = "") -> str:
     bodies = _bodies(geometry, context, inner)
     root = ET.Element("robot", {"name": arm.name})
     root.append(ET.Comment(_remark(model)))
-    ET.SubElement(root, "link", {"name": BASE})
-    parent = BASE
+    ET.SubElement(root, "link", {"name": BASE_LINK})
+    parent = BASE_LINK
     for row in placed:
         joint = row.joint
-        name = joint.name or f"joint{joint.id}"
-        link = f"{name}_link"
+        name, link = joint_name(joint), link_name(joint)
         node = ET.SubElement(root, "link", {"name": link})
         held = [m for m in arm.point_masses if m.frame == joint.id and not m.position_columns]
         points = [(m.mass_kg, inner[joint.id] @ np.append(m.position_m, 1.0)) for m in held]
         _inertial(node, [(m, p[:3]) for m, p in (*points, *bodies.get(joint.id, ())) if m > 0])
-        _joint(root, arm, row, name, parent if joint.moves else BASE, link)
+        _joint(root, arm, row, name, parent if joint.moves else BASE_LINK, link)
         parent = link if joint.moves else parent
     ET.SubElement(root, "link", {"name": TIP})
     node = ET.SubElement(root, "joint", {"name": "to_tip", "type": "fixed"})
@@ -89,7 +88,7 @@ def zero_offsets(model: Model) -> list[ZeroOffset]:
             (parameter,) = term.parameters(model.arm)
             row = model.arm.joints[term.joints[0] - 1]
             value = float(getattr(term, parameter.name))
-            made.append(ZeroOffset(row.name or f"joint{row.id}", value, parameter.unit))
+            made.append(ZeroOffset(joint_name(row), value, parameter.unit))
     return made
 
 
@@ -197,7 +196,7 @@ def _screw(turn: np.ndarray, moved: float, slides: bool) -> tuple[np.ndarray, np
     """Unit axis and a point on it of the motion that a row made, both in its frame."""
     if slides:
         return turn[:3, 3] / moved, np.zeros(3)
-    axis = Rotation.from_matrix(turn[:3, :3]).as_rotvec() / moved
+    axis = quaternion.rotation_vector(quaternion.from_rotation(turn[:3, :3])) / moved
     point = np.linalg.lstsq(np.eye(3) - turn[:3, :3], turn[:3, 3], rcond=1e-6)[0]
     return axis / np.linalg.norm(axis), point
 
@@ -207,7 +206,7 @@ def _moved(axis: np.ndarray, point: np.ndarray, value: float, slides: bool) -> n
     if slides:
         made[:3, 3] = value * axis
         return made
-    made[:3, :3] = Rotation.from_rotvec(value * axis).as_matrix()
+    made[:3, :3] = quaternion.rotation(quaternion.from_rotation_vector(value * axis))
     made[:3, 3] = point - made[:3, :3] @ point
     return made
 
@@ -273,7 +272,8 @@ def _text(values: Sequence[float] | np.ndarray) -> str:
 def _remark(model: Model) -> str:
     left = sorted({e.name for e in model.effects if not e.geometry})
     zeros = ", ".join(f"{z.joint} {z.value:.9g} {z.unit}" for z in zero_offsets(model))
-    lines = ["Calibrated origins, written by longarm export-urdf. The payload is not in it."]
+    origins = "Calibrated" if any(e.geometry for e in model.effects) else "Declared"
+    lines = [f"{origins} origins, written by longarm export-urdf. The payload is not in it."]
     lines += [f"Joint zeros, in the origins already: {zeros}"] if zeros else []
     lines += [f"Left out, as a URDF is rigid: {', '.join(left)}"] if left else []
     return "\n  ".join(["", *lines, ""]).replace("--", "- -")

@@ -24,6 +24,23 @@ DATA = Path(os.environ.get("LONGARM_DATA", ROOT.parent / "shared" / "data"))
 ROS_DOMAINS = range(1, 102)
 
 
+LONGEST = (
+    "test_loop_graph",
+    "test_demo",
+    "test_twin",
+    "test_soak",
+    "test_nodes_graph",
+    "test_diagnose",
+)
+"""Files that take minutes. They begin first: no worker is left alone with one."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest files first (`--no-loadscope-reorder` keeps this order)."""
+    order = {name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: order.get(item.path.stem, len(order)))
+
+
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """The folder of real and simulated measurements; the test is skipped where it is absent."""

@@ -14,6 +14,8 @@ from small_arm import ARM as SMALL
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.bearing_tilt import BearingTilt
+from longarm_comp.core.effects.camera_drift import CameraDrift
 from longarm_comp.core.effects.catalogue import load_file
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.function import Function
@@ -23,10 +25,11 @@ from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.calibrate import declared_model, stages
 from longarm_comp.core.identify.discover.bank import Hypothesis, Spot
-from longarm_comp.core.identify.discover.discovery import Discovery, discover
+from longarm_comp.core.identify.discover.discovery import Discovery, contest, discover
 from longarm_comp.core.identify.discover.functions import SWITCH, Functions, switch
 from longarm_comp.core.identify.discover.inputs import Argument, Arguments, levels_of
 from longarm_comp.core.identify.discover.propose import POSES, doubts, proposed
+from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
@@ -36,6 +39,7 @@ from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State, TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.outside import HosePull, PumpShake, RubberStop
+from longarm_comp.studies.discover import set_up
 from longarm_comp.workflows.diagnose import DiagnosisResult
 from longarm_comp.workflows.diagnosis_files import write_model
 from longarm_comp.workflows.effect_file import write_effects
@@ -186,6 +190,39 @@ def test_what_a_column_drives_on_one_axis_is_no_noise() -> None:
     assert result.added.inputs == ("pump_bar",)
     assert result.structure.inputs
     assert result.added.found[0].where[1] == "what the camera sees, x"
+
+
+# ------------------------------------------------------------------ instead of names
+
+
+def test_names_that_imitate_a_cause_give_way_to_it() -> None:
+    """Tilting bearings imitate a curved window so well that no structure is left."""
+    setting = set_up(DEMO, "window_glass", "grid", 2, ROWS)
+    result = core.diagnose(DEMO, setting.train, test=setting.held_out, kinds=(BearingTilt,))
+    assert not result.findings
+    assert (result.verdict, result.search.chosen != ()) == ("unknown", True)
+    added = result.added
+    assert added is not None
+    assert added.without == ("bearing_tilt",)
+    assert added.found[0].where[0] == "what the camera sees, z"
+    assert added.inputs == ("seen_x",)
+    assert not added.found[0].compensated
+    on, truth = setting.off
+    off_by = [
+        np.linalg.norm(model.measured(on.q, on.context()) - truth, axis=1).mean()
+        for model in (result.models["with_effects"], result.model)
+    ]
+    assert off_by[1] < 0.5 * off_by[0]
+
+
+def test_a_true_name_is_not_contested() -> None:
+    """A base that moves with time does for a drift of the camera, and no better."""
+    still = measured(SMALL, (), ROWS, 3)
+    moved = np.outer(still.columns["t_s"], [4e-7, -2e-7, 3e-7])
+    plain = calibrated(SMALL, dataclasses.replace(still, xyz=still.xyz + moved))
+    named = fit(plain.model.plus(CameraDrift()), plain.session)
+    sealed = pytest.fail
+    assert contest(named, plain, 100, sealed, None, np.random.default_rng(0)) is None
 
 
 # ------------------------------------------------------------------ what the data cannot tell

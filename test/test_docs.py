@@ -28,6 +28,20 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.long
+def test_notebooks_run(tmp_path: Path) -> None:
+    """As `make docs` builds the pages: every cell is run, an error in one ends it."""
+    words = [sys.executable, "-m", "sphinx", "-q", "-W", str(DOCS), str(tmp_path)]
+    done = subprocess.run(words, env=os.environ | {"LONGARM_NOTEBOOKS": "force"},
+                          capture_output=True, text=True)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    notebooks = sorted((DOCS / "notebooks").glob("*.md"))
+    assert len(notebooks) > 3
+    for notebook in notebooks:
+        page = (tmp_path / "notebooks" / notebook.with_suffix(".html").name).read_text("utf-8")
+        assert "cell_output" in page, notebook.name
+
+
 class Links(HTMLParser):
     """What a page loads or leads to."""
 
@@ -60,6 +74,13 @@ def test_every_page_is_there_linked_and_loads_nothing_from_elsewhere(site: Path)
         assert (site / source.relative_to(DOCS)).with_suffix(".html").is_file()
     text = (site / "start.html").read_text("utf-8")
     assert 'href="your_own_arm.html"' in text and "docs/your_own_arm.md" not in text
+
+
+def test_what_the_readme_leads_to_is_there() -> None:
+    text = (DOCS.parent / "README.md").read_text("utf-8")
+    targets = re.findall(r"\]\((?!https?:)([^)#]+)", text)
+    assert len(targets) > 20
+    assert not [t for t in targets if not (DOCS.parent / t).is_file()]
 
 
 def test_pages_of_effects_and_names_come_from_the_package(site: Path) -> None:

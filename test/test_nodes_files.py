@@ -78,7 +78,8 @@ def test_the_servo_file_fits_the_demonstration_arm() -> None:
 def test_names_are_relative_and_appear_once() -> None:
     names = [topic.name for topic in graph.TOPICS] + [service.name for service in graph.SERVICES]
     assert len(set(names)) == len(names)
-    assert [name for name in names if name.startswith("/")] == ["/diagnostics"]
+    shared = {"/diagnostics", *(("/tf", "/tf_static") if graph.HAS_TF else ())}
+    assert {name for name in names if name.startswith("/")} == shared
 
 
 @pytest.mark.parametrize(
@@ -133,7 +134,7 @@ LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
 def launched(file: Path, monkeypatch: pytest.MonkeyPatch) -> types.ModuleType:
     """A launch file, run. `launch` is in no registry: stand-ins only keep their arguments."""
     for name in (
-        *("launch", "launch.actions", "launch.substitutions"),
+        *("launch", "launch.actions", "launch.event_handlers", "launch.substitutions"),
         *("launch.launch_description_sources", "launch_ros", "launch_ros.actions"),
     ):
         monkeypatch.setitem(sys.modules, name, MagicMock(name=name))
@@ -152,7 +153,8 @@ def test_a_launch_file_describes_itself(file: Path, monkeypatch: pytest.MonkeyPa
     assert len(entities) >= 2
     if "nodes" in module.__dict__:
         arguments = {name: default or "" for name, default, _ in module.ARGUMENTS}
-        given = {**arguments, "arm": "arm.yaml", "sim": "true", "rviz": "true"}
+        arm = str(folder("config") / "arm_demo.yaml")
+        given = {**arguments, "arm": arm, "sim": "true", "rviz": "true"}
         module.LaunchConfiguration = lambda name: types.SimpleNamespace(
             perform=lambda context: given[name]
         )
@@ -162,6 +164,28 @@ def test_a_launch_file_describes_itself(file: Path, monkeypatch: pytest.MonkeyPa
         assert [call["executable"] for call in calls[: len(SIMULATED)]] == list(SIMULATED)
         for call in calls[: len(SIMULATED)]:
             passes_what_the_node_has(call["executable"], *call["parameters"])
+
+
+def test_bad_input_ends_a_launch_and_nothing_else_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    module = launched(ROOT / "launch" / "longarm.launch.py", monkeypatch)
+    for code, ends in ((2, True), (0, False), (1, False), (-9, False)):
+        event = types.SimpleNamespace(returncode=code, process_name="kinematics-3")
+        done = module.end_on_bad_input(event, None)
+        assert done == ([module.Shutdown.return_value] if ends else None)
+
+
+@pytest.mark.parametrize("name", ["longarm.rviz", "two_arms.rviz"])
+def test_rviz_shows_topics_and_frames_that_there_are(name: str) -> None:
+    view = read_yaml(ROOT / "config" / name)["Visualization Manager"]
+    topics = {d["Topic"]["Value"] for d in view["Displays"] if "Topic" in d}
+    sides = ("left_arm", "right_arm") if name == "two_arms.rviz" else ("",)
+    known = {f"/{side}/{t.name}" if side else t.name for side in sides for t in graph.TOPICS}
+    assert topics <= known
+    assert {t for t in topics if t.endswith("markers")} == {
+        f"/{side}/markers" if side else "markers" for side in sides
+    }
+    frames = {d["Reference Frame"] for d in view["Displays"] if "Reference Frame" in d}
+    assert frames == {f"{side}/base" if side else "base" for side in sides}
 
 
 def passes_what_the_node_has(node: str, listed: str, given: dict[str, Any]) -> None:
@@ -197,3 +221,6 @@ def test_what_includes_another_launch_file_passes_arguments_that_it_has(
     declared = {call.args[0] for call in module.DeclareLaunchArgument.call_args_list}
     used = {call.args[0] for call in module.LaunchConfiguration.call_args_list}
     assert used <= declared
+    if "STANDS" in module.__dict__:  # all files of each arm may be given
+        every = known - {"sim", "rviz", "namespace"}
+        assert {f"{side}_{name}" for side in module.STANDS for name in every} <= declared

@@ -235,7 +235,7 @@ def shows_what_there_is(stage: Bench, station: Station) -> None:
         "pseudo_target": Marker.SPHERE_LIST, "tip_measured": Marker.SPHERE_LIST,
         "error": Marker.ARROW,
     }  # fmt: skip
-    assert {marker.header.frame_id for marker in made.values()} == {"base"}
+    assert {marker.header.frame_id for marker in made.values()} == {f"{station.namespace}/base"}
     joints = dict(zip(station.joints[-1].name, station.joints[-1].position, strict=True))
     q = np.array([joints[name] for name in station.arm.joint_names])
     np.testing.assert_allclose(at["declared"][-1], Model(station.arm).tip(q), atol=1e-3)

@@ -32,6 +32,8 @@ class Cameras:
         )
         self.tips = stage.collect(graph.TIP_MEASURED)
         self.diagnostics = stage.collect(graph.DIAGNOSTICS)
+        if graph.HAS_TF:
+            self.transforms, self.fixed = stage.collect(graph.TF), stage.collect(graph.TF_STATIC)
         node = stage.node
         self.images = [t.publisher(node) for t in (graph.LEFT_IMAGE, graph.RIGHT_IMAGE)]
         self.infos = [t.publisher(node) for t in (graph.LEFT_INFO, graph.RIGHT_INFO)]
@@ -107,6 +109,25 @@ def test_the_tip_is_where_it_is_and_its_covariance_is_honest(cameras: Cameras) -
         squares.append(off**2 / cameras.covariance)
     # chi-square of 24 numbers: the claimed sigma is neither ten times too small nor too large
     assert 0.01 < np.mean(squares) < 4.0
+
+
+@pytest.mark.skipif(not graph.HAS_TF, reason="tf2_msgs is not installed: run make setup")
+def test_cameras_and_the_measured_tip_are_frames(cameras: Cameras) -> None:
+    tip = cameras.seen(*cameras.render())
+    stamp = cameras.tips[0].header.stamp
+    told = cameras.stage.spin(
+        lambda: [t for m in cameras.transforms for t in m.transforms if t.header.stamp == stamp]
+    )[0]
+    assert (told.header.frame_id, told.child_frame_id) == ("base", "tip_measured")
+    at = told.transform.translation
+    assert [at.x, at.y, at.z] == tip.tolist()
+    fixed = cameras.fixed[-1].transforms
+    assert [t.child_frame_id for t in fixed] == ["left", "right"]  # as camera_info names them
+    half = math.sqrt(0.5)  # x right, y down, z forward: the arm's y
+    for sent, x in zip(fixed, (0.75, 1.05), strict=True):
+        at, turn = sent.transform.translation, sent.transform.rotation
+        assert [at.x, at.y, at.z] == pytest.approx([x, -1.7, 0.3], abs=1e-9)
+        assert [turn.x, turn.y, turn.z, turn.w] == pytest.approx([-half, 0, 0, half], abs=1e-9)
 
 
 @pytest.mark.parametrize(

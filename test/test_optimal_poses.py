@@ -18,7 +18,7 @@ from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.data.allowed_poses import in_view, outside_boxes
 from longarm_comp.core.data.plan import Plan, random_joints, sobol
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.errors import InputError
+from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.identify.optimal_poses import Uncertainty, _Choice, optimal_poses
 from longarm_comp.core.model.model import Model
@@ -101,20 +101,49 @@ def test_rows_measured_so_far_count(unknown: Uncertainty) -> None:
     assert optimal_poses(wide, 10, rng=0).expected_m > next_.expected_m
 
 
+def boxed(low: np.ndarray, high: np.ndarray) -> Model:
+    return Model(declared(keep_out={"lamp": {"min_m": low.tolist(), "max_m": high.tolist()}}))
+
+
 def test_boxes_keep_the_whole_arm_and_its_run_up_out() -> None:
     model, q = Model(ARM), ARM.mid[None]
     tip = model.tip(q)[0]
     elbow = model.posture(list(ARM.mid)).frames[3].matrix()[:3, 3]
     ahead = Plan(q, np.ones((1, ARM.n)))
-    for place in (tip, elbow, 0.5 * (tip + model.tip(q)[0])):
-        box = np.array([place - 5e-3, place + 5e-3])
-        assert not outside_boxes(model, ahead, [box])[0]
-        assert not outside_boxes(model, ahead, [box[::-1], box + 5.0])[0]
-    assert outside_boxes(model, ahead, [np.array([tip, tip]) + 5.0])[0]
+    for place in (
+        tip,
+        elbow,
+        0.5 * (tip + model.posture(list(ARM.mid)).frames[-1].matrix()[:3, 3]),
+    ):
+        assert not outside_boxes(boxed(place - 5e-3, place + 5e-3), ahead)[0]
+    assert outside_boxes(boxed(tip + 5.0, tip + 6.0), ahead)[0]
     begun = model.tip(ARM.mid - run_up_lengths(ARM))
-    box = np.array([begun - 5e-3, begun + 5e-3])
-    assert not outside_boxes(model, ahead, [box])[0]
-    assert outside_boxes(model, Plan(q, -np.ones((1, ARM.n))), [box])[0]
+    there = boxed(begun - 5e-3, begun + 5e-3)
+    assert not outside_boxes(there, ahead)[0]
+    assert outside_boxes(there, Plan(q, -np.ones((1, ARM.n))))[0]
+
+
+def test_a_floor_and_what_is_seen_hold_for_every_kind_of_plan() -> None:
+    tips = Model(ARM).tip(random_joints(ARM, 500, 1))
+    height = float(np.quantile(tips[:, 2], 0.3))
+    aside = float(np.median(tips[:, 1]))
+    standing = declared(base={"xyz_m": [0.0, 0.0, 0.0], "rpy_deg": [0, 0, 0]})
+    low = min(height, standing.base.xyz_m[2] - 0.01)
+
+    def seen(poses: np.ndarray) -> np.ndarray:
+        return np.asarray(poses[:, 1, 3] > aside)
+
+    for kind in ("sobol", "grid", "i-optimal"):
+        known = {"model": Model(standing)} if kind == "i-optimal" else {}
+        poses = la.plan(standing, 12, kind=kind, floor=low, seen=seen, **known).q  # type: ignore[arg-type]
+        there = Model(standing).tip(poses)
+        assert len(poses) == 12 and (there[:, 2] > low).all() and (there[:, 1] > aside).all()
+    free = la.plan(standing, 12)
+    assert (la.plan(standing, 12, floor=-9.0).q == free.q).all()
+    with pytest.raises(InputError, match="below the arm's foot"):
+        la.plan(standing, 12, floor=0.0)
+    with pytest.raises(JobError, match="only 0 of"):
+        la.plan(standing, 12, seen=lambda poses: np.zeros(len(poses), dtype=bool))
 
 
 def test_the_tip_is_in_the_view_of_some_camera() -> None:
@@ -164,7 +193,7 @@ def test_what_cannot_be_planned_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="two corners"):
         la.plan(ARM, 5, kind="i-optimal", model=Model(ARM), keep_out=[[1, 2, 3]])
     with pytest.raises(InputError, match=r"sobol.*i-optimal or d-optimal"):
-        la.plan(ARM, 5, keep_out=[[0, 0, 0, 1, 1, 1]])
+        la.plan(ARM, 5, model=Model(ARM))
 
 
 def test_a_diagnosis_is_what_is_known(tmp_path: Path) -> None:

@@ -178,6 +178,7 @@ def test_versions_agree() -> None:
             1
         ],
         re.search(r"^version: (\S+)", (ROOT / "CITATION.cff").read_text("utf-8"), re.MULTILINE)[1],
+        re.search(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)[1],
     }
     assert written == {longarm_comp.__version__}
 
@@ -340,7 +341,9 @@ def finds_its_own_files(prefix: Path) -> None:
 
 def test_an_installation_below_any_prefix_finds_its_own_files(prefix: Path) -> None:
     finds_its_own_files(prefix)
-    longarm = prefix / "bin" / "longarm"
+    programs = prefix / "lib" / PACKAGE  # where `ros2 run` and `ros2 launch` look
+    assert {p.name for p in programs.iterdir()} == {p.name for p in (prefix / "bin").iterdir()}
+    longarm = programs / "longarm"
     assert "--sim" in below(prefix, longarm, "up", "--help").stdout
     bench = below(prefix, longarm, "bench")
     assert bench.returncode == 3

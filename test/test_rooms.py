@@ -17,7 +17,7 @@ ROS = (
     *("rclpy", "launch", "launch_ros", "longarm_interfaces", "tf2_ros", "ament_index_python"),
     *("builtin_interfaces", "rcl_interfaces", "rosgraph_msgs", "std_srvs", "std_msgs"),
     *("diagnostic_msgs", "geometry_msgs", "lifecycle_msgs", "sensor_msgs", "trajectory_msgs"),
-    *("visualization_msgs", "nav_msgs", "action_msgs"),
+    *("visualization_msgs", "nav_msgs", "action_msgs", "tf2_msgs", "control_msgs"),
 )
 
 # Imports point only upward in this list; modules of the core that it does not name are checked
@@ -264,7 +264,7 @@ def test_only_its_command_imports_the_benchmarks() -> None:
         ("nodes", "import scipy.linalg"),
         ("nodes", "from bench import arms"),
         ("report", "from longarm_comp.nodes.kinematics import Kinematics"),
-        ("workflows", "from longarm_comp.jobs.collect import collect"),
+        ("workflows", "from longarm_comp.jobs.collect.run import collect"),
         ("workflows", "def f():\n    import click"),
         ("nodes", "from longarm_comp.workflows.train import train"),
         ("view", "from longarm_comp.sessions.csv import read_csv"),

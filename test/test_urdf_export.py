@@ -12,11 +12,13 @@ import yaml
 from cli_shell import Shell
 from small_arm import ARM
 
+from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.link_frames import BASE_LINK, TIP, link_frames
 from longarm_comp.core.model.model import Model
 from longarm_comp.urdf import import_urdf
 from longarm_comp.urdf_export import export_urdf, zero_offsets
@@ -50,6 +52,13 @@ def check(path: Path, model: Model, rng: np.random.Generator, **labels: str) -> 
         pin.framesForwardKinematics(robot, data, pin.integrate(robot, pin.neutral(robot), v))
         tip = data.oMf[robot.getFrameId("tip", pin.BODY)].homogeneous
         assert np.abs(tip - known.pose(q, Context(labels=labels))).max() < NEAR
+        if not model.effects:  # tf tells the links of the declared arm by the same names
+            at = {BASE_LINK: np.eye(4)}
+            for link in link_frames(model, q):
+                at[link.name] = at[link.parent] @ quaternion.pose(link.position, link.turn)
+                same = data.oMf[robot.getFrameId(link.name, pin.BODY)].homogeneous
+                assert np.abs(at[link.name] - same).max() < NEAR
+            assert TIP in at
 
 
 def written(path: Path, model: Model, **chosen: str) -> Path:

@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from longarm_comp.cli import options
-from longarm_comp.cli.output import note, print_json, progress
+from longarm_comp.cli.output import note, print_json, print_table
+
+if TYPE_CHECKING:
+    from longarm_comp.jobs.collect.preview import Preview
+    from longarm_comp.jobs.collect.progress import Progress
+    from longarm_comp.jobs.collect.run import Collected
 
 
 @click.command()
 @options.arm
 @click.argument("poses", type=click.Path(path_type=Path), metavar="POSES")
-@options.output(None, "Bag folder to record.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Bag folder to record.")
+@click.option("--dry-run", is_flag=True, help="Move nothing; say what the plan would do.")
+@options.path_option("--picture", "Also draw the plan: FILE.png, .svg or .pdf.")
+@options.floor
 @click.option(
     "--sides",
     type=click.Choice(["plan", "random", "both"]),
@@ -27,13 +36,23 @@ from longarm_comp.cli.output import note, print_json, progress
 @click.option("--in-order", is_flag=True, help="In the order of the file instead of a random one.")
 @options.pace
 @click.option("--resume", is_flag=True, help="Continue an interrupted recording.")
+@click.option(
+    "--give-up",
+    type=click.IntRange(min=0),
+    default=6,
+    show_default=True,
+    help="End when none of so many first poses showed the marker; 0: never.",
+)
 @options.namespace
 @options.seed
 @options.as_json
 def command(
     arm: Path,
     poses: Path,
-    output: Path,
+    output: Path | None,
+    dry_run: bool,
+    picture: Path | None,
+    floor: float | None,
     sides: str,
     repeats: int,
     in_order: bool,
@@ -41,6 +60,7 @@ def command(
     dwell: float,
     move: float,
     resume: bool,
+    give_up: int,
     namespace: str,
     seed: int,
     as_json: bool,
@@ -48,34 +68,51 @@ def command(
     """Drive ARM through the plan POSES over ROS and record a session bag.
 
     At each pose every joint runs up from its side and rests, and several sightings are averaged.
-    Ctrl-C ends it. The bag then holds all completed visits, and --resume adds the others.
+    Ctrl-Z pauses after the pose at hand, and goes on. Ctrl-C ends it; the bag then holds all
+    completed visits, and --resume adds the others. What became of each pose is drawn beside the
+    bag, BAG_coverage.png.
 
     \b
     Examples:
+      longarm collect arm.yaml poses.csv --dry-run --picture plan.png
       longarm collect arm.yaml poses.csv -o session_1
       longarm collect arm.yaml poses.csv -o session_1 --sides both --repeats 10 --resume
     """
-    from longarm_comp.cli.signals import stop_on_signals
+    from longarm_comp.arm_folder.visible import view_beside
     from longarm_comp.core.arm.arm import Arm
+    from longarm_comp.core.data.allowed_poses import above
     from longarm_comp.core.data.plan import from_both_sides, with_random_sides
-    from longarm_comp.jobs.client import ArmClient
-    from longarm_comp.jobs.collect import Pace, collect
+    from longarm_comp.core.errors import InputError
+    from longarm_comp.jobs.collect.preview import preview, refuse_blocked, servos_beside
     from longarm_comp.jobs.measurement_schedule import visits
     from longarm_comp.sessions.poses import read_poses
 
+    if output is None and not dry_run:
+        raise InputError("collect", "-o", None, "a bag folder to record, or --dry-run")
     declared = Arm.load(arm)
-    plan = read_poses(poses, declared)
+    plan = read_poses(poses, declared, inside=not dry_run)
     other = {"random": with_random_sides, "both": from_both_sides}.get(sides)
     if other is not None:
         plan = other(declared, plan, seed)
     todo = visits(plan, declared, repeats=repeats, shuffle=not in_order, seed=seed)
+    bounded = declared if floor is None else above(declared, floor)
+    ahead = preview(
+        bounded, todo, view=view_beside(arm), servos=servos_beside(arm, declared.joint_names),
+        rest_s=dwell + _LOOK_S * sightings,
+    )  # fmt: skip
+    if picture is not None:
+        from longarm_comp.jobs.collect.picture import draw
+
+        draw(ahead, ahead.faults(), picture, "can be measured", f"{declared.name}: {poses.name}")
+    if dry_run:
+        _show(ahead, picture, as_json)
+        return
+    refuse_blocked(ahead, poses)
+    assert output is not None
+    from longarm_comp.jobs.pace import Pace
+
     pace = Pace(sightings=sightings, dwell_s=dwell, move_s=move)
-    with (
-        stop_on_signals() as stop,
-        ArmClient(declared, namespace, stop, "collect") as client,
-        progress("collect") as show,
-    ):
-        done = collect(client, todo, output, pace=pace, resume=resume, progress=show)
+    done = _drive(ahead, output, namespace, as_json, pace=pace, resume=resume, give_up=give_up)
     if as_json:
         print_json({"bag": str(output), **vars(done)})
         return
@@ -83,3 +120,73 @@ def command(
     note(f"{done.made} visits made{before}, of {done.planned}; bag in {output}")
     if done.unseen:
         note(f"the marker was not seen at visits {', '.join(map(str, done.unseen))}")
+    if done.blocked:
+        why = next(iter(done.blocked.values()))
+        note(f"{len(done.blocked)} visits were not made, as no way there is free: {why}")
+
+
+_LOOK_S = 0.2
+"""Time of one sighting, where cameras take five pictures a second."""
+
+
+def _drive(ahead: Preview, output: Path, namespace: str, quiet: bool, **how: Any) -> Collected:
+    """Collect; draw what became of each pose, also where it ends early."""
+    from longarm_comp.cli.live import shown
+    from longarm_comp.cli.signals import pause_on_stop_key, stop_on_signals
+    from longarm_comp.core.errors import JobError
+    from longarm_comp.jobs.client import ArmClient
+    from longarm_comp.jobs.collect.picture import coverage
+    from longarm_comp.jobs.collect.progress import Outcomes
+    from longarm_comp.jobs.collect.run import collect
+
+    outcomes = Outcomes()
+
+    def follow(now: Progress) -> None:
+        outcomes.add(now)
+        show(now)
+
+    try:
+        with (
+            stop_on_signals() as stop,
+            pause_on_stop_key() as pause,
+            ArmClient(ahead.arm, namespace, stop, "collect") as client,
+            shown(ahead.arm, quiet) as show,
+        ):
+            return collect(
+                client, ahead.visits, output, view=ahead.view, pause=pause,
+                progress=follow, **how,
+            )  # fmt: skip
+    except JobError:
+        if (output / "metadata.yaml").is_file():
+            note(f"what was measured is in {output}; --resume adds the other visits")
+        raise
+    finally:
+        if outcomes.made:
+            note(f"coverage: {coverage(ahead, outcomes, output)}")
+
+
+def _show(ahead: Preview, picture: Path | None, as_json: bool) -> None:
+    """What a plan would do, and whether `collect` would drive it."""
+    from longarm_comp.core.errors import JobError
+
+    count = len(ahead.visits)
+    if as_json:
+        print_json({
+            "visits": count,
+            "checks": [{"question": c.question, "passed": c.passed, "blocks": c.blocks,
+                        "faults": {v.index: f for v, f in zip(ahead.visits, c.faults, strict=True)
+                                   if f}} for c in ahead.checks],
+            "unasked": ahead.unasked, "lowest_m": ahead.lowest_m, "seconds": ahead.seconds,
+        })  # fmt: skip
+    else:
+        rows = [(c.question, f"{c.passed} of {count}", c.mostly) for c in ahead.checks]
+        rows += [(text.partition(": ")[0], "not checked", text.partition(": ")[2])
+                 for text in ahead.unasked]  # fmt: skip
+        print_table(f"{ahead.arm.name}: {count} visits", ("visits", "yes", "where not"), rows)
+        note(f"the arm's lowest point is at z = {ahead.lowest_m:.3f} m")
+        if ahead.seconds is not None:
+            note(f"about {ahead.seconds / 60:.0f} min at the servos' speeds")
+        if picture is not None:
+            note(f"picture in {picture}")
+    if ahead.blocked:
+        raise JobError(f"{len(ahead.blocked)} of {count} visits cannot be driven")

@@ -68,10 +68,10 @@ def command(
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.errors import JobError
     from longarm_comp.jobs.client import ArmClient
-    from longarm_comp.jobs.collect import Pace
     from longarm_comp.jobs.loop.files import write_loop
     from longarm_comp.jobs.loop.run import Loop
     from longarm_comp.jobs.loop.settings import LoopSettings
+    from longarm_comp.jobs.pace import Pace
 
     declared = Arm.load(arm)
     settings = LoopSettings(

@@ -22,6 +22,9 @@ seed = click.option(
 as_json = click.option("--json", "as_json", is_flag=True, help="Print results as JSON.")
 
 
+floor = click.option(
+    "--floor", type=float, metavar="Z", help="Height that the arm must stay above, m, base frame."
+)
 namespace = click.option("--namespace", default="", help="Namespace of the arm.")
 
 
@@ -84,3 +87,9 @@ def output(default: str | None, what: str) -> Decorator:
 def path_option(name: str, what: str, required: bool = False) -> Decorator:
     """An option that takes a path."""
     return click.option(name, type=_PATH, required=required, help=what)
+
+
+port = click.option("--port", help="Serial port of the servo bus, for instance /dev/ttyUSB0.")
+protocol = click.option("--protocol", help="Protocol of the servos; default: what answers.")
+baud = click.option("--baud", type=click.IntRange(min=1), help="bit/s; default: what answers.")
+bus_ids = click.option("--ids", default="0-252", show_default=True, help="Ids to ask: 1-20 or 1,2.")

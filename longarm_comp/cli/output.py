@@ -32,7 +32,12 @@ def print_json(data: object) -> None:
     click.echo(as_text(data))
 
 
-def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+def print_table(
+    title: str,
+    header: Sequence[str],
+    rows: Sequence[Sequence[object]],
+    on_stderr: bool = False,
+) -> None:
     """Print results as a table: text in the first column, numbers right-aligned."""
     from rich.console import Console
     from rich.markup import escape
@@ -43,8 +48,8 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[objec
         table.add_column(name, justify="left" if k == 0 else "right")
     for row in rows:
         table.add_row(*(escape(_cell(value)) for value in row))
-    width = None if sys.stdout.isatty() else 120
-    Console(width=width).print(table)
+    width = None if (sys.stderr if on_stderr else sys.stdout).isatty() else 120
+    Console(width=width, stderr=on_stderr).print(table)
 
 
 def print_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from longarm_comp.core.arm.arm import Arm
+    from longarm_comp.core.data.plan import Plan
 
 
 @click.command()
@@ -50,8 +57,13 @@ from longarm_comp.cli.output import note, print_json
     nargs=6,
     multiple=True,
     metavar="X Y Z X Y Z",
-    help="Corners (m) of a box that the arm must not enter; repeat for more.",
+    help="Corners (m) of a box that the arm must not enter, beside arm.yaml's; repeat for more.",
 )
+@options.floor
+@click.option(
+    "--seen", is_flag=True, help="Only poses at which the cameras of ARM's folder see the marker."
+)
+@options.path_option("--picture", "Also draw the plan: FILE.png, .svg or .pdf.")
 @options.output("poses.csv", "Plan to write.")
 @options.seed
 @options.as_json
@@ -66,6 +78,9 @@ def command(
     noise_mm: float,
     view: float | None,
     keep_out: tuple[tuple[float, ...], ...],
+    floor: float | None,
+    seen: bool,
+    picture: Path | None,
     output: Path,
     seed: int,
     as_json: bool,
@@ -75,6 +90,7 @@ def command(
     \b
     Examples:
       longarm plan arm.yaml --kind grid -n 300 -o poses.csv
+      longarm plan arm.yaml --kind sobol -n 60 --seen --floor -0.02 --picture plan.png
       longarm plan arm.yaml --kind next -n 20 --report diagnosis -o poses.csv
       longarm plan arm.yaml --kind i-optimal -n 60 --keep-out 0 0.5 0 1 1 1 -o poses.csv
     """
@@ -82,7 +98,7 @@ def command(
     from longarm_comp.core.errors import InputError
     from longarm_comp.core.identify.optimal_poses import OptimalPlan
     from longarm_comp.sessions.poses import write_poses
-    from longarm_comp.workflows.plan import NOISE, plan
+    from longarm_comp.workflows.plan import NOISE, bounded, plan
 
     declared = Arm.load(arm)
     optimal = kind in ("i-optimal", "d-optimal")
@@ -95,8 +111,15 @@ def command(
     if optimal:
         given |= {"measure": measure, "noise": (1e-3 * noise_mm, NOISE[1])}
     given |= {"model": model, "measured": measured, "view_deg": view, "keep_out": keep_out}
+    given |= {"floor": floor, "seen": _sees(arm) if seen else None}
+    if picture is not None:
+        from longarm_comp.jobs.collect.picture import check_suffix
+
+        check_suffix(picture)
     poses = plan(declared, count, note=note, **given)
     write_poses(poses, output)
+    if picture is not None:
+        _draw(arm, bounded(declared, keep_out, floor), poses, picture)
     if as_json:
         facts: dict[str, Any] = {
             "output": str(output),
@@ -111,3 +134,28 @@ def command(
     note(f"{len(poses)} poses in {output}")
     if isinstance(poses, OptimalPlan):
         note(poses.stop_rule)
+
+
+def _sees(arm: Path) -> Callable[[np.ndarray], np.ndarray]:
+    """Which tip poses the cameras in an arm's folder see."""
+    import numpy as np
+
+    from longarm_comp.arm_folder.visible import view_beside
+    from longarm_comp.core.errors import InputError
+
+    view = view_beside(arm)
+    if view is None:
+        allowed = "stereo_bridge.yaml and simulated_arm.yaml beside ARM (longarm init writes them)"
+        raise InputError("plan", "--seen", "no cameras", allowed)
+    return lambda tips: np.array([not why for why in view.unseen(tips)])
+
+
+def _draw(arm: Path, declared: Arm, poses: Plan, picture: Path) -> None:
+    from longarm_comp.arm_folder.visible import view_beside
+    from longarm_comp.jobs.collect.picture import draw
+    from longarm_comp.jobs.collect.preview import preview
+    from longarm_comp.jobs.measurement_schedule import visits
+
+    ahead = preview(declared, visits(poses, declared, shuffle=False), view=view_beside(arm))
+    draw(ahead, ahead.faults(), picture, "can be measured", f"{declared.name}: {len(poses)} poses")
+    note(f"picture in {picture}")

@@ -58,6 +58,8 @@ COMMANDS = (
     Entry("schema", "schema", "JSON schema of arm.yaml, for editors."),
     Entry("compare", "compare", "Two diagnoses, models or sessions side by side."),
     Entry("report compare", "report_compare", "Two diagnoses side by side."),
+    Entry("servo scan", "servo_scan", "The servos on a bus: id, model, firmware, ids used twice."),
+    Entry("servo setup", "servo_setup", "Ids, zeros and directions of the servos, by hand."),
     Entry("stereo marker", "stereo_marker", "The marker as a page to print, with a ruler."),
     Entry("undo", "undo", "Restore the version of a model.yaml before the last change."),
 )
@@ -65,6 +67,7 @@ COMMANDS = (
 GROUPS = {
     "report": "Reports of diagnoses.",
     "bag": "Sessions as rosbag2.",
+    "servo": "Servo bus: what is on it, ids, zeros, directions.",
     "stereo": "Cameras and marker.",
     "study": "Studies: Table I, real arms, realisable joints, a day of work, closing the loop.",
 }

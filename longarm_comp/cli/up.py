@@ -26,6 +26,7 @@ from longarm_comp.cli.output import note
     type=click.Path(exists=True, file_okay=False, path_type=Path),
     help="Folder of parameter files NODE.yaml; default: ARM's. The package's own for the rest.",
 )
+@click.option("--composed", is_flag=True, help="kinematics and error_predictor in one process.")
 @click.option("--respawn/--no-respawn", default=True, help="Restart a node that dies.")
 def command(
     arm: Path,
@@ -39,6 +40,7 @@ def command(
     port: str,
     namespace: str,
     config: Path | None,
+    composed: bool,
     respawn: bool,
 ) -> None:
     """Start ARM's nodes as processes, until SIGINT or SIGTERM.
@@ -70,6 +72,7 @@ def command(
         config=config,
         port=port,
         speed=speed,
+        composed=composed,
         set={"simulated_arm": {"hidden": hidden, "seed": seed}} if sim else {},
     )
     stop = threading.Event()

@@ -62,7 +62,7 @@ def command(
     from longarm_comp.core.errors import JobError
     from longarm_comp.core.files import write_text
     from longarm_comp.jobs.client import ArmClient
-    from longarm_comp.jobs.collect import Pace
+    from longarm_comp.jobs.pace import Pace
     from longarm_comp.jobs.targets import TargetRunner
     from longarm_comp.jobs.verify import Draw, choose, method_at_work, one_by_one, verify
     from longarm_comp.sessions.targets import read_targets

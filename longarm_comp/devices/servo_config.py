@@ -132,11 +132,12 @@ class ServoConfig(ServoSettings):
     @classmethod
     def load(cls, path: str | Path) -> ServoConfig:
         """Read a YAML file, plain or as ROS parameters. Raises InputError naming the field."""
-        return cls.parse(_without_ros(read_yaml(path)), str(path))
+        return cls.parse(read_yaml(path), str(path))
 
     @classmethod
     def parse(cls, data: Any, where: str) -> ServoConfig:
         """From nested mappings; ``where`` names the source. Raises InputError naming the field."""
+        data = _without_ros(data)
         if not isinstance(data, Mapping):
             raise InputError(where, "document", type(data).__name__, "a mapping of keys")
         try:

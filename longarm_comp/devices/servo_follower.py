@@ -78,6 +78,11 @@ class TrajectoryFollower:
         """State of the follower."""
         return self._state
 
+    @property
+    def set_points(self) -> dict[str, float]:
+        """Where each joint should be now, rad or m; empty while none is driven."""
+        return {} if self._set is None else dict(zip(self._names, self._set.tolist(), strict=True))
+
     def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
         """Accept a trajectory. It starts with the next step, from the present set-point.
 

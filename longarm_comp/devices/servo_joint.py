@@ -155,5 +155,9 @@ class JointConfig(ServoSettings):
         """``max_velocity`` at the servo."""
         return self.max_velocity / self.si_per_tick
 
+    def having(self, **values: object) -> JointConfig:
+        """The same joint with other values, checked."""
+        return JointConfig.model_validate(self.model_dump() | values)
+
     def _exact_ticks(self, value: float) -> float:
         return self.zero_ticks + self.direction * value / self.si_per_tick

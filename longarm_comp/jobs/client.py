@@ -27,7 +27,7 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_of, sighting_of
 from longarm_comp.nodes.stamps import stamp_ns
-from longarm_interfaces.msg import DriverState
+from longarm_interfaces.msg import DriverState, Motion
 
 _ASK_AGAIN_S = 2.0
 """Without an answer for so long, a request that may be served twice is sent again."""
@@ -40,6 +40,25 @@ class Interrupted(JobError):  # noqa: N818
     """The caller's stop event was set."""
 
     exit_code = 130
+
+
+class DriverStopped(JobError):  # noqa: N818
+    """The driver is held, in fault or in emergency stop.
+
+    Attributes:
+        held: by the hold service, so that somebody means to go on.
+    """
+
+    def __init__(self, state: DriverState) -> None:
+        self.held = state.state == DriverState.HOLDING
+        super().__init__(f"the driver {_STOPPED[state.state]}", said=state.message or "nothing")
+
+
+_STOPPED = {
+    DriverState.HOLDING: "is held",
+    DriverState.FAULT: "stopped with a fault",
+    DriverState.ESTOP: "is in emergency stop",
+}
 
 
 class GraphClient:
@@ -163,6 +182,8 @@ class ArmClient(GraphClient):
         graph.JOINT_STATES.subscription(self.node, self._on_joints)
         graph.TIP_MEASURED.subscription(self.node, self._on_tip)
         self._driver: DriverState | None = None
+        self._sent, self._refused = 0, ""
+        graph.MOTION.subscription(self.node, self._on_motion)
         self._states = graph.DRIVER_STATE.subscription(self.node, self._on_state)
 
     def _on_joints(self, message: JointState) -> None:
@@ -179,11 +200,13 @@ class ArmClient(GraphClient):
 
     def ready(self, within_s: float = 30.0, *, tip: bool = True) -> None:
         """Wait for joint states, a ready driver and, with ``tip``, a sighting of the tip."""
-        self.until(lambda: self.joints is not None, within_s, "no joint_states")
+        running = "does `longarm up` run, in this namespace and ROS_DOMAIN_ID?"
+        self.until(lambda: self.joints is not None, within_s, f"no joint_states ({running})")
         self.until(self._driver_hears, within_s, "no driver listens to joint_trajectory")
         self.until(self._driver_takes, within_s, "the driver is not ready")
         if tip:
-            self.until(lambda: self.sightings, within_s, "no tip_measured")
+            pictures = "do the cameras publish left|right/image_raw and camera_info?"
+            self.until(lambda: self.sightings, within_s, f"no tip_measured ({pictures})")
 
     def _driver_hears(self) -> bool:
         """Whether everybody who listens to commands is matched, and not only kinematics does."""
@@ -201,6 +224,25 @@ class ArmClient(GraphClient):
     def _on_state(self, message: DriverState) -> None:
         self._driver = message
 
+    def _on_motion(self, message: Motion) -> None:
+        if message.id == self._id and message.event == Motion.REFUSED:
+            self._refused = message.message
+
+    @property
+    def _id(self) -> str:
+        """Of the last trajectory that was sent."""
+        return f"{self.node.get_name()} {self._sent}"
+
+    def driver_takes(self) -> bool:
+        """Whether the driver takes trajectories.
+
+        Raises:
+            DriverStopped: it is held, in fault or in emergency stop.
+        """
+        if self._driver is not None and self._driver.state in _STOPPED:
+            raise DriverStopped(self._driver)
+        return self._driver_takes()
+
     # ------------------------------------------------------------------ moving
 
     def send(self, path: np.ndarray, move_s: float = 0.5) -> None:
@@ -214,8 +256,10 @@ class ArmClient(GraphClient):
                     positions=q.tolist(), velocities=[0.0] * self.arm.n, time_from_start=after
                 )
             )
-        names = list(self.arm.joint_names)
-        self._trajectory.publish(JointTrajectory(joint_names=names, points=points))
+        self._sent, self._refused = self._sent + 1, ""
+        sent = JointTrajectory(joint_names=list(self.arm.joint_names), points=points)
+        sent.header.frame_id = self._id
+        self._trajectory.publish(sent)
 
     def arrive(
         self,
@@ -241,7 +285,7 @@ class ArmClient(GraphClient):
             The moment (ns, the graph's clock) from which the arm was at rest.
 
         Raises:
-            JobError: it did not arrive.
+            JobError: it did not arrive, or the driver refused the move or stopped.
             Interrupted: ``stop`` was set.
         """
         q = path[-1]
@@ -251,6 +295,9 @@ class ArmClient(GraphClient):
         away = [bool(stays or came)]
 
         def there() -> bool:
+            self.driver_takes()
+            if self._refused:
+                raise JobError(f"the driver refused the move: {self._refused}")
             inside = self.joints is not None and (np.abs(self.joints - q) <= tolerance).all()
             away[0] |= not inside
             if not inside or not away[0]:
@@ -263,15 +310,22 @@ class ArmClient(GraphClient):
         return int(self.node.get_clock().now().nanoseconds)
 
     def look(self, after_ns: int, count: int, within_s: float) -> list[np.ndarray]:
-        """Up to ``count`` sightings (3,) taken after a time (ns), without lost ones."""
+        """Up to ``count`` sightings (3,) taken after a time (ns), without lost ones.
+
+        Where the marker is lost in twice as many pictures in a row, it is not waited for.
+        """
 
         def taken() -> list[np.ndarray]:
-            return [
-                xyz for ns, xyz, _ in self.sightings if ns > after_ns and np.isfinite(xyz).all()
-            ]
+            return [xyz for xyz in told() if np.isfinite(xyz).all()]
+
+        def told() -> list[np.ndarray]:
+            return [xyz for ns, xyz, _ in self.sightings if ns > after_ns]
+
+        def over() -> bool:
+            good = len(taken())
+            lost = not good and len(told()) >= 2 * count
+            return good >= count or lost or time.monotonic() > end
 
         end = time.monotonic() + within_s
-        self.until(
-            lambda: len(taken()) >= count or time.monotonic() > end, within_s + 60.0, "sightings"
-        )
+        self.until(over, within_s + 60.0, "sightings")
         return taken()

@@ -10,7 +10,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.moves import sweep
 from longarm_comp.core.errors import InputError
 from longarm_comp.jobs.client import ArmClient, Interrupted
-from longarm_comp.jobs.collect import Pace
+from longarm_comp.jobs.pace import Pace
 
 SLOWEST_S, FASTEST_S = 3600.0, 0.1
 """Allowed times for a joint's whole range."""

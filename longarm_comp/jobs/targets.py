@@ -12,7 +12,7 @@ from geometry_msgs.msg import PoseStamped
 
 from longarm_comp.core.compensation.compensate import Method, Status
 from longarm_comp.jobs.client import ArmClient
-from longarm_comp.jobs.collect import Pace
+from longarm_comp.jobs.pace import Pace
 from longarm_comp.jobs.parameters import read_parameters, set_parameter
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import NO_JOINTS

@@ -17,6 +17,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from longarm_comp.arm_folder.make import parameter_files
 from longarm_comp.arm_folder.parameter_file import ros_parameters
 from longarm_comp.core.arm.arm import Arm
@@ -28,6 +30,8 @@ from longarm_comp.share import PACKAGE, folder
 
 REAL = ("error_predictor", "kinematics", "servo_driver", "stereo_bridge")
 SIMULATED = ("simulated_arm", *REAL)
+COMPOSED = ("error_predictor", "kinematics")
+"""Nodes that run in one process, `nodes/composed.py`, where that is asked for."""
 
 _PATIENT = {"bus.reply_timeout_s": 0.2, "follower.silence_s": 2.0, "patience_s": 60.0}
 """Longer timeouts for emulated servos: they start with the driver and share its computer."""
@@ -48,6 +52,7 @@ class BringUp:
         speed: factor on all velocities in simulation.
         set: further parameters, by node and name.
         without: nodes to leave out.
+        composed: run `COMPOSED` in one process.
     """
 
     arm: Path
@@ -61,6 +66,7 @@ class BringUp:
     speed: float = 1.0
     set: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     without: tuple[str, ...] = ()
+    composed: bool = False
 
     def __post_init__(self) -> None:
         for name in (*self.set, *self.without):
@@ -68,6 +74,9 @@ class BringUp:
                 raise InputError("bring-up", "node", name, ", ".join(SIMULATED))
         if not 0.01 <= self.speed <= 100.0:
             raise InputError("bring-up", "speed", self.speed, "0.01 to 100")
+        if self.composed and any(node in self.without for node in COMPOSED):
+            allowed = f"together with {' and '.join(COMPOSED)}"
+            raise InputError("bring-up", "composed", ", ".join(self.without), allowed)
 
     @property
     def nodes(self) -> tuple[str, ...]:
@@ -151,13 +160,26 @@ class BringUp:
 
     def command(self, node: str, bus: str) -> list[str]:
         """Program and arguments of a node's process."""
-        words = [sys.executable, "-m", f"{PACKAGE}.nodes.{node}", "--ros-args"]
-        if self.namespace:
-            words += ["-r", f"__ns:=/{self.namespace.strip('/')}"]
-        words += ["--params-file", str(self.file(node))]
+        words = [*self._program(node), "--params-file", str(self.file(node))]
         for name, value in self.parameters(node, bus).items():
             words += ["-p", f"{name}:={_text(value)}"]
         return words
+
+    def commands(self, scratch: Path) -> dict[str, list[str]]:
+        """Program and arguments of every process, by its name; ``scratch``: folder for files."""
+        bus, together = str(scratch / "servo_bus"), COMPOSED if self.composed else ()
+        made = {node: self.command(node, bus) for node in self.nodes if node not in together}
+        if together:
+            given = {f"/**/{n}": {"ros__parameters": self.parameters(n, bus)} for n in together}
+            write_text(scratch / "composed.yaml", yaml.safe_dump(given))
+            files = [*map(self.file, together), scratch / "composed.yaml"]
+            options = [word for file in files for word in ("--params-file", str(file))]
+            made["composed"] = [*self._program("composed"), *options]
+        return made
+
+    def _program(self, module: str) -> list[str]:
+        words = [sys.executable, "-m", f"{PACKAGE}.nodes.{module}", "--ros-args"]
+        return words + (["-r", f"__ns:=/{self.namespace.strip('/')}"] if self.namespace else [])
 
 
 def _path(name: str, path: Path | None) -> dict[str, Any]:
@@ -195,8 +217,6 @@ def running(
         InputError: a file is missing or wrong.
     """
     with tempfile.TemporaryDirectory(prefix="longarm_") as scratch:
-        bus = str(Path(scratch) / "servo_bus")
         graph = graph.fitted(Path(scratch))
-        commands = {node: graph.command(node, bus) for node in graph.nodes}
-        with Supervisor(commands, respawn=respawn, say=say) as supervisor:
+        with Supervisor(graph.commands(Path(scratch)), respawn=respawn, say=say) as supervisor:
             yield supervisor

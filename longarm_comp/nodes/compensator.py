@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
+from std_msgs.msg import Header
 
-from longarm_comp.core.compensation.compensate import Method, Settling, Status
+from longarm_comp.core.arm.frame_tree import UnknownPlace, carried
+from longarm_comp.core.compensation.compensate import Method, Settling, Status, physics_of
 from longarm_comp.core.compensation.joint_trust import check_inside
 from longarm_comp.core.compensation.online import CompensationOptions, StaleContext, compensate_now
 from longarm_comp.core.errors import InputError
@@ -20,10 +23,20 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.keep_out import entered
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.driver_link import DriverLink
-from longarm_comp.nodes.messages import Answer, FileHashes, Refusal, joints_of, target_of
+from longarm_comp.nodes.frames import FrameListener
+from longarm_comp.nodes.messages import (
+    Answer,
+    FileHashes,
+    Refusal,
+    joints_message,
+    joints_of,
+    pose_message,
+    target_of,
+)
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.predictor_client import NoAnswer, PredictorClient
+from longarm_comp.nodes.stamps import stamp_ns
 from longarm_interfaces.srv import Compensate
 
 PARAMS = (
@@ -46,18 +59,21 @@ class Compensator:
     Args:
         node: holds the parameters that may be set while running.
         p: values of the parameters.
-        files, state, predictor, driver: what is known of the arm.
+        base_frame: full name of the frame that joints are computed in.
+        files, state, predictor, driver, frames: what is known of the arm and around it.
         survived: called with an exception that is a fault of this software.
     """
 
     def __init__(
-        self, node: Node, p: dict[str, Any], files: ModelFiles, state: ArmState,
-        predictor: PredictorClient, driver: DriverLink, survived: Callable[[Exception], None],
+        self, node: Node, p: dict[str, Any], base_frame: str, files: ModelFiles, state: ArmState,
+        predictor: PredictorClient, driver: DriverLink, frames: FrameListener,
+        survived: Callable[[Exception], None],
     ) -> None:  # fmt: skip
         self._node, self._files, self._state = node, files, state
         self._predictor, self._driver, self._survived = predictor, driver, survived
         self._declared = declared_model(files.arm)
-        self._base_frame: str = p["base_frame"]
+        self._frames, self._base_frame = frames, base_frame
+        self._own_names = (base_frame, p["base_frame"])
         self._max_age_s = p["context_max_age_s"]
         self._settling = Settling(
             tol_m=p["tolerance_m"], max_passes=p["max_passes"],
@@ -66,8 +82,29 @@ class Compensator:
 
     @property
     def learned(self) -> bool:
-        """Whether a predictor is on the graph."""
-        return self._predictor.present
+        """Whether a predictor answers."""
+        return self._predictor.answers
+
+    def kind(self) -> Hashable:
+        """What the programs that a target needs depend on: model, options, what is known.
+
+        Raises:
+            StaleContext: a circumstance that the model needs is not known.
+        """
+        loaded, options = self._files.loaded, self._options()
+        now = self._state.readings.context(
+            physics_of(loaded.model, options.method), time.monotonic(), self._max_age_s
+        )
+        known = tuple(sorted(now.columns))
+        return loaded.file_hash, options.method, options.run_up, options.realisable, known
+
+    def rehearse(self) -> None:
+        """Compute a target that nobody asked for: the next one finds everything compiled."""
+        mid = self._files.arm.mid
+        seed = joints_message(self._files.arm, mid)
+        frame = Header(frame_id=self._base_frame)
+        target = PoseStamped(header=frame, pose=pose_message(self._files.rigid.pose(mid)))
+        self.answer("", Compensate.Request(target=target, seed=seed))
 
     def answer(self, name: str, request: Compensate.Request) -> Answer:
         """The answer to a request; a refusal is one too. ``name``: id of the target."""
@@ -99,7 +136,7 @@ class Compensator:
         )
 
     def _compensate(self, name: str, request: Compensate.Request) -> Answer:
-        target = target_of(request.target, self._base_frame, request.position_only)
+        given, target = self._target(request)
         options = self._options()
         start, seed = self._start(request)
         if request.execute and self._driver.refusal:
@@ -134,7 +171,7 @@ class Compensator:
             status, reason = (Status.KEPT_OUT, entry) if entry else (status, reason)
         return Answer(
             name,
-            request.target,
+            given,
             request.position_only,
             status,
             reason,
@@ -144,6 +181,20 @@ class Compensator:
             ),
             arrival,
         )
+
+    def _target(self, request: Compensate.Request) -> tuple[PoseStamped, np.ndarray]:
+        """The target in the base frame: as a message, and as (4, 4) or (3,), m."""
+        target, header = target_of(request.target, request.position_only), request.target.header
+        if header.frame_id in self._own_names:
+            return request.target, target
+        try:
+            frame = self._frames.place(header.frame_id, self._base_frame, stamp_ns(header.stamp))
+        except UnknownPlace as error:
+            allowed = f"allowed: {self._base_frame!r}, and what tf connects with it"
+            raise Refusal(Status.BAD_FRAME, f"{error}; {allowed}") from None
+        target = carried(frame, target)
+        moved = Header(stamp=header.stamp, frame_id=self._base_frame)
+        return PoseStamped(header=moved, pose=pose_message(target)), target
 
     def _options(self) -> CompensationOptions:
         value = lambda name: self._node.get_parameter(name).value  # noqa: E731

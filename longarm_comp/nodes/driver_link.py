@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.arm.arm import Arm
@@ -14,8 +13,8 @@ from longarm_comp.core.arm.history import History
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
+from longarm_comp.nodes.inlets import Inlets
 from longarm_comp.nodes.messages import joints_of, path_of
-from longarm_comp.nodes.worker import ManualCallbackGroup
 from longarm_interfaces.msg import DriverState, Motion
 
 _SILENT_S = 3.0
@@ -38,7 +37,7 @@ class DriverLink:
     gives none) it is what was published on `joint_trajectory`.
 
     Args:
-        node: the subscribing node.
+        inlets: of the worker, so that what the driver tells is known before the next target.
         arm: names and orders the joints.
         acknowledged: whether the driver tells its state and what becomes of trajectories.
         joints: the last joint reading (n,), or None.
@@ -49,13 +48,11 @@ class DriverLink:
     Attributes:
         acknowledged: as given.
         history: of the joints, when they have come to the end of what was commanded last.
-        inlets: its subscriptions. The worker takes them, so that each is known before the next
-            target.
     """
 
     def __init__(
         self,
-        node: Node,
+        inlets: Inlets,
         arm: Arm,
         *,
         acknowledged: bool,
@@ -77,10 +74,8 @@ class DriverLink:
             heard = {graph.MOTION: self._on_motion, graph.DRIVER_STATE: self._on_state}
         else:
             heard = {graph.JOINT_TRAJECTORY: self._on_trajectory}
-        self.inlets = tuple(
-            topic.subscription(node, callback, ManualCallbackGroup())
-            for topic, callback in heard.items()
-        )
+        for topic, callback in heard.items():
+            inlets.hear(topic, callback)
 
     @property
     def refusal(self) -> str:

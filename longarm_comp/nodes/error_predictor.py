@@ -19,14 +19,16 @@ from longarm_comp.core.learn.expansion import Expander
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.learn.predictor_file import belongs, load
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.frames import prefix_of
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
+from longarm_comp.nodes.inlets import DIRECT
 from longarm_comp.nodes.messages import joints_of, sides_of, vector_message
 from longarm_comp.nodes.model_files import ModelFiles, file_hash
 from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.runner import run
 from longarm_comp.nodes.steady import steady_timer
 from longarm_comp.nodes.watch import FileWatch
-from longarm_comp.nodes.worker import ManualCallbackGroup, Worker
+from longarm_comp.nodes.worker import Worker
 from longarm_interfaces.srv import PredictError
 
 PARAMS = (
@@ -35,6 +37,7 @@ PARAMS = (
     Param("predictor", "", "predictor file (npz); empty: none, every question is refused"),
     Param("base_frame", "base", "frame of the predicted errors"),
     Param("watch_period_s", 1.0, "how often the file is looked at for a new version", 0.1, 3600.0),
+    DIRECT,
     PERIOD,
 )
 
@@ -57,12 +60,12 @@ class ErrorPredictor(Node):
         p = declare(self, PARAMS)
         self._model = ModelFiles(p["arm"], p["model"])
         self._arm = self._model.arm
-        self._path, self._base_frame = p["predictor"], p["base_frame"]
+        self._path, self._base_frame = p["predictor"], prefix_of(self) + p["base_frame"]
         self._loaded: Loaded | None = None
         self._fault = ""
         self._answered = self._refused = self._outside = 0
         self._last = ""
-        self._asked = Worker(self, executor, 100, self.survived)
+        self._asked = Worker(self, executor, 100, self.survived, direct=p[DIRECT.name])
         self._files = Worker(self, executor, 4, self.survived)
         self._reload()
         self._errors = graph.PREDICTED_ERROR.publisher(self)
@@ -71,9 +74,8 @@ class ErrorPredictor(Node):
         steady_timer(self, p["watch_period_s"], self._look)
         self._health = Health(self, {"predictor": self._report}, p[PERIOD.name])
         self._files.start()
-        self._asked.start(
-            services=[graph.PREDICT_ERROR.server(self, self._on_predict, ManualCallbackGroup())]
-        )
+        self._asked.inlets.serve(graph.PREDICT_ERROR, self._on_predict)
+        self._asked.start()
 
     def close(self) -> None:
         """Stop the workers."""
@@ -87,10 +89,16 @@ class ErrorPredictor(Node):
     def _on_predict(
         self, request: PredictError.Request, reply: Callable[[PredictError.Response], None]
     ) -> None:
+        reply(self.answer(request))
+
+    def answer(self, request: PredictError.Request) -> PredictError.Response:
+        """The answer to a question, also of another thread of this process."""
         response = self._answer(request)
-        reply(response)
-        if not response.success:
-            return
+        if response.success:
+            self._publish(response)
+        return response
+
+    def _publish(self, response: PredictError.Response) -> None:
         message = Vector3Stamped(vector=response.error)
         message.header.stamp = self.get_clock().now().to_msg()
         message.header.frame_id = self._base_frame

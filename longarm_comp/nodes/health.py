@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -22,8 +23,9 @@ OK, WARN, ERROR, STALE = (
     DiagnosticStatus.STALE,
 )
 
-PROGRESS = "progress"
-"""Part in which a job that drives the graph says how far it is: facts ``done`` and ``of``."""
+
+_FRESH_S = 60.0
+"""For so long a fault is an error on /diagnostics, unless it is known to be mended."""
 
 
 @dataclass(frozen=True)
@@ -33,23 +35,6 @@ class Report:
     level: bytes
     message: str
     facts: Mapping[str, object] = field(default_factory=dict)
-
-
-def reports(node: Node, parts: Mapping[str, Report]) -> DiagnosticArray:
-    """The message of a node's reports by part. A status is named ``<node>: <part>``."""
-    array = DiagnosticArray()
-    array.header.stamp = node.get_clock().now().to_msg()
-    for part, report in parts.items():
-        array.status.append(
-            DiagnosticStatus(
-                level=report.level,
-                name=f"{node.get_fully_qualified_name()}: {part}",
-                message=report.message,
-                hardware_id=node.get_namespace(),
-                values=[KeyValue(key=k, value=str(v)) for k, v in report.facts.items()],
-            )
-        )
-    return array
 
 
 class Tally:
@@ -72,7 +57,7 @@ class Health:
     """Collects a report from every part of a node and publishes them.
 
     Args:
-        node: the publishing node.
+        node: the publishing node. A status is named ``<node>: <part>``.
         parts: function that reports on each part.
         period_s: time between two publications.
     """
@@ -86,20 +71,41 @@ class Health:
         self._timer = steady_timer(node, period_s, self.publish)
         self.faults = 0
         self.last_fault = ""
+        self._fault_s: float | None = None
         self._parts["process"] = self._process
 
     def fault(self, error: Exception) -> None:
         """Count an exception after which the node goes on."""
         self.faults += 1
+        self._fault_s = time.monotonic()
         self.last_fault = f"{type(error).__name__}: {error}"
         self._node.get_logger().error(f"survived {self.last_fault}")
 
+    def mended(self) -> None:
+        """What a fault may have broken works again."""
+        self._fault_s = None
+
     def publish(self) -> None:
         """Publish the report of every part now."""
-        said = {part: ask() for part, ask in self._parts.items()}
-        self._publisher.publish(reports(self._node, said))
+        name = self._node.get_fully_qualified_name()
+        array = DiagnosticArray()
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        for part, ask in self._parts.items():
+            report = ask()
+            values = [KeyValue(key=k, value=str(v)) for k, v in report.facts.items()]
+            array.status.append(
+                DiagnosticStatus(
+                    level=report.level,
+                    name=f"{name}: {part}",
+                    message=report.message,
+                    hardware_id=self._node.get_namespace(),
+                    values=values,
+                )
+            )
+        self._publisher.publish(array)
 
     def _process(self) -> Report:
-        if self.faults:
-            return Report(ERROR, f"survived {self.faults} faults, last {self.last_fault}")
-        return Report(OK, "running")
+        facts = {"faults": self.faults, "last fault": self.last_fault}
+        if self._fault_s is not None and time.monotonic() - self._fault_s < _FRESH_S:
+            return Report(ERROR, f"survived {self.faults} faults, last {self.last_fault}", facts)
+        return Report(OK, "running", facts)

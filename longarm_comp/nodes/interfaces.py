@@ -11,14 +11,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Vector3Stamped
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, Image, Imu, JointState, Temperature
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 from visualization_msgs.msg import MarkerArray
@@ -26,6 +26,15 @@ from visualization_msgs.msg import MarkerArray
 from longarm_interfaces.action import Reach
 from longarm_interfaces.msg import Compensation, DriverState, Motion
 from longarm_interfaces.srv import Compensate, PredictError
+
+try:
+    from control_msgs.action import FollowJointTrajectory
+except ImportError:  # no package registry has it, nor tf2_msgs: a sourced ROS does
+    FollowJointTrajectory = None
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:
+    TFMessage = None
 
 RELIABLE = ReliabilityPolicy.RELIABLE
 BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
@@ -75,6 +84,7 @@ class Topic:
         callback: Callable[[Any], None],
         group: CallbackGroup | None = None,
         listens: ReliabilityPolicy | None = None,
+        events: SubscriptionEventCallbacks = _UNHEARD_SUBSCRIPTION,
     ) -> Any:
         """Create a subscription on a node; ``listens`` replaces the topic's own reliability."""
         qos = QoSProfile(
@@ -82,7 +92,7 @@ class Topic:
         )
         return node.create_subscription(
             self.type, self.name, callback, qos,
-            callback_group=group, event_callbacks=_UNHEARD_SUBSCRIPTION,
+            callback_group=group, event_callbacks=events,
         )  # fmt: skip
 
 
@@ -91,7 +101,7 @@ class Action:
     """One action."""
 
     name: str
-    type: type
+    type: Any  # with Goal, Result and Feedback
     meaning: str
 
 
@@ -160,6 +170,18 @@ INCLINATION = Topic(
 MARKERS = Topic(
     "markers", MarkerArray, 5, RELIABLE, "for RViz: arm as declared and as it hangs, target, tip"
 )
+ROBOT_DESCRIPTION = Topic(
+    "robot_description", String, 1, RELIABLE, "URDF of the declared arm", latched=True
+)
+TF = Topic("/tf", TFMessage, 100, RELIABLE, "links, declared, expected and measured tip")
+TF_STATIC = Topic("/tf_static", TFMessage, 100, RELIABLE, "cameras, foot of the arm", latched=True)
+"""Where tf2_msgs is installed (`HAS_TF`). Both are shared by all arms."""
+
+HAS_TF = TFMessage is not None
+
+COLLECT_PROGRESS = Topic(
+    "collect/progress", DiagnosticStatus, 1, RELIABLE, "how far `longarm collect` is", latched=True
+)
 DIAGNOSTICS = Topic(
     "/diagnostics", DiagnosticArray, 50, RELIABLE, "health of every node, once a second"
 )
@@ -169,15 +191,23 @@ PREDICT_ERROR = Service("predict_error", PredictError, "learned error at given j
 RELOAD = Service("~/reload", Trigger, "read the node's files again")
 ESTOP = Service("~/estop", SetBool, "true: torque off now, commands refused; false: ready again")
 HOLD = Service("~/hold", SetBool, "true: stop, stay with torque on, refuse commands; false: ready")
+PAUSE = Service("collect/pause", SetBool, "true: `longarm collect` rests after the pose at hand")
 RESET = Service("~/reset", Trigger, "leave a fault once its cause is gone")
 
 REACH = Action("reach", Reach, "move the tip to a target and say where it came to rest")
+FOLLOW = Action(
+    "servo_driver/follow_joint_trajectory", FollowJointTrajectory,
+    "joint_trajectory as an action; where control_msgs is installed (`HAS_FOLLOW`)",
+)  # fmt: skip
+
+HAS_FOLLOW = FollowJointTrajectory is not None
 
 TOPICS: tuple[Topic, ...] = (
     *(TARGET_POSE, JOINT_TRAJECTORY, COMPENSATION, JOINT_STATES, MOTION, DRIVER_STATE),
     PREDICTED_ERROR,
     TIP_MEASURED,
     *(LEFT_IMAGE, RIGHT_IMAGE, LEFT_INFO, RIGHT_INFO, TEMPERATURE, PAYLOAD, INCLINATION),
-    *(MARKERS, DIAGNOSTICS),
+    *(MARKERS, COLLECT_PROGRESS, DIAGNOSTICS, ROBOT_DESCRIPTION),
+    *((TF, TF_STATIC) if HAS_TF else ()),
 )
-SERVICES: tuple[Service, ...] = (COMPENSATE, PREDICT_ERROR, RELOAD, ESTOP, HOLD, RESET)
+SERVICES: tuple[Service, ...] = (COMPENSATE, PREDICT_ERROR, RELOAD, ESTOP, HOLD, RESET, PAUSE)

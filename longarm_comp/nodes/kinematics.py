@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import threading
 import time
 from functools import partial
 
@@ -19,13 +18,15 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.online import StaleContext
 from longarm_comp.core.effects.catalogue import load_file
-from longarm_comp.core.ik import solver as ik
-from longarm_comp.nodes import compensator, markers, monitoring, reach, targets
+from longarm_comp.nodes import arm_frames, compensator, markers, monitoring, reach, targets
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.arm_frames import ArmFrames
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.compensator import Compensator
 from longarm_comp.nodes.driver_link import DriverLink
+from longarm_comp.nodes.frames import FrameListener, prefix_of
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report, Tally
+from longarm_comp.nodes.inlets import DIRECT, Caller
 from longarm_comp.nodes.interfaces import BEST_EFFORT
 from longarm_comp.nodes.markers import Markers
 from longarm_comp.nodes.model_files import ModelFiles
@@ -33,6 +34,7 @@ from longarm_comp.nodes.monitoring import Sighted, TipMonitor
 from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.predictor_client import PredictorClient
 from longarm_comp.nodes.reach import ReachServer
+from longarm_comp.nodes.readiness import Readiness
 from longarm_comp.nodes.runner import run
 from longarm_comp.nodes.steady import steady_timer
 from longarm_comp.nodes.targets import Targets
@@ -56,25 +58,34 @@ PARAMS = (
     *reach.PARAMS,
     *monitoring.PARAMS,
     *markers.PARAMS,
+    *arm_frames.PARAMS,
+    DIRECT,
     PERIOD,
 )
 
 
 class Kinematics(Node):
-    """Computes one target after another on a worker thread, so that the executor stays free."""
+    """Computes one target after another on a worker thread, so that the executor stays free.
 
-    def __init__(self, executor: SingleThreadedExecutor) -> None:
+    Args:
+        executor: that the node will be in.
+        predictor: asked for the learned error; the service on the graph where it is not given.
+    """
+
+    def __init__(self, executor: SingleThreadedExecutor, predictor: Caller | None = None) -> None:
         super().__init__("kinematics", automatically_declare_parameters_from_overrides=True)
         p = declare(self, PARAMS)
         for path in filter(None, p["effects"].split(os.pathsep)):
             load_file(path)
         self._files = ModelFiles(p["arm"], p["model"])
         self._arm = self._files.arm
-        self._base_frame = p["base_frame"]
+        self._base_frame = prefix_of(self) + p["base_frame"]
         self._max_age_s = p["context_max_age_s"]
         tally = Tally(self)
-        self._worker = Worker(self, executor, p["queue"], self.survived)
-        self._predictor = PredictorClient(self, self._arm, p["predictor_timeout_s"])
+        self._worker = Worker(self, executor, p["queue"], self.survived, direct=p[DIRECT.name])
+        inlets = self._worker.inlets
+        caller = predictor or inlets.caller(graph.PREDICT_ERROR)
+        self._predictor = PredictorClient(caller, self._arm, p["predictor_timeout_s"])
         self._monitor = TipMonitor(
             self._predictor, p["monitor.settle_s"], p["monitor.sightings"], p["monitor.sigma_m"],
             p["monitor.run_length"],
@@ -88,16 +99,21 @@ class Kinematics(Node):
             p["joints_max_age_s"], p["joints_max_rate"],
         )  # fmt: skip
         self._driver = DriverLink(
-            self, self._arm, acknowledged=p["acknowledged"], joints=lambda: self._state.joints,
+            inlets, self._arm, acknowledged=p["acknowledged"], joints=lambda: self._state.joints,
             commanded=self._monitor.on_command, told=lambda motion: self._reach.told(motion),
             refused=tally.count,
         )  # fmt: skip
         compute = Compensator(
-            self, p, self._files, self._state, self._predictor, self._driver, self.survived
-        )
+            self, p, self._base_frame, self._files, self._state, self._predictor, self._driver,
+            FrameListener(self, p["frames.wait_s"], tally.count), self.survived,
+        )  # fmt: skip
+        ArmFrames(
+            self, self._files, self._base_frame, p["frames.period_s"],
+            lambda: self._state.joints, lambda: self._now_context(self._driver.history),
+        )  # fmt: skip
         self._targets = Targets(
-            self, self._arm, p, self._worker, compute, self._driver, self._state, tally,
-            self._markers.on_answer, self._monitor.aimed,
+            self, self._arm, p, self._base_frame, self._worker, compute, self._driver, self._state,
+            tally, self._markers.on_answer, self._monitor.aimed, lambda: self._health.mended(),
         )  # fmt: skip
         self._reach = ReachServer(self, self._arm, self, p["reach.feedback_s"], p["reach.look_s"])
         self._tips = graph.TIP_MEASURED.subscription(self, self._on_tip)
@@ -106,7 +122,9 @@ class Kinematics(Node):
         steady_timer(self, p["watch_period_s"], self._look)
         if p["markers.period_s"]:
             steady_timer(self, p["markers.period_s"], self._draw)
+        ready = Readiness(self, self._worker, compute, self._predictor, compiled=p["compiled"])
         parts = {
+            "ready": ready.report,
             "targets": self._targets.report,
             "driver": self._driver.report,
             "graph": self._graph_report,
@@ -115,14 +133,11 @@ class Kinematics(Node):
             "at the target": self._monitor.target_report,
         }
         self._health = Health(self, parts, p[PERIOD.name])
-        if p["compiled"]:  # in the background: targets are solved more slowly until it is done
-            threading.Thread(target=ik.warm_up, name="compiler", daemon=True).start()
-        self._worker.start([*self._driver.inlets, *self._targets.topics], self._targets.services)
+        self._worker.start()
 
     def close(self) -> None:
         """Stop the worker."""
         self._worker.close()
-        self._predictor.close()
 
     def survived(self, error: Exception) -> None:
         """Count an exception that a callback raised."""

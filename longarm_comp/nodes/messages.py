@@ -50,15 +50,12 @@ class FileHashes:
     predictor: str = ""
 
 
-def target_of(message: PoseStamped, base_frame: str, position_only: bool) -> np.ndarray:
-    """The target as (4, 4), or (3,) where the orientation is free (m, base frame).
+def target_of(message: PoseStamped, position_only: bool) -> np.ndarray:
+    """The target as (4, 4), or (3,) where the orientation is free (m, its own frame).
 
     Raises:
-        Refusal: unknown frame, numbers that are not finite, no unit quaternion.
+        Refusal: numbers that are not finite, no unit quaternion.
     """
-    if message.header.frame_id != base_frame:
-        frame = message.header.frame_id
-        raise Refusal(Status.BAD_FRAME, f"frame {frame!r} is unknown; allowed: {base_frame!r}")
     p, o = message.pose.position, message.pose.orientation
     xyz = np.array([p.x, p.y, p.z])
     if not np.isfinite(xyz).all():
@@ -79,8 +76,14 @@ def pose_message(target: np.ndarray) -> Pose:
         x, y, z = target.tolist()
         return Pose(position=Point(x=x, y=y, z=z))
     x, y, z = target[:3, 3].tolist()
-    qx, qy, qz, qw = quaternion.from_rotation(target[:3, :3]).tolist()
-    return Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+    turn = quaternion.from_rotation(target[:3, :3])
+    return Pose(position=Point(x=x, y=y, z=z), orientation=quaternion_message(turn))
+
+
+def quaternion_message(turn: np.ndarray) -> Quaternion:
+    """x, y, z, w."""
+    x, y, z, w = turn.tolist()
+    return Quaternion(x=x, y=y, z=z, w=w)
 
 
 def vector_message(values: Sequence[float] | np.ndarray) -> Vector3:
@@ -155,10 +158,15 @@ def _in_order(at: Mapping[str, float], names: list[str], arm: Arm, where: str) -
     return np.array([at[name] for name in arm.joint_names])
 
 
-def duration(seconds: float) -> Duration:
+def duration(value_s: float) -> Duration:
     """A duration of some seconds, 0 or more."""
-    whole, rest = divmod(round(seconds * 1e9), 10**9)
+    whole, rest = divmod(round(value_s * 1e9), 10**9)
     return Duration(sec=whole, nanosec=rest)
+
+
+def seconds(message: Duration) -> float:
+    """A duration in seconds."""
+    return float(message.sec + 1e-9 * message.nanosec)
 
 
 def trajectory_message(
@@ -179,7 +187,7 @@ def trajectory_of(message: JointTrajectory) -> devices.JointTrajectory:
     """The trajectory for the servo side. It starts now: the header's stamp is not used."""
     points = tuple(
         devices.TrajectoryPoint(
-            point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec,
+            seconds(point.time_from_start),
             tuple(point.positions),
             tuple(point.velocities),
         )

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
-from rclpy.node import Node
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.learn.expansion import Expansion
-from longarm_comp.nodes.interfaces import PREDICT_ERROR
+from longarm_comp.nodes.inlets import Caller
 from longarm_comp.nodes.messages import joints_message
-from longarm_comp.nodes.service_caller import ServiceCaller
 from longarm_interfaces.srv import PredictError
 
 
@@ -23,40 +23,38 @@ class NoAnswer(JobError):  # noqa: N818
     """No predictor answered in time, or it has no file loaded."""
 
 
-_PROBE_S = 1.0
-"""Pause between two probes of a silent predictor, s. A probe is sent without waiting."""
+_PROBE_S = 0.5
+"""Pause between two probes of a predictor that does not answer, s. Nothing waits for a probe."""
 
 
 class PredictorClient:
-    """Calls `predict_error` in the caller's thread.
+    """Calls `predict_error` in the thread of the caller.
 
-    It has a hidden node of its own, which is in no executor.  A call then costs no thread switch
-    and no round of the main executor.
+    A predictor *answers* once it has answered a question, until a question is not answered in
+    time or it leaves the graph. While it does not, `probe` asks for it in the background, so that
+    the very next target after its return is compensated with it.
 
     Args:
-        node: node whose namespace and remappings apply.
+        caller: of `predict_error`.
         timeout_s: without an answer within this time there is no predictor.
+
+    Attributes:
+        answers: whether it answered last time.
+        file_hash: of the predictor that answered last.
     """
 
-    def __init__(self, node: Node, arm: Arm, timeout_s: float) -> None:
-        self._node = Node(
-            f"_{node.get_name()}_asks", namespace=node.get_namespace(), context=node.context,
-            use_global_arguments=False, enable_rosout=False, start_parameter_services=False,
-        )  # fmt: skip
-        self._client = self._node.create_client(
-            PredictError, node.resolve_service_name(PREDICT_ERROR.name)
-        )
-        self._caller = ServiceCaller(self._client, node.context)
-        self._arm = arm
-        self._timeout_s = timeout_s
-        self._open: int | None = None  # number of a request that is no longer waited for
-        self._asked_s = 0.0
+    def __init__(self, caller: Caller, arm: Arm, timeout_s: float) -> None:
+        self._caller, self._arm, self._timeout_s = caller, arm, timeout_s
+        self._silent = False  # a question was not answered in time
+        self._probe: int | None = None
+        self._probed_s = 0.0
+        self.answers = False
         self.file_hash = ""
 
     @property
     def present(self) -> bool:
         """Whether a predictor is on the graph."""
-        return bool(self._client.service_is_ready())
+        return self._caller.present
 
     def ask(
         self,
@@ -98,36 +96,52 @@ class PredictorClient:
         )
 
     def _call(self, request: PredictError.Request) -> PredictError.Response:
-        if not self.present:
+        if not self._look():
             raise NoAnswer("no error_predictor is running")
-        if self._silent(request):
+        if self._silent:  # only the first target waits for the timeout
             raise NoAnswer("error_predictor does not answer, physics only until it does")
-        question = self._send(request)
-        answer = self._caller.answer(question, self._timeout_s)
+        answer = self._caller.answer(self._caller.send(request), self._timeout_s)
+        self.answers, self._silent, self._probe = answer is not None, answer is None, None
         if answer is None:
-            self._open = question
             raise NoAnswer(f"error_predictor did not answer within {self._timeout_s:g} s")
         return answer
 
-    def _send(self, request: PredictError.Request) -> int:
-        self._asked_s = time.monotonic()
-        return self._caller.send(request)
+    def probe(self) -> None:
+        """Ask a predictor that does not answer whether it does now, without waiting."""
+        if not self._look() or self.answers:
+            return
+        if self._probe is None or time.monotonic() - self._probed_s > _PROBE_S:
+            self._probed_s = time.monotonic()
+            anywhere = PredictError.Request(joints=joints_message(self._arm, self._arm.mid))
+            self._probe = self._caller.send(anywhere)
 
-    def _silent(self, request: PredictError.Request) -> bool:
-        """Whether the last request is still unanswered.
-
-        Only the first target waits for the timeout; later ones are compensated without the
-        predictor until it answers a probe.
-        """
-        if self._open is None:
+    def _look(self) -> bool:
+        """Whether a predictor is on the graph, after a look for the answer to a probe."""
+        if not self.present:
+            self.answers, self._silent, self._probe = False, False, None
             return False
-        if self._caller.answer(self._open, 0.0) is not None:
-            self._open = None
-            return False
-        if time.monotonic() - self._asked_s >= _PROBE_S:
-            self._open = self._send(request)
+        if self._probe is not None and self._caller.answer(self._probe, 0.0) is not None:
+            self.answers, self._silent, self._probe = True, False, None
         return True
 
-    def close(self) -> None:
-        """Leave the graph."""
-        self._node.destroy_node()
+
+class LocalCaller:
+    """A predictor in the same process, called as if it were a service.
+
+    Args:
+        serve: the response to a request; from any thread.
+    """
+
+    present = True
+
+    def __init__(self, serve: Callable[[Any], Any]) -> None:
+        self._serve, self._number, self._response = serve, 0, None
+
+    def send(self, request: Any) -> int:
+        """Compute the response."""
+        self._number, self._response = self._number + 1, self._serve(request)
+        return self._number
+
+    def answer(self, number: int, within_s: float) -> Any:
+        """The response to the last request."""
+        return self._response if number == self._number else None

@@ -10,7 +10,6 @@ import numpy as np
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.task import Future
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
@@ -18,8 +17,8 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import Answer, joints_message, vector_message
 from longarm_comp.nodes.monitoring import Sighted
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.steady import steady_timer
 from longarm_comp.nodes.targets import Request, Targets
+from longarm_comp.nodes.ticks import Ticks
 from longarm_interfaces.action import Reach
 from longarm_interfaces.msg import Motion
 from longarm_interfaces.srv import Compensate
@@ -61,11 +60,9 @@ class ReachServer:
         self._arm, self._site, self._look_s = arm, site, look_s
         self._node, self._period_s = node, feedback_s
         self._turns: deque[object] = deque()
-        self._awaited: list[Future] = []
+        self._ticks = Ticks(node, feedback_s)
         self._told: dict[str, Motion] = {}
         self._following: set[str] = set()
-        self._timer = steady_timer(node, feedback_s, self._tick)
-        self._timer.cancel()
         self._server = ActionServer(
             node, graph.REACH.type, graph.REACH.name, self._serve,
             callback_group=ReentrantCallbackGroup(),
@@ -95,19 +92,16 @@ class ReachServer:
             )
         )
         self._turns.append(turn)
-        self._timer.reset()
         try:
             while self._turns[0] is not turn:
                 if goal.is_cancel_requested:
                     goal.canceled()
                     return Reach.Result(message="cancelled before it was begun", **_unseen())
                 self._feedback(goal, Reach.Feedback.WAITING, None)
-                await self._next_tick()
+                await self._ticks.next()
             return await self._reach(goal, request)
         finally:
             self._turns.remove(turn)
-            if not self._turns:
-                self._timer.cancel()
 
     async def _reach(self, goal: Any, request: Request) -> Reach.Result:
         if self._site.no_driver:
@@ -152,7 +146,7 @@ class ReachServer:
                 self.follow(name)
                 self._site.targets.halt(name)
             self._feedback(goal, Reach.Feedback.MOVING, command)
-            await self._next_tick()
+            await self._ticks.next()
         self._forget(name)
         if motion is not None and motion.event == Motion.REACHED and not halted:
             return True
@@ -181,7 +175,7 @@ class ReachServer:
             if goal.is_cancel_requested:
                 return
             self._feedback(goal, Reach.Feedback.LOOKING, command)
-            await self._next_tick()
+            await self._ticks.next()
 
     def _at_rest(self, result: Reach.Result) -> None:
         q = self._site.joints
@@ -195,18 +189,6 @@ class ReachServer:
             if command is not None:
                 message.remaining = (command - q).tolist()
         goal.publish_feedback(message)
-
-    # ------------------------------------------------------------------ waiting
-
-    def _next_tick(self) -> Future:
-        future = Future(executor=self._node.executor)
-        self._awaited.append(future)
-        return future
-
-    def _tick(self) -> None:
-        awaited, self._awaited = self._awaited, []
-        for future in awaited:
-            future.set_result(None)
 
 
 def _unseen() -> dict[str, Any]:

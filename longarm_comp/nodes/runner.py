@@ -1,4 +1,7 @@
-"""Runs one node as a process. SIGINT and SIGTERM end it cleanly; a failing callback does not."""
+"""Runs a node, or several, as a process.
+
+SIGINT and SIGTERM end it cleanly; a failing callback does not end it.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import rclpy
@@ -31,10 +34,13 @@ class Runnable(Protocol):
         """Report an exception that a callback raised."""
 
 
-def run(make: Callable[[SingleThreadedExecutor], Runnable]) -> int:
-    """Spin a node until a signal. The exit code is 0, or 2 for bad parameters or files.
+def run(make: Callable[[SingleThreadedExecutor], Runnable | Sequence[Runnable]]) -> int:
+    """Spin a node, or several, until a signal.
 
     Signals only set an event, so a second one does not interrupt the clean-up.
+
+    Returns:
+        The exit code: 0, or 2 for bad parameters or files.
     """
     sys.setswitchinterval(_SWITCH_S)
     stop = threading.Event()
@@ -42,20 +48,22 @@ def run(make: Callable[[SingleThreadedExecutor], Runnable]) -> int:
         signal.signal(number, lambda *_: stop.set())
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     executor = SingleThreadedExecutor()
-    node: Runnable | None = None
+    nodes: Sequence[Runnable] = ()
     try:
-        node = make(executor)
-        executor.add_node(node)
+        made = make(executor)
+        nodes = made if isinstance(made, Sequence) else (made,)
+        for node in nodes:
+            executor.add_node(node)
         gc.freeze()  # everything loaded so far stays, so collections need not scan it again
-        spin(executor, node, stop)
+        spin(executor, nodes[-1], stop)
     except LongarmError as error:
         print(error, file=sys.stderr)
         return error.exit_code
     finally:
-        if node is not None:
+        for node in reversed(nodes):
             node.close()
         executor.shutdown(timeout_sec=1.0)
-        if node is not None:
+        for node in reversed(nodes):
             node.destroy_node()  # type: ignore[attr-defined]
         rclpy.try_shutdown()
     return 0

@@ -12,6 +12,7 @@ import os
 import sys
 import time
 import uuid
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
@@ -25,12 +26,13 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.keep_out import entered
-from longarm_comp.devices.servo_arm import Cycle, ServoArm
+from longarm_comp.devices.servo_arm import Cycle, JointReading, ServoArm
 from longarm_comp.devices.servo_bus import BusUnplugged, IncompleteReply
 from longarm_comp.devices.servo_config import BusConfig, FollowerConfig, ServoConfig
 from longarm_comp.devices.servo_follower import Accepted, Event, EventKind, FollowerState, KeepsOut
 from longarm_comp.devices.servo_joint import JointConfig
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.follow import FollowServer
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
 from longarm_comp.nodes.messages import duration, trajectory_of
 from longarm_comp.nodes.params import Param, declare, nested, overrides, redeclare
@@ -80,7 +82,8 @@ class ServoDriver(LifecycleNode):
         self._joint_states = graph.JOINT_STATES.publisher(self)
         self._motions = graph.MOTION.publisher(self)
         self._states = graph.DRIVER_STATE.publisher(self)
-        graph.JOINT_TRAJECTORY.subscription(self, self._on_trajectory)
+        graph.JOINT_TRAJECTORY.subscription(self, self.take)
+        self._follow = FollowServer(self, self) if graph.HAS_FOLLOW else None
         graph.ESTOP.server(self, self._on_estop)
         graph.HOLD.server(self, self._on_hold)
         graph.RESET.server(self, self._on_reset)
@@ -237,7 +240,7 @@ class ServoDriver(LifecycleNode):
 
     def _joints(self) -> JointState:
         """The last read-back; empty where a servo was silent."""
-        joints = self._last.joints if self._last is not None else {}
+        joints = self.readings
         message = JointState(
             name=list(joints),
             position=[joint.position for joint in joints.values()],
@@ -249,7 +252,23 @@ class ServoDriver(LifecycleNode):
         message.header.stamp = self.get_clock().now().to_msg()
         return message
 
-    def _on_trajectory(self, message: JointTrajectory) -> None:
+    @property
+    def names(self) -> Sequence[str]:
+        """Names of the joints."""
+        return list(self._config.joints)
+
+    @property
+    def readings(self) -> Mapping[str, JointReading]:
+        """The last read-back by joint; empty where a servo was silent."""
+        return self._last.joints if self._last is not None else {}
+
+    @property
+    def set_points(self) -> Mapping[str, float]:
+        """Where each joint should be now, rad or m; empty while none is driven."""
+        return self._arm.follower.set_points if self._arm is not None else {}
+
+    def take(self, message: JointTrajectory) -> None:
+        """Check and follow a trajectory; what becomes of it is told by its id."""
         name = message.header.frame_id
         if not self._active:
             self._refuse(name, "the driver is not active")
@@ -286,6 +305,8 @@ class ServoDriver(LifecycleNode):
                 for row, at in zip(taken.points.tolist(), taken.times.tolist(), strict=True)
             ]
         self._motions.publish(message)
+        if self._follow is not None:
+            self._follow.told(event, name, why)
 
     def _tell_change(self) -> None:
         if self._said != self._state():

@@ -21,6 +21,7 @@ from std_msgs.msg import Float64
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.frames import prefix_of
 from longarm_comp.nodes.health import OK, PERIOD, Health, Report
 from longarm_comp.nodes.images import image_message, info_message
 from longarm_comp.nodes.params import Param, declare
@@ -172,12 +173,12 @@ class SimulatedArm(Node):
         ns = self.get_clock().now().nanoseconds
         t_s = time.monotonic() - self._started
         images = self._plant.look(t_s)
-        truth = PointStamped()
-        truth.header.stamp, truth.header.frame_id = stamp_of(ns), "base"
+        prefix, truth = prefix_of(self), PointStamped()
+        truth.header.stamp, truth.header.frame_id = stamp_of(ns), f"{prefix}base"
         truth.point.x, truth.point.y, truth.point.z = self._plant.tip_pose(t_s)[:3, 3].tolist()
         self._truth.publish(truth)
         infos = self._plant.config.cameras.camera_infos()
-        for k, frame in enumerate(("left_optical", "right_optical")):
+        for k, frame in enumerate((f"{prefix}left_optical", f"{prefix}right_optical")):
             self._infos[k].publish(info_message(infos[k], ns, frame))
             self._images[k].publish(image_message(images[k], ns, frame))
         self._frames += 1

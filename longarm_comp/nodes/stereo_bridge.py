@@ -15,6 +15,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.core.model.link_frames import Placed
 from longarm_comp.devices.stereo import (
     CharucoTarget,
     Limits,
@@ -29,6 +30,7 @@ from longarm_comp.devices.stereo import (
     Target,
 )
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.frames import FrameTeller, prefix_of
 from longarm_comp.nodes.health import OK, PERIOD, STALE, WARN, Health, Report
 from longarm_comp.nodes.images import pixels_of, same_camera
 from longarm_comp.nodes.messages import pose_message
@@ -84,7 +86,8 @@ class StereoBridge(Node):
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__("stereo_bridge", automatically_declare_parameters_from_overrides=True)
         p = declare(self, PARAMS)
-        self._base_frame, self._publish_lost = p["base_frame"], p["publish_lost"]
+        self._prefix, self._publish_lost = prefix_of(self), p["publish_lost"]
+        self._base_frame, self._frames = self._prefix + p["base_frame"], FrameTeller(self)
         self._rectified = p["rectified"]
         self._target = target_of(p)
         turn = np.array(p["hand_eye.quaternion"])
@@ -140,6 +143,16 @@ class StereoBridge(Node):
             self._refuse(error, None)
             return
         self._eye = StereoEye(rig, self._target, self._hand_eye, self._tip_in_marker, self._limits)
+        self._tell_cameras(self._eye.cameras)
+
+    def _tell_cameras(self, poses: tuple[np.ndarray, np.ndarray]) -> None:
+        """Say where the cameras are, by the names that they give their frames."""
+        names = [
+            self._infos[side].header.frame_id or f"{self._prefix}{side.name.lower()}_optical"
+            for side in (Side.LEFT, Side.RIGHT)
+        ]
+        frames = [Placed.at(self._base_frame, *camera) for camera in zip(names, poses, strict=True)]
+        self._frames.tell_static(frames)
 
     def _on_image(self, side: Side, message: Image) -> None:
         for pair in self._pairer.add(side, stamp_ns(message.header.stamp), message):
@@ -159,7 +172,11 @@ class StereoBridge(Node):
         self._sightings += 1
         self._lost = False
         self._last = f"{seen.corners} corners, rms {seen.rms_px:.3f} px"
-        self._tips.publish(self._message(seen))
+        message = self._message(seen)
+        self._tips.publish(message)
+        turn = quaternion.from_rotation(seen.pose[:3, :3])
+        tip = Placed(self._base_frame, f"{self._prefix}tip_measured", seen.point, turn)
+        self._frames.tell([tip], message.header.stamp)
 
     def _message(self, seen: StereoSighting) -> PoseWithCovarianceStamped:
         message = PoseWithCovarianceStamped()

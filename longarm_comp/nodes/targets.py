@@ -28,7 +28,7 @@ from longarm_comp.nodes.messages import (
 )
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.stamps import stamp_ns
-from longarm_comp.nodes.worker import ManualCallbackGroup, Worker
+from longarm_comp.nodes.worker import Worker
 from longarm_interfaces.srv import Compensate
 
 PARAMS = (
@@ -59,31 +59,34 @@ class Targets:
 
     Args:
         node, arm, p: the node, its arm and the values of its parameters.
+        base_frame: full name of the frame that answers are given in.
         worker: computes the answers, one after another.
         compensator, driver, state: what answers, who moves the arm, what is known of it.
         tally: of targets by their status.
         answered: called with every answer.
         aimed: called with joints (n,) that were accepted and their target (3,), m.
+        succeeded: called after every target that was computed.
     """
 
     def __init__(
-        self, node: Node, arm: Arm, p: dict[str, Any], worker: Worker, compensator: Compensator,
-        driver: DriverLink, state: ArmState, tally: Tally, answered: Callable[[Answer], None],
-        aimed: Callable[[np.ndarray, np.ndarray], None],
+        self, node: Node, arm: Arm, p: dict[str, Any], base_frame: str, worker: Worker,
+        compensator: Compensator, driver: DriverLink, state: ArmState, tally: Tally,
+        answered: Callable[[Answer], None], aimed: Callable[[np.ndarray, np.ndarray], None],
+        succeeded: Callable[[], None],
     ) -> None:  # fmt: skip
-        self._node, self._arm, self._base_frame = node, arm, p["base_frame"]
+        self._node, self._arm, self._base_frame = node, arm, base_frame
         self._worker, self._compensator, self._driver = worker, compensator, driver
         self._state, self._tally = state, tally
-        self._answered, self._aimed = answered, aimed
+        self._answered, self._aimed, self._succeeded = answered, aimed, succeeded
         self._move_time_s, self._acknowledge_s = p["move_time_s"], p["acknowledge_s"]
         self._max_age_s = p["target_max_age_s"]
         self._run, self._numbers = uuid.uuid4().hex[:8], itertools.count(1)
         self._latest: Request | None = None
+        self._broken = ""  # the last fault of this software, until a target succeeds
         self._trajectory = graph.JOINT_TRAJECTORY.publisher(node)
         self._compensation = graph.COMPENSATION.publisher(node)
-        on_worker = ManualCallbackGroup()
-        self.topics = (graph.TARGET_POSE.subscription(node, self._on_target, on_worker),)
-        self.services = (graph.COMPENSATE.server(node, self._on_compensate, on_worker),)
+        worker.inlets.hear(graph.TARGET_POSE, self._on_target)
+        worker.inlets.serve(graph.COMPENSATE, self._on_compensate)
 
     def asked(self, message: Compensate.Request) -> Request:
         """A target that comes in now."""
@@ -183,6 +186,11 @@ class Targets:
             )
         )  # fmt: skip
         self._answered(answer)
+        if answer.status is Status.INTERNAL_ERROR:
+            self._broken = answer.message
+        elif answer.status.success:
+            self._broken = ""
+            self._succeeded()
         self._tally.count(
             answer.status.name, "" if answer.status is Status.SUCCESS else answer.message
         )
@@ -199,12 +207,13 @@ class Targets:
             **self._tally.counts,
             "waiting": self._worker.waiting,
             "last refusal": self._tally.last,
-            "lost on the way": self._worker.lost,
+            "lost on the way": self._worker.inlets.lost,
+            "publishers of another QoS": self._worker.inlets.unfit,
         }
         if self._state.doubt:
             return Report(WARN, self._state.doubt, facts)
-        if self._tally.counts.get(Status.INTERNAL_ERROR.name):
-            return Report(ERROR, self._tally.last, facts)
+        if self._broken:
+            return Report(ERROR, self._broken, facts)
         if not self._compensator.learned:
-            return Report(WARN, "no error_predictor: compensating with physics only", facts)
+            return Report(WARN, "no error_predictor answers: physics only", facts)
         return Report(OK, "compensating", facts)

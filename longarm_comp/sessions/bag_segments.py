@@ -16,7 +16,7 @@ import yaml
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from longarm_comp.core.errors import InputError
+from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.files import write_text
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.sessions.message_types import message_types
@@ -39,7 +39,8 @@ class SegmentedBag:
     def __init__(self, path: str | Path, *, resume: bool = False) -> None:
         self._path = Path(path)
         self._partial = self._path / _PARTIAL
-        self._new = not self._path.exists()
+        self._new = not self._path.exists() or self._empty()
+        self._discarded = False
         self._information = self._begin(resume)
         self._writer: Writer | None = None
         self._connections: dict[tuple[str, str], Connection] = {}
@@ -48,7 +49,7 @@ class SegmentedBag:
 
     def _begin(self, resume: bool) -> dict[str, Any] | None:
         metadata = self._path / "metadata.yaml"
-        if not resume and self._path.exists():
+        if not resume and not self._new:
             allowed = "a folder that does not exist yet, or --resume"
             raise InputError(self._path, "bag", "exists", allowed)
         if resume and self._path.exists():
@@ -71,6 +72,16 @@ class SegmentedBag:
             raise InputError(metadata, "storage", found.get("storage_identifier"), "mcap")
         return dict(found)
 
+    def _empty(self) -> bool:
+        """Whether there is a bag that a killed recorder left without a message."""
+        metadata = self._path / "metadata.yaml"
+        if not metadata.is_file():
+            return False
+        try:
+            return read_yaml(metadata)[_KEY]["message_count"] == 0
+        except (LongarmError, KeyError, TypeError):
+            return False
+
     def __enter__(self) -> SegmentedBag:
         if self._information is None:
             self._open()  # a bag without a message is valid
@@ -85,8 +96,13 @@ class SegmentedBag:
     ) -> None:
         self.finish_segment()
         known = self._information
-        if error is not None and self._new and not (known and known["message_count"]):
+        empty = self._discarded or not (known and known["message_count"])
+        if error is not None and self._new and empty:
             shutil.rmtree(self._path, ignore_errors=True)
+
+    def discard(self) -> None:
+        """Where an error ends the recording, leave no folder, unless it was there before."""
+        self._discarded = True
 
     def write(self, topic: str, kind: str, stamp_ns: int, data: bytes) -> None:
         """Add one serialised message (CDR) of a type that `message_types` knows."""

@@ -39,8 +39,13 @@ def _written_approach(plan: Plan) -> dict[str, Sequence[object] | np.ndarray]:
     return dict(zip(approach_names(plan.q.shape[1]), plan.approach.T, strict=True))
 
 
-def read_poses(path: str | Path, arm: Arm) -> Plan:
+def read_poses(path: str | Path, arm: Arm, *, inside: bool = True) -> Plan:
     """Read a plan for an arm. A blank or 0 approach means from any side.
+
+    Args:
+        path: file.
+        arm: whose joints.
+        inside: refuse poses outside the joint limits.
 
     Raises:
         InputError: a column is missing or unknown, a pose lies outside the joint limits.
@@ -53,12 +58,12 @@ def read_poses(path: str | Path, arm: Arm) -> Plan:
         if name not in known:
             raise InputError(table.where, f"column {name}", "unknown", " ".join(known))
     q = np.stack([table.numbers(name, "rad or m") for name in joints], axis=-1)
-    for row, j in zip(
-        *np.nonzero((q < arm.lower - _SLACK) | (q > arm.upper + _SLACK)), strict=True
-    ):
+    outside = (q < arm.lower - _SLACK) | (q > arm.upper + _SLACK)
+    for row, j in zip(*np.nonzero(outside & inside), strict=True):
         limits = f"{arm.lower[j]:.6g} to {arm.upper[j]:.6g} (limits of {arm.joint_names[j]})"
         raise table.error(row, joints[j], limits)
     sides = read_approach(table, arm.n)
     approach = np.zeros(len(table)) if sides is None else np.nan_to_num(sides)
     payload = table.numbers("payload_kg", "kg") if "payload_kg" in table.cells else None
-    return Plan(np.clip(q, arm.lower, arm.upper), approach, payload)
+    on_limit = np.where(outside, q, np.clip(q, arm.lower, arm.upper))
+    return Plan(on_limit, approach, payload)

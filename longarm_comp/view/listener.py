@@ -17,7 +17,6 @@ from visualization_msgs.msg import MarkerArray
 
 from longarm_comp.core.compensation.result import Status
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.health import PROGRESS
 from longarm_comp.nodes.messages import sighting_of
 from longarm_comp.nodes.monitoring import EVIDENCE
 from longarm_comp.view.state import Answer, Part, Picture, Progress, State, Tip, true_to_scale
@@ -48,6 +47,7 @@ class Listener:
             (graph.DRIVER_STATE, self._on_driver),
             (graph.COMPENSATION, self._on_answer),
             (graph.DIAGNOSTICS, self._on_diagnostics),
+            (graph.COLLECT_PROGRESS, self._on_progress),
         ):
             topic.subscription(node, callback)
 
@@ -101,9 +101,6 @@ class Listener:
         for status in statuses:
             part = status.name.partition(": ")[2]
             facts = {value.key: value.value for value in status.values}
-            if part == PROGRESS:
-                self._on_progress(node, status.message, facts, now)
-                continue
             if EVIDENCE in facts and part == "monitor":
                 self._heard(evidence=_number(facts[EVIDENCE]))
             parts.append(Part(part, ord(status.level), status.message))
@@ -111,10 +108,12 @@ class Listener:
             self.state = self.state.with_report(node, tuple(parts), now)
             self._heard()
 
-    def _on_progress(self, job: str, words: str, facts: dict[str, str], now: float) -> None:
-        done, of = _number(facts.get("done", "")), _number(facts.get("of", ""))
+    def _on_progress(self, message: DiagnosticStatus) -> None:
+        facts = {value.key: value.value for value in message.values}
+        done, of = _number(facts.get("done", "")), _number(facts.get("total", ""))
         if math.isfinite(done) and of > 0:
-            self._heard(progress=Progress(job, int(done), int(of), words, now))
+            job, words = message.name.rpartition("/")[2], message.message
+            self._heard(progress=Progress(job, int(done), int(of), words, self._clock()))
 
 
 _NONE = np.empty((0, 3))

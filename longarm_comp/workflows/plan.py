@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.allowed_poses import in_view, outside_boxes
-from longarm_comp.core.data.plan import Plan, grid, sobol
+from longarm_comp.core.arm.boxes import Box
+from longarm_comp.core.data.allowed_poses import above, filled, in_view, outside_boxes
+from longarm_comp.core.data.plan import Plan, grid, paper_grid, sobol
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.optimal_poses import Measure, Uncertainty, optimal_poses
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import read_stored
 from longarm_comp.sessions.next_poses import read_next_poses
 from longarm_comp.workflows.diagnosis_files import MODEL, SESSION
@@ -28,7 +32,8 @@ from longarm_comp.workflows.inputs import (
 )
 
 Kind = Literal["grid", "sobol", "i-optimal", "d-optimal"]
-_FILLING = {"grid": grid, "sobol": sobol}
+_FILLING = {"grid": (grid, lambda arm: len(paper_grid(arm))), "sobol": (sobol, lambda arm: 2**20)}
+"""Makes a plan; says how many poses there are."""
 _OPTIMAL = ("i-optimal", "d-optimal")
 NOISE = (3e-4, 1e-3)
 """Noise of a length (m) and an angle (rad) where nothing was measured yet."""
@@ -47,6 +52,8 @@ def plan(
     noise: tuple[float, float] = NOISE,
     view_deg: float | None = None,
     keep_out: Sequence[Sequence[float]] = (),
+    floor: float | None = None,
+    seen: Callable[[np.ndarray], np.ndarray] | None = None,
     note: Note = log_note,
 ) -> Plan:
     """n poses to measure an arm at, each with the side to approach it from.
@@ -66,8 +73,10 @@ def plan(
         measure: what each pose measures: ``position``, ``pose``, or ``distance`` to every anchor.
         noise: of a length (m) and an angle (rad), where nothing was measured yet.
         view_deg: half of the view of the cameras in arm.yaml; the tip must be in it.
-        keep_out: boxes that the arm must not enter: x, y, z of two corners each, m, in the frame
-            of the measurements.
+        keep_out: boxes that the arm must not enter, beside those of arm.yaml: x, y, z of two
+            corners each, m, base frame.
+        floor: height (m, base frame) that the arm must stay above.
+        seen: says of tip poses (M, 4, 4) which ones (M,) the cameras see; the others are left out.
         note: called with each finding of the admission.
 
     Returns:
@@ -76,33 +85,48 @@ def plan(
 
     Raises:
         InputError: n is out of range, no such kind, or the diagnosis asks for no poses.
-        JobError: the rows measured so far could not be fitted.
+        JobError: the rows measured so far could not be fitted; too few poses are allowed.
     """
+    within = bounded(arm, keep_out, floor)
+
+    def allowed(poses: Plan, where: Model) -> np.ndarray:
+        free = outside_boxes(where, poses)
+        if view_deg is not None:
+            free = free & in_view(where, poses, math.radians(view_deg))
+        return free if seen is None else free & seen(where.pose(poses.q))
+
     if kind == "i-optimal" or kind == "d-optimal":
         if report is not None:
             model, measured = Path(report) / MODEL, measured or _session_of(report)
         known = physics(arm, model)
         rows = None if measured is None else admitted(measured, arm, known, note=note)
         uncertain = Uncertainty.of(known, rows, measure, known=model is not None, sigma=noise)
-        boxes = [_box(box) for box in keep_out]
-
-        def allowed(poses: Plan) -> np.ndarray:
-            free = outside_boxes(uncertain.model, poses, boxes)
-            if view_deg is None:
-                return free
-            return free & in_view(uncertain.model, poses, math.radians(view_deg))
-
+        fitted = uncertain.model.arm.model_copy(update={"keep_out": within.keep_out})
+        where = replace(uncertain.model, arm=fitted)
         return optimal_poses(
-            uncertain, n, criterion=kind, measure=measure, allowed=allowed, rng=seed
-        )
-    if keep_out or view_deg is not None or measured is not None or model is not None:
-        allowed_kinds = " or ".join(_OPTIMAL)
-        raise InputError("plan", "kind", kind, f"{allowed_kinds}, with model, rows, view or boxes")
+            uncertain, n, criterion=kind, measure=measure,
+            allowed=lambda poses: allowed(poses, where), rng=seed,
+        )  # fmt: skip
+    if measured is not None or model is not None:
+        raise InputError("plan", "kind", kind, f"{' or '.join(_OPTIMAL)}, with model or rows")
+    where = declared_model(within)
     if report is not None:
-        return read_next_poses(report, arm, n)
+        asked = read_next_poses(report, arm, n)
+        free = np.flatnonzero(allowed(asked, where))
+        if len(free) < len(asked):
+            note(f"{len(asked) - len(free)} poses of the diagnosis are not allowed: left out")
+        return asked.take(free)
     if kind not in _FILLING:
         raise InputError("plan", "kind", kind, ", ".join((*_FILLING, *_OPTIMAL)))
-    return _FILLING[kind](arm, n, seed)
+    make, most = _FILLING[kind]
+    return filled(make, arm, n, seed, lambda poses: allowed(poses, where), most(arm))
+
+
+def bounded(arm: Arm, keep_out: Sequence[Sequence[float]], floor: float | None) -> Arm:
+    """The arm with further boxes and a floor."""
+    boxes = {f"box {k}": _box(given) for k, given in enumerate(keep_out, 1)}
+    arm = arm.model_copy(update={"keep_out": {**arm.keep_out, **boxes}})
+    return arm if floor is None else above(arm, floor)
 
 
 def _session_of(report: FilePath) -> Path | None:
@@ -112,8 +136,9 @@ def _session_of(report: FilePath) -> Path | None:
     return path if said and path.exists() else None
 
 
-def _box(given: Sequence[float]) -> np.ndarray:
+def _box(given: Sequence[float]) -> Box:
     box = np.array(given, dtype=float).reshape(-1)
-    if box.shape != (6,) or not np.isfinite(box).all():
+    low, high = np.sort(box.reshape(2, 3), axis=0) if box.shape == (6,) else (box, box)
+    if not np.isfinite(box).all() or not (low < high).all():
         raise InputError("plan", "keep_out", list(given), "x, y, z of two corners (m)")
-    return box.reshape(2, 3)
+    return Box(min_m=tuple(low.tolist()), max_m=tuple(high.tolist()))

@@ -22,8 +22,8 @@ class Box(Declared):
         return self
 
     def crossed(self, points: np.ndarray) -> np.ndarray:
-        """(k - 1,) bool: which segments of a polyline (k, 3), m, have a point in the box."""
-        begin, way = points[:-1], np.diff(points, axis=0)
+        """(..., k - 1) bool: which segments of polylines (..., k, 3), m, are partly in the box."""
+        begin, way = points[..., :-1, :], np.diff(points, axis=-2)
         low, high = np.array(self.min_m), np.array(self.max_m)
         with np.errstate(divide="ignore", invalid="ignore"):
             near, far = (low - begin) / way, (high - begin) / way
@@ -31,7 +31,7 @@ class Box(Declared):
         still = way == 0.0  # along this axis: all of the segment is between the planes, or none
         enter = np.where(still, np.where(inside, -np.inf, np.inf), np.minimum(near, far))
         leave = np.where(still, np.where(inside, np.inf, -np.inf), np.maximum(near, far))
-        first = np.maximum(enter.max(axis=1), 0.0)
-        last = np.minimum(leave.min(axis=1), 1.0)
+        first = np.maximum(enter.max(axis=-1), 0.0)
+        last = np.minimum(leave.min(axis=-1), 1.0)
         hit: np.ndarray = first <= last
         return hit

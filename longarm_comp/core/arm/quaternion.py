@@ -51,11 +51,41 @@ def from_rotation(matrix: np.ndarray) -> np.ndarray:
     return -q if q[3] < 0 else q
 
 
+def rotation_vector(quaternion: np.ndarray) -> np.ndarray:
+    """Axis times angle (3,), rad, of x, y, z, w with w >= 0."""
+    x, y, z, w = (float(v) for v in quaternion)
+    sine = math.hypot(x, y, z)
+    return np.array([x, y, z]) * (2 * math.atan2(sine, w) / sine if sine else 2.0)
+
+
+def from_rotation_vector(vector: np.ndarray) -> np.ndarray:
+    """x, y, z, w of an axis times an angle (3,), rad."""
+    angle = float(np.linalg.norm(vector))
+    half = math.sin(angle / 2) / angle if angle else 0.5
+    return np.array([*(half * np.asarray(vector)), math.cos(angle / 2)])
+
+
 def pose(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
     """Homogeneous matrix (4, 4) of a position (m) and x, y, z, w."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation(quaternion), position
     return matrix
+
+
+def between(one: np.ndarray, two: np.ndarray, share: float) -> np.ndarray:
+    """The orientation at a share of the shortest way from one to the other (slerp), x, y, z, w.
+
+    Source: Shoemake, Animating Rotation with Quaternion Curves (1985).
+    """
+    cosine = float(one @ two)
+    two, cosine = (-two, -cosine) if cosine < 0 else (two, cosine)
+    angle = math.acos(min(1.0, cosine))
+    if angle < 1e-6:  # straight and curved ways are the same
+        mixed = (1 - share) * one + share * two
+    else:
+        mixed = math.sin((1 - share) * angle) * one + math.sin(share * angle) * two
+    made: np.ndarray = mixed / np.linalg.norm(mixed)
+    return made
 
 
 def tilt(quaternion: np.ndarray) -> tuple[float, float]:

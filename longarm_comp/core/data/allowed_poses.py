@@ -2,39 +2,82 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
+from collections.abc import Callable
 
 import numpy as np
 
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.boxes import Box
 from longarm_comp.core.arm.measuring import CameraSensor
 from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.data.plan import Plan
-from longarm_comp.core.errors import InputError
-from longarm_comp.core.model.model import Model, unstack
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.model.keep_out import boxes_entered
+from longarm_comp.core.model.model import Model
 
-_ALONG = np.linspace(0.0, 1.0, 9)
-"""Points along each link that are looked at."""
+FLOOR = "floor"
+"""Name of the keep-out box that is everything below a height."""
+_FAR = 1e3
+_TIMES = (4, 16, 64)
+"""Poses that are drawn for each one that is wanted, where fewer do not give enough."""
+
+Allowed = Callable[[Plan], np.ndarray]
+"""(M,) bool: which of M poses may be taken."""
 
 
-def outside_boxes(model: Model, plan: Plan, boxes: Sequence[np.ndarray]) -> np.ndarray:
-    """(M,) whether the arm stays out of every box, at each pose and where its run-up begins.
+def above(arm: Arm, height_m: float) -> Arm:
+    """The arm with a floor at a height (m, base frame) among its keep-out boxes.
 
-    The arm is the line through the origins of its frames to the tip.
+    Raises:
+        InputError: the arm's foot does not stand above it.
+    """
+    foot = arm.base.xyz_m[2]
+    if not height_m < foot:
+        raise InputError("floor", "--floor", height_m, f"below the arm's foot, z = {foot:g} m")
+    floor = Box(min_m=(-_FAR, -_FAR, -_FAR), max_m=(_FAR, _FAR, height_m))
+    return arm.model_copy(update={"keep_out": {**arm.keep_out, FLOOR: floor}})
+
+
+def outside_boxes(model: Model, plan: Plan) -> np.ndarray:
+    """(M,) whether the arm stays out of its keep-out boxes, at each pose and where it runs up.
 
     Args:
-        model: where the arm stands.
+        model: where the arm stands, with the boxes of its `arm`.
         plan: M poses.
-        boxes: (2, 3) opposite corners (m) in the frame of the measurements, each.
     """
-    free = np.ones(len(plan), dtype=bool)
+    if not model.arm.keep_out:
+        return np.ones(len(plan), dtype=bool)
     start = plan.q - plan.approach * run_up_lengths(model.arm)
-    for q in (plan.q, np.clip(start, model.arm.lower, model.arm.upper)) if boxes else ():
-        line = _line(model, q)
-        for box in boxes:
-            inside = (line >= np.min(box, axis=0)) & (line <= np.max(box, axis=0))
-            free &= ~inside.all(axis=2).any(axis=1)
-    return free
+    begun = np.clip(start, model.arm.lower, model.arm.upper)
+    pairs = zip(boxes_entered(model, plan.q), boxes_entered(model, begun), strict=True)
+    return np.array([not any(pair) for pair in pairs])
+
+
+def filled(
+    make: Callable[[Arm, int, int], Plan], arm: Arm, n: int, seed: int, allowed: Allowed, most: int
+) -> Plan:
+    """The first n poses that are allowed, of a kind of plan that fills the joint box.
+
+    Args:
+        make: makes a plan of so many poses.
+        arm: whose joints.
+        n: how many poses.
+        seed: of the plan.
+        allowed: which poses may be taken.
+        most: poses that this kind of plan has.
+
+    Raises:
+        InputError: n is out of range.
+        JobError: too few poses are allowed.
+    """
+    free, tried = np.zeros(0, dtype=int), 0
+    for count in sorted({n, *(min(times * n, most) for times in _TIMES)}):
+        plan = make(arm, count, seed)
+        free, tried = np.flatnonzero(allowed(plan))[:n], count
+        if len(free) == n:
+            return plan if count == n else plan.take(free)
+    why = "keep-out boxes, floor and cameras leave no more"
+    raise JobError(f"only {len(free)} of {tried} poses are allowed: {why}", asked=n)
 
 
 def in_view(model: Model, plan: Plan, half_angle: float) -> np.ndarray:
@@ -62,14 +105,3 @@ def in_view(model: Model, plan: Plan, half_angle: float) -> np.ndarray:
         along = ray @ axis / np.linalg.norm(axis)
         seen |= along >= np.cos(half_angle) * np.linalg.norm(ray, axis=1)
     return seen
-
-
-def _line(model: Model, q: np.ndarray) -> np.ndarray:
-    """(M, k, 3) points along the arm."""
-    posture = model.posture(unstack(q))
-    stations = [posture.frame(row) for row in range(len(model.arm.joints) + 1)]
-    frames = [posture.frames[k] for k in stations] + [model.tip_frame(posture)]
-    origins = [np.broadcast_to(f.matrix()[..., :3, 3], (len(q), 3)) for f in frames]
-    pairs = itertools.pairwise(origins)
-    parts = [a[:, None] + _ALONG[:, None] * (b - a)[:, None] for a, b in pairs]
-    return np.concatenate(parts, axis=1)

@@ -50,6 +50,11 @@ class Plan:
         """Number of poses."""
         return len(self.q)
 
+    def take(self, rows: np.ndarray) -> Plan:
+        """Some of the poses, by number."""
+        payload = None if self.payload_kg is None else self.payload_kg[rows]
+        return Plan(self.q[rows], self.approach[rows], payload)
+
 
 def paper_grid(arm: Arm) -> np.ndarray:
     """The paper's training grid (Section III.B) for any arm, (N, n).

@@ -99,9 +99,7 @@ def diagnose(
     proof = prove(models, identified.calibrated, identified.search.fit, held_out, rng)
     outcome = judge(identified, calibrated, proof, network, learn, held_out, rng)
     structure = all_signs(outcome.structure, identified.search, outcome.proof)
-    discovery = None
-    if structure.flag or not outcome.findings:
-        discovery = look_further(identified, outcome, sealed, rng, say, seed)
+    discovery = look_further(identified, outcome, structure.flag, sealed, rng, say, seed)
     if discovery is not None and discovery.kept:
         outcome = with_discovery(outcome, discovery, learn, held_out)
         structure = at_least(structure, discovery)

@@ -12,7 +12,7 @@ from longarm_comp.core.data.holdout import Sealed
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.diagnosis import DISCOVERED
-from longarm_comp.core.identify.discover.discovery import Discovery, discover
+from longarm_comp.core.identify.discover.discovery import Discovery, contest, discover
 from longarm_comp.core.identify.identified import Identified, Progress
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import from_repeats
@@ -100,6 +100,7 @@ def _roll_back(
 def look_further(
     identified: Identified,
     outcome: Judged,
+    left: bool,
     sealed: Sealed,
     rng: np.random.Generator,
     say: Progress,
@@ -108,19 +109,23 @@ def look_further(
     """Functions without a name for what is left, beside the effects or in their place.
 
     Also where nothing was named and no structure shows: what a column drives on one axis may be
-    taken for noise.
+    taken for noise.  Where names leave nothing, one term in their place must be clearly better.
+
+    Args:
+        left: whether structure is left.
     """
     named, plain = identified.search.fit, identified.calibrated
     known = from_repeats(plain.model, plain.session)
-    bare = outcome.rolled_back or not outcome.findings
     count = len(identified.candidates)
 
     def unseal() -> Session:
         opened = sealed.open("functions without a name")
         return opened.take(opened.seen)
 
-    base, without = (plain, None) if bare else (named, plain)
-    return discover(base, without, count, unseal, known, rng, say, seed)
+    if outcome.rolled_back or not outcome.findings:
+        return discover(plain, None, count, unseal, known, rng, say, seed)
+    look = discover if left else contest
+    return look(named, plain, count, unseal, known, rng, say, seed)
 
 
 def at_least(structure: Structure, found: Discovery) -> Structure:

@@ -24,19 +24,24 @@ def entered(model: Model, path: np.ndarray) -> str:
         path: (k, n) way-points, the first where the arm stands; rad, m.
     """
     boxes = model.arm.keep_out
-    if not boxes:
-        return ""
-    for start, end in pairwise(path):
-        for share in np.linspace(0.0, 1.0, _STEPS + 1)[1:]:
-            q = start + share * (end - start)
-            points = outline(model, q)
-            for name, box in boxes.items():
-                parts = np.flatnonzero(box.crossed(points))
-                if len(parts):
-                    near, at = (_listed(numbers) for numbers in (points[parts[0] + 1], q))
-                    return f"keep_out {name}: the arm would enter it near {near} m, at joints {at}"
+    shares = np.linspace(0.0, 1.0, _STEPS + 1)[1:, None]
+    for start, end in pairwise(path) if boxes else ():
+        q = start + shares * (end - start)
+        found = boxes_entered(model, q)
+        if any(found):
+            k = next(k for k, text in enumerate(found) if text)
+            at = ", ".join(f"{number:.3g}" for number in q[k])
+            return f"keep_out {found[k]}, at joints {at}"
     return ""
 
 
-def _listed(numbers: np.ndarray) -> str:
-    return ", ".join(f"{number:.3g}" for number in numbers)
+def boxes_entered(model: Model, q: np.ndarray) -> list[str]:
+    """For each of the postures q (M, n): the box of arm.yaml that the arm is in, and where."""
+    lines = outline(model, q)
+    found = [""] * len(q)
+    for name, box in model.arm.keep_out.items():
+        parts = box.crossed(lines)
+        for k in np.flatnonzero(parts.any(axis=-1)):
+            near = ", ".join(f"{number:.3g}" for number in lines[k, np.argmax(parts[k]) + 1])
+            found[k] = found[k] or f"{name}: the arm would enter it near {near} m"
+    return found

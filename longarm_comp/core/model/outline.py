@@ -10,10 +10,11 @@ from longarm_comp.core.model.tip_motion import stack
 
 
 def outline(model: Model, q: np.ndarray, context: Context | None = None) -> np.ndarray:
-    """Points (k, 3) m, base frame: every station of the chain from the foot to the tip, q (n,)."""
+    """Points (..., k, 3) m, base frame: every station from the foot to the tip, at q (..., n)."""
     posture = model.posture(unstack(q), context)
-    points = [stack(frame.p) for frame in posture.frames]
-    return np.array([*points, stack(model.tip_frame(posture).p)])
+    points = [stack(frame.p) for frame in (*posture.frames, model.tip_frame(posture))]
+    shape = (*np.shape(q)[:-1], 3)
+    return np.stack([np.broadcast_to(point, shape) for point in points], axis=-2)
 
 
 def exaggerated(hanging: np.ndarray, declared: np.ndarray, factor: float) -> np.ndarray:

@@ -11,13 +11,16 @@ from longarm_comp.devices.servo_bus.errors import (
     ServoTimeout,
 )
 from longarm_comp.devices.servo_bus.registry import MODELS, PROTOCOLS, open_bus
+from longarm_comp.devices.servo_bus.scan import FoundServo, Scan, scan_line, usable_ports
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
 
 __all__ = [
     "MODELS",
     "PROTOCOLS",
     "BusUnplugged",
+    "FoundServo",
     "IncompleteReply",
+    "Scan",
     "SerialServoBus",
     "ServoAlarm",
     "ServoBus",
@@ -29,4 +32,6 @@ __all__ = [
     "ServoState",
     "ServoTimeout",
     "open_bus",
+    "scan_line",
+    "usable_ports",
 ]

@@ -41,6 +41,8 @@ class Dialect(ABC):
     Attributes:
         overhead: bytes of a status frame besides its data.
         model: the servo's model number.
+        firmware: its version.
+        baudrates: rates that servos of this protocol are used at, the factory's first.
         state: everything a ``ServoState`` needs, in one read.
         goal: goal position with its speed.
         torque: one byte, 0 free, 1 driven.
@@ -51,6 +53,8 @@ class Dialect(ABC):
 
     overhead: ClassVar[int]
     model: ClassVar[Block]
+    firmware: ClassVar[Block]
+    baudrates: ClassVar[tuple[int, ...]]
     state: ClassVar[Block]
     goal: ClassVar[Block]
     torque: ClassVar[Block]

@@ -29,6 +29,8 @@ class FeetechSts(Dialect):
 
     overhead = 6
     model = Block(3, 2)
+    firmware = Block(0, 2)
+    baudrates = (1_000_000, 500_000, 115_200, 57_600, 38_400)
     turns = Block(9, 4)
     torque = Block(40, 1)
     goal = Block(41, 7)

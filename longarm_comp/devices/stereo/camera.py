@@ -110,6 +110,14 @@ class Camera:
         by_point[:, 0, 2], by_point[:, 1, 2] = -u / z, -v / z
         return pixels, by_ray @ (by_point @ self.rotation)
 
+    @property
+    def pose(self) -> Array:
+        """This camera's own frame in the rig's, (4, 4)."""
+        made = np.eye(4)
+        made[:3, :3] = self.rotation.T
+        made[:3, 3] = -self.rotation.T @ self.translation
+        return made
+
     @cached_property
     def _pinhole(self) -> bool:
         return not np.any(self.d)
@@ -161,8 +169,7 @@ class StereoRig:
     @property
     def baseline_m(self) -> float:
         """Distance of the two camera centres, m."""
-        centres = [-camera.rotation.T @ camera.translation for camera in (self.left, self.right)]
-        return float(np.linalg.norm(centres[1] - centres[0]))
+        return float(np.linalg.norm((self.right.pose - self.left.pose)[:3, 3]))
 
     @classmethod
     def from_camera_info(

@@ -107,6 +107,12 @@ class StereoEye:
         return sighting
 
     @property
+    def cameras(self) -> tuple[Array, Array]:
+        """Pose (4, 4) of the left and of the right optical frame in the base frame."""
+        left, right = (self._hand_eye @ camera.pose for camera in (self.rig.left, self.rig.right))
+        return left, right
+
+    @property
     def corner_sigma_px(self) -> float | None:
         """Noise of corners over the last sightings (pooled residuals), px.
 

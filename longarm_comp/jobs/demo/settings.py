@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from longarm_comp.jobs.collect import Pace
 from longarm_comp.jobs.demo.table import NAMES
 from longarm_comp.jobs.loop.settings import LoopSettings
+from longarm_comp.jobs.pace import Pace
 from longarm_comp.nodes.bringup import BringUp
 from longarm_comp.share import folder
 

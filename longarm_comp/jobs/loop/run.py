@@ -16,7 +16,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.apply import FilesAtWork, apply_on_graph, files_at_work
 from longarm_comp.jobs.client import ArmClient
-from longarm_comp.jobs.collect import collect
+from longarm_comp.jobs.collect.run import collect
 from longarm_comp.jobs.loop.journal import Journal
 from longarm_comp.jobs.loop.rule import Decision, another_round
 from longarm_comp.jobs.loop.settings import LoopSettings
@@ -210,7 +210,7 @@ class Loop:
         bag = settings.path("session", k)
         done = collect(
             self._client, todo, bag, pace=settings.pace, resume=(bag / "metadata.yaml").is_file(),
-            progress=self._say,
+            progress=lambda now: self._say(str(now), now.share),
         )  # fmt: skip
         return done.made + done.before
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.jobs.collect import Pace
+from longarm_comp.jobs.pace import Pace
 
 LEAST_POSES = 60
 """With fewer poses the diagnosis cannot weigh a library of some 170 parameters."""

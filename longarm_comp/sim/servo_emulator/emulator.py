@@ -57,6 +57,7 @@ class ServoEmulator:
         self._devices: dict[int, Device] = {
             i: self._wire.device(i, Motor(specs[i], ticks)) for i, ticks in positions.items()
         }
+        self._twins: dict[int, Device] = {}
         self._link = link
         self._load_of = load_of
         self._byte_s = 10.0 / baudrate if baudrate else 0.0
@@ -170,6 +171,12 @@ class ServoEmulator:
             self._advance()
             self._devices[servo_id].motor.position = ticks
 
+    def add_twin(self, servo_id: int, ticks: float) -> None:
+        """Put another servo with the same id on the bus; both answer at once."""
+        with self._lock:
+            motor = Motor(self._devices[servo_id].motor.spec, ticks)
+            self._twins[servo_id] = self._wire.device(servo_id, motor)
+
     def _advance(self) -> None:
         """Bring the mechanics up to the present in small steps (the load follows the motion)."""
         now = time.monotonic()
@@ -207,14 +214,21 @@ class ServoEmulator:
 
     def _answers(self, frame: bytes) -> list[tuple[int, bytes]]:
         try:
-            return self._wire.answer(frame, self._devices)
+            replies = self._wire.answer(frame, self._devices)
+            others = dict(self._wire.answer(frame, self._twins)) if self._twins else {}
         except IndexError:
             return []  # fewer parameters than the instruction needs: a servo ignores it
+        return [(i, _collided(reply, others.get(i, reply))) for i, reply in replies]
 
     def _frames(self, buffer: bytearray) -> list[bytes]:
         frames = self._wire.take(buffer)
         self.frames_heard += len(frames)
         return frames
+
+
+def _collided(one: bytes, other: bytes) -> bytes:
+    """Two frames at once on one line: low wins."""
+    return bytes(a & b for a, b in zip(one, other, strict=False))
 
 
 def _send(master: int, data: bytes) -> None:

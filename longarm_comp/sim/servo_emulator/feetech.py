@@ -15,7 +15,7 @@ from longarm_comp.sim.servo_emulator.motor import (
 from longarm_comp.sim.servo_emulator.wire import BROADCAST, Device, Wire
 
 PING, READ, WRITE, REG_WRITE, ACTION, SYNC_READ, SYNC_WRITE = 1, 2, 3, 4, 5, 0x82, 0x83
-MODEL, ID, MIN_ANGLE, MAX_ANGLE, MAX_TEMPERATURE = 3, 5, 9, 11, 13
+FIRMWARE, MODEL, ID, MIN_ANGLE, MAX_ANGLE, MAX_TEMPERATURE = 0, 3, 5, 9, 11, 13
 TORQUE, GOAL, GOAL_SPEED, LOCK = 40, 42, 46, 55
 POSITION, SPEED, LOAD, VOLTS, TEMPERATURE, STATUS, MOVING, AMPS = 56, 58, 60, 62, 63, 65, 66, 69
 MEMORY = 87
@@ -30,6 +30,7 @@ class FeetechWire(Wire):
 
     def device(self, servo_id: int, motor: Motor) -> Device:
         device = Device(servo_id, bytearray(MEMORY), motor)
+        device.put(FIRMWARE, 2, 3 | 10 << 8)
         device.put(MODEL, 2, 777)
         device.put(ID, 1, servo_id)
         device.put(MIN_ANGLE, 2, 0)
@@ -115,7 +116,10 @@ def _refresh(device: Device) -> None:
     """Bring the read-only part of the memory up to date."""
     motor = device.motor
     device.put(TORQUE, 1, int(motor.torque_on))
-    device.put(POSITION, 2, _sign_magnitude(round(motor.position), 15))
+    ticks = round(motor.position)
+    if device.get(MAX_ANGLE, 2):
+        ticks %= motor.spec.ticks_per_turn  # in ordinary mode the encoder knows one turn only
+    device.put(POSITION, 2, _sign_magnitude(ticks, 15))
     device.put(SPEED, 2, _sign_magnitude(round(motor.velocity), 15))
     device.put(LOAD, 2, _sign_magnitude(round(motor.effort * 1000), 10))
     device.put(VOLTS, 1, round(motor.voltage_v * 10))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -10,20 +11,24 @@ import numpy as np
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.discover import words
-from longarm_comp.core.identify.discover.bank import Weighed
+from longarm_comp.core.identify.discover.bank import Weighed, weight
 from longarm_comp.core.identify.discover.banks import CAMERA
 from longarm_comp.core.identify.discover.propose import doubts, proposed
-from longarm_comp.core.identify.discover.search import SearchedFunctions, search
+from longarm_comp.core.identify.discover.search import SearchedFunctions, first, search
 from longarm_comp.core.identify.discover.terms import key_of, terms_of
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
 from longarm_comp.core.identify.practical import Gain
-from longarm_comp.core.identify.proof import Proof, prove
+from longarm_comp.core.identify.proof import ENOUGH_OFF, Proof, prove
 from longarm_comp.core.identify.structure import Structure, examine
 
+FAR = 2.0
+"""Terms that leave this many times what the library's effects leave do not come to replace them."""
 SIMPLER = 3.0
 """Log odds that effects of the library beside what was found must bring to stay."""
+CLEAR = math.log(1000.0)
+"""Log odds for one term instead of names of the library, where these leave no structure."""
 
 Term = Effect | Bias
 
@@ -149,17 +154,54 @@ def discover(
     best = search(base, known, say)
     start = base
     if plain is not None:
-        alone = search(plain, known, say)
-        if alone is not None and _simpler(alone, best, base, plain, count):
+        alone = search(plain, known, say, lambda fit: _near(fit, base))
+        if alone is not None and _advantage(alone, best, base, plain, count) > -SIMPLER:
             best, start = alone, plain
-    if best is None:
+    return None if best is None else _proven(best, base, start, unseal(), rng, seed)
+
+
+def contest(
+    base: ModelFit,
+    less: ModelFit,
+    count: int,
+    unseal: Callable[[], Session],
+    known: NoiseEstimate | None,
+    rng: np.random.Generator,
+    say: Callable[[str], None] = lambda _: None,
+    seed: int = 0,
+) -> Discovery | None:
+    """Whether one term explains clearly better what named effects explain together.
+
+    Names that only imitate a cause may leave no structure to look into.  The cause itself leaves
+    less than they do, with no more parameters.
+
+    Args:
+        less: fit without the names in question; all else as `discover`.
+    """
+    say("functions without a name instead of names")
+    one = first(less, known, say)
+    if one is None or len(one.fit.slots) > len(base.slots):
         return None
-    held_out = unseal()
+    if _advantage(one, None, base, less, count) < CLEAR:
+        return None
+    best = search(less, known, say) or one
+    return _proven(best, base, less, unseal(), rng, seed)
+
+
+def _proven(
+    best: SearchedFunctions,
+    base: ModelFit,
+    start: ModelFit,
+    held_out: Session,
+    rng: np.random.Generator,
+    seed: int,
+) -> Discovery:
+    """What was found on top of `start`, and what unseen poses say of it against `base`."""
     proof = prove(
         {"calibrated": base.model, "with_effects": best.fit.model}, base, best.fit, held_out, rng
     )
     gain = Gain.of(proof.errors["calibrated"], proof.errors["with_effects"])
-    kept = proof.better and gain.ci95[0] > 0
+    kept = proof.better and gain.ci95[0] > 0 and _between(proof)
     held = {t.name for t in start.model.terms}
     gone = tuple(dict.fromkeys(t.name for t in base.model.terms if t.name not in held))
     structure = examine(best.fit, start, rng)
@@ -177,23 +219,44 @@ def discover(
     )
 
 
-def _simpler(
+def _between(proof: Proof) -> bool:
+    """Whether rows off the levels of a grid, where there are some, are no worse for it."""
+    off = proof.off_levels
+    before, after = (
+        np.linalg.norm(proof.errors[k][off], axis=1) for k in ("calibrated", "with_effects")
+    )
+    return len(after) < ENOUGH_OFF or bool(after.mean() < before.mean())
+
+
+def _near(fit: ModelFit, base: ModelFit) -> bool:
+    """Whether what a fit leaves is of the size that the library's effects leave."""
+    rms = [np.sqrt(((f.residual * weight(base)) ** 2).sum()) for f in (fit, base)]
+    return bool(rms[0] < FAR * rms[1])
+
+
+def _advantage(
     alone: SearchedFunctions,
     beside: SearchedFunctions | None,
     base: ModelFit,
-    plain: ModelFit,
+    less: ModelFit,
     count: int,
-) -> bool:
-    """Whether what was found explains the rows without the library's effects as well."""
+) -> float:
+    """Log odds for what was found without some effects of the library, against these.
+
+    Args:
+        alone: what was found without them; `beside`: what was found beside them.
+        base: fit with them; `less`: without.
+        count: number of candidates of the library.
+    """
     full = beside.fit if beside is not None else base
     sigma = np.minimum(alone.fit.sigma, full.sigma)
     weights = np.minimum(alone.fit.weights, full.weights)
-    names = {t.name for t in base.model.terms} - {t.name for t in plain.model.terms}
+    names = {t.name for t in base.model.terms} - {t.name for t in less.model.terms}
     chosen = [g.candidate.log_prior for g in (beside.groups if beside is not None else ())]
     theirs = _log_evidence(full, sigma, weights) + sum(chosen) - len(names) * np.log(count)
     mine = _log_evidence(alone.fit, sigma, weights)
     mine += sum(g.candidate.log_prior for g in alone.groups)
-    return bool(mine > theirs - SIMPLER)
+    return float(mine - theirs)
 
 
 def _log_evidence(fit: ModelFit, sigma: np.ndarray, weights: np.ndarray) -> float:

@@ -22,6 +22,7 @@ from longarm_comp.core.identify.discover.bank import (
 )
 from longarm_comp.core.identify.discover.banks import banks
 from longarm_comp.core.identify.discover.functions import nearby
+from longarm_comp.core.identify.discover.screening import Screening
 from longarm_comp.core.identify.discover.terms import (
     key_of,
     part,
@@ -73,7 +74,10 @@ PLACES = 3.0
 
 
 def search(
-    base: ModelFit, known: NoiseEstimate | None, say: Callable[[str], None] = lambda _: None
+    base: ModelFit,
+    known: NoiseEstimate | None,
+    say: Callable[[str], None] = lambda _: None,
+    promising: Callable[[ModelFit], bool] = lambda _: True,
 ) -> SearchedFunctions | None:
     """Terms that explain what a fit leaves; None where nothing does.
 
@@ -81,10 +85,14 @@ def search(
         base: fit of everything that has a name.
         known: noise from repeats, where there is any.
         say: told what is being looked at.
+        promising: asked about the fit when no further term pays; where it is not, nothing is
+            improved and nothing returned.
     """
     state = _State(base, known)
     for _ in range(ROUNDS):
         grown = state.grow(say)
+        if not promising(state.fit):
+            return None
         if not grown or not (state.swap(say) | state.join(say)):
             break
     if not state.groups:
@@ -94,12 +102,33 @@ def search(
     return SearchedFunctions(state.fit, groups, state.noise, others)
 
 
+def first(
+    base: ModelFit, known: NoiseEstimate | None, say: Callable[[str], None] = lambda _: None
+) -> SearchedFunctions | None:
+    """The term that explains most of what a fit leaves, fitted; None where none pays.
+
+    Args as `search`, of which it is the first step.
+    """
+    state = _State(base, known)
+    best = state.best()
+    if best is None or best.log_evidence < ENOUGH:
+        return None
+    say(_label(best.candidate))
+    try:
+        state.take((best,))
+    except JobError:
+        return None
+    return SearchedFunctions(state.fit, state.groups, state.noise, ((),) * len(state.groups))
+
+
 class _State:
     def __init__(self, base: ModelFit, known: NoiseEstimate | None) -> None:
         self.base, self.known = base, known
         self.groups: tuple[Weighed, ...] = ()
         self.fit, self.noise = refitted(base.model, base, known)
         self.banks = banks(self.fit)
+        self._screened_for: ModelFit | None = None
+        self._screened: tuple[Screening, ...] = ()
 
     # ------------------------------------------------------------------ scoring
 
@@ -116,16 +145,22 @@ class _State:
         """Candidates of all banks, best first, thresholds and frequencies refined."""
         kept = self._kept(without)
         marginal, py = self._marginal(kept)
-        design = whitened_design(self.fit)[..., kept]
         made: list[Weighed] = []
-        for bank in self.banks:
-            few = bank.screened(self.fit, design, py, SCREENED)
+        for bank, screening in zip(self.banks, self._screenings(), strict=True):
+            few = screening.best(kept, py, SCREENED)
             mine = [bank.score(marginal, self.fit, c) for c in few if not self._held(c, without)]
             mine.sort(key=lambda s: -s.log_evidence)
             for one in mine[:DENSE]:
                 mine += self._refined(bank, marginal, one)
             made += mine
         return sorted(made, key=lambda s: -s.log_evidence)
+
+    def _screenings(self) -> tuple[Screening, ...]:
+        """One of every bank for the fit as it is now."""
+        if self._screened_for is not self.fit:
+            self._screened_for = self.fit
+            self._screened = tuple(Screening(bank, self.fit) for bank in self.banks)
+        return self._screened
 
     def _refined(self, bank: Bank, marginal: Marginal, one: Weighed) -> list[Weighed]:
         """A candidate with other thresholds or frequencies, closer and closer to the best."""

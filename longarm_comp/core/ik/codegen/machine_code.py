@@ -8,6 +8,8 @@ from typing import Any
 
 import llvmlite.binding as llvm
 
+from longarm_comp.core.ik.codegen import Compiled
+
 
 class Code:
     """A loaded module.
@@ -56,4 +58,5 @@ def compile_module(text: str, width: int) -> Code:
     )
     engine = llvm.create_mcjit_compiler(module, machine)
     engine.finalize_object()
+    Compiled.programs += 1
     return Code(engine, width)

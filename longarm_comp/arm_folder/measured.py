@@ -1,0 +1,76 @@
+"""What was measured of an arm's folder: `measured.yaml`, written by the commands that measure.
+
+Each entry keeps the values that were found. A file that holds other values now was changed by hand
+since, and its values count as declared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from longarm_comp.arm_folder.parameter_file import one_line
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import write_text
+from longarm_comp.core.strict_yaml import read_yaml
+
+FILE = "measured.yaml"
+_HEAD = """# What was measured, when, and by which command. `longarm check` compares the values with
+# the files: what was changed by hand since then counts as declared.
+"""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One measurement.
+
+    Attributes:
+        at: when, ISO 8601.
+        by: the command.
+        values: dotted names of parameters and what was found for them.
+        facts: how good it is.
+    """
+
+    at: str
+    by: str
+    values: dict[str, Any]
+    facts: dict[str, Any]
+
+    def changed(self, now: Mapping[str, Any]) -> list[str]:
+        """Names of parameters that have other values now."""
+        return [name for name, value in self.values.items() if now.get(name) != value]
+
+
+def read_measured(folder: Path) -> dict[str, Measured]:
+    """Measurements of a folder by file name.
+
+    Raises:
+        InputError: the record cannot be read.
+    """
+    path = folder / FILE
+    if not path.is_file():
+        return {}
+    data = read_yaml(path)
+    try:
+        return {
+            str(file): Measured(
+                str(entry["at"]), str(entry["by"]), dict(entry["values"]), dict(entry["facts"])
+            )
+            for file, entry in data.items()
+        }
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        allowed = "FILE: {at, by, values, facts}, as the commands write it"
+        raise InputError(path, "entry", repr(error), allowed) from error
+
+
+def note_measured(
+    folder: Path, file: str, by: str, values: Mapping[str, Any], facts: Mapping[str, Any]
+) -> None:
+    """Add a measurement to the record, in place of an earlier one of the same file."""
+    now = datetime.now(timezone.utc).isoformat(timespec="seconds")
+    known = {**read_measured(folder), file: Measured(now, by, dict(values), dict(facts))}
+    entries = "".join(f"{name}: {one_line(vars(entry))}\n" for name, entry in known.items())
+    write_text(folder / FILE, _HEAD + entries)

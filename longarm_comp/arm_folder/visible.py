@@ -1,0 +1,163 @@
+"""At which poses of the tip two cameras see the marker, and why not, by geometry alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
+from longarm_comp.arm_folder.sight import board_of
+from longarm_comp.core.arm import quaternion
+from longarm_comp.sim.cameras import CameraPair
+from longarm_comp.sim.plant import mounting
+
+_STEEPEST = np.cos(np.radians(75.0))
+"""A tag that is turned further from a camera is not found."""
+_TAG_PX = 12.5
+"""Nor is one that looks smaller: geometric mean of its seen sides, px."""
+_SHARE = 0.5
+"""Of the corners, that both cameras must see (`devices/stereo/limits.py`)."""
+_MARGIN = 0.1
+"""White around a tag that must be in the picture, as a share of the tag."""
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Of both cameras: focal length and middle of the image, px, and size of the image, px."""
+
+    focal_px: float
+    middle_px: tuple[float, float]
+    size_px: tuple[int, int]
+    baseline_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Two cameras side by side and a marker on the tip.
+
+    Attributes:
+        left_in_base: (4, 4) left optical frame.
+        lens: of both cameras.
+        tags: (T, 4, 3) corners of the tags with their margin on the tip frame, m.
+        normal: (3,) out of the paper, on the tip frame.
+        tag_m: side of a tag.
+    """
+
+    left_in_base: np.ndarray
+    lens: Lens
+    tags: np.ndarray
+    normal: np.ndarray
+    tag_m: float
+
+    @classmethod
+    def of(cls, bridge: Mapping[str, Any], simulated: Mapping[str, Any]) -> View:
+        """From parameters of `stereo_bridge` and `simulated_arm` by dotted name.
+
+        Raises:
+            InputError: a value that cameras or marker cannot have.
+        """
+        board = board_of(bridge)
+        corners = board.points(np.arange(board.n_corners)).reshape(-1, 4, 3)
+        middle = corners.mean(axis=1, keepdims=True)
+        wide = middle + (1.0 + 2.0 * _MARGIN) * (corners - middle)
+        on_tip = mounting(simulated["marker.mounting"])[:3, :3]
+        pair = CameraPair(
+            focal_px=simulated["camera.focal_px"],
+            size=(simulated["camera.width"], simulated["camera.height"]),
+        )
+        lens = Lens(
+            pair.focal_px, (pair.k[0, 2], pair.k[1, 2]), pair.size, simulated["camera.baseline_m"]
+        )
+        turn = np.array(bridge["hand_eye.quaternion"])
+        return cls(
+            quaternion.pose(np.array(bridge["hand_eye.xyz"]), turn),
+            lens,
+            (wide - np.array(bridge["tip_in_marker"])) @ on_tip.T,
+            on_tip[:, 2],
+            board.tag_m,
+        )
+
+    def unseen(self, tips: np.ndarray) -> list[str]:
+        """For each of the tip poses (M, 4, 4), base frame: why it is not measured, or "".
+
+        Both cameras must see half of the tags, large and straight enough.
+        """
+        local = np.linalg.inv(self.left_in_base) @ tips
+        tags = np.einsum("mij,tkj->mtki", local[:, :3, :3], self.tags) + local[:, None, None, :3, 3]
+        found = [self._inside(tags - [k * self.lens.baseline_m, 0.0, 0.0]) for k in (0, 1)]
+        both = (found[0] & found[1]).mean(axis=1) >= _SHARE
+        middle = tags.mean(axis=(1, 2)) - [0.5 * self.lens.baseline_m, 0.0, 0.0]
+        normal = local[:, :3, :3] @ self.normal
+        depth = np.linalg.norm(middle, axis=1)
+        facing = -np.einsum("mi,mi->m", normal, middle) / depth
+        pixels = self.lens.focal_px * self.tag_m / depth * np.sqrt(np.clip(facing, 0.0, 1.0))
+        why = []
+        for k in range(len(tips)):
+            if not both[k]:
+                sides = [
+                    side
+                    for side, seen in zip(("left", "right"), found, strict=True)
+                    if seen[k].mean() < _SHARE
+                ]
+                why.append(f"out of view of {_cameras(sides)} ({self._where(middle[k])})")
+            elif facing[k] < _STEEPEST:
+                turned = np.degrees(np.arccos(np.clip(facing[k], -1.0, 1.0)))
+                why.append(f"turned away: {turned:.0f} deg")
+            elif pixels[k] < _TAG_PX:
+                why.append(f"too far: {depth[k]:.2f} m, a tag is {pixels[k]:.0f} px")
+            else:
+                why.append("")
+        return why
+
+    def pixels(self, tips: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(M, 2) px of the marker's middle in the left and the right image; NaN if behind."""
+        local = np.linalg.inv(self.left_in_base) @ tips
+        middle = local[:, :3, :3] @ self.tags.mean(axis=(0, 1)) + local[:, :3, 3]
+        return self._projected(middle), self._projected(middle - [self.lens.baseline_m, 0.0, 0.0])
+
+    def _projected(self, points: np.ndarray) -> np.ndarray:
+        ahead = np.where(points[..., 2:] > 0.0, points[..., 2:], np.nan)
+        return np.asarray(self.lens.focal_px * points[..., :2] / ahead + self.lens.middle_px)
+
+    def _inside(self, tags: np.ndarray) -> np.ndarray:
+        """(M, T) whether all of a tag, corners (M, T, 4, 3) in the camera's frame, is in view."""
+        pixels = self._projected(tags)
+        with np.errstate(invalid="ignore"):
+            inside = (pixels >= 0.0) & (pixels <= np.array(self.lens.size_px) - 1.0)
+        return np.asarray(inside.all(axis=(-1, -2)))
+
+    def _where(self, point: np.ndarray) -> str:
+        """On which side of the images a point (3,) lies, seen from the middle of the cameras."""
+        if point[2] <= 0.0:
+            return "behind"
+        x, y = self._projected(point)
+        width, height = self.lens.size_px
+        beside, above = abs(x - width / 2) / width, abs(y - height / 2) / height
+        if beside >= above:
+            return "to the left" if x < width / 2 else "to the right"
+        return "above" if y < height / 2 else "below"
+
+
+def _cameras(sides: list[str]) -> str:
+    return f"the {sides[0]} camera" if len(sides) == 1 else "both cameras"
+
+
+def view_beside(arm: Path) -> View | None:
+    """What the cameras see by the files beside an arm.yaml; None where there are none.
+
+    Raises:
+        InputError: a file cannot be read, or has values that cameras or marker cannot have.
+    """
+    nodes = ("stereo_bridge", "simulated_arm")
+    files = [arm.absolute().parent / f"{node}.yaml" for node in nodes]
+    if not all(file.is_file() for file in files):
+        return None
+    bridge, simulated = (
+        own_parameters(node) | read_parameters(file)
+        for node, file in zip(nodes, files, strict=True)
+    )
+    return View.of(bridge, simulated) if bridge["marker.kind"] == "tags" else None

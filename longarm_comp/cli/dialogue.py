@@ -1,0 +1,109 @@
+"""Questions that are also flags: what is not given is asked, where there is somebody to ask."""
+
+from __future__ import annotations
+
+import select
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import click
+
+from longarm_comp.core.errors import InputError
+
+
+@dataclass(frozen=True)
+class Dialogue:
+    """Questions of one command.
+
+    Args:
+        command: its name, for errors.
+        yes: confirmations are given.
+    """
+
+    command: str
+    yes: bool = False
+
+    def ask(self, flag: str, text: str, allowed: str, default: str | None = None) -> str:
+        """The answer to a question.
+
+        Raises:
+            InputError: nobody is there to answer; it names the flag.
+        """
+        return str(self._prompted(flag, allowed, text, default=default))
+
+    def choose(self, flag: str, text: str, choices: Sequence[str], default: str) -> str:
+        """One of several answers. Raises InputError as `ask`."""
+        kind = click.Choice(list(choices))
+        return str(self._prompted(flag, ", ".join(choices), text, default=default, type=kind))
+
+    def go_on(self, text: str) -> None:
+        """Wait until the user says that it may go on.
+
+        Raises:
+            InputError: nobody is there to say so, and ``--yes`` was not given.
+            click.Abort: the user says no.
+        """
+        if self.yes:
+            return
+        answer = self._prompted("--yes", "--yes", f"{text} Go on?", default="y", type=bool)
+        if not answer:
+            raise click.Abort
+
+    def _prompted(self, flag: str, allowed: str, text: str, **options: Any) -> Any:
+        try:
+            return click.prompt(text, err=True, **options)
+        except click.Abort as abort:
+            click.echo(err=True)  # the cursor stands behind the question
+            if sys.stdin.isatty() or isinstance(abort.__context__, KeyboardInterrupt):
+                raise
+            raise InputError(
+                self.command, flag, "missing", f"{allowed}; or a terminal to ask on"
+            ) from None
+
+
+def attended() -> bool:
+    """Whether somebody sits at a terminal."""
+    return sys.stdin.isatty()
+
+
+def enter_pressed() -> bool:
+    """Whether a line was typed on the terminal since the last question."""
+    if not select.select([sys.stdin], [], [], 0.0)[0]:
+        return False
+    sys.stdin.readline()
+    return True
+
+
+@contextmanager
+def ended_by_signals() -> Iterator[None]:
+    """SIGTERM and SIGINT raise KeyboardInterrupt, so that what must be put back is."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, interrupt) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def by_name(command: str, flag: str, given: Sequence[str], names: Sequence[str]) -> dict[str, str]:
+    """Values of a flag ``NAME=VALUE`` that may be repeated.
+
+    Raises:
+        InputError: another form or an unknown name.
+    """
+    values = {}
+    for text in given:
+        name, equals, value = text.partition("=")
+        if not equals or name not in names:
+            raise InputError(command, flag, text, f"NAME=VALUE, names {', '.join(names)}")
+        values[name] = value
+    return values

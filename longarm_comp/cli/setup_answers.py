@@ -1,0 +1,179 @@
+"""Answers of ``longarm servo setup`` as given by flags, checked before anything is touched."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from longarm_comp.arm_folder.servo_file import SERVOS
+from longarm_comp.cli.dialogue import Dialogue, attended, by_name
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.devices.servo_bus import Scan
+from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.devices.servo_joint import JointConfig
+from longarm_comp.devices.servo_setup import hand_unit
+
+_COMMAND = "servo setup"
+_SIGNS = {"+": 1, "+1": 1, "-": -1, "-1": -1}
+_RANGE = re.compile(r"(-?[\d.]+)\.\.(-?[\d.]+)")
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What is known before the first question.
+
+    Attributes:
+        config: of the servo file as it is.
+        ids: servo id of joints, where given.
+        pose: joint values of the held pose, rad or m, where given.
+        stops: joint values at the ends of the sweep, rad or m, where given.
+        directions: +1 or -1 of joints, where given; filled in by the nudges.
+        nudge: size of a nudge, deg or mm.
+    """
+
+    dialogue: Dialogue
+    config: ServoConfig
+    port: str | None
+    protocol: str | None
+    baud: int | None
+    asked_ids: str
+    ids: dict[str, int]
+    sweep_s: float | None
+    no_sweep: bool
+    zero: str | None
+    pose: dict[str, float]
+    stops: dict[str, tuple[float, float]]
+    directions: dict[str, int]
+    nudge: float
+
+    @classmethod
+    def of(
+        cls,
+        folder: Path,
+        *,
+        port: str | None,
+        protocol: str | None,
+        baud: int | None,
+        ids: str,
+        id_of: Sequence[str],
+        sweep_s: float | None,
+        no_sweep: bool,
+        zero: str | None,
+        pose: Sequence[str],
+        stops: Sequence[str],
+        direction: Sequence[str],
+        nudge: float,
+        yes: bool,
+    ) -> Answers:
+        """From the flags.
+
+        Raises:
+            InputError: no servo file, a flag that cannot be read, or nobody to ask for one that
+                is missing.
+        """
+        file = folder / SERVOS
+        if not file.is_file():
+            raise InputError(file, "servo file", "missing", "`longarm init` makes it")
+        config = ServoConfig.load(file)
+        joints = config.joints
+
+        def named(flag: str, given: Sequence[str]) -> dict[str, str]:
+            return by_name(_COMMAND, flag, given, list(joints))
+
+        made = cls(
+            Dialogue(_COMMAND, yes), config, port, protocol, baud, ids,
+            {n: int(_number("--id", v)) for n, v in named("--id", id_of).items()},
+            sweep_s, no_sweep, zero,
+            {n: _number("--pose", v) * hand_unit(joints[n])[0]
+             for n, v in named("--pose", pose).items()},
+            {n: _range(v, hand_unit(joints[n])[0]) for n, v in named("--stops", stops).items()},
+            {n: _sign(v) for n, v in named("--direction", direction).items()},
+            nudge,
+        )  # fmt: skip
+        if nudge <= 0.0:
+            raise InputError(_COMMAND, "--nudge", nudge, "more than 0")
+        if no_sweep and zero == "sweep":
+            raise InputError(_COMMAND, "--zero", zero, "pose, where there is no sweep")
+        made._check_complete(yes)
+        return made
+
+    def _check_complete(self, yes: bool) -> None:
+        """Without a terminal, refuse before the torque goes off what would be asked later."""
+        if attended():
+            return
+        blind = [name for name in self.config.joints if name not in self.directions]
+        missing = {
+            "--port": self.port is None,
+            "--sweep-s": self.sweep_s is None and not self.no_sweep,
+            "--zero": self.zero is None,
+            "--direction": bool(blind),
+            "--yes": not yes,
+        }
+        allowed = {
+            "--port": "a serial port",
+            "--sweep-s": "seconds, or --no-sweep",
+            "--zero": "pose or sweep",
+            "--direction": f"+ or - of {', '.join(blind)}",
+            "--yes": "that the arm is held or supported",
+        }
+        for flag, lacks in missing.items():
+            if lacks:
+                raise InputError(
+                    _COMMAND, flag, "missing", f"{allowed[flag]}; or a terminal to ask on"
+                )
+
+    def joints_on(self, line: Scan) -> dict[str, JointConfig]:
+        """Joints with the ids and models that are on the bus; asked where somebody is there.
+
+        Raises:
+            InputError: an id twice.
+            JobError: a joint's id is not on the bus, or its model is unknown here.
+        """
+        on_bus = {servo.servo_id: servo for servo in line.servos}
+        ids = {name: self.ids.get(name, j.servo_id) for name, j in self.config.joints.items()}
+        for name in ids if attended() else ():
+            if name not in self.ids:
+                text = f"{name}: servo id ({', '.join(map(str, on_bus))})"
+                ids[name] = int(_number("--id", self.dialogue.ask("--id", text, "an id",
+                                                                  str(ids[name]))))  # fmt: skip
+        joints: dict[str, JointConfig] = {}
+        for name, servo_id in ids.items():
+            if servo_id in (joint.servo_id for joint in joints.values()):
+                raise InputError(_COMMAND, "--id", f"{name}={servo_id}", "an id for each joint")
+            if servo_id not in on_bus:
+                raise JobError(
+                    f"servo {servo_id} of {name} is not on the bus: name another with --id "
+                    f"{name}=ID", found=list(on_bus),
+                )  # fmt: skip
+            if not on_bus[servo_id].model:
+                number = on_bus[servo_id].model_number
+                raise JobError(f"servo {servo_id} of {name} is of an unknown model", number=number)
+            joint = self.config.joints[name]
+            joints[name] = joint.having(servo_id=servo_id, model=on_bus[servo_id].model)
+        return joints
+
+
+def _number(flag: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not abs(value) < 1e6:
+        raise InputError(_COMMAND, flag, text, "JOINT=NUMBER, deg or mm (an id: a whole number)")
+    return value
+
+
+def _sign(text: str) -> int:
+    if text not in _SIGNS:
+        raise InputError(_COMMAND, "--direction", text, "JOINT=+ or JOINT=-")
+    return _SIGNS[text]
+
+
+def _range(text: str, unit: float) -> tuple[float, float]:
+    found = _RANGE.fullmatch(text)
+    low, high = (_number("--stops", v) for v in found.groups()) if found else (1.0, 0.0)
+    if not low < high:
+        raise InputError(_COMMAND, "--stops", text, "JOINT=LOW..HIGH, deg or mm, LOW below HIGH")
+    return low * unit, high * unit

@@ -1,0 +1,140 @@
+"""Frames by name, each placed in its parent over the last seconds: what tf tells.
+
+A place between two that were told is interpolated: its position on the straight line, its
+orientation on the shortest turn. Nothing is extrapolated.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from longarm_comp.core.arm import quaternion
+from longarm_comp.core.errors import InputError, LongarmError
+
+KEPT_S = 10.0
+"""How long places are kept, s."""
+
+
+class UnknownPlace(LongarmError):  # noqa: N818
+    """Where a frame is in another one is not known at that time; the message says why."""
+
+
+class NotYet(UnknownPlace):
+    """It is not known yet: what was told last is older than the time asked for."""
+
+
+@dataclass
+class _Child:
+    """Where a frame was in its parent: times (ns, rising), positions (m) and x, y, z, w."""
+
+    parent: str
+    static: bool
+    times: list[int] = field(default_factory=list)
+    places: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
+
+    def put(self, t_ns: int, place: tuple[np.ndarray, np.ndarray]) -> None:
+        kept = round(1e9 * KEPT_S)
+        if self.static or (self.times and t_ns < self.times[-1] - kept):  # the clock jumped back
+            self.times, self.places = [], []
+        k = bisect_left(self.times, t_ns)
+        same = k < len(self.times) and self.times[k] == t_ns
+        self.times[k : k + same], self.places[k : k + same] = [t_ns], [place]
+        old = bisect_left(self.times, self.times[-1] - kept)
+        del self.times[:old], self.places[:old]
+
+    def at(self, name: str, t_ns: int) -> np.ndarray:
+        """(4, 4) in the parent."""
+        if self.static:
+            return quaternion.pose(*self.places[0])
+        if t_ns > self.times[-1]:
+            late = 1e-9 * (t_ns - self.times[-1])
+            raise NotYet(f"frame {name!r} was told last {late:.2f} s before")
+        if t_ns < self.times[0]:
+            early = 1e-9 * (self.times[0] - t_ns)
+            raise UnknownPlace(f"frame {name!r} is known only from {early:.2f} s later on")
+        k = bisect_left(self.times, t_ns)
+        if self.times[k] == t_ns:
+            return quaternion.pose(*self.places[k])
+        (p, turn), (p_next, turn_next) = self.places[k - 1 : k + 1]
+        share = (t_ns - self.times[k - 1]) / (self.times[k] - self.times[k - 1])
+        return quaternion.pose(p + share * (p_next - p), quaternion.between(turn, turn_next, share))
+
+
+class FrameTree:
+    """Frames that were told, by name."""
+
+    def __init__(self) -> None:
+        self._children: dict[str, _Child] = {}
+
+    @property
+    def names(self) -> list[str]:
+        """Every known frame, sorted."""
+        parents = {child.parent for child in self._children.values()}
+        return sorted(parents | set(self._children))
+
+    def hear(
+        self, parent: str, child: str, position: np.ndarray, turn: np.ndarray, t_ns: int,
+        *, static: bool = False,
+    ) -> None:  # fmt: skip
+        """Take in where a frame is in its parent: (3,) m and x, y, z, w. Static: at all times.
+
+        Raises:
+            InputError: not finite, no unit quaternion, or a frame that is its own parent.
+        """
+        if not np.isfinite(position).all():
+            raise InputError("tf", f"position of {child}", position.tolist(), "finite numbers, m")
+        if not quaternion.is_unit(turn):
+            raise InputError("tf", f"rotation of {child}", turn.tolist(), "a unit quaternion")
+        if parent == child or child in self._line(parent):
+            raise InputError("tf", "parent", parent, f"a frame that does not hang on {child!r}")
+        known = self._children.get(child)
+        if known is None or known.parent != parent or known.static != static:
+            known = self._children[child] = _Child(parent, static)
+        known.put(t_ns, (np.asarray(position), np.asarray(turn) / np.linalg.norm(turn)))
+
+    def place(self, frame: str, within: str, t_ns: int) -> np.ndarray:
+        """Pose (4, 4) of a frame in another one at a time (ns); 0: the latest known of all.
+
+        Raises:
+            UnknownPlace: a name is unknown, the two are not connected, or it is too long ago.
+            NotYet: what was told last is older.
+        """
+        lines = {name: self._line(name) for name in (frame, within)}
+        for name, line in lines.items():
+            if len(line) == 1 and name not in self.names:
+                raise UnknownPlace(f"frame {name!r} is unknown")
+        shared = [name for name in lines[frame] if name in lines[within]]
+        if not shared:
+            raise UnknownPlace(f"no tf connects frame {frame!r} with {within!r}")
+        ways = [line[: line.index(shared[0])] for line in (lines[frame], lines[within])]
+        t_ns = t_ns or self._latest([*ways[0], *ways[1]])
+        up, down = (self._in_ancestor(way, t_ns) for way in ways)
+        made: np.ndarray = np.linalg.inv(down) @ up
+        return made
+
+    def _line(self, name: str) -> list[str]:
+        """A frame, its parent, and so on to the root."""
+        line = [name]
+        while (child := self._children.get(line[-1])) is not None:
+            line.append(child.parent)
+        return line
+
+    def _latest(self, names: list[str]) -> int:
+        told = [self._children[name] for name in names]
+        return min((child.times[-1] for child in told if not child.static), default=0)
+
+    def _in_ancestor(self, way: list[str], t_ns: int) -> np.ndarray:
+        pose = np.eye(4)
+        for name in way:
+            pose = self._children[name].at(name, t_ns) @ pose
+        return pose
+
+
+def carried(pose: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """A target of a frame, (4, 4) or (3,), seen from where the frame's pose (4, 4) is given."""
+    if target.ndim == 1:
+        return np.asarray(pose[:3, :3] @ target + pose[:3, 3])
+    return np.asarray(pose @ target)

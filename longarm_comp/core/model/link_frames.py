@@ -1,0 +1,56 @@
+"""Where the links of an arm stand, by the names that its URDF gives them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.arm import quaternion
+from longarm_comp.core.arm.arm import Joint
+from longarm_comp.core.model.model import Model, unstack
+
+BASE_LINK, TIP = "base_link", "tip"
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A frame in its parent: (3,) m and the orientation x, y, z, w."""
+
+    parent: str
+    name: str
+    position: np.ndarray
+    turn: np.ndarray
+
+    @classmethod
+    def at(cls, parent: str, name: str, pose: np.ndarray) -> Placed:
+        """From a pose (4, 4)."""
+        return cls(parent, name, pose[:3, 3], quaternion.from_rotation(pose[:3, :3]))
+
+
+def joint_name(joint: Joint) -> str:
+    """Name of a row's joint: its own, or by its number."""
+    return joint.name or f"joint{joint.id}"
+
+
+def link_name(joint: Joint) -> str:
+    """Name of the link that a row's joint moves."""
+    return f"{joint_name(joint)}_link"
+
+
+def link_frames(model: Model, q: np.ndarray, prefix: str = "") -> list[Placed]:
+    """Every link of the chain in the one before, and the tip in the last, at joints q (n,).
+
+    The frame of a link is that of its row; the first parent is `BASE_LINK`, the measuring frame.
+    Rows off the chain, which only lead others, have none. Every name starts with ``prefix``.
+    """
+    posture = model.posture(unstack(q))
+    made: list[Placed] = []
+    parent, before = prefix + BASE_LINK, np.eye(4)
+    for joint in model.arm.joints:
+        if joint.moves:
+            name, pose = prefix + link_name(joint), posture.frames[posture.frame(joint.id)].matrix()
+            made.append(Placed.at(parent, name, np.linalg.inv(before) @ pose))
+            parent, before = name, pose
+    tip = model.tip_frame(posture).matrix()
+    return [*made, Placed.at(parent, prefix + TIP, np.linalg.inv(before) @ tip)]

@@ -1,0 +1,66 @@
+"""Why the marker is lost at a pose: by the cameras' geometry, or as `stereo_bridge` says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import CameraInfo
+
+from longarm_comp.arm_folder.visible import Lens, View
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.jobs.client import GraphClient
+from longarm_comp.nodes import interfaces as graph
+
+_LOST = "marker lost: "
+
+
+class Causes:
+    """Listens to the cameras' calibration and to what `stereo_bridge` says.
+
+    Args:
+        client: on the graph.
+        arm: as declared.
+        view: cameras by the files beside arm.yaml; their lens is replaced by the one on the graph.
+    """
+
+    def __init__(self, client: GraphClient, arm: Arm, view: View | None) -> None:
+        self._model, self._view = declared_model(arm), view
+        self._said = ""
+        self._bridge = client.node.resolve_topic_name("stereo_bridge")
+        self._infos: dict[str, CameraInfo] = {}
+        graph.LEFT_INFO.subscription(client.node, lambda m: self._on_info("left", m))
+        graph.RIGHT_INFO.subscription(client.node, lambda m: self._on_info("right", m))
+        graph.DIAGNOSTICS.subscription(client.node, self._on_diagnostics)
+
+    def of(self, q: np.ndarray) -> str:
+        """The likely cause at joints q (n,)."""
+        why = "" if self._view is None else self._view.unseen(self._model.pose(q[None]))[0]
+        if why:
+            return why
+        near = "in view, but " if self._view is not None else ""
+        return near + (self._said or "not seen")
+
+    def error_mm(self, q: np.ndarray, tip: np.ndarray) -> float:
+        """Distance of a tip (3,), m, from the declared arm's at q (n,)."""
+        return 1e3 * float(np.linalg.norm(tip - self._model.tip(q)))
+
+    def _on_info(self, side: str, message: CameraInfo) -> None:
+        self._infos[side] = message
+        if self._view is None or len(self._infos) < 2:
+            return
+        p, across = self._infos["left"].p, self._infos["right"].p
+        if not p[0] > 0.0 or not across[0] > 0.0:
+            return
+        size = (int(self._infos["left"].width), int(self._infos["left"].height))
+        lens = Lens(float(p[0]), (float(p[2]), float(p[6])), size, -float(across[3] / across[0]))
+        self._view = replace(self._view, lens=lens)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name == f"{self._bridge}: stereo":
+                lost = status.message.startswith(_LOST)
+                why = status.message.removeprefix(_LOST).partition(" (")[0]
+                self._said = why if lost else ""

@@ -1,0 +1,216 @@
+"""A plan looked at before anything moves: limits, boxes, cameras, way and time."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from longarm_comp.arm_folder.visible import View
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.allowed_poses import FLOOR
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.keep_out import boxes_entered, entered
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.outline import outline
+from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.jobs.measurement_schedule import Visit
+
+_SLACK = 1e-6
+"""Printed digits of a joint that stands on its limit, rad or m."""
+
+
+@dataclass(frozen=True)
+class PlanCheck:
+    """One question asked of every visit.
+
+    Attributes:
+        question: what holds for a visit that passes.
+        faults: for each visit, why it does not pass, or "".
+        blocks: whether a visit that does not pass is not driven.
+    """
+
+    question: str
+    faults: tuple[str, ...]
+    blocks: bool
+
+    @property
+    def passed(self) -> int:
+        """Visits that pass."""
+        return sum(not fault for fault in self.faults)
+
+    @property
+    def mostly(self) -> str:
+        """The faults in words, the most frequent kinds first."""
+        return in_words(fault for fault in self.faults if fault)
+
+
+@dataclass(frozen=True, eq=False)
+class Preview:
+    """What a plan would do.
+
+    Attributes:
+        arm: as declared, with its boxes.
+        visits: in the order to drive them.
+        checks: questions that could be asked.
+        unasked: questions that could not be asked, and why.
+        lines: (N, k, 3) m, the arm at each visit from the foot to the tip.
+        view: the cameras, where their files are there.
+        seconds: the way at the servos' speeds, the run-ups and the rests; None: speeds unknown.
+    """
+
+    arm: Arm
+    visits: tuple[Visit, ...]
+    checks: tuple[PlanCheck, ...]
+    unasked: tuple[str, ...]
+    lines: np.ndarray
+    view: View | None
+    seconds: float | None
+
+    @property
+    def blocked(self) -> dict[int, str]:
+        """Visits that may not be driven, by index, and why."""
+        found: dict[int, str] = {}
+        for check in self.checks:
+            for visit, fault in zip(self.visits, check.faults, strict=True):
+                if fault and check.blocks:
+                    found.setdefault(visit.index, fault)
+        return dict(sorted(found.items()))
+
+    @property
+    def lowest_m(self) -> float:
+        """Height of the arm's lowest point, m, base frame."""
+        return float(self.lines[..., 2].min())
+
+    def faults(self) -> list[str]:
+        """For each visit its first fault, or ""."""
+        rows = zip(*(check.faults for check in self.checks), strict=True)
+        return [next((fault for fault in row if fault), "") for row in rows]
+
+
+def preview(
+    arm: Arm,
+    visits: Sequence[Visit],
+    *,
+    view: View | None = None,
+    servos: ServoConfig | None = None,
+    rest_s: float = 0.0,
+) -> Preview:
+    """Look at the visits of a plan.
+
+    Args:
+        arm: as declared; its `keep_out` are the boxes.
+        visits: in the order to drive them.
+        view: of the cameras.
+        servos: of the arm.
+        rest_s: time at rest of each visit.
+    """
+    model = declared_model(arm)
+    q = np.array([visit.q for visit in visits])
+    tips = model.pose(q)
+    checks = [PlanCheck("inside the limits of arm.yaml", _limits(arm, visits), True)]
+    unasked = []
+    if servos is not None:
+        checks.append(PlanCheck("inside the servos' limits", _servo_limits(arm, servos, q), True))
+    if arm.keep_out:
+        checks += [
+            *_boxes(model, visits),
+            PlanCheck("way there is free", _ways(model, visits), False),
+        ]
+    if FLOOR not in arm.keep_out:
+        unasked.append("over the floor: give --floor, or a keep_out box named floor in arm.yaml")
+    if view is None:
+        unasked.append(
+            "seen by both cameras: no stereo_bridge.yaml and simulated_arm.yaml beside arm.yaml"
+        )
+    else:
+        checks.append(PlanCheck("seen by both cameras", tuple(view.unseen(tips)), False))
+    seconds = None if servos is None else _seconds(arm, servos, visits, rest_s)
+    lines = outline(model, q)
+    return Preview(arm, tuple(visits), tuple(checks), tuple(unasked), lines, view, seconds)
+
+
+def servos_beside(arm: Path, names: Sequence[str]) -> ServoConfig | None:
+    """The servos in the folder of an arm.yaml, where they are this arm's joints.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    file = arm.absolute().parent / "servo_driver.yaml"
+    if not file.is_file():
+        return None
+    servos = ServoConfig.load(file)
+    return servos if sorted(servos.joints) == sorted(names) else None
+
+
+def refuse_blocked(found: Preview, where: object) -> None:
+    """Raise InputError where a visit may not be driven."""
+    for index, why in found.blocked.items():
+        more = len(found.blocked) - 1
+        others = f" (and {more} more poses)" if more else ""
+        raise InputError(where, f"pose of visit {index}", why + others,
+                         "poses that `longarm plan` makes for this arm and floor")  # fmt: skip
+
+
+def in_words(faults: Iterable[str]) -> str:
+    """How many faults of each kind, the most frequent first."""
+    kinds = Counter(map(kind_of, faults))
+    return ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
+
+
+def kind_of(fault: str) -> str:
+    """A fault without its figures."""
+    return fault.partition(": ")[0]
+
+
+def _limits(arm: Arm, visits: Sequence[Visit]) -> tuple[str, ...]:
+    return tuple(_outside(arm.joint_names, visit.path, arm.lower, arm.upper) for visit in visits)
+
+
+def _servo_limits(arm: Arm, servos: ServoConfig, q: np.ndarray) -> tuple[str, ...]:
+    joints = [servos.joints[name] for name in arm.joint_names]
+    slack = np.array([joint.si_per_tick for joint in joints])
+    lower = np.array([joint.lower for joint in joints]) - slack
+    upper = np.array([joint.upper for joint in joints]) + slack
+    return tuple(_outside(arm.joint_names, row[None], lower, upper) for row in q)
+
+
+def _outside(names: Sequence[str], path: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> str:
+    off = (path < lower - _SLACK) | (path > upper + _SLACK)
+    if not off.any():
+        return ""
+    row, j = np.argwhere(off)[0]
+    return f"{names[j]} outside: {path[row, j]:.4g}, allowed {lower[j]:.4g} to {upper[j]:.4g}"
+
+
+def _boxes(model: Model, visits: Sequence[Visit]) -> list[PlanCheck]:
+    """One check of the floor, one of the other boxes: at the pose and where its run-up begins."""
+    stops = np.concatenate([visit.path for visit in visits])
+    owner = np.repeat(np.arange(len(visits)), [len(visit.path) for visit in visits])
+    found = {True: [""] * len(visits), False: [""] * len(visits)}
+    for k, text in zip(owner, boxes_entered(model, stops), strict=True):
+        side = found[text.startswith(f"{FLOOR}:")]
+        side[k] = side[k] or text
+    asked = {"over the floor": True, "outside the keep-out boxes": False}
+    names = {True: FLOOR in model.arm.keep_out, False: set(model.arm.keep_out) - {FLOOR}}
+    return [PlanCheck(text, tuple(found[low]), True) for text, low in asked.items() if names[low]]
+
+
+def _ways(model: Model, visits: Sequence[Visit]) -> tuple[str, ...]:
+    """Whether the way from the visit before, and the run-up, are free of boxes."""
+    found, start = [], visits[0].path[0]
+    for visit in visits:
+        found.append(entered(model, np.vstack([start, visit.path])))
+        start = visit.q
+    return tuple(found)
+
+
+def _seconds(arm: Arm, servos: ServoConfig, visits: Sequence[Visit], rest_s: float) -> float:
+    fastest = np.array([servos.joints[name].max_velocity for name in arm.joint_names])
+    way = np.concatenate([visit.path for visit in visits])
+    moving = np.abs(np.diff(way, axis=0)) / fastest
+    return float(moving.max(axis=1).sum()) + rest_s * len(visits)

@@ -1,0 +1,70 @@
+"""What a running collection tells: to its terminal, and on a topic for everybody else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.jobs.collect.preview import in_words
+
+
+@dataclass(frozen=True, eq=False)
+class Progress:
+    """Where a collection is.
+
+    Attributes:
+        done, total: visits in the bag, of the plan.
+        visit: number of the visit at hand.
+        q: (n,) joints it goes to, rad and m; None before the first and after the last.
+        seen: visits of this run at which the marker was seen.
+        lost: why it was lost at the others, in words.
+        error_mm: distance of the last seen tip from the declared arm's; NaN: none yet.
+        seconds_left: NaN: not known yet.
+        state: "running", "paused", "waiting", "done" or "ended".
+        why: why it is paused, waits or ended.
+    """
+
+    done: int
+    total: int
+    visit: int = -1
+    q: np.ndarray | None = None
+    seen: int = 0
+    lost: tuple[str, ...] = ()
+    error_mm: float = float("nan")
+    seconds_left: float = float("nan")
+    state: str = "running"
+    why: str = ""
+
+    @property
+    def share(self) -> float:
+        """Of the plan, 0 to 1."""
+        return self.done / max(1, self.total)
+
+    @property
+    def losses(self) -> str:
+        """How often the marker was lost, and why; empty if never."""
+        if not self.lost:
+            return ""
+        made = self.seen + len(self.lost)
+        return f"marker lost at {len(self.lost)} of {made} poses: {in_words(self.lost)}"
+
+    def __str__(self) -> str:
+        if self.state != "running":
+            return f"{self.state}: {self.why}" if self.why else self.state
+        return "; ".join(filter(None, (f"pose {self.visit}", self.losses)))
+
+
+class Outcomes:
+    """What became of each visit, gathered from `Progress` as it comes."""
+
+    def __init__(self) -> None:
+        self.made: dict[int, str] = {}
+        self._before = 0
+
+    def add(self, now: Progress) -> None:
+        """Take what a new message says of the visit at hand."""
+        if now.seen + len(now.lost) > self._before:
+            lost = len(now.lost) > sum(map(bool, self.made.values()))
+            self.made[now.visit] = now.lost[-1] if lost else ""
+        self._before = now.seen + len(now.lost)

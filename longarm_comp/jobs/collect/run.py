@@ -1,0 +1,308 @@
+"""Runs a pose plan over the graph and records it: move, settle, look several times, next.
+
+A visit enters the bag when it is complete, with a ``session_row`` message that says which it
+was; so a session that was broken off anywhere is readable, and `collect` goes on from there.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Float64, String
+from std_srvs.srv import SetBool
+
+from longarm_comp.arm_folder.visible import View
+from longarm_comp.core.arm.history import SAME_POSE
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.keep_out import entered
+from longarm_comp.jobs.client import ArmClient, DriverStopped
+from longarm_comp.jobs.collect.causes import Causes
+from longarm_comp.jobs.collect.progress import Progress
+from longarm_comp.jobs.collect.told import progress_message
+from longarm_comp.jobs.measurement_schedule import Visit
+from longarm_comp.jobs.pace import Pace
+from longarm_comp.jobs.recorder import Recorder
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.sessions.bag import open_bag
+from longarm_comp.sessions.bag_segments import SegmentedBag
+from longarm_comp.sessions.message_types import message_types
+
+ROW_TOPIC, ROW_TYPE = "session_row", "std_msgs/msg/String"
+COMMAND_TOPIC = "joint_trajectory"
+_READ = {ROW_TOPIC: ROW_TYPE, COMMAND_TOPIC: "trajectory_msgs/msg/JointTrajectory"}
+_FRESH_S = 0.05  # a sighting shall be taken this long after the joints came to rest
+
+_CIRCUMSTANCES_S = 5.0
+"""Patience with the first temperature, payload and tilt. They come about once a second."""
+
+GIVE_UP = 6
+"""Visits without one sighting, after which nothing is expected of the others."""
+_HEARD_S = 0.2
+"""Time for the last message to be heard before the node ends."""
+_HINT = "longarm plan --seen leaves such poses out; --give-up 0 goes on"
+
+
+@dataclass(frozen=True)
+class Collected:
+    """What came of it.
+
+    Attributes:
+        made, before, planned: visits made now, made before, of all.
+        unseen: visits without a sighting, by index, and why.
+        blocked: visits that were not made, because every way to them enters a box; and where.
+    """
+
+    made: int
+    before: int
+    planned: int
+    unseen: dict[int, str]
+    blocked: dict[int, str]
+
+
+def collect(
+    client: ArmClient,
+    todo: Sequence[Visit],
+    path: Path,
+    *,
+    pace: Pace | None = None,
+    resume: bool = False,
+    give_up: int = GIVE_UP,
+    view: View | None = None,
+    pause: threading.Event | None = None,
+    progress: Callable[[Progress], None] = lambda now: None,
+) -> Collected:
+    """Visit every pose of a plan that the bag does not hold yet.
+
+    A visit to which the way from where the arm stands enters a keep-out box is put off until the
+    arm stands elsewhere. While the driver is held, the collection waits; the visit is made again.
+
+    Args:
+        client: of the arm; its `arm` has the boxes.
+        todo: the plan.
+        path: bag folder.
+        pace: time for each visit.
+        resume: go on with a bag.
+        give_up: end when none of so many first visits saw the marker; 0: never.
+        view: what the cameras see by the files, to say why a marker is lost.
+        pause: while it is set, nothing is driven.
+        progress: called before and after every visit, and while it waits.
+
+    Raises:
+        InputError: the bag exists (without ``resume``), or belongs to another plan.
+        JobError: the arm did not arrive, or never saw the marker.
+        Interrupted: the client was stopped; the bag holds every complete visit.
+    """
+    pause = pause or threading.Event()
+    done = visited(path, todo, client) if resume and (path / "metadata.yaml").is_file() else set()
+    with SegmentedBag(path, resume=resume) as bag:
+        run = _Run(client, Recorder(client.node, bag), pace or Pace(), pause, progress,
+                   Causes(client, client.arm, view), len(done), len(todo))  # fmt: skip
+        try:
+            run.drive([visit for visit in todo if visit.index not in done], give_up)
+        except JobError as error:
+            if not run.seen and not done:
+                bag.discard()  # nothing in it is worth going on with
+            run.ended(error)
+            raise
+    return Collected(run.made, len(done), len(todo), run.lost, run.blocked)
+
+
+class _Run:
+    """The visits of one call of `collect`."""
+
+    def __init__(
+        self, client: ArmClient, recorder: Recorder, pace: Pace, pause: threading.Event,
+        progress: Callable[[Progress], None], causes: Causes, before: int, total: int,
+    ) -> None:  # fmt: skip
+        self._client, self._recorder, self._pace, self._pause = client, recorder, pace, pause
+        self._show, self._causes, self._before, self._total = progress, causes, before, total
+        self._payload = client.node.create_publisher(Float64, "payload", 5)
+        self._publisher = graph.COLLECT_PROGRESS.publisher(client.node)
+        self._pauses = graph.PAUSE.server(client.node, self._on_pause)
+        self._model = declared_model(client.arm)
+        self._driving_s, self._error_mm = 0.0, float("nan")
+        self._visit: Visit | None = None
+        self.seen = 0
+        self.lost: dict[int, str] = {}
+        self.blocked: dict[int, str] = {}
+
+    @property
+    def made(self) -> int:
+        """Visits in the bag, of this run."""
+        return self.seen + len(self.lost)
+
+    def drive(self, left: list[Visit], give_up: int) -> None:
+        """Make the visits that are left."""
+        self._client.ready()
+        _hear_circumstances(self._client, self._recorder)
+        half = max(5, len(left) // 2)
+        while left:
+            self._rest()
+            visit = self._next(left)
+            if visit is None:
+                break
+            left.remove(visit)
+            self._visit = visit
+            self._tell()
+            self._make(visit)
+            if give_up and not self.seen and not self._before and self.made >= give_up:
+                raise JobError(f"{self._now().losses}. {_HINT}")
+            if len(self.lost) > half:
+                raise JobError(f"the marker is not seen at most poses. {self._now().losses}")
+        self._visit = None
+        self._tell("done")
+        self._client.spin(_HEARD_S)
+
+    def ended(self, error: JobError) -> None:
+        """Tell everybody that it ended early, and why."""
+        with self._client.putting_back():
+            self._tell("ended", str(error))
+            self._client.spin(_HEARD_S)
+
+    def _make(self, visit: Visit) -> None:
+        """Drive to one pose, look, and keep it; again where the driver was held meanwhile."""
+        client, begun_s = self._client, time.monotonic()
+        while True:
+            self._recorder.drop()
+            if visit.payload_kg is not None:
+                self._payload.publish(Float64(data=visit.payload_kg))
+            begun = time.time_ns()
+            try:
+                tips = _visit(client, visit, self._pace)
+                break
+            except DriverStopped as stopped:
+                if not stopped.held:
+                    raise
+                self._wait_for_driver(str(stopped))
+                begun_s = time.monotonic()
+        if tips:
+            self.seen += 1
+            self._error_mm = self._causes.error_mm(visit.q, np.mean(tips, axis=0))
+        else:
+            self.lost[visit.index] = self._causes.of(visit.q)
+        _tell_visit(client, self._recorder, visit)
+        self._recorder.keep(since_ns=begun)
+        self._driving_s += time.monotonic() - begun_s
+        self._tell()
+
+    def _next(self, left: list[Visit]) -> Visit | None:
+        """The first visit whose way from here is free; where there is none, all are blocked."""
+        here = self._client.joints
+        if not self._client.arm.keep_out or here is None:
+            return left[0]
+        why = {}
+        for visit in left:
+            found = entered(self._model, np.vstack([here, visit.path]))
+            if not found:
+                return visit
+            why[visit.index] = found
+        self.blocked = why
+        return None
+
+    def _rest(self) -> None:
+        """Wait while it is paused."""
+        if self._pause.is_set():
+            self._tell("paused", "collect/pause or Ctrl-Z goes on")
+            self._client.until(lambda: not self._pause.is_set(), float("inf"), "pause")
+
+    def _wait_for_driver(self, why: str) -> None:
+        self._tell("waiting", why)
+
+        def takes() -> bool:
+            try:
+                return self._client.driver_takes()
+            except DriverStopped as stopped:
+                if not stopped.held:
+                    raise
+                return False
+
+        self._client.until(takes, float("inf"), "driver")
+
+    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        (self._pause.set if request.data else self._pause.clear)()
+        response.success = True
+        response.message = "rests after the pose at hand" if request.data else "goes on"
+        return response
+
+    def _now(self, state: str = "running", why: str = "") -> Progress:
+        visit, made = self._visit, self.made
+        each = self._driving_s / made if made else float("nan")
+        done = self._before + made
+        return Progress(
+            done, self._total, -1 if visit is None else visit.index,
+            None if visit is None else visit.q, self.seen, tuple(self.lost.values()),
+            self._error_mm, each * (self._total - done), state, why,
+        )  # fmt: skip
+
+    def _tell(self, state: str = "running", why: str = "") -> None:
+        """Show where it is, and publish it."""
+        now = self._now(state, why)
+        self._show(now)
+        self._publisher.publish(progress_message(now, self._client.node.get_namespace()))
+
+
+def _hear_circumstances(client: ArmClient, recorder: Recorder) -> None:
+    """Wait a little for the first temperature, payload and tilt, where they are published."""
+    end = time.monotonic() + _CIRCUMSTANCES_S
+    client.until(
+        lambda: not recorder.waits_for() or time.monotonic() > end,
+        _CIRCUMSTANCES_S + 60.0, "circumstances",
+    )  # fmt: skip
+
+
+def _visit(client: ArmClient, visit: Visit, pace: Pace) -> list[np.ndarray]:
+    """Drive to one pose and look; the sightings (3,), m."""
+    client.driver_takes()
+    start = client.joints
+    client.send(visit.path, pace.move_s)
+    client.spin(0.05)  # the driver has taken it up when its joints move
+    tolerance = np.full(client.arm.n, pace.tolerance)
+    now = client.arrive(visit.path, tolerance, pace.dwell_s, pace.arrive_s, start)
+    return client.look(now + int(_FRESH_S * 1e9), pace.sightings, pace.look_s)
+
+
+def _tell_visit(client: ArmClient, recorder: Recorder, visit: Visit) -> None:
+    """Into the bag alone: what no topic of the robot says."""
+    row = {"index": visit.index, "repeat_id": visit.repeat_id}
+    topic = client.node.resolve_topic_name(ROW_TOPIC)
+    recorder.put(topic, ROW_TYPE, serialize_message(String(data=json.dumps(row))))
+
+
+def visited(path: Path, todo: Sequence[Visit], client: ArmClient) -> set[int]:
+    """Indices of the visits that a bag holds.
+
+    Raises:
+        InputError: its poses, or the sides they were approached from, are not those of these
+            visits.
+    """
+    planned = {visit.index: visit.path for visit in todo}
+    done: set[int] = set()
+    command = np.zeros((0, client.arm.n))
+    with open_bag(path) as reader:
+        kept = [c for c in reader.connections if _last_name(c.topic) in _READ]
+        for connection, _, raw in reader.messages(connections=kept) if kept else ():
+            name = _last_name(connection.topic)
+            message: Any = message_types().deserialize_cdr(raw, _READ[name])
+            if name == COMMAND_TOPIC:
+                command = np.array([point.positions for point in message.points])
+                continue
+            index = int(json.loads(message.data)["index"])
+            way = planned.get(index)
+            if way is None or command.shape != way.shape or np.abs(command - way).max() > SAME_POSE:
+                allowed = "the plan, seed and options that it was begun with"
+                raise InputError(path, f"visit {index}", command.tolist(), allowed)
+            done.add(index)
+    return done
+
+
+def _last_name(topic: str) -> str:
+    return topic.rpartition("/")[2]

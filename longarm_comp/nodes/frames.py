@@ -1,0 +1,119 @@
+"""Frames on /tf: what a node says of its own, and where others say that theirs are.
+
+Without tf2_msgs nothing is said, and no frame but the arm's base is known. Frames of an arm in a
+namespace start with it: ``left_arm/base``.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Transform, TransformStamped
+from rclpy.node import Node
+from std_msgs.msg import Header
+
+from longarm_comp.core.arm.frame_tree import FrameTree, NotYet
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.link_frames import Placed
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.messages import quaternion_message, vector_message
+from longarm_comp.nodes.stamps import stamp_ns
+
+
+def prefix_of(node: Node) -> str:
+    """What the names of a node's frames start with: nothing without a namespace."""
+    namespace = node.get_namespace().strip("/")
+    return f"{namespace}/" if namespace else ""
+
+
+class FrameTeller:
+    """Publishes frames of a node, by their full names."""
+
+    def __init__(self, node: Node) -> None:
+        self._moving = graph.TF.publisher(node) if graph.HAS_TF else None
+        self._standing: Any = None
+        self._node = node
+
+    def tell(self, frames: Sequence[Placed], stamp: Time) -> None:
+        """Publish where frames are at a time."""
+        if self._moving is not None:
+            self._moving.publish(self._message(frames, stamp))
+
+    def tell_static(self, frames: Sequence[Placed]) -> None:
+        """Publish where frames are at all times, instead of those that were told before."""
+        if not graph.HAS_TF:
+            return
+        if self._standing is None:
+            self._standing = graph.TF_STATIC.publisher(self._node)
+        stamp = self._node.get_clock().now().to_msg()
+        self._standing.publish(self._message(frames, stamp))
+
+    @property
+    def listeners(self) -> int:
+        """Number of subscriptions to /tf, also of this process."""
+        return 0 if self._moving is None else self._moving.get_subscription_count()
+
+    def _message(self, frames: Sequence[Placed], stamp: Time) -> Any:
+        return graph.TF.type(
+            transforms=[
+                TransformStamped(
+                    header=Header(stamp=stamp, frame_id=frame.parent),
+                    child_frame_id=frame.name,
+                    transform=Transform(
+                        translation=vector_message(frame.position),
+                        rotation=quaternion_message(frame.turn),
+                    ),
+                )
+                for frame in frames
+            ]
+        )
+
+
+class FrameListener:
+    """Keeps what /tf and /tf_static tell. Frames may be asked for from any thread.
+
+    Args:
+        wait_s: patience with what is told later than it is asked for.
+        refused: called for every transform that is refused, with its kind and the reason.
+    """
+
+    def __init__(self, node: Node, wait_s: float, refused: Callable[[str, str], None]) -> None:
+        self._tree, self._told = FrameTree(), threading.Condition()
+        self._wait_s, self._refused = wait_s, refused
+        if graph.HAS_TF:
+            graph.TF.subscription(node, lambda message: self._hear(message, static=False))
+            graph.TF_STATIC.subscription(node, lambda message: self._hear(message, static=True))
+
+    def place(self, frame: str, within: str, t_ns: int) -> np.ndarray:
+        """Pose (4, 4) of a frame in another one at a time (ns); 0: the latest known.
+
+        Raises:
+            UnknownPlace: it is not known.
+        """
+        end = time.monotonic() + self._wait_s
+        with self._told:
+            while True:
+                try:
+                    return self._tree.place(frame, within, t_ns)
+                except NotYet:
+                    if not self._told.wait(end - time.monotonic()):
+                        raise
+
+    def _hear(self, message: Any, *, static: bool) -> None:
+        with self._told:
+            for said in message.transforms:
+                p, o = said.transform.translation, said.transform.rotation
+                try:
+                    self._tree.hear(
+                        said.header.frame_id.lstrip("/"), said.child_frame_id.lstrip("/"),
+                        np.array([p.x, p.y, p.z]), np.array([o.x, o.y, o.z, o.w]),
+                        stamp_ns(said.header.stamp), static=static,
+                    )  # fmt: skip
+                except InputError as error:
+                    self._refused("bad tf", str(error))
+            self._told.notify_all()

@@ -1,0 +1,178 @@
+"""How a worker's thread gets its messages, requests and responses: directly, or by the executor."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Protocol
+
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.client import Client
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.task import Future
+
+from longarm_comp.nodes.interfaces import Service, Topic
+from longarm_comp.nodes.params import Param
+from longarm_comp.nodes.rclpy_inside import DirectInlets, missing
+
+DIRECT = Param("direct", True, "the worker takes messages itself; false: rclpy's executor does")
+"""A parameter of the nodes with a worker that hears or serves."""
+
+
+class Caller(Protocol):
+    """A service client of one thread."""
+
+    @property
+    def present(self) -> bool:
+        """Whether the service is on the graph."""
+
+    def send(self, request: Any) -> int:
+        """Send a request and return its number."""
+
+    def answer(self, number: int, within_s: float) -> Any:
+        """The response to a request, or None after ``within_s``. Earlier responses are dropped."""
+
+
+class Inlets(Protocol):
+    """Topics, services and clients of one thread. Callbacks run in `empty`."""
+
+    def hear(self, topic: Topic, callback: Callable[[Any], None]) -> None:
+        """Subscribe to a topic. Before `start`."""
+
+    def serve(self, service: Service, callback: Callable[[Any, Any], None]) -> None:
+        """Offer a service. The callback gets the request and a function that replies."""
+
+    def caller(self, service: Service) -> Caller:
+        """A client of a service, for the same thread."""
+
+    def start(self) -> None:
+        """Called when everything is declared."""
+
+    @property
+    def lost(self) -> int:
+        """Messages that full queues have dropped, or that the middleware has lost."""
+
+    @property
+    def unfit(self) -> int:
+        """Publishers that were not heard, as their QoS does not fit."""
+
+    def wake(self) -> None:
+        """End a wait; from any thread."""
+
+    def wait(self, at_most_s: float | None = None) -> None:
+        """Sleep until a message or a request arrives, or `wake`."""
+
+    def empty(self, at_most: int) -> None:
+        """Run the callbacks of everything received."""
+
+
+def inlets(node: Node, *, direct: bool) -> Inlets:
+    """The direct ones where they are asked for and this rclpy has the calls."""
+    if direct and not (lacks := missing()):
+        return DirectInlets(node)
+    if direct:
+        node.get_logger().warning(f"this rclpy lacks {', '.join(lacks)}: targets take longer")
+    return PlainInlets(node)
+
+
+class PlainInlets:
+    """Through the node's executor, with rclpy's documented interface alone."""
+
+    def __init__(self, node: Node) -> None:
+        self._node, self._group = node, ReentrantCallbackGroup()
+        self._got: deque[Callable[[], None]] = deque()
+        self._bell = threading.Event()
+        self.lost = self.unfit = 0
+
+    def hear(self, topic: Topic, callback: Callable[[Any], None]) -> None:
+        """Subscribe to a topic."""
+        told = SubscriptionEventCallbacks(
+            message_lost=self._on_lost, incompatible_qos=self._on_unfit,
+            use_default_callbacks=False,
+        )  # fmt: skip
+        topic.subscription(
+            self._node, lambda message: self._enter(partial(callback, message)), self._group,
+            events=told,
+        )  # fmt: skip
+
+    def _on_lost(self, told: Any) -> None:
+        self.lost = int(told.total_count)
+
+    def _on_unfit(self, told: Any) -> None:
+        self.unfit = int(told.total_count)
+
+    def serve(self, service: Service, callback: Callable[[Any, Any], None]) -> None:
+        """Offer a service."""
+
+        async def asked(request: Any, response: Any) -> Any:
+            executor = self._node.executor
+            future = Future(executor=executor)
+
+            def reply(answer: Any) -> None:
+                future.set_result(answer)
+                executor.wake()
+
+            self._enter(lambda: callback(request, reply))
+            return await future
+
+        service.server(self._node, asked, self._group)
+
+    def caller(self, service: Service) -> Caller:
+        """A client of a service."""
+        return _PlainCaller(service.client(self._node, self._group))
+
+    def start(self) -> None:
+        """Nothing to build."""
+
+    def wake(self) -> None:
+        """End a wait."""
+        self._bell.set()
+
+    def wait(self, at_most_s: float | None = None) -> None:
+        """Sleep until a message or a request arrives, or `wake`."""
+        self._bell.wait(at_most_s)
+        self._bell.clear()
+
+    def empty(self, at_most: int) -> None:
+        """Run the callbacks of everything received."""
+        for _ in range(len(self._got)):
+            self._got.popleft()()
+
+    def _enter(self, job: Callable[[], None]) -> None:
+        self._got.append(job)
+        self._bell.set()
+
+
+class _PlainCaller:
+    """Waits for what the executor receives."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self._asked: dict[int, Future] = {}
+        self._next = 0
+
+    @property
+    def present(self) -> bool:
+        return bool(self._client.service_is_ready())
+
+    def send(self, request: Any) -> int:
+        for future in self._asked.values():
+            self._client.remove_pending_request(future)
+        self._next += 1
+        self._asked = {self._next: self._client.call_async(request)}
+        return self._next
+
+    def answer(self, number: int, within_s: float) -> Any:
+        future = self._asked.get(number)
+        if future is None:
+            return None
+        done = threading.Event()
+        future.add_done_callback(lambda _: done.set())
+        end = time.monotonic() + within_s
+        while not future.done() and (left := end - time.monotonic()) > 0.0:
+            done.wait(left)
+        return future.result() if future.done() else None

@@ -1,0 +1,222 @@
+"""What this package uses of rclpy beyond its documented interface; nothing else does.
+
+Through rclpy's executor each message costs a wait set of all entities of the node, built in
+Python, and a switch of threads. Together these take longer than computing a target.  So a worker
+takes its messages, requests and responses itself, with the calls that the executor uses.  Where
+they are missing (`missing`), `inlets.PlainInlets` does the same through the executor.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from typing import Any
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.client import Client
+from rclpy.event_handler import QoSSubscriptionEventType, UnsupportedEventTypeError
+from rclpy.guard_condition import GuardCondition
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.service import Service
+from rclpy.subscription import Subscription
+
+from longarm_comp.nodes.interfaces import Service as ServiceName
+from longarm_comp.nodes.interfaces import Topic
+from longarm_comp.nodes.loss import SequenceWatch
+
+CHECKED = "7.1"
+"""Version of rclpy (Jazzy) that these calls were checked against, by the tests."""
+
+_USED: dict[str, tuple[str, ...]] = {
+    "WaitSet": (
+        *("add_client", "add_guard_condition", "add_service", "add_subscription"),
+        *("clear_entities", "wait"),
+    ),
+    "Subscription": ("take_message",),
+    "Service": ("service_take_request", "service_send_response"),
+    "Client": ("send_request", "take_response"),
+    "EventHandle": ("take_event",),
+}
+
+
+def missing(implementation: Any = rclpy_implementation) -> tuple[str, ...]:
+    """Calls that this rclpy does not have; empty where all are there."""
+    return tuple(
+        f"{kind}.{name}"
+        for kind, names in _USED.items()
+        for name in names
+        if not hasattr(getattr(implementation, kind, None), name)
+    )
+
+
+class _Aside(CallbackGroup):
+    """Callback group of entities that a worker takes; the executor ignores them."""
+
+    def can_execute(self, entity: Any) -> bool:
+        """Never in an executor."""
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        """Never in an executor."""
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        """Nothing to do."""
+
+
+_LOST = QoSSubscriptionEventType.RCL_SUBSCRIPTION_MESSAGE_LOST
+_UNFIT = QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS
+
+
+class _Event:
+    """A count that the middleware keeps of a subscription.
+
+    In an executor an event costs as much as a topic; asked for once a second it costs nothing.
+    """
+
+    def __init__(self, topic: Subscription, kind: QoSSubscriptionEventType) -> None:
+        self.kind, self._count = kind, 0
+        with topic.handle:
+            self._handle = rclpy_implementation.EventHandle(topic.handle, kind)
+
+    def count(self) -> int:
+        """How often it has happened."""
+        with self._handle:
+            told = self._handle.take_event()
+        self._count = self._count if told is None else int(told.total_count)
+        return self._count
+
+
+class DirectInlets:
+    """Topics, services and clients of one thread, and the wait set that it sleeps on."""
+
+    def __init__(self, node: Node) -> None:
+        self._node, self._aside = node, _Aside()
+        self._bell = GuardCondition(None, None, context=node.context)
+        self._topics: list[tuple[Subscription, SequenceWatch]] = []
+        self._services: list[Service] = []
+        self._events: list[_Event] = []
+        self._set: Any = None
+
+    # ------------------------------------------------------------------ what it takes
+
+    def hear(self, topic: Topic, callback: Callable[[Any], None]) -> None:
+        """Subscribe to a topic. Before `start`."""
+        made = topic.subscription(self._node, callback, self._aside)
+        self._topics.append((made, SequenceWatch()))
+        for kind in (_LOST, _UNFIT):
+            with suppress(UnsupportedEventTypeError):  # the middleware does not tell it
+                self._events.append(_Event(made, kind))
+
+    def serve(self, service: ServiceName, callback: Callable[[Any, Any], None]) -> None:
+        """Offer a service. The callback gets the request and a function that replies."""
+        self._services.append(service.server(self._node, callback, self._aside))
+
+    def caller(self, service: ServiceName) -> DirectCaller:
+        """A client of a service, for the same thread."""
+        return DirectCaller(service.client(self._node, self._aside), self._node)
+
+    def start(self) -> None:
+        """Build the wait set, when everything is declared."""
+        with self._node.context.handle:
+            self._set = rclpy_implementation.WaitSet(
+                len(self._topics), 1, 0, 0, len(self._services), 0, self._node.context.handle
+            )
+
+    # ------------------------------------------------------------------ taking
+
+    @property
+    def lost(self) -> int:
+        """Messages that full queues have dropped, or that the middleware has lost."""
+        return self._counted(_LOST) + sum(watch.lost for _, watch in self._topics)
+
+    @property
+    def unfit(self) -> int:
+        """Publishers that were not heard, as their QoS does not fit."""
+        return self._counted(_UNFIT)
+
+    def _counted(self, kind: QoSSubscriptionEventType) -> int:
+        return sum(event.count() for event in self._events if event.kind is kind)
+
+    def wake(self) -> None:
+        """End a wait; from any thread."""
+        self._bell.trigger()
+
+    def wait(self, at_most_s: float | None = None) -> None:
+        """Sleep until a message or a request arrives, or `wake`."""
+        self._set.clear_entities()
+        self._set.add_guard_condition(self._bell.handle)
+        for topic, _ in self._topics:
+            self._set.add_subscription(topic.handle)
+        for service in self._services:
+            self._set.add_service(service.handle)
+        self._set.wait(-1 if at_most_s is None else max(1, int(1e9 * at_most_s)))
+
+    def empty(self, at_most: int) -> None:
+        """Run the callbacks of everything received, so that no middleware queue overflows."""
+        for topic, watch in self._topics:
+            depth = max(at_most, topic.qos_profile.depth)
+            numbers: list[int] = []
+            for _ in range(depth):
+                with topic.handle:
+                    taken = topic.handle.take_message(topic.msg_type, topic.raw)
+                if taken is None:
+                    break
+                numbers.append(taken[1]["publication_sequence_number"] or 0)
+                topic.callback(taken[0])
+            watch.taken(numbers, full=len(numbers) >= topic.qos_profile.depth > 1)
+        for service in self._services:
+            for _ in range(at_most):
+                with service.handle:
+                    request, header = service.handle.service_take_request(service.srv_type.Request)
+                if header is None:
+                    break
+                service.callback(request, partial(_send, service, header))
+
+
+def _send(service: Service, header: Any, response: Any) -> None:
+    service.send_response(response, header)
+
+
+class DirectCaller:
+    """A service client that waits in the calling thread, without an executor.
+
+    rclpy offers this only for topics (`rclpy.wait_for_message`); this works the same way.
+    """
+
+    def __init__(self, client: Client, node: Node) -> None:
+        self._client = client
+        one_client = (0, 0, 0, 1, 0, 0)
+        with node.context.handle:
+            self._waiting = rclpy_implementation.WaitSet(*one_client, node.context.handle)
+
+    @property
+    def present(self) -> bool:
+        """Whether the service is on the graph."""
+        return bool(self._client.service_is_ready())
+
+    def send(self, request: Any) -> int:
+        """Send a request and return its number."""
+        handle = self._client.handle
+        with handle:
+            return int(handle.send_request(request))
+
+    def answer(self, number: int, within_s: float) -> Any:
+        """The response to a request, or None after ``within_s``. Earlier responses are dropped."""
+        handle = self._client.handle
+        end = time.monotonic() + within_s
+        while True:
+            with handle:
+                header, response = handle.take_response(self._client.srv_type.Response)
+                if header is not None and header.request_id.sequence_number == number:
+                    return response
+                left = end - time.monotonic()
+                if header is None and left <= 0.0:
+                    return None
+                if header is None:
+                    self._waiting.clear_entities()
+                    self._waiting.add_client(handle)
+                    self._waiting.wait(max(1, int(1e9 * left)))

@@ -1,0 +1,111 @@
+"""An arm on a graph that goes where it is sent at once: driver and cameras of a test's own."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import Point, PoseWithCovarianceStamped
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool
+from trajectory_msgs.msg import JointTrajectory
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.nodes import interfaces as graph
+from longarm_interfaces.msg import DriverState, Motion
+
+_PERIOD_S = 0.03
+
+
+class QuickArm:
+    """Takes a step of every trajectory a cycle; a sighting a cycle, where the marker is seen.
+
+    Args:
+        arm: whose joints.
+        sees: whether the cameras see the marker at joints (n,).
+    """
+
+    def __init__(self, arm: Arm, sees: Callable[[np.ndarray], bool]) -> None:
+        self.arm, self.sees = arm, sees
+        self.visited: list[np.ndarray] = []
+        self.heard: list[Any] = []
+        self._model = declared_model(arm)
+        self.stand(arm.mid)
+        self._way: list[np.ndarray] = []
+        self._state = DriverState.READY
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context)
+        self.node = Node("quick_arm", context=self.context)
+        self._joints = graph.JOINT_STATES.publisher(self.node)
+        self._tips = graph.TIP_MEASURED.publisher(self.node)
+        self._states = graph.DRIVER_STATE.publisher(self.node)
+        self._motions = graph.MOTION.publisher(self.node)
+        self._pauses = graph.PAUSE.client(self.node)
+        graph.JOINT_TRAJECTORY.subscription(self.node, self._on_trajectory)
+        graph.COLLECT_PROGRESS.subscription(self.node, self.heard.append)
+        self.node.create_timer(_PERIOD_S, self._cycle)
+        self.hold(False)
+
+    def stand(self, q: np.ndarray) -> None:
+        """Stand at joints (n,)."""
+        self._q = q.copy()
+        self._tip = self._model.tip(q) if self.sees(q) else np.full(3, np.nan)
+
+    def hold(self, on: bool, state: int = DriverState.HOLDING) -> None:
+        """Hold the arm where it is, or let it go on; or another state in which it is stopped."""
+        self._state = state if on else DriverState.READY
+        if on:
+            self._way.clear()
+        self._states.publish(DriverState(state=self._state, message="by the test"))
+
+    def pause(self, on: bool) -> None:
+        """Ask the collection to pause, or to go on."""
+        assert self._pauses.wait_for_service(10.0)
+        self._pauses.call_async(SetBool.Request(data=on))
+
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        told = Motion(id=message.header.frame_id, event=Motion.ACCEPTED)
+        if self._state != DriverState.READY:
+            told.event, told.message = Motion.REFUSED, "held"
+        else:
+            self._way = [np.array(point.positions) for point in message.points]
+            self.visited.append(self._way[-1])
+        self._motions.publish(told)
+
+    def _cycle(self) -> None:
+        if self._way:
+            self.stand(self._way.pop(0))
+        now = self.node.get_clock().now().to_msg()
+        joints = JointState(name=list(self.arm.joint_names), position=self._q.tolist())
+        joints.header.stamp = now
+        self._joints.publish(joints)
+        seen = PoseWithCovarianceStamped()
+        seen.header.stamp, seen.header.frame_id = now, "base"
+        x, y, z = self._tip.tolist()
+        seen.pose.pose.position = Point(x=x, y=y, z=z)
+        seen.pose.covariance = (1e-8 * np.eye(6)).ravel().tolist()
+        self._tips.publish(seen)
+
+
+@contextlib.contextmanager
+def quick_arm(arm: Arm, sees: Callable[[np.ndarray], bool]) -> Iterator[QuickArm]:
+    """The arm on the graph, in a thread of its own."""
+    made = QuickArm(arm, sees)
+    executor = SingleThreadedExecutor(context=made.context)
+    executor.add_node(made.node)
+    thread = threading.Thread(target=executor.spin)
+    thread.start()
+    try:
+        yield made
+    finally:
+        executor.shutdown()
+        thread.join()
+        made.node.destroy_node()
+        made.context.try_shutdown()

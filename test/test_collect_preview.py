@@ -1,0 +1,180 @@
+"""A plan looked at before anything moves: what the cameras see, boxes, floor, limits, picture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from cli_shell import Shell
+from some_arms import HOBBY
+
+from longarm_comp.arm_folder.parameter_file import own_parameters
+from longarm_comp.arm_folder.sight import board_of
+from longarm_comp.arm_folder.visible import View, view_beside
+from longarm_comp.core.arm import quaternion
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.boxes import Box
+from longarm_comp.core.data.allowed_poses import above
+from longarm_comp.core.data.plan import Plan, sobol
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.devices.stereo import StereoEye, StereoRefusal, StereoRig
+from longarm_comp.jobs.collect.preview import PlanCheck, preview, refuse_blocked, servos_beside
+from longarm_comp.jobs.measurement_schedule import Visit, visits
+from longarm_comp.sessions.poses import read_poses
+from longarm_comp.sim.cameras import CameraPair, render, tag_plate
+from longarm_comp.sim.plant import mounting
+
+
+def facing(head: CameraPair, rng: np.random.Generator, turned: float) -> np.ndarray:
+    """(4, 4) marker somewhere about what the cameras see, turned by an angle (rad) from them."""
+    depth = rng.uniform(0.8, 4.0)
+    x, y = rng.uniform(-0.65, 0.65, 2) * depth
+    axis = rng.normal(size=2)
+    turn = turned * axis / np.linalg.norm(axis)
+    pose = np.eye(4)
+    pose[:3, :3] = cv2.Rodrigues(np.array([*turn, 0.0]))[0] @ np.diag([1.0, -1.0, -1.0])
+    pose[:3, 3] = x, 0.75 * y, depth
+    return head.left_in_base @ pose
+
+
+def test_geometry_knows_what_the_detector_finds_in_rendered_pictures() -> None:
+    bridge, simulated = own_parameters("stereo_bridge"), own_parameters("simulated_arm")
+    head = CameraPair(tuple(simulated["camera.position"]), tuple(simulated["camera.axis"]),
+                      simulated["camera.baseline_m"], simulated["camera.focal_px"])  # fmt: skip
+    hand_eye = quaternion.pose(
+        np.array(bridge["hand_eye.xyz"]), np.array(bridge["hand_eye.quaternion"])
+    )
+    rig = StereoRig.from_camera_info(*head.camera_infos(), rectified=False)
+    eye = StereoEye(rig, board_of(bridge), hand_eye, bridge["tip_in_marker"])
+    plate = tag_plate(*(simulated[f"marker.{k}"] for k in ("tag_m", "gap_m", "columns", "rows")))
+    on_tip = np.linalg.inv(mounting(simulated["marker.mounting"]))
+    rng = np.random.default_rng(5)
+    angles = [*rng.uniform(0.0, 0.9, 30), *rng.uniform(0.9, 1.7, 10)]
+    markers = [facing(head, rng, angle) for angle in angles]
+    why = View.of(bridge, simulated).unseen(np.array([marker @ on_tip for marker in markers]))
+    found = []
+    for k, marker in enumerate(markers):
+        try:
+            eye.measure(*render(marker, plate, head, rng), k)
+            found.append("")
+        except StereoRefusal as refusal:
+            found.append(str(refusal.reason))
+    assert np.mean([bool(a) == bool(b) for a, b in zip(why, found, strict=True)]) >= 0.85
+    assert 8 < found.count("") < 32
+    kinds = {text.partition(" (")[0].partition(": ")[0] for text in why}
+    assert kinds >= {"", "turned away", "too far", "out of view of the left camera",
+                     "out of view of the right camera", "out of view of both cameras"}  # fmt: skip
+    sides = {side for side in ("left", "right", "above", "below") if any(side in w for w in why)}
+    assert len(sides) == 4
+    for text, seen, marker in zip(why, found, markers, strict=True):
+        local = np.linalg.inv(head.left_in_base) @ marker
+        if "above)" in text or "below)" in text:
+            assert (local[1, 3] > 0) == ("below)" in text)
+        if text.startswith("out of view of the right"):
+            assert "left image" not in seen
+
+
+@pytest.fixture(scope="module")
+def hobby(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("arm") / "hobby"
+    assert Shell(folder.parent)("init", folder, *HOBBY) == 0
+    return folder
+
+
+def asked(checks: tuple[PlanCheck, ...]) -> dict[str, int]:
+    return {check.question: check.passed for check in checks}
+
+
+def test_every_question_is_asked_of_every_pose(hobby: Path) -> None:
+    standing = Arm.load(hobby / "arm.yaml")
+    base = standing.base.model_copy(update={"rpy_deg": (180.0, 0.0, 0.0)})
+    hung, plan = standing.model_copy(update={"base": base}), sobol(standing, 30, 2)
+    tips = declared_model(hung).tip(plan.q)
+    floor = float(np.sort(tips[:, 2])[3]) - 1e-4
+    lamp = tips[7]
+    box = Box(min_m=tuple((lamp - 1e-3).tolist()), max_m=tuple((lamp + 1e-3).tolist()))
+    arm = above(hung.model_copy(update={"keep_out": {"lamp": box}}), floor)
+    todo = [Visit(k, q[None]) for k, q in enumerate(plan.q)]
+    view, servos = (
+        view_beside(hobby / "arm.yaml"),
+        servos_beside(hobby / "arm.yaml", arm.joint_names),
+    )
+    assert view is not None and servos is not None
+    found = preview(arm, todo, view=view, servos=servos, rest_s=2.0)
+    low = [int(k) for k in np.flatnonzero(found.lines[..., 2].min(axis=1) <= floor)]
+    assert len(low) >= 3 and 7 not in low and set(found.blocked) == {*low, 7}
+    told = asked(found.checks)
+    assert told["over the floor"] == 30 - len(low) and told["outside the keep-out boxes"] == 29
+    assert told["inside the limits of arm.yaml"] == told["inside the servos' limits"] == 30
+    seen = view.unseen(declared_model(arm).pose(plan.q))
+    assert told["seen by both cameras"] == seen.count("")
+    assert told["way there is free"] <= 29 - len(low)
+    assert found.lowest_m == found.lines[..., 2].min() < floor
+    way = np.abs(np.diff(plan.q, axis=0)).max(axis=1).sum()
+    fastest = max(joint.max_velocity for joint in servos.joints.values())
+    assert found.seconds is not None and found.seconds >= way / fastest + 60.0
+    with pytest.raises(InputError, match=rf"visit {min(*low, 7)}: .*and {len(low)} more poses"):
+        refuse_blocked(found, "poses.csv")
+    bare = preview(Arm.load(hobby / "arm.yaml"), todo)
+    assert len(bare.unasked) == 2 and not bare.blocked and bare.seconds is None
+
+
+def test_poses_outside_are_counted_with_the_joint(hobby: Path) -> None:
+    arm = Arm.load(hobby / "arm.yaml")
+    q = np.array([arm.mid, arm.mid, arm.mid])
+    q[1, 2] = arm.upper[2] + 0.1
+    servos = ServoConfig.load(hobby / "servo_driver.yaml")
+    found = preview(arm, visits(Plan(q, np.zeros(3)), arm, shuffle=False), servos=servos)
+    assert [len(c.faults) - c.passed for c in found.checks] == [1, 1]
+    assert "joint3 outside" in found.blocked[1] and found.faults()[1] == found.blocked[1]
+
+
+def test_the_commands_show_a_plan_and_move_nothing(hobby: Path, shell: Shell) -> None:
+    arm = hobby / "arm.yaml"
+    view = view_beside(arm)
+    assert view is not None
+    assert shell("plan", arm, "--kind", "sobol", "-n", 20, "-o", "all.csv", "--seed", 3) == 0
+    told = shell.json("collect", arm, "all.csv", "--dry-run", "--picture", "all.svg")
+    seen = next(c for c in told["checks"] if c["question"] == "seen by both cameras")
+    assert seen["passed"] == 20 - len(seen["faults"]) < 20  # else --seen has nothing to do
+    assert (shell.folder / "all.svg").read_text().count("<svg") == 1
+    words = ("plan", arm, "--kind", "sobol", "-n", 20, "-o", "seen.csv", "--seed", 3, "--seen")
+    assert shell(*words, "--floor", -0.02) == 0
+    declared = Arm.load(arm)
+    poses = declared_model(declared).pose(read_poses(shell.folder / "seen.csv", declared).q)
+    assert not any(view.unseen(poses))
+    assert shell("collect", arm, "seen.csv", "--dry-run", "--floor", -0.02) == 0
+    assert "20 of 20" in shell.out and "over the floor" in shell.out
+    assert "needs the cameras" not in shell.err and "lowest point" in shell.err
+    for words, text in (
+        (("collect", arm, "seen.csv"), "--dry-run"),
+        (("collect", arm, "seen.csv", "--dry-run", "--picture", "x.gif"), ".png"),
+        (("collect", arm, "seen.csv", "-o", "bag", "--floor", 0.0), "below the arm's foot"),
+    ):
+        assert text in shell.refused(*words)
+    alone = shell.folder / "arm.yaml"
+    alone.write_text(arm.read_text())
+    refusal = shell.refused("plan", alone, "--kind", "sobol", "-n", 3, "--seen")
+    assert "stereo_bridge.yaml" in refusal
+    lines = (shell.folder / "seen.csv").read_text().splitlines()
+    column = lines[0].split(",").index("q2")
+    cells = lines[1].split(",")
+    cells[column] = "9"
+    (shell.folder / "out.csv").write_text("\n".join([lines[0], ",".join(cells), *lines[2:]]))
+    assert "1 of 20" in shell.refused("collect", arm, "out.csv", "--dry-run", code=3)
+    assert "q2" in shell.refused("collect", arm, "out.csv", "-o", "bag")
+    assert not (shell.folder / "bag").exists()
+
+
+def test_the_lens_of_the_graph_replaces_the_files(hobby: Path) -> None:
+    view = view_beside(hobby / "arm.yaml")
+    assert view is not None
+    arm = Arm.load(hobby / "arm.yaml")
+    tips = declared_model(arm).pose(sobol(arm, 40, 0).q)
+    wide = replace(view, lens=replace(view.lens, focal_px=0.3 * view.lens.focal_px))
+    assert all("too far" in text or "turned" in text for text in wide.unseen(tips))

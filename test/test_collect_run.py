@@ -1,0 +1,187 @@
+"""`longarm collect` on a graph: what it says where the marker is lost, pause, hold, boxes."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_arm import ARM
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from cli_shell import Shell
+from quick_arm import QuickArm, quick_arm
+from rich.console import Console
+
+from longarm_comp.arm_folder.visible import View, view_beside
+from longarm_comp.cli.live import table
+from longarm_comp.cli.signals import pause_on_stop_key
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.boxes import Box
+from longarm_comp.core.data.plan import Plan, sobol
+from longarm_comp.core.errors import JobError
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.jobs.client import ArmClient
+from longarm_comp.jobs.collect.progress import Progress
+from longarm_comp.jobs.collect.run import Collected, collect
+from longarm_comp.jobs.measurement_schedule import visits
+from longarm_comp.jobs.pace import Pace
+from longarm_comp.sessions.read import read_session
+from longarm_interfaces.msg import DriverState
+
+QUICK = Pace(sightings=1, dwell_s=0.1, move_s=0.05)
+
+
+@pytest.fixture
+def stage(ros_domain: int) -> Iterator[QuickArm]:
+    with quick_arm(ARM, lambda q: True) as arm:
+        yield arm
+
+
+def run(
+    bag: Path, plan: Plan, show: Callable[[Progress], None] = lambda now: None, **how: Any
+) -> Collected:
+    arm = how.pop("arm", ARM)
+    with ArmClient(arm, name="collect") as client:
+        todo = visits(plan, arm, shuffle=False)
+        return collect(client, todo, bag, pace=QUICK, progress=show, **how)
+
+
+def values(message: Any) -> dict[str, str]:
+    return {entry.key: entry.value for entry in message.values}
+
+
+def test_where_no_pose_is_seen_it_ends_in_words_and_leaves_nothing(
+    stage: QuickArm, tmp_path: Path
+) -> None:
+    bag, plan = tmp_path / "bag", sobol(ARM, 8, 1)
+    stage.sees = lambda q: False
+    with pytest.raises(JobError, match="marker lost at 3 of 3 poses: 3 not seen") as told:
+        run(bag, plan, give_up=3)
+    assert "--seen" in str(told.value) and "--give-up 0" in str(told.value)
+    assert not bag.exists()
+    ended = stage.heard[-1]
+    assert ended.level == b"\x02" and values(ended)["state"] == "ended"
+    stage.sees = lambda q: True
+    assert run(bag, plan, give_up=3).made == 8
+    assert np.isfinite(read_session(bag, ARM).xyz).all()
+
+
+def test_what_is_lost_has_its_likely_cause_and_the_graph_is_told(
+    demo_arm_path: Path, ros_domain: int, tmp_path: Path
+) -> None:
+    arm = Arm.load(demo_arm_path)
+    view = view_beside(demo_arm_path)
+    assert view is not None
+    plan = sobol(arm, 6, 1)
+    pixels = view.pixels(declared_model(arm).pose(plan.q))[0][:, 0]
+    cut = int(np.sort(pixels)[3]) + 5  # the images end there
+    lens = view.lens
+    narrow = View(view.left_in_base, type(lens)(lens.focal_px, lens.middle_px, (cut, 480), 0.3),
+                  view.tags, view.normal, view.tag_m)  # fmt: skip
+    why = narrow.unseen(declared_model(arm).pose(plan.q))
+    assert 1 <= sum(map(bool, why)) <= 5
+    shown: list[Progress] = []
+    with quick_arm(arm, lambda q: not narrow.unseen(declared_model(arm).pose(q[None]))[0]) as stage:
+        done = run(tmp_path / "bag", plan, shown.append, arm=arm, view=narrow, give_up=0)
+        heard = stage.heard
+    assert done.unseen == {k: text for k, text in enumerate(why) if text}
+    assert "to the right" in next(iter(done.unseen.values()))
+    last = values(heard[-1])
+    assert (last["state"], last["done"], last["total"]) == ("done", "6", "6")
+    assert int(last["lost"]) == len(done.unseen) == 6 - int(last["seen"])
+    assert float(last["error_mm"]) < 1e-3 and float(last["eta_s"]) == 0.0
+    text = shown[-2].losses
+    assert text.startswith(f"marker lost at {len(done.unseen)} of 6 poses: ")
+    console = Console(width=120, record=True, file=open(os.devnull, "w"))  # noqa: SIM115
+    console.print(table(arm, shown[-2]))
+    told = console.export_text()
+    assert "6 of 6" in told and "time left" in told and "marker lost at" in told
+
+
+def test_it_pauses_after_a_pose_and_goes_on(stage: QuickArm, tmp_path: Path) -> None:
+    rested: list[int] = []
+
+    def show(now: Progress) -> None:
+        if now.done == 1 and now.state == "running" and not rested:
+            stage.pause(True)
+            rested.append(-1)
+        if now.state == "paused":
+            rested.append(len(stage.visited))
+            stage.pause(False)
+
+    assert run(tmp_path / "bag", sobol(ARM, 5, 1), show).made == 5
+    assert len(rested) == 2 and 1 <= rested[1] < 5
+    assert len(stage.visited) == 5
+    with pause_on_stop_key() as pause:
+        for expected in (True, False, True):
+            os.kill(os.getpid(), signal.SIGTSTP)
+            assert pause.is_set() is expected
+        os.kill(os.getpid(), signal.SIGCONT)
+        assert not pause.is_set()
+
+
+def test_it_waits_while_the_driver_is_held_and_ends_with_a_fault(
+    stage: QuickArm, tmp_path: Path
+) -> None:
+    states: list[str] = []
+
+    def show(now: Progress) -> None:
+        states.append(now.state)
+        if now.done == 2 and "waiting" not in states:
+            stage.hold(True)
+        if now.state == "waiting":
+            stage.hold(False)
+
+    done = run(tmp_path / "bag", sobol(ARM, 5, 1), show)
+    assert done.made == 5 and states.count("waiting") == 1
+    assert read_session(tmp_path / "bag", ARM).index.tolist() == list(range(5))
+
+    def fault(now: Progress) -> None:
+        if now.done == 2:
+            stage.hold(True, DriverState.FAULT)
+
+    with pytest.raises(JobError, match=r"fault.*by the test"):
+        run(tmp_path / "other", sobol(ARM, 5, 1), fault)
+    stage.hold(False)
+    again = run(tmp_path / "other", sobol(ARM, 5, 1), resume=True)
+    assert (again.before, again.made) == (2, 3)
+
+
+def test_no_way_enters_a_box(stage: QuickArm, tmp_path: Path) -> None:
+    """Straight over joint 1 there is a lamp: what lies beyond it is reached another way, or not."""
+    low, high = ARM.mid.copy(), ARM.mid.copy()
+    low[0], high[0] = ARM.lower[0], ARM.upper[0]
+    tip = declared_model(ARM).tip(ARM.mid)
+    lamp = Box(min_m=tuple((tip - 0.02).tolist()), max_m=tuple((tip + 0.02).tolist()))
+    boxed = ARM.model_copy(update={"keep_out": {"lamp": lamp}})
+    bent = np.where(np.arange(ARM.n) == 1, ARM.upper, ARM.mid)
+    round_it = [np.where(np.arange(ARM.n) == 0, end, bent) for end in (low, high)]
+    stage.stand(low)
+    plan = Plan(np.array([high, *round_it]), np.zeros(3))
+    done = run(tmp_path / "bag", plan, arm=boxed)
+    assert done.made == 3 and not done.blocked
+    np.testing.assert_allclose(stage.visited[0], round_it[0])
+    assert any(np.allclose(q, high) for q in stage.visited)
+    stage.stand(low)
+    alone = run(tmp_path / "other", Plan(high[None], np.zeros(1)), arm=boxed)
+    assert alone.made == 0 and "lamp" in alone.blocked[0]
+
+
+def test_the_command_draws_what_became_of_the_poses(
+    stage: QuickArm, tmp_path: Path, shell: Shell
+) -> None:
+    import yaml
+
+    data = ARM.model_dump(mode="json", exclude_defaults=True)
+    (tmp_path / "arm.yaml").write_text(yaml.safe_dump(data))
+    shell("plan", "arm.yaml", "--kind", "sobol", "-n", 3, "-o", "poses.csv")
+    quick = ("--dwell", 0, "--sightings", 1, "--move", 0.05)
+    told = shell.json("collect", "arm.yaml", "poses.csv", "-o", "bag", *quick)
+    assert told["made"] == 3 and told["unseen"] == {}
+    assert (shell.folder / "bag_coverage.png").read_bytes().startswith(b"\x89PNG")

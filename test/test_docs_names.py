@@ -1,0 +1,97 @@
+"""What the pages name is there: commands, options, make targets, tests, pages, sections."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from functools import cache
+from pathlib import Path
+
+import click
+import pytest
+
+from longarm_comp.cli.registry import COMMANDS, GROUPS
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [page for page in PAGES if "made" not in page.parts]
+MODULES = {entry.name: entry.module for entry in COMMANDS}
+
+
+@cache
+def options(name: str) -> set[str]:
+    """Every option of a command."""
+    command = importlib.import_module(f"longarm_comp.cli.{MODULES[name]}").command
+    assert isinstance(command, click.Command)
+    given = {o for p in command.params for o in (*p.opts, *p.secondary_opts)}
+    return given | {"-h", "--help"}
+
+
+def calls(text: str) -> list[list[str]]:
+    """The words after `longarm`, of blocks and of code in a line; without comments."""
+    blocks = re.findall(r"```\w*\n(.*?)```", text, re.DOTALL)
+    lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
+    inline = re.findall(r"`(longarm [^`]+)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
+    said = [*lines, *(" ".join(each.split()) for each in inline)]
+    begun = (re.match(r"\s*longarm (.*?)(?:\s#.*)?$", line) for line in said)
+    return [match[1].split() for match in begun if match]
+
+
+def named(words: list[str]) -> str | None:
+    """The command that words begin with; None for a placeholder (COMMAND) or an option."""
+    if not words or words[0].isupper() or words[0].startswith("-"):
+        return None
+    first = words[0].rstrip(".,;")
+    if first not in GROUPS:
+        assert first in MODULES, f"longarm {first}: no such command"
+        return first
+    assert len(words) > 1, f"longarm {first}: which?"
+    for second in words[1].rstrip(".,;").split("|"):
+        assert f"{first} {second}" in MODULES, f"longarm {first} {second}: no such command"
+    return f"{first} {second}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_commands_and_options(page: Path) -> None:
+    for words in calls(page.read_text("utf-8")):
+        name = named(words)
+        if name is None:
+            continue
+        rest = words[len(name.split()) :]
+        written = {w.split("=")[0].rstrip(".,;") for w in rest if re.match(r"-[-a-zA-Z]", w)}
+        strange = {w for w in written if not re.match(r"-\d", w)} - options(name)
+        assert not strange, f"longarm {name}: {strange}"
+
+
+def test_what_is_wrong_is_noticed() -> None:
+    for line in ("longarm diagnos arm.yaml", "longarm servo", "longarm stereo maker my_arm"):
+        with pytest.raises(AssertionError):
+            named(line.split()[1:])
+    assert calls("```\nlongarm plan a --kind x \\\n  --nope 1  # because\n```") == [
+        ["plan", "a", "--kind", "x", "--nope", "1"]
+    ]
+    assert "--nope" not in options("plan") and "--kind" in options("plan")
+
+
+def test_every_command_is_on_a_page() -> None:
+    said = {name for page in PAGES for w in calls(page.read_text("utf-8")) if (name := named(w))}
+    together = " ".join(page.read_text("utf-8") for page in PAGES)
+    missing = {name for name in MODULES if name not in said and f"`{name}" not in together}
+    assert not missing
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_targets_tests_pages_and_sections(page: Path) -> None:
+    text = " ".join(page.read_text("utf-8").split())
+    made = re.findall(r"^([\w]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
+    assert set(re.findall(r"`make (\w+)", text)) <= set(made)
+    for test, chosen in re.findall(r"pytest (test/\w+\.py)(?: -k (\w+))?", text):
+        source = (ROOT / test).read_text("utf-8")
+        names = re.findall(r"def test_(\w+)|id=\"(\w+)\"", source)
+        assert any(chosen in "".join(pair) for pair in names) or chosen in source, (test, chosen)
+    for other in re.findall(r"`docs/(\w+\.md)`", text):
+        assert (ROOT / "docs" / other).is_file(), other
+    for other, section in re.findall(r"`docs/(\w+\.md)`,? (?:section )?\"([^\"]+)\"", text):
+        page_named = (ROOT / "docs" / other).read_text("utf-8")
+        headings = re.findall(r"^#+ (.+)$", page_named, re.MULTILINE)
+        assert any(section in heading for heading in headings), f"{other}: {section}"

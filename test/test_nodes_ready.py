@@ -1,0 +1,236 @@
+"""What `kinematics` has at hand for the next target: at first, after a fault, with any /clock."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+import rclpy
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseStamped
+from nodes_bench import ROOT, Bench, bench, own_graph
+from rclpy.executors import SingleThreadedExecutor
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Temperature
+from std_msgs.msg import Header
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.jobs.dummy_predictor import train_dummy
+from longarm_comp.nodes import compensator
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.bringup import BringUp
+from longarm_comp.nodes.kinematics import Kinematics
+from longarm_comp.nodes.messages import joints_message, pose_message
+from longarm_interfaces.srv import Compensate
+
+STATUS = Compensate.Response
+
+
+@pytest.fixture(scope="module")
+def arm() -> Arm:
+    return Arm.load(Path(__file__).parents[1] / "config" / "arm_demo.yaml")
+
+
+@pytest.fixture(scope="module")
+def learned(arm: Arm, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("learned") / "predictor.npz"
+    train_dummy(arm, path)
+    return path
+
+
+@pytest.fixture
+def stage(tmp_path: Path) -> Iterator[Bench]:
+    with own_graph(tmp_path), bench() as made:
+        yield made
+
+
+class Watched:
+    """/diagnostics of `kinematics`, and its service."""
+
+    def __init__(self, stage: Bench, arm: Arm, space: str = "") -> None:
+        self.stage, self.arm = stage, arm
+        self.heard = stage.collect(graph.DIAGNOSTICS)
+        self.client = stage.node.create_client(Compensate, f"{space}/{graph.COMPENSATE.name}")
+        self.pose = pose_message(declared_model(arm).pose(arm.mid))
+
+    def part(self, name: str) -> Any:
+        """Wait for the next report of a part."""
+        del self.heard[:]
+        wanted = f"/kinematics: {name}"
+        told = lambda: [s for array in self.heard for s in array.status if s.name == wanted]  # noqa: E731
+        return self.stage.spin(told)[-1]
+
+    def says(self, name: str, message: str, level: bytes = b"\0") -> None:
+        """Wait until a part says that."""
+
+        def said() -> bool:
+            status = self.part(name)
+            return bool(status.message.startswith(message) and status.level == level)
+
+        self.stage.spin(said)
+
+    @property
+    def programs(self) -> int:
+        """How many programs are compiled."""
+        return next(int(v.value) for v in self.part("ready").values if "programs" in v.key)
+
+    def ask(self, **more: Any) -> Compensate.Response:
+        """The answer to one target."""
+        header = Header(frame_id="base", stamp=more.pop("stamp", Time()))
+        target = PoseStamped(header=header, pose=self.pose)
+        seed = joints_message(self.arm, self.arm.mid)
+        given = {"target": target, "position_only": True, "seed": seed, **more}
+        return self.stage.call(self.client, Compensate.Request(**given))
+
+
+def test_ready_means_compiled_and_the_predictor_probed_also_after_its_return(
+    stage: Bench, arm: Arm, demo_arm_path: Path, learned: Path
+) -> None:
+    pytest.importorskip("llvmlite", reason="nothing is compiled without it")
+    files = {"arm": demo_arm_path, "predictor": learned}
+    predictor = stage.start("error_predictor", files)
+    given = {"arm": demo_arm_path, "compiled": True, "diagnostics_period_s": 0.1}
+    node = stage.start("kinematics", given)
+    seen = Watched(stage, arm)
+    joints = graph.JOINT_STATES.publisher(stage.node)
+    stage.node.create_timer(0.2, lambda: joints.publish(joints_message(arm, arm.mid)))
+    seen.says("ready", "ready")
+    seen.says("targets", "compensating")
+    assert "ready: " in stage.output(node)
+    before = seen.programs
+    assert before > 0
+    answer = seen.ask()  # the first
+    assert answer.status == STATUS.SUCCESS, answer.message
+    assert seen.programs == before
+
+    warm = graph.TEMPERATURE.publisher(stage.node)
+    stage.connected(warm)
+
+    def other_programs() -> bool:
+        warm.publish(Temperature(temperature=20.0))
+        return seen.programs > before
+
+    stage.spin(other_programs)  # without a target
+    seen.says("ready", "ready")
+    before = seen.programs
+    assert seen.ask().status == STATUS.SUCCESS
+    assert seen.programs == before
+
+    predictor.send_signal(signal.SIGKILL)
+    predictor.wait()
+    assert seen.ask().status == STATUS.NO_PREDICTOR
+    seen.says("targets", "no error_predictor answers", level=b"\1")
+    stage.start("error_predictor", files)
+    seen.says("targets", "compensating")  # found without a target
+    answer = seen.ask()
+    assert answer.status == STATUS.SUCCESS, answer.message
+
+
+def test_composed_the_predictor_is_called_and_not_asked_over_the_middleware(
+    stage: Bench, arm: Arm, demo_arm_path: Path, learned: Path, tmp_path: Path
+) -> None:
+    made = BringUp(
+        arm=demo_arm_path, predictor=learned, without=("servo_driver", "stereo_bridge"),
+        set={"kinematics": {"compiled": False, "acknowledged": False, "reach.look_s": 1.0}},
+        composed=True, namespace="one",
+    )  # fmt: skip
+    ((name, words),) = made.commands(tmp_path).items()
+    assert name == "composed"
+    process = stage.program(words, ROOT, ROOT)
+    seen = Watched(stage, arm, "/one")
+    answer = seen.ask()
+    assert answer.status == STATUS.SUCCESS, answer.message
+    assert answer.in_domain and answer.predicted_error.x != 0.0
+    asks = stage.node.get_client_names_and_types_by_node("kinematics", "/one")
+    assert asks == []
+    serves = stage.node.get_service_names_and_types_by_node("error_predictor", "/one")
+    assert "/one/predict_error" in dict(serves)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=10) == 0
+    with pytest.raises(InputError, match="composed: 'kinematics'"):
+        replace(made, without=("kinematics",))
+
+
+@pytest.fixture
+def inside(stage: Bench, demo_arm_path: Path) -> Iterator[Kinematics]:
+    """The node in this process, on a clock that the test tells."""
+    given = {
+        "arm": demo_arm_path, "compiled": "false", "acknowledged": "false", "method": "deflection",
+        "use_sim_time": "true", "joints_max_age_s": 1.0, "diagnostics_period_s": 0.1,
+    }  # fmt: skip
+    words = [word for name, value in given.items() for word in ("-p", f"{name}:={value}")]
+    rclpy.init(args=["--ros-args", *words])
+    executor = SingleThreadedExecutor()
+    node = Kinematics(executor)
+    executor.add_node(node)
+    over = threading.Event()
+
+    def spin() -> None:
+        while not over.is_set():
+            executor.spin_once(timeout_sec=0.1)
+
+    thread = threading.Thread(target=spin)
+    thread.start()
+    yield node
+    over.set()
+    thread.join()
+    node.close()
+    executor.shutdown(timeout_sec=1.0)
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def test_whatever_the_clock_does_targets_and_joints_are_judged_by_it_and_loops_go_on(
+    inside: Kinematics, stage: Bench, arm: Arm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = Watched(stage, arm)
+    joints = graph.JOINT_STATES.publisher(stage.node)
+    clocks = stage.node.create_publisher(Clock, "/clock", 10)
+    stage.connected(joints)
+    stage.connected(clocks)
+
+    def stands(stamp: Time, *, at: int, status: int, words: str = "") -> None:
+        """Tell the clock and joints until an executed target of that stamp is answered so."""
+
+        def answered() -> bool:
+            if at:
+                clocks.publish(Clock(clock=Time(sec=at)))
+            joints.publish(joints_message(arm, arm.mid, Time(sec=at)))
+            answer = seen.ask(execute=True, stamp=stamp)
+            return bool(answer.status == status and words in answer.message)
+
+        stage.spin(answered)
+
+    stands(Time(), at=0, status=STATUS.SUCCESS)  # nobody tells the clock: it stands at 0
+    stands(Time(sec=900), at=0, status=STATUS.STALE_TARGET, words="in the future")
+    # without joints the watch on them bites, though no time passes on the node's clock
+    stage.spin(lambda: seen.ask(execute=True).status == STATUS.NOT_READY)
+    assert "s old" in seen.ask(execute=True).message
+    stands(Time(sec=1000), at=1000, status=STATUS.SUCCESS)
+    stands(Time(sec=994), at=1000, status=STATUS.STALE_TARGET, words="6.0 s old")
+    for now in range(1001, 1030, 2):  # it runs away
+        stands(Time(sec=now), at=now, status=STATUS.SUCCESS)
+    stands(Time(sec=500), at=500, status=STATUS.SUCCESS)  # it jumps back
+    stands(Time(sec=1029), at=500, status=STATUS.STALE_TARGET, words="in the future")
+
+    def broken(*given: object, **more: object) -> None:
+        raise RuntimeError("broken on purpose")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(compensator, "compensate_now", broken)
+        assert seen.ask().status == STATUS.INTERNAL_ERROR
+        seen.says("targets", "RuntimeError: broken", level=b"\2")
+        seen.says("process", "survived 1 faults", level=b"\2")
+    assert seen.ask().status == STATUS.SUCCESS
+    assert seen.part("targets").level < b"\2"
+    seen.says("process", "running")

@@ -1,0 +1,49 @@
+"""Pictures of README and pages: there, small, shown, and with the figures of today's code."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PICTURES = ROOT / "docs" / "pictures"
+sys.path.append(str(ROOT / "docs" / "made_by"))
+
+import pictures
+
+SHOWN = re.compile(r"!\[(.+?)\]\((?:docs/)?pictures/([\w.]+)\)|"
+                   r"```\{image\} (?:\.\./)?pictures/([\w.]+)\n:alt: (.+)")  # fmt: skip
+
+
+def words(svg: bytes) -> list[str]:
+    """Every text of a picture: matplotlib draws letters as paths and keeps them as comments."""
+    return re.findall(r"<!-- (.+?) -->", svg.decode("utf-8"))
+
+
+def test_every_picture_is_committed_small_and_shown_with_words_for_it() -> None:
+    made = {f"{p.__name__}.svg" for p in pictures.COMPUTED} | set(pictures.OF_A_DEMONSTRATION)
+    files = {file.name: file.stat().st_size for file in PICTURES.iterdir()}
+    assert set(files) == made
+    limits = {".webp": 1_500_000}
+    assert not {n for n, size in files.items() if size > limits.get(Path(n).suffix, 200_000)}
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    shown = {m[1] or m[2] for page in pages for m in _shown(page)}
+    assert shown == made
+
+
+def _shown(page: Path) -> list[tuple[str, str, str, str]]:
+    found = SHOWN.findall(page.read_text("utf-8"))
+    assert all(len(alt or other) > 20 for alt, _, _, other in found), page.name
+    return found
+
+
+@pytest.mark.parametrize("picture", pictures.COMPUTED, ids=lambda p: p.__name__)
+def test_the_words_and_figures_are_those_of_todays_code(picture, tmp_path: Path) -> None:
+    size = pictures.COMPUTED[picture]
+    pictures.save_svg(picture, tmp_path / "drawn.svg", size)
+    drawn = words((tmp_path / "drawn.svg").read_bytes())
+    assert len(drawn) > 3
+    assert drawn == words((PICTURES / f"{picture.__name__}.svg").read_bytes()), "make pictures"

@@ -1,0 +1,128 @@
+"""The calls of rclpy that its documentation does not list, and what works without them."""
+
+from __future__ import annotations
+
+import ast
+import threading
+from collections.abc import Callable, Iterator
+from importlib.metadata import version
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from geometry_msgs.msg import PoseStamped
+from nodes_bench import ROOT, Bench, bench
+from rclpy.qos import QoSProfile
+
+from longarm_comp.nodes import inlets, rclpy_inside
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.rclpy_inside import CHECKED, DirectInlets, missing
+from longarm_comp.nodes.worker import Worker
+from longarm_interfaces.srv import PredictError
+
+
+def test_this_rclpy_is_the_one_that_the_calls_were_checked_against() -> None:
+    """With another version: read its `executors.py`, run the node tests, then change `CHECKED`."""
+    assert version("rclpy").startswith(f"{CHECKED}.")
+    assert missing() == ()
+
+
+def test_a_call_that_is_missing_is_named() -> None:
+    part = SimpleNamespace(**vars(rclpy_inside.rclpy_implementation))
+    part.Client = SimpleNamespace(send_request=None)
+    del part.WaitSet
+    lacks = missing(part)
+    assert "Client.take_response" in lacks and "Client.send_request" not in lacks
+    assert "WaitSet.wait" in lacks and "Service.service_take_request" not in lacks
+
+
+def test_nothing_else_looks_inside_rclpy() -> None:
+    """Neither its implementation nor names with an underscore of what it hands out."""
+    for path in sorted((ROOT / "longarm_comp").rglob("*.py")):
+        if path.name != Path(rclpy_inside.__file__).name:
+            assert not list(_inside(path)), path
+
+
+def _inside(path: Path) -> Iterator[ast.AST]:
+    source = path.read_text("utf-8")
+    if "rclpy" not in source:
+        return
+    for node in ast.walk(ast.parse(source)):
+        name = node.module if isinstance(node, ast.ImportFrom) else None
+        if name is not None and name.startswith(("rclpy.impl", "rclpy._")):
+            yield node
+        if isinstance(node, ast.Attribute) and node.attr.startswith("take_"):
+            yield node
+        if isinstance(node, ast.Attribute) and node.attr == "handle":
+            yield node
+
+
+@pytest.fixture
+def stage(ros_domain: int) -> Iterator[Bench]:
+    with bench() as made:
+        yield made
+
+
+def test_an_rclpy_without_them_is_used_through_its_executor(
+    stage: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert isinstance(inlets.inlets(stage.node, direct=True), DirectInlets)
+    monkeypatch.setattr(inlets, "missing", lambda: ("WaitSet.wait",))
+    made = inlets.inlets(stage.node, direct=True)
+    assert isinstance(made, inlets.PlainInlets)
+    assert isinstance(inlets.inlets(stage.node, direct=False), inlets.PlainInlets)
+
+
+@pytest.mark.parametrize("direct", [True, False])
+def test_a_worker_hears_serves_asks_and_counts_either_way(stage: Bench, direct: bool) -> None:
+    errors: list[Exception] = []
+    heard: list[PoseStamped] = []
+    threads = set()
+
+    def serve(
+        request: PredictError.Request, reply: Callable[[PredictError.Response], None]
+    ) -> None:
+        threads.add(threading.current_thread())
+        reply(PredictError.Response(sigma=2.0 * request.temperature_c))
+
+    node, executor = stage.node, stage.executor
+    server = Worker(node, executor, 10, errors.append, direct=direct)
+    server.inlets.serve(graph.PREDICT_ERROR, serve)
+    server.inlets.hear(graph.TARGET_POSE, heard.append)
+    server.start()
+    asker = Worker(node, executor, 10, errors.append, direct=direct)
+    caller = asker.inlets.caller(graph.PREDICT_ERROR)
+    asker.start()
+    good = graph.TARGET_POSE.publisher(node)
+    deaf = node.create_publisher(
+        PoseStamped, "target_pose", QoSProfile(depth=5, reliability=graph.BEST_EFFORT)
+    )
+    answers: list[float] = []
+
+    def ask() -> None:
+        forgotten = caller.send(PredictError.Request(temperature_c=-1.0))
+        number = caller.send(PredictError.Request(temperature_c=float(len(answers))))
+        answer = caller.answer(number, 10.0)
+        assert caller.answer(forgotten, 0.0) is None
+        answers.append(answer.sigma)
+
+    try:
+        stage.spin(lambda: caller.present)
+        for count in (1, 2):
+            assert asker.submit(ask)
+            stage.spin(lambda count=count: len(answers) == count or errors)
+        assert answers == [0.0, 2.0] and not errors
+        assert len(threads) == 1 and threading.current_thread() not in threads
+        stage.connected(good)
+        good.publish(PoseStamped())
+        deaf.publish(PoseStamped())
+        stage.spin(lambda: heard)
+        stage.spin(lambda: server.inlets.unfit == 1)
+        assert server.inlets.lost == 0 and len(heard) == 1
+    finally:
+        for worker in (server, asker):
+            worker.close()
+    assert not errors
