@@ -33,9 +33,10 @@ from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.jobs.progress import ProgressTeller
+from longarm_comp.jobs.collect.progress import Progress
+from longarm_comp.jobs.collect.told import progress_message
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.health import ERROR, OK, Report, reports
+from longarm_comp.nodes.health import ERROR, Health, Report
 from longarm_comp.nodes.messages import pose_message
 from longarm_comp.view.scene import BLUE, GREEN, ORANGE
 from longarm_interfaces.msg import DriverState
@@ -56,6 +57,7 @@ class Driver:
     """Plays servo_driver and stereo_bridge: joints, state, services, sightings."""
 
     node: Node
+    other: Node
     arm: Arm
     asked: list[tuple[str, object]] = field(default_factory=list)
     state: int = DriverState.READY
@@ -65,12 +67,15 @@ class Driver:
         self.joints = graph.JOINT_STATES.publisher(self.node)
         self.states = graph.DRIVER_STATE.publisher(self.node)
         self.tips = graph.TIP_MEASURED.publisher(self.node)
-        self.diagnostics = graph.DIAGNOSTICS.publisher(self.node)
         self.targets = graph.TARGET_POSE.publisher(self.node)
-        self.teller = ProgressTeller(self.node)
+        self.collecting = graph.COLLECT_PROGRESS.publisher(self.node)
+        mean, foreign = Report(ERROR, MEAN_WORDS), Report(ERROR, "of another namespace")
+        self.own = Health(self.node, {"part": lambda: mean}, 600.0)
+        self.foreign = Health(self.other, {"part": lambda: foreign}, 600.0)
         graph.JOINT_TRAJECTORY.subscription(self.node, self.on_trajectory)
         self.node.create_service(SetBool, "servo_driver/estop", self.on_estop)
         self.node.create_service(SetBool, "servo_driver/hold", self.on_hold)
+        self.node.create_service(SetBool, "collect/pause", self.on_pause)
         self.timer = self.node.create_timer(0.1, self.speak)
 
     def speak(self) -> None:
@@ -100,6 +105,11 @@ class Driver:
         answer.message = "the driver is not active: there is no torque to hold with"
         return answer
 
+    def on_pause(self, request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
+        self.asked.append(("pause", request.data))
+        answer.success, answer.message = True, "rests after this pose"
+        return answer
+
     def offer_reset(self) -> None:
         self.node.create_service(Trigger, "servo_driver/reset", self.on_reset)
 
@@ -113,9 +123,6 @@ class Driver:
         target.header.frame_id = "base"
         target.header.stamp = self.node.get_clock().now().to_msg()
         self.targets.publish(target)
-
-    def report(self, node: Node, level: bytes, words: str) -> None:
-        self.diagnostics.publish(reports(node, {"part": Report(level, words)}))
 
 
 @dataclass
@@ -147,12 +154,15 @@ class Stand:
         self.page.get_by_role("button", name=button, exact=True).click()
 
     def pixels(self, rgb: tuple[int, int, int]) -> int:
-        """How many pixels of the scene are of about that colour."""
+        """How many pixels of the scene are of about that hue: light and shade change the rest."""
         shot = np.frombuffer(self.page.screenshot(), np.uint8)
         image = cv2.imdecode(shot, cv2.IMREAD_COLOR)
         assert image is not None
-        scene = image[:, : image.shape[1] * 59 // 100, ::-1].astype(int)
-        return int((np.abs(scene - rgb).max(axis=-1) < 50).sum())
+        scene = cv2.cvtColor(image[:, : image.shape[1] * 59 // 100], cv2.COLOR_BGR2HSV)
+        ((hue, _, _),) = cv2.cvtColor(np.array([[rgb]], np.uint8), cv2.COLOR_RGB2HSV)[0]
+        apart = np.abs(scene[..., 0].astype(int) - int(hue))
+        strong = (scene[..., 1] > 120) & (scene[..., 2] > 60)
+        return int(((np.minimum(apart, 180 - apart) <= 8) & strong).sum())
 
 
 @pytest.fixture
@@ -169,7 +179,7 @@ def stand(tmp_path: Path, demo_arm_path: Path) -> Iterator[Stand]:
         page = chromium.new_page(viewport=WIDE)
         page.add_init_script(FEW_FRAMES)
         page.set_default_timeout(1e3 * PATIENCE_S)
-        made = Stand(stage, Driver(node, Arm.load(demo_arm_path)), page, view)
+        made = Stand(stage, Driver(node, stage.node, Arm.load(demo_arm_path)), page, view)
         page.on("pageerror", lambda error: made.faults.append(str(error)))
         page.on("requestfailed", lambda request: made.faults.append(request.url))
         stage.spin(lambda: "?token=" in stage.output(view), within=PATIENCE_S)
@@ -209,21 +219,24 @@ def test_the_page_shows_the_graph_and_its_buttons_reach_the_driver(stand: Stand)
     assert stand.faults == [] and page.evaluate("window.planted") is None
     stand.view.send_signal(signal.SIGINT)
     assert stand.view.wait(timeout=PATIENCE_S) == 0
-    assert driver.asked == [("estop", True), ("hold", True), ("estop", False), ("reset", None)]
+    called = ["estop", "hold", "estop", "pause", "reset"]
+    assert driver.asked == list(zip(called, [True, True, False, True, None], strict=True))
 
 
 def shows_the_arm_and_its_errors(stand: Stand) -> None:
     driver, page = stand.driver, stand.page
     stand.shows("The driver is ready.")
+    page.add_style_tag(content=".mantine-Notification-root {display: none}")  # "no GPU", in orange
     stand.shows("tip − predicted: 1.00 mm (x +0.80, y -0.60, z")
     stand.shows("tip − target: no target was heard")
     stand.until(lambda: driver.targets.get_subscription_count(), "deaf")
+    assert stand.pixels(GREEN) < 10
     driver.aim(0.4 * driver.arm.lower + 0.6 * driver.arm.upper)
     stand.shows("Last target: NO_PREDICTOR")
     stand.shows("tip − target: 1.00 mm (x +0.80, y -0.60, z")
     stand.until(lambda: stand.pixels(BLUE) > 200, "no arm is drawn")
-    stand.until(lambda: stand.pixels(GREEN) > 10, "no target is drawn")
-    stand.until(lambda: stand.pixels(ORANGE) > 100, "no error is drawn")
+    stand.until(lambda: stand.pixels(GREEN) > 20, "no target is drawn")
+    stand.until(lambda: stand.pixels(ORANGE) > 20, "no error is drawn")
     stand.shows("drawn 10 times larger than it is, error arrows 100 times longer")
     page.locator("input:visible").first.fill("1")
     page.keyboard.press("Enter")
@@ -239,12 +252,13 @@ def says_how_well_the_nodes_are(stand: Stand) -> None:
     stand.shows("▲ kinematics: warning\n▲ targets: no error_predictor")
     stand.shows("▲ model: no calibrated model: the arm as declared")
     stand.shows("Drift: evidence 0.")
-    driver.report(driver.node, ERROR, MEAN_WORDS)
-    driver.report(stand.stage.node, OK, "of another namespace")
+    driver.own.publish()
+    driver.foreign.publish()
     stand.shows(f"✖ servo_driver: error\n✖ part: {MEAN_WORDS}")
     assert "tester" not in stand.words() and "another namespace" not in stand.words()
-    driver.teller.tell(7, 24, "at pose 6; marker lost at 2 poses")
-    stand.shows("servo_driver: 7 of 24, at pose 6; marker lost at 2 poses")
+    where = Progress(7, 24, visit=6, seen=5, lost=("too far", "too far"))
+    driver.collecting.publish(progress_message(where, f"/{NAMESPACE}"))
+    stand.shows("collect: 7 of 24, pose 6; marker lost at 2 of 7 poses: ")
 
 
 def buttons_call_the_services(stand: Stand) -> None:
@@ -256,6 +270,8 @@ def buttons_call_the_services(stand: Stand) -> None:
     stand.shows("Hold: refused: the driver is not active: there is no torque to hold with")
     stand.press("Release stop")
     stand.shows("The driver is ready.")
+    stand.press("Pause collect")
+    stand.shows("Pause collect: rests after this pose")
     stand.press("Reset fault")
     stand.shows(f"Reset fault: not done, nobody offers /{NAMESPACE}/servo_driver/reset")
     driver.offer_reset()

@@ -31,12 +31,16 @@ JOINTS = {"a": 0.1, "b": -0.2}
 
 def at_rest() -> State:
     """An arm that rests at its target since 10 s, seen a moment ago; it is 20 s now."""
-    return State(
-        heard=19.9,
-        picture=Picture(DECLARED, HANGING, TARGET, None, 19.8),
-        tip=Tip(SEEN, 19.9),
-        answer=Answer("SUCCESS", "", JOINTS),
-    ).with_joints(JOINTS, 10.0)
+    return (
+        State(
+            heard=19.9,
+            picture=Picture(DECLARED, HANGING, TARGET, None, 19.8),
+            tip=Tip(SEEN, 19.9),
+            answer=Answer("SUCCESS", "", JOINTS),
+        )
+        .with_joints(JOINTS, 10.0)
+        .with_joints(JOINTS, 19.9)
+    )
 
 
 def test_errors_of_an_arm_at_rest() -> None:
@@ -101,6 +105,9 @@ def test_silence_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
         State(), 5.0, "/left"
     )
     state = replace(at_rest(), driver=("in fault", "joint2 stalled"))
+    assert not state.old(22.0) and state.old(23.0)
+    assert words.headline(replace(state, heard=25.0), 25.0, "/") == "No joint_states for 5 s."
+    assert words.headline(State(heard=25.0), 25.0, "/") == "No joint_states."
     assert words.headline(state, 22.0, "/") == "The driver is in fault (joint2 stalled)."
     assert words.headline(state, 30.0, "/").startswith("The graph is silent for 10 s.")
     assert words.headline(state, 500.0, "/").startswith("The graph is silent for 8 min.")

@@ -12,7 +12,7 @@ import viser
 from viser import uplot
 
 from longarm_comp.view import words
-from longarm_comp.view.commands import RELEASES, STOPS, Button, Said
+from longarm_comp.view.commands import PAUSES, RELEASES, STOPS, Button, Said
 from longarm_comp.view.scene import Exaggeration
 from longarm_comp.view.state import State
 from longarm_comp.view.trace import Trace
@@ -37,14 +37,11 @@ class Panel:
         for button in STOPS:
             made = gui.add_button(button.label, color=button.colour, hint=button.hint)
             made.on_click(partial(_pressed, press, button))
-        ways_on = {button.label: button for button in RELEASES}
-        group = gui.add_button_group(
-            "", tuple(ways_on), hint="\n".join(button.hint for button in RELEASES)
-        )
-        group.on_click(lambda event: press(ways_on[event.target.value]))
+        self._group(RELEASES, press)
         self._said = gui.add_html("")
         self._job = gui.add_html("", visible=False)
         self._bar = gui.add_progress_bar(0.0, visible=False)
+        self._pauses = self._group(PAUSES, press, visible=False)
         self._tip = gui.add_html("")
         with gui.add_folder("Health"):
             self._health = gui.add_html("")
@@ -57,6 +54,16 @@ class Panel:
         self._drift = self._chart(
             "Evidence of drift", ("evidence", "warns at 1"), ("#1e64dc", "#888888")
         )
+
+    def _group(
+        self, buttons: Sequence[Button], press: Callable[[Button], None], visible: bool = True
+    ) -> Any:
+        """Smaller buttons in a row."""
+        named = {button.label: button for button in buttons}
+        hints = "\n".join(f"{button.label}: {button.hint}" for button in buttons)
+        group = self._server.gui.add_button_group("", tuple(named), hint=hints, visible=visible)
+        group.on_click(lambda event: press(named[event.target.value]))
+        return group
 
     def _chart(self, title: str, names: Sequence[str], colours: Sequence[str]) -> Any:
         lines = [
@@ -77,7 +84,7 @@ class Panel:
 
     def show(self, state: State, now: float, said: Said) -> None:
         """Show a state, and what came of the last press of a button."""
-        colour = _BAD if state.silent_s(now) else _GOOD
+        colour = _BAD if state.unread_s(now) else _GOOD
         headline = words.headline(state, now, self._namespace)
         self._write(self._state, [_line(headline, colour, bold=True), _line(words.target(state))])
         self._write(
@@ -93,7 +100,7 @@ class Panel:
             job = state.progress
             self._write(self._job, [_line(words.progress(job, now))])
             _set(self._bar, "value", 100.0 * min(job.done / job.of, 1.0))
-            for handle in (self._job, self._bar):
+            for handle in (self._job, self._bar, self._pauses):
                 _set(handle, "visible", True)
 
     def draw(self, trace: Trace) -> None:

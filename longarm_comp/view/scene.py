@@ -38,14 +38,14 @@ class Scene:
         server.on_client_connect(self._aim)
 
     def show(self, state: State, now: float, factor: Exaggeration) -> None:
-        """Draw a state; pale where the graph is silent."""
+        """Draw a state; pale where it is not of now."""
         picture = state.picture
         if picture is None:
             return
         with self._server.atomic():
             if not self._handles:
                 self._begin(picture)
-            pale = bool(state.silent_s(now))
+            pale = state.old(now)
             hanging = exaggerated(picture.hanging, picture.declared, factor.deflection)
             self._line("declared", picture.declared, PALE if pale else GREY)
             self._line("hanging", hanging, PALE if pale else BLUE)
