@@ -110,21 +110,28 @@ def test_what_is_installed_with_the_package_is_what_it_uses_outside_of_extras(wh
 
 
 @pytest.mark.parametrize(
-    ("library", "study"), [("sklearn", ("table1", "--arms", "1")), ("joblib", ("loop",))]
+    ("library", "command", "lacks"),
+    [
+        ("sklearn", "study table1 --arms 1 -o out", "this study needs sklearn: {}[studies]'"),
+        ("joblib", "study loop -o out", "this study needs joblib: {}[studies]'"),
+        ("viser", "view --no-open", "longarm view needs viser: {}[view]'"),
+    ],
 )
-def test_a_study_says_which_library_it_lacks(
-    library: str, study: tuple[str, ...], tmp_path: Path
+def test_a_command_says_which_library_it_lacks(
+    library: str, command: str, lacks: str, tmp_path: Path
 ) -> None:
-    words = ["study", *study, "-o", str(tmp_path / "out")]
+    words = command.split()
     code = f"""
 import sys
 sys.modules[{library!r}] = None
 from longarm_comp.cli.run import run
 sys.exit(run({words!r}))
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path
+    )
     assert done.returncode == 3
-    assert f"this study needs {library}: pip install 'longarm_comp[studies]'" in done.stderr
+    assert lacks.format("pip install 'longarm_comp") in done.stderr
     assert "Traceback" not in done.stderr
 
 
