@@ -102,6 +102,9 @@ def test_a_rest_pose_is_handed_out_once_and_only_at_rest() -> None:
     watch.joints(goal + 0.01, 4.2)  # it moved after all
     watch.joints(goal, 4.4)
     assert watch.sighted(np.zeros(3), variance, 4.7) is None
+    watch.joints(goal, 1.0)  # the clock jumped back
+    assert watch.sighted(np.zeros(3), variance, 1.6) is None  # the first of two
+    assert watch.sighted(np.zeros(3), variance, 1.7) is not None
     with pytest.raises(InputError):
         RestWatch(sightings=0)
 

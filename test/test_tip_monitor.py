@@ -14,8 +14,11 @@ from longarm_comp.core.model.model import Model
 
 pytest.importorskip("rclpy")
 
+from geometry_msgs.msg import PoseWithCovarianceStamped
+
 from longarm_comp.nodes.health import OK, WARN
 from longarm_comp.nodes.monitoring import TipMonitor
+from longarm_comp.nodes.stamps import stamp_of
 
 
 class NoPredictor:
@@ -73,3 +76,19 @@ def test_a_pose_that_is_no_target_is_not_judged_by_one(model: Model) -> None:
     rest = RestPose(q, History.unknown(ARM.n), model.measured(q), np.full(3, 1e-8), 1)
     monitor.judge(rest, model, Context.empty())
     assert monitor.target_report().facts["targets"] == 0
+
+
+def test_images_of_the_way_that_come_late_are_no_rest_pose() -> None:
+    """A busy machine hands them over seconds after the joints came to rest."""
+    monitor = TipMonitor(NoPredictor(), 0.5, 1, 1e-3, 1e4, lambda: "advice")  # type: ignore[arg-type]
+    monitor.on_command(ARM.mid, History.unknown(ARM.n))
+    monitor.on_joints(ARM.mid + 0.1, 9.0)
+    monitor.on_joints(ARM.mid, 10.0)
+    for taken, now, rests in ((9.9, 14.0, False), (10.4, 14.5, False), (10.6, 15.0, True)):
+        seen = PoseWithCovarianceStamped()
+        seen.header.stamp = stamp_of(int(1e9 * taken))
+        assert (monitor.on_tip(seen, now) is not None) == rests
+    monitor.on_command(ARM.mid, History.unknown(ARM.n))
+    monitor.on_joints(ARM.mid, 20.0)
+    assert monitor.on_tip(PoseWithCovarianceStamped(), 20.4) is None  # no stamp: it is of now
+    assert monitor.on_tip(PoseWithCovarianceStamped(), 20.6) is not None

@@ -28,7 +28,7 @@ class ArmState:
 
     Args:
         refused: called for every message that is refused, with its kind and the reason.
-        moved: called with every joint reading (n,) that is believed.
+        moved: called with every joint reading (n,) that is believed, and its time (ROS clock, s).
         max_age_s: older joint readings are not believed.
         rate: ranges of a joint per second; readings that move faster are not believed.
     """
@@ -38,7 +38,7 @@ class ArmState:
         node: Node,
         arm: Arm,
         refused: Callable[[str, str], None],
-        moved: Callable[[np.ndarray], None],
+        moved: Callable[[np.ndarray, float], None],
         max_age_s: float,
         rate: float,
     ) -> None:
@@ -76,7 +76,7 @@ class ArmState:
             self._trust.distrust(f"joint_states are doubtful: the last {why}")
         elif self._trust.read(q, 1e-9 * stamp if stamp else now):
             self._joints = q, now
-            self._on_moved(q)
+            self._on_moved(q, 1e-9 * (stamp or self._clock.now().nanoseconds))
             return
         self._refused("doubtful joint_states", self._trust.doubt)
 

@@ -197,7 +197,7 @@ class Kinematics(Node):
 
     def _on_tip(self, message: PoseWithCovarianceStamped) -> None:
         self._markers.on_tip(message)
-        rest = self._monitor.on_tip(message)
+        rest = self._monitor.on_tip(message, 1e-9 * self.get_clock().now().nanoseconds)
         context = None if rest is None else self._now_context(rest.history)
         if rest is not None and context is not None:
             model = self._files.loaded.model

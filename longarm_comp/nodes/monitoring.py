@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -20,6 +19,7 @@ from longarm_comp.nodes.health import OK, WARN, Report
 from longarm_comp.nodes.messages import sighting_of
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.predictor_client import NoAnswer, PredictorClient
+from longarm_comp.nodes.stamps import stamp_ns
 
 PARAMS = (
     Param("monitor.settle_s", 0.5, "joints at rest for so long before the tip counts", 0.0, 60.0),
@@ -109,16 +109,21 @@ class TipMonitor:
         with self._feeding:
             self._watch.commanded(q, history)
 
-    def on_joints(self, q: np.ndarray) -> None:
-        """Take a joint reading (n,)."""
+    def on_joints(self, q: np.ndarray, at_s: float) -> None:
+        """Take a joint reading (n,) of a time (ROS clock, s)."""
         with self._feeding:
-            self._watch.joints(q, time.monotonic())
+            self._watch.joints(q, at_s)
 
-    def on_tip(self, message: PoseWithCovarianceStamped) -> RestPose | None:
-        """Take a sighting; returns the rest pose that it completes, if it does."""
+    def on_tip(self, message: PoseWithCovarianceStamped, now_s: float) -> RestPose | None:
+        """Take a sighting; returns the rest pose that it completes, if it does.
+
+        It counts for the time of its images, which may come late: a picture of the arm on its way
+        is no rest pose. Without a stamp it counts for now (ROS clock, s).
+        """
         tip, variance = sighting_of(message)
+        stamp = stamp_ns(message.header.stamp)
         with self._feeding:
-            return self._watch.sighted(tip, variance, time.monotonic())
+            return self._watch.sighted(tip, variance, 1e-9 * stamp if stamp else now_s)
 
     def judge(self, rest: RestPose, model: Model, context: Context) -> None:
         """Add a rest pose to the sequential tests."""

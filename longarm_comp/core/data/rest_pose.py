@@ -62,17 +62,20 @@ class RestWatch:
         self.commands += 1
 
     def joints(self, q: np.ndarray, at_s: float) -> None:
-        """Take a joint reading q (n,)."""
+        """Take a joint reading q (n,) of a time (s, of the clock of the sightings)."""
         if self._goal is None:
             return
         if np.abs(q - self._goal[0]).max() > JOINT_REST:
             self._there_since = None
             self._seen.clear()
-        elif self._there_since is None:
+        elif self._there_since is None or at_s < self._there_since:  # a clock that jumped back
             self._there_since = at_s
 
     def sighted(self, tip: np.ndarray, variance: np.ndarray, at_s: float) -> RestPose | None:
-        """Take a sighting (m, m^2; NaN if lost). Returns the rest pose that it completes."""
+        """Take a sighting (m, m^2; NaN if lost) of a time (s). Returns the rest pose that it completes.
+
+        The time is that of the images: a sighting that comes late shows the arm as it was then.
+        """
         settled = self._there_since is not None and at_s - self._there_since >= self.settle_s
         if self._goal is None or not settled or not np.isfinite(tip).all():
             return None
