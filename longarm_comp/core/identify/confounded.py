@@ -17,7 +17,7 @@ TOGETHER = 0.95
 
 
 @dataclass(frozen=True)
-class Pair:
+class Confounding:
     """Two quantities of which an effect reads one.
 
     Attributes:
@@ -38,7 +38,7 @@ class Pair:
         )
 
 
-def confounded(rows: Session, arm: Arm, terms: Sequence[Term]) -> list[Pair]:
+def confounded(rows: Session, arm: Arm, terms: Sequence[Term]) -> list[Confounding]:
     """What runs together with the joints and the columns that an effect depends on.
 
     Two joints that run together are left out: their effects are candidates themselves.
@@ -52,7 +52,7 @@ def confounded(rows: Session, arm: Arm, terms: Sequence[Term]) -> list[Pair]:
         if {one, two} & own and not {one, two} <= set(joints):
             together = float(np.corrcoef(varied[one], varied[two])[0, 1])
             if abs(together) > TOGETHER:
-                made.append(Pair((one, two), together))
+                made.append(Confounding((one, two), together))
     return made
 
 

@@ -21,7 +21,7 @@ from longarm_comp.core.learn.network import (
     xavier_start,
 )
 from longarm_comp.core.learn.population import fitness_on
-from longarm_comp.core.learn.predictor import Gain, Predictor, Provenance
+from longarm_comp.core.learn.predictor import LearnedGain, Predictor, Provenance
 from longarm_comp.core.learn.sparrow import Fitness, SparrowSearch
 from longarm_comp.core.learn.training import Fit, back_propagate
 
@@ -188,7 +188,7 @@ def _calibrated(
     alone = np.sqrt(np.mean(y[used] ** 2, axis=0))
     _, variance = draft._mean_and_variance(probe)
     limit = 4.0 * float(np.quantile(variance.max(axis=1), 0.99))
-    gain = Gain.of(y[used], left[used])
+    gain = LearnedGain.of(y[used], left[used])
     return replace(draft, widen=widen, variance_limit=limit, alone=alone, gain=gain)
 
 

@@ -46,7 +46,7 @@ class Prediction:
 
 
 @dataclass(frozen=True)
-class Gain:
+class LearnedGain:
     """What a network brought on rows that were left out of its training, lengths in m.
 
     Attributes:
@@ -59,7 +59,7 @@ class Gain:
     low: float = math.inf
 
     @classmethod
-    def of(cls, residual: Array, left: Array) -> Gain:
+    def of(cls, residual: Array, left: Array) -> LearnedGain:
         """From the residual (N, 3) and what the network leaves of it, row by row."""
         before, after = (np.linalg.norm(e, axis=1) for e in (residual, left))
         gained = before - after
@@ -103,7 +103,7 @@ class Predictor:
     widen: Array  # (3,) conformal factor
     variance_limit: float  # m^2, largest epistemic variance still trusted
     alone: Array = field(default_factory=lambda: np.full(3, np.inf))  # (3,) m, RMS of the residual
-    gain: Gain = field(default_factory=Gain)
+    gain: LearnedGain = field(default_factory=LearnedGain)
     provenance: Provenance = field(default_factory=Provenance)
 
     def __post_init__(self) -> None:

@@ -17,7 +17,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path
 from longarm_comp.core.learn.inputs import INPUT_KINDS, Encoding, raw_names
 from longarm_comp.core.learn.network import Shape
-from longarm_comp.core.learn.predictor import Gain, Predictor, Provenance
+from longarm_comp.core.learn.predictor import LearnedGain, Predictor, Provenance
 
 FORMAT = "longarm/predictor"
 VERSION = 1
@@ -109,7 +109,7 @@ def load(
     alone = arrays.get("alone", np.full(3, np.inf))  # files of earlier versions hold none
     if alone.shape != (3,) or alone.dtype.kind != "f" or not (alone >= 0).all():
         raise InputError(path, "alone", alone.tolist(), "three lengths of 0 m or more")
-    gain = arrays.get("gain", np.array(dataclasses.astuple(Gain())))
+    gain = arrays.get("gain", np.array(dataclasses.astuple(LearnedGain())))
     if gain.shape != (3,) or gain.dtype.kind != "f" or np.isnan(gain).any():
         raise InputError(path, "gain", gain.tolist(), "three lengths in m")
     if arm_hash is not None and header["arm_hash"] != arm_hash:
@@ -130,7 +130,7 @@ def load(
         widen=arrays["widen"],
         variance_limit=header["variance_limit"],
         alone=alone,
-        gain=Gain(*gain.tolist()),
+        gain=LearnedGain(*gain.tolist()),
         provenance=Provenance(
             header["arm_hash"], header["session_hash"], names, header["settings"]
         ),
