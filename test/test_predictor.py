@@ -62,7 +62,7 @@ def test_smooth_residual_is_learnt_to_the_floor_with_honest_intervals(
         assert found.in_domain.mean() > 0.97
         assert 0.36 < 1e3 * predictor.noise[0] < 0.46  # the noise that was put in: 0.4 mm
     assert np.mean(rms) < goal_mm
-    assert 0.88 < np.mean(inside) < 0.95
+    assert 0.88 < np.mean(inside) < 0.96
 
 
 def test_same_seed_same_predictor_and_another_seed_another(data):
@@ -185,7 +185,7 @@ def test_it_refuses_where_its_sigma_is_no_less_than_what_the_physics_alone_leave
         np.testing.assert_array_equal(judged.error, found.error)
 
 
-def test_nothing_but_noise_is_mostly_refused():
+def test_nothing_but_noise_is_refused():
     """Few rows, nothing to learn: correcting for the prediction would only add to the error."""
     rng = np.random.default_rng(4)
     q = LOWER + rng.random((60, 7)) * (UPPER - LOWER)
@@ -195,7 +195,25 @@ def test_nothing_but_noise_is_mostly_refused():
     )
     predictor = train(q, noise, hidden=12, ensemble=3)
     np.testing.assert_allclose(predictor.alone, 1e-3, rtol=0.3)
-    assert predictor.predict(test).in_domain.mean() < 0.3
+    found = predictor.predict(test)
+    assert not found.in_domain.any()
+    assert all("rows left out of the training" in reason for reason in found.reason)
+    lucky = dataclasses.replace(predictor.gain, low=1e-6)
+    assert (
+        dataclasses.replace(predictor, gain=lucky, alone=np.full(3, np.inf))
+        .predict(test)
+        .in_domain.any()
+    )
+
+
+def test_what_is_learned_of_single_poses_is_no_gain():
+    """Each pose has an error of its own and is measured five times: its repeats tell nothing of
+    other poses."""
+    rng = np.random.default_rng(5)
+    q = np.repeat(LOWER + rng.random((40, 7)) * (UPPER - LOWER), 5, axis=0)
+    own = np.repeat(1e-3 * rng.standard_normal((40, 3)), 5, axis=0)
+    noisy = own + 5e-5 * rng.standard_normal(own.shape)
+    assert not train(q, noisy, **{**FAST, "hidden": 12}).gain.helps
 
 
 def test_one_row_and_many_rows_give_the_same_numbers(data, small):
