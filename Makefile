@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 # Python compiles a module when it is first imported; most of them never are.
-INSTALL := $(INSTALL) --no-compile
+INSTALL := $(PIP) install --quiet --no-compile
 STAMPS := $(VENV)/stamps
 
 .PHONY: setup test long fuzz lint demo docs pictures bench format system colcon clean
