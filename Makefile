@@ -6,6 +6,8 @@ TORCH_ARGS ?=
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
+# Python compiles a module when it is first imported; most of them never are.
+INSTALL := $(PIP) install --quiet --no-compile
 STAMPS := $(VENV)/stamps
 
 .PHONY: setup test long fuzz lint demo docs pictures bench format system colcon clean
@@ -17,27 +19,27 @@ $(STAMPS)/python:
 	@$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(0 if (3, 10) <= v < (3, 14) else \
 	  f"Python 3.10 to 3.13 is needed, this is {v.major}.{v.minor}: make setup PYTHON=python3.12")'
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(PIP) install --quiet --upgrade pip 'setuptools>=68,<80' wheel
+	$(INSTALL) --upgrade pip 'setuptools>=68,<80' wheel
 	@mkdir -p $(STAMPS) && touch $@
 
 # torch comes first and alone. Its CPU build is enough: TORCH_ARGS='--index-url ...' chooses another.
 $(STAMPS)/torch: requirements/torch.txt | $(STAMPS)/python
-	$(PIP) install --quiet $(TORCH_ARGS) -r $<
+	$(INSTALL) $(TORCH_ARGS) -r $<
 	@touch $@
 
 $(STAMPS)/ros: requirements/ros.txt | $(STAMPS)/torch
-	$(PIP) install --quiet -r $<
+	$(INSTALL) -r $<
 	@touch $@
 
 INTERFACES := $(shell find longarm_interfaces -type f -not -path '*/build/*')
 $(STAMPS)/interfaces: $(INTERFACES) $(STAMPS)/ros
-	$(PIP) install --quiet --no-build-isolation ./longarm_interfaces
+	$(INSTALL) --no-build-isolation ./longarm_interfaces
 	@touch $@
 
 # What runs, without the peers of benchmarks and tests.
 PROGRAMS := longarm error_predictor kinematics servo_driver simulated_arm stereo_bridge
 $(STAMPS)/package: setup.py setup.cfg pyproject.toml package.xml $(STAMPS)/interfaces $(STAMPS)/torch
-	$(PIP) install --quiet --no-build-isolation --editable .
+	$(INSTALL) --no-build-isolation --editable .
 	@# An editable installation holds no files but Python's: these are what `ros2` looks for.
 	@mkdir -p $(VENV)/share/ament_index/resource_index/packages $(VENV)/share/longarm_comp $(VENV)/lib/longarm_comp
 	@cp resource/longarm_comp $(VENV)/share/ament_index/resource_index/packages/longarm_comp
@@ -48,11 +50,11 @@ $(STAMPS)/package: setup.py setup.cfg pyproject.toml package.xml $(STAMPS)/inter
 # Packages of ROS that no registry has, for the tests.
 STAND_INS := $(shell find test/stand_ins -type f -not -path '*/build/*')
 $(STAMPS)/stand_ins: $(STAND_INS) $(STAMPS)/interfaces
-	$(PIP) install --quiet --no-build-isolation ./test/stand_ins
+	$(INSTALL) --no-build-isolation ./test/stand_ins
 	@touch $@
 
 $(STAMPS)/dev: $(STAMPS)/package $(STAMPS)/stand_ins
-	$(PIP) install --quiet --no-build-isolation --editable '.[dev]'
+	$(INSTALL) --no-build-isolation --editable '.[dev]'
 	@touch $@
 
 test: setup

@@ -58,7 +58,7 @@ SENT: dict[str, Callable[[np.ndarray], Image]] = {
     "mono8": lambda g: image("mono8", g),
     "mono16": lambda g: image("mono16", g.astype(np.uint16) * 257),
     "12 bits in mono16": lambda g: image("mono16", g.astype(np.uint16) * 16 + 3),
-    "big-endian": lambda g: image("16UC1", g.astype(np.uint16) * 256, big=True),
+    "big-endian": lambda g: image("16UC1", g.astype(np.uint16) * 256 + 85, big=True),
     "rgb8": lambda g: image("rgb8", tinted(g)[:, :, ::-1]),
     "bgra8": lambda g: image("bgra8", np.dstack([tinted(g), np.full_like(g, 9)])),
     "yuv422": lambda g: image("yuv422", interleaved(g, first=False)),
@@ -153,3 +153,12 @@ def test_what_is_no_image_is_refused_in_words() -> None:
     for data in (b"", b"no image", whole[:20]):
         with pytest.raises(StereoRefusal, match=r"jpeg or png"):
             decoded(CompressedImage(format="mono8; png compressed ", data=data))
+
+
+def test_what_was_made_colour_before_it_was_packed_is_no_mosaic(rng: np.random.Generator) -> None:
+    picture = rng.integers(0, 255, (8, 12, 3), dtype=np.uint8)
+    plain, made = (
+        decoded(compressed(words, ".png", picture))
+        for words in ("bgr8; png compressed bgr8", "bayer_rggb8; png compressed bgr8")
+    )
+    np.testing.assert_array_equal(plain, made)
