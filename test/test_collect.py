@@ -27,11 +27,13 @@ from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.plan import Plan, from_both_sides, sobol
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify.calibrate import declared_model
+from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.jobs.measurement_schedule import Visit, visits
 from longarm_comp.sessions.bag import open_bag
 from longarm_comp.sessions.bag_info import bag_info
 from longarm_comp.sessions.bag_segments import SegmentedBag
 from longarm_comp.sessions.message_types import message_types
+from longarm_comp.sessions.offered import offered
 from longarm_comp.sessions.poses import write_poses
 from longarm_comp.sessions.read import read_session
 
@@ -120,6 +122,17 @@ def test_more_repeats_than_poses_are_refused(arm: Arm) -> None:
 # ------------------------------------------------------------------ bags that grow
 
 
+def offers(path: Path) -> dict[str, tuple[int, str, str]]:
+    """Depth, reliability and durability by topic, as `ros2 bag play` reads them."""
+    information = read_yaml(path / "metadata.yaml")["rosbag2_bagfile_information"]
+    topics = [t["topic_metadata"] for t in information["topics_with_message_count"]]
+    return {
+        topic["name"]: (qos["depth"], qos["reliability"], qos["durability"])
+        for topic in topics
+        for qos in topic["offered_qos_profiles"]
+    }
+
+
 def test_a_growing_bag_is_readable_after_every_segment(tmp_path: Path) -> None:
     path = tmp_path / "bag"
     with SegmentedBag(path) as bag:
@@ -129,7 +142,11 @@ def test_a_growing_bag_is_readable_after_every_segment(tmp_path: Path) -> None:
                 bag.finish_segment()
                 with open_bag(path) as reader:
                     assert reader.message_count == k + 1
+        bag.offers["/other"] = offered(1, latched=True)
         bag.write("/other", TEXT, 10**18 + 99, word("last"))
+    assert offers(path) == {
+        "/word": (10, "reliable", "volatile"), "/other": (1, "reliable", "transient_local"),
+    }  # fmt: skip
     with open_bag(path) as reader:
         stamps = [stamp for _, stamp, _ in reader.messages()]
     assert stamps == [*range(10**18, 10**18 + 30), 10**18 + 99]
@@ -322,3 +339,4 @@ def test_what_still_holds_is_not_dropped_between_visits(ros_domain: int, tmp_pat
         recorder.keep(since_ns=time.time_ns(), finish=True)
         assert recorder.counts == {"/temperature": 1}
         other.destroy_node()
+    assert offers(tmp_path / "bag") == {"/temperature": (5, "reliable", "volatile")}

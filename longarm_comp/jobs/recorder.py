@@ -17,6 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.interfaces import Topic
 from longarm_comp.sessions.bag_segments import SegmentedBag
+from longarm_comp.sessions.offered import offered
 
 SESSION_TOPICS = (
     graph.TARGET_POSE, graph.JOINT_TRAJECTORY, graph.COMPENSATION, graph.JOINT_STATES,
@@ -68,6 +69,7 @@ class Recorder:
         message: Any = topic.type
         if "header" in message.get_fields_and_field_types():
             self._stamped.add(name)
+        self._bag.offers[name] = offered(topic.depth, latched=topic.latched)
         qos = QoSProfile(depth=_DEPTH, reliability=topic.listens)
         self._node.create_subscription(
             topic.type, topic.name, lambda raw: self.put(name, kind, bytes(raw)), qos, raw=True
