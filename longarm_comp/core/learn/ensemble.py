@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -21,7 +21,7 @@ from longarm_comp.core.learn.network import (
     xavier_start,
 )
 from longarm_comp.core.learn.population import fitness_on
-from longarm_comp.core.learn.predictor import Predictor, Provenance
+from longarm_comp.core.learn.predictor import Gain, Predictor, Provenance
 from longarm_comp.core.learn.sparrow import Fitness, SparrowSearch
 from longarm_comp.core.learn.training import Fit, back_propagate
 
@@ -35,6 +35,8 @@ INITS: dict[str, Start] = {
 }
 HIDDEN_CHOICES = (8, 12, 17, 24, 34)  # tried in order until the evidence falls by _UNLIKELY
 _UNLIKELY = 30.0
+FOLDS = 4
+"""Parts of the rows that are left out in turn, to see whether a network helps at all."""
 _FEWEST_ROWS = 20
 _Z90 = 1.6449
 _LAPLACE_KEPT = 0.995
@@ -96,10 +98,11 @@ def train(
     scale = max(1.4826 * scale, 1e-9)
     target = (y - offset) / scale
 
-    def fit(units: int, rng: np.random.Generator) -> Fit:
-        shape = Shape(x.shape[1], units, 3)
-        start = INITS[init](shape, fitness_on(device, shape, x, target), rng, search)
-        return back_propagate(shape, start, x, target, weights)
+    def fit(units: int, start: int, rows: NDArray[np.bool_] | slice = slice(None)) -> Fit:
+        shape, rng = Shape(x.shape[1], units, 3), np.random.default_rng([seed, units, start])
+        fitness = fitness_on(device, shape, x[rows], target[rows])
+        begun = INITS[init](shape, fitness, rng, search)
+        return back_propagate(shape, begun, x[rows], target[rows], weights[rows])
 
     sizes = HIDDEN_CHOICES if hidden is None else (hidden,)
     starts = ensemble if hidden is not None else (ensemble + 1) // 2
@@ -110,16 +113,14 @@ def train(
         networks = []
         for start in range(starts):
             if progress is not None:
-                progress(turn * starts + start, len(sizes) * starts)
-            networks.append(fit(units, np.random.default_rng([seed, units, start])))
+                progress(turn * starts + start, len(sizes) * starts + FOLDS)
+            networks.append(fit(units, start))
         fits += networks
         if (
             max(each.evidence for each in networks)
             < max(each.evidence for each in fits) - _UNLIKELY
         ):
             break
-    if progress is not None:
-        progress(len(sizes) * starts, len(sizes) * starts)
     fits = sorted(fits, key=lambda each: -each.evidence)[:ensemble]
     shape = Shape(x.shape[1], max(each.shape.hidden for each in fits), 3)
     probe = _probe(x, encoding, np.random.default_rng([seed]))
@@ -147,7 +148,23 @@ def train(
             {**origin.settings, **settings},
         ),
     )  # fmt: skip
-    return _calibrated(draft, fits, x, y, weights, probe)
+    left = y.copy()
+    for k, out in enumerate(_folds(q, np.random.default_rng([seed, FOLDS]))):
+        if progress is not None:
+            progress(len(sizes) * starts + k, len(sizes) * starts + FOLDS)
+        one = fit(fits[0].shape.hidden, 0, ~out)
+        left[out] -= forward(one.shape, one.weights, with_ones(x[out])) * scale + offset
+    if progress is not None:
+        progress(len(sizes) * starts + FOLDS, len(sizes) * starts + FOLDS)
+    return _calibrated(draft, y, left, x, weights, probe)
+
+
+def _folds(q: Array, rng: np.random.Generator) -> list[NDArray[np.bool_]]:
+    """(N,) masks of the rows left out together; repeats of a pose stay together."""
+    _, pose = np.unique(np.round(q, 6), axis=0, return_inverse=True)
+    pose = pose.ravel()
+    fold = (rng.permutation(pose.max() + 1) % FOLDS)[pose]
+    return [fold == k for k in range(FOLDS) if (fold == k).any()]
 
 
 def _padded(shape: Shape, own: Shape, weights: NDArray[Any]) -> NDArray[Any]:
@@ -160,25 +177,19 @@ def _padded(shape: Shape, own: Shape, weights: NDArray[Any]) -> NDArray[Any]:
 
 
 def _calibrated(
-    draft: Predictor,
-    fits: Sequence[Fit],
-    x: Array,
-    y: Array,
-    weights: Array,
-    probe: Array,
+    draft: Predictor, y: Array, left: Array, x: Array, weights: Array, probe: Array
 ) -> Predictor:
-    """Set the conformal factors, the variance limit and what is left without the predictor."""
+    """With what rows left out of the training say: gain, conformal factors; the variance limit."""
+    used = weights > 0
     _, epistemic = draft._mean_and_variance(x)
-    left_out = np.mean([_leave_one_out(f, x, (y - draft.offset) / draft.scale, weights)
-                        for f in fits], axis=0) * draft.scale  # fmt: skip
-    score = np.abs(left_out) / np.sqrt(epistemic + draft.noise**2)
-    used = score[weights > 0]
-    level = min(1.0, np.ceil(0.9 * (len(used) + 1)) / len(used))
-    widen = np.quantile(used, level, axis=0) / _Z90
-    alone = np.sqrt(np.mean(y[weights > 0] ** 2, axis=0))
+    score = (np.abs(left) / np.sqrt(epistemic + draft.noise**2))[used]
+    level = min(1.0, np.ceil(0.9 * (len(score) + 1)) / len(score))
+    widen = np.quantile(score, level, axis=0) / _Z90
+    alone = np.sqrt(np.mean(y[used] ** 2, axis=0))
     _, variance = draft._mean_and_variance(probe)
     limit = 4.0 * float(np.quantile(variance.max(axis=1), 0.99))
-    return replace(draft, widen=widen, variance_limit=limit, alone=alone)
+    gain = Gain.of(y[used], left[used])
+    return replace(draft, widen=widen, variance_limit=limit, alone=alone, gain=gain)
 
 
 def _probe(x: Array, encoding: Encoding, rng: np.random.Generator) -> Array:
@@ -202,23 +213,6 @@ def _leading(fit: Fit, probe: Array) -> NDArray[np.float32]:
     count = int(np.searchsorted(carried, _LAPLACE_KEPT)) + 1
     leading = vectors[:, ::-1][:, :count].T @ fit.posterior
     return np.ascontiguousarray(leading, dtype=np.float32)
-
-
-def _leave_one_out(fit: Fit, x: Array, target: Array, weights: Array) -> Array:
-    """Linearised leave-one-out residuals (N, 3): ``(I - H_i)^-1 r_i``."""
-    left = np.empty_like(target)
-    precision = weights * fit.row_weights / fit.sigma**2
-    eye = np.eye(target.shape[1])
-    for start in range(0, len(x), 512):
-        rows = slice(start, start + 512)
-        x1 = with_ones(x[rows])
-        jacobian = output_jacobian(fit.shape, fit.weights, x1)
-        half = jacobian @ fit.posterior.T
-        leverage = precision[rows, None, None] * (half @ half.transpose(0, 2, 1))
-        residual = target[rows] - forward(fit.shape, fit.weights, x1)
-        keep = eye - leverage + 1e-6 * eye
-        left[rows] = np.linalg.solve(keep, residual[:, :, None])[:, :, 0]
-    return left
 
 
 def _ranges(raw: Array) -> tuple[Array, Array]:

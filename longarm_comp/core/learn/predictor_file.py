@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 import os
@@ -16,7 +17,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path
 from longarm_comp.core.learn.inputs import INPUT_KINDS, Encoding, raw_names
 from longarm_comp.core.learn.network import Shape
-from longarm_comp.core.learn.predictor import Predictor, Provenance
+from longarm_comp.core.learn.predictor import Gain, Predictor, Provenance
 
 FORMAT = "longarm/predictor"
 VERSION = 1
@@ -61,6 +62,7 @@ def save(predictor: Predictor, path: str | os.PathLike[str]) -> None:
         noise=predictor.noise,
         widen=predictor.widen,
         alone=predictor.alone,
+        gain=np.array(dataclasses.astuple(predictor.gain)),
     )
     with atomic_path(path) as partial:
         partial.write_bytes(buffer.getvalue())
@@ -107,6 +109,9 @@ def load(
     alone = arrays.get("alone", np.full(3, np.inf))  # files of earlier versions hold none
     if alone.shape != (3,) or alone.dtype.kind != "f" or not (alone >= 0).all():
         raise InputError(path, "alone", alone.tolist(), "three lengths of 0 m or more")
+    gain = arrays.get("gain", np.array(dataclasses.astuple(Gain())))
+    if gain.shape != (3,) or gain.dtype.kind != "f" or np.isnan(gain).any():
+        raise InputError(path, "gain", gain.tolist(), "three lengths in m")
     if arm_hash is not None and header["arm_hash"] != arm_hash:
         raise InputError(path, "arm_hash", header["arm_hash"], f"{arm_hash} (the arm in use)")
     names = tuple(header["joint_names"])
@@ -125,6 +130,7 @@ def load(
         widen=arrays["widen"],
         variance_limit=header["variance_limit"],
         alone=alone,
+        gain=Gain(*gain.tolist()),
         provenance=Provenance(
             header["arm_hash"], header["session_hash"], names, header["settings"]
         ),
