@@ -55,6 +55,7 @@ EXTRAS = {
         "ikpy",
         "jsonschema",
         "mcap-ros2-support",
+        "msgspec",
         "mypy",
         "packaging",
         "pin",
