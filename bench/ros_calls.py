@@ -53,7 +53,9 @@ class Calls:
             Compensation, graph.COMPENSATION.name, self._on_compensation, _DEPTH
         )
         self._compensate = graph.COMPENSATE.client(node)
-        self._echo_compensate = node.create_client(Compensate, "echo_compensate")
+        self._echo_compensate = node.create_client(
+            Compensate, "echo_compensate", qos_profile=_DEPTH
+        )
         self._predict = graph.PREDICT_ERROR.client(node)
         self._stand = arm.mid
         node.create_timer(0.05, self._tell_joints)

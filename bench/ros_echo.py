@@ -28,7 +28,9 @@ class Echo(Node):
         super().__init__("echo")
         self._out = self.create_publisher(JointTrajectory, "echo_trajectory", QoSProfile(depth=100))
         self.create_subscription(PoseStamped, "echo_target", self._on_target, QoSProfile(depth=100))
-        self.create_service(Compensate, "echo_compensate", self._on_compensate)
+        self.create_service(
+            Compensate, "echo_compensate", self._on_compensate, qos_profile=QoSProfile(depth=100)
+        )
 
     def _on_target(self, message: PoseStamped) -> None:
         point = JointTrajectoryPoint(positions=_VALUES)

@@ -109,6 +109,16 @@ def test_a_urdf_is_narrowed_about_its_home(shell: Shell) -> None:
     assert "shoulder_pan_joint" in shell.refused("init", "no", *_urdf(), "--home", "knee=2")
 
 
+def test_an_arm_that_others_drive_and_measure_is_one_file(shell: Shell) -> None:
+    folder = made(shell, "ur5", *UR5, "--only-arm")
+    assert [file.name for file in folder.iterdir()] == ["arm.yaml"]
+    np.testing.assert_allclose(np.degrees(Arm.load(folder / "arm.yaml").upper[0]), 360)
+    assert "longarm import-data FILE --arm" in shell.err
+    assert shell("check", folder) == 0 and "others drive and measure it" in shell.out
+    (folder / "servo_driver.yaml").write_text("")
+    assert shell("check", folder) == 3
+
+
 def _urdf() -> tuple[str, ...]:
     return ("--urdf", str(example("ur_description/urdf/ur5_robot.urdf")), *UR5[2:])
 

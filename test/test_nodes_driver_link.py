@@ -80,7 +80,13 @@ def stage(tmp_path_factory: pytest.TempPathFactory, arm: Arm) -> Iterator[Bench]
         options = {"arm": ARM, "model": folder / "model.yaml", "method": "deflection"}
         made.start(
             "kinematics",
-            {**options, "run_up": False, "acknowledged": True, "acknowledge_s": 0.3},
+            {
+                **options,
+                "run_up": False,
+                "acknowledged": True,
+                "acknowledge_s": 0.3,
+                "diagnostics_period_s": 0.1,
+            },
         )
         yield made
 
@@ -133,6 +139,18 @@ def test_nothing_is_called_sent_or_accepted_that_was_not(
     names = answer.command.header.frame_id, stories[-1].id, driver.got[-1].header.frame_id
     assert names[0] and len(set(names)) == 1
     assert len({story.id for story in stories}) == len(stories)
+
+    second = stage.start(
+        "kinematics", {"arm": ARM, "acknowledged": True, "diagnostics_period_s": 0.1}
+    )
+    says(STATUS.NO_DRIVER, "second kinematics")
+    sent = len(driver.got)
+    assert asked(execute=False).success
+    assert asked().status == STATUS.NO_DRIVER and len(driver.got) == sent
+    second.kill()
+    second.wait()
+    says(STATUS.SUCCESS, "", executed=True)
+    assert stage.node.count_publishers("compensation") == 2  # the middleware still counts it
 
     driver.instances = ("a", "b")
     says(STATUS.NO_DRIVER, "two drivers")

@@ -106,7 +106,7 @@ def test_ready_means_compiled_and_the_predictor_probed_also_after_its_return(
     stage.node.create_timer(0.2, lambda: joints.publish(joints_message(arm, arm.mid)))
     seen.says("ready", "ready")
     seen.says("targets", "compensating")
-    assert "ready: " in stage.output(node)
+    stage.spin(lambda: "ready: " in stage.output(node))
     before = seen.programs
     assert before > 0
     answer = seen.ask()  # the first

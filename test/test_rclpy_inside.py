@@ -126,3 +126,33 @@ def test_a_worker_hears_serves_asks_and_counts_either_way(stage: Bench, direct: 
         for worker in (server, asker):
             worker.close()
     assert not errors
+
+
+def test_of_two_publishers_every_target_is_heard_or_counted_as_lost(stage: Bench) -> None:
+    """More than the queue holds, while the worker is busy."""
+    heard: list[PoseStamped] = []
+    errors: list[Exception] = []
+    go_on = threading.Event()
+    worker = Worker(stage.node, stage.executor, 10, errors.append)
+    worker.inlets.hear(graph.TARGET_POSE, heard.append)
+    worker.start()
+    both = [graph.TARGET_POSE.publisher(stage.node) for _ in range(2)]
+    try:
+        for count, one in enumerate(both, 1):
+            stage.spin(lambda one=one: one.get_subscription_count())
+            one.publish(PoseStamped())
+            stage.spin(lambda count=count: len(heard) == count)
+        assert worker.inlets.lost == 0
+        worker.submit(go_on.wait)
+        stage.spin(lambda: worker.waiting == 0)
+        sent = graph.TARGET_POSE.depth + 600
+        for number in range(sent):
+            both[number % 2].publish(PoseStamped())
+        go_on.set()
+        stage.spin(lambda: len(heard) - 2 + worker.inlets.lost >= sent)
+        assert len(heard) - 2 + worker.inlets.lost == sent
+        assert worker.inlets.lost > 0
+    finally:
+        go_on.set()
+        worker.close()
+    assert not errors

@@ -44,13 +44,18 @@ def check_folder(folder: Path) -> list[Finding]:
     arm, found = _loaded(folder / ARM, Arm.load)
     if arm is None:
         return found
-    found += [*_of_arm(arm), *_of_servos(folder, arm)]
-    found += _of_cameras(folder, arm, look=not any(finding.blocks for finding in found))
+    found += _of_arm(arm)
+    if any((folder / f"{node}.yaml").exists() for node in NODES):
+        found += _of_servos(folder, arm)
+        found += _of_cameras(folder, arm, look=not any(finding.blocks for finding in found))
+    else:
+        said = "no servos and cameras: others drive and measure it (else: longarm init DIR --arm)"
+        found.append(unmeasured(ARM, said))
     if not any((folder / name).exists() for name in _SESSIONS):
         found.append(
             unmeasured(
                 "samples.csv",
-                "no session yet: longarm up, plan and collect, or put measured rows there",
+                "no session yet: longarm up, plan and collect; or longarm import-data",
             )
         )  # fmt: skip
     found += of_record(folder)

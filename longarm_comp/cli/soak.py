@@ -25,8 +25,9 @@ def command(
 ) -> None:
     """Send targets to a simulated arm for hours while random faults occur.
 
-    Nodes are killed, files overwritten, servo replies damaged, targets malformed, and the
-    emergency stop is pressed. Every target must be answered once, every command sent once and
+    Nodes are killed and frozen, files overwritten, servos and cameras silent, replies damaged,
+    targets, images and parameters malformed, the clock jumps, and the emergency stop is pressed.
+    Every target must be answered once, every command sent once and
     every refusal explained. After each fault a target must be answered with status 0 and the
     joints must go there. No process may crash or grow. The exit code is 3 if one fails.
 

@@ -37,6 +37,7 @@ from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.predictor_client import NoAnswer, PredictorClient
 from longarm_comp.nodes.stamps import stamp_ns
+from longarm_comp.nodes.twins import Twins
 from longarm_interfaces.srv import Compensate
 
 PARAMS = (
@@ -60,17 +61,18 @@ class Compensator:
         node: holds the parameters that may be set while running.
         p: values of the parameters.
         base_frame: full name of the frame that joints are computed in.
-        files, state, predictor, driver, frames: what is known of the arm and around it.
+        files, state, predictor, driver, twins, frames: what is known of the arm and around it.
         survived: called with an exception that is a fault of this software.
     """
 
     def __init__(
         self, node: Node, p: dict[str, Any], base_frame: str, files: ModelFiles, state: ArmState,
-        predictor: PredictorClient, driver: DriverLink, frames: FrameListener,
+        predictor: PredictorClient, driver: DriverLink, twins: Twins, frames: FrameListener,
         survived: Callable[[Exception], None],
     ) -> None:  # fmt: skip
         self._node, self._files, self._state = node, files, state
         self._predictor, self._driver, self._survived = predictor, driver, survived
+        self._twins = twins
         self._declared = declared_model(files.arm)
         self._frames, self._base_frame = frames, base_frame
         self._own_names = (base_frame, p["base_frame"])
@@ -139,8 +141,8 @@ class Compensator:
         given, target = self._target(request)
         options = self._options()
         start, seed = self._start(request)
-        if request.execute and self._driver.refusal:
-            raise Refusal(Status.NO_DRIVER, f"not sent: {self._driver.refusal}")
+        if request.execute and (why := self._twins.refusal or self._driver.refusal):
+            raise Refusal(Status.NO_DRIVER, f"not sent: {why}")
         loaded = self._files.loaded
         known: dict[str, Any] = {
             "start": start,

@@ -6,6 +6,7 @@ import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from geometry_msgs.msg import Vector3Stamped
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -89,13 +90,16 @@ class ErrorPredictor(Node):
     def _on_predict(
         self, request: PredictError.Request, reply: Callable[[PredictError.Response], None]
     ) -> None:
-        reply(self.answer(request))
-
-    def answer(self, request: PredictError.Request) -> PredictError.Response:
-        """The answer to a question, also of another thread of this process."""
         response = self._answer(request)
+        reply(response)
         if response.success:
             self._publish(response)
+
+    def answer(self, request: PredictError.Request) -> PredictError.Response:
+        """The answer to a question of another thread of this process."""
+        response = self._answer(request)
+        if response.success:
+            self._asked.submit(partial(self._publish, response))
         return response
 
     def _publish(self, response: PredictError.Response) -> None:

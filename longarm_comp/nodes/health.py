@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import time
+import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -26,6 +28,12 @@ OK, WARN, ERROR, STALE = (
 
 _FRESH_S = 60.0
 """For so long a fault is an error on /diagnostics, unless it is known to be mended."""
+
+
+INSTANCE = "instance"
+"""Value of the part `process`: which process reports, as a restarted one has the same name."""
+
+THIS_INSTANCE = f"{os.getpid()}-{uuid.uuid4().hex[:8]}"
 
 
 @dataclass(frozen=True)
@@ -105,7 +113,11 @@ class Health:
         self._publisher.publish(array)
 
     def _process(self) -> Report:
-        facts = {"faults": self.faults, "last fault": self.last_fault}
+        facts: dict[str, object] = {
+            INSTANCE: THIS_INSTANCE,
+            "faults": self.faults,
+            "last fault": self.last_fault,
+        }
         if self._fault_s is not None and time.monotonic() - self._fault_s < _FRESH_S:
             return Report(ERROR, f"survived {self.faults} faults, last {self.last_fault}", facts)
         return Report(OK, "running", facts)

@@ -54,7 +54,7 @@ class Inlets(Protocol):
 
     @property
     def lost(self) -> int:
-        """Messages that full queues have dropped, or that the middleware has lost."""
+        """Messages that were lost, at least."""
 
     @property
     def unfit(self) -> int:

@@ -38,6 +38,7 @@ from longarm_comp.nodes.readiness import Readiness
 from longarm_comp.nodes.runner import run
 from longarm_comp.nodes.steady import steady_timer
 from longarm_comp.nodes.targets import Targets
+from longarm_comp.nodes.twins import Twins
 from longarm_comp.nodes.watch import FileWatch
 from longarm_comp.nodes.worker import Worker
 
@@ -103,9 +104,10 @@ class Kinematics(Node):
             commanded=self._monitor.on_command, told=lambda motion: self._reach.told(motion),
             refused=tally.count,
         )  # fmt: skip
+        self._twins = Twins(self)
         compute = Compensator(
             self, p, self._base_frame, self._files, self._state, self._predictor, self._driver,
-            FrameListener(self, p["frames.wait_s"], tally.count), self.survived,
+            self._twins, FrameListener(self, p["frames.wait_s"], tally.count), self.survived,
         )  # fmt: skip
         ArmFrames(
             self, self._files, self._base_frame, p["frames.period_s"],
@@ -219,9 +221,8 @@ class Kinematics(Node):
 
     def _graph_report(self) -> Report:
         """Whether others are on the graph that must not be, or cannot be heard."""
-        twins = self.count_publishers(self.resolve_topic_name(graph.COMPENSATION.name))
-        if twins > 1:
-            return Report(ERROR, f"{twins} nodes publish compensation: end all kinematics but one")
+        if self._twins.refusal:
+            return Report(ERROR, self._twins.refusal)
         ends = self.get_publishers_info_by_topic(self.resolve_topic_name(graph.TARGET_POSE.name))
         deaf = [e.node_name for e in ends if e.qos_profile.reliability is BEST_EFFORT]
         if deaf:

@@ -78,15 +78,16 @@ class _Event:
     """
 
     def __init__(self, topic: Subscription, kind: QoSSubscriptionEventType) -> None:
-        self.kind, self._count = kind, 0
-        with topic.handle:
+        self._count, self._handle = 0, None
+        with suppress(UnsupportedEventTypeError), topic.handle:
             self._handle = rclpy_implementation.EventHandle(topic.handle, kind)
 
     def count(self) -> int:
-        """How often it has happened."""
-        with self._handle:
-            told = self._handle.take_event()
-        self._count = self._count if told is None else int(told.total_count)
+        """How often it has happened; 0 where the middleware does not tell it."""
+        if self._handle is not None:
+            with self._handle:
+                told = self._handle.take_event()
+            self._count = self._count if told is None else int(told.total_count)
         return self._count
 
 
@@ -97,8 +98,9 @@ class DirectInlets:
         self._node, self._aside = node, _Aside()
         self._bell = GuardCondition(None, None, context=node.context)
         self._topics: list[tuple[Subscription, SequenceWatch]] = []
+        self._losses: list[tuple[_Event, SequenceWatch]] = []
         self._services: list[Service] = []
-        self._events: list[_Event] = []
+        self._unfit: list[_Event] = []
         self._set: Any = None
 
     # ------------------------------------------------------------------ what it takes
@@ -106,10 +108,10 @@ class DirectInlets:
     def hear(self, topic: Topic, callback: Callable[[Any], None]) -> None:
         """Subscribe to a topic. Before `start`."""
         made = topic.subscription(self._node, callback, self._aside)
-        self._topics.append((made, SequenceWatch()))
-        for kind in (_LOST, _UNFIT):
-            with suppress(UnsupportedEventTypeError):  # the middleware does not tell it
-                self._events.append(_Event(made, kind))
+        watch = SequenceWatch()
+        self._topics.append((made, watch))
+        self._losses.append((_Event(made, _LOST), watch))
+        self._unfit.append(_Event(made, _UNFIT))
 
     def serve(self, service: ServiceName, callback: Callable[[Any, Any], None]) -> None:
         """Offer a service. The callback gets the request and a function that replies."""
@@ -130,16 +132,17 @@ class DirectInlets:
 
     @property
     def lost(self) -> int:
-        """Messages that full queues have dropped, or that the middleware has lost."""
-        return self._counted(_LOST) + sum(watch.lost for _, watch in self._topics)
+        """Messages that were lost, at least.
+
+        The middleware counts what its publishers dropped, and not what a full queue of this node
+        did. The numbers of the messages show both, but not always with several publishers.
+        """
+        return sum(max(event.count(), watch.lost) for event, watch in self._losses)
 
     @property
     def unfit(self) -> int:
         """Publishers that were not heard, as their QoS does not fit."""
-        return self._counted(_UNFIT)
-
-    def _counted(self, kind: QoSSubscriptionEventType) -> int:
-        return sum(event.count() for event in self._events if event.kind is kind)
+        return sum(event.count() for event in self._unfit)
 
     def wake(self) -> None:
         """End a wait; from any thread."""

@@ -103,7 +103,7 @@ class Context:
         """The context of some of N postures; what is one scalar for all stays so."""
 
         def of(value: Any) -> Any:
-            return value[rows] if np.ndim(value) else value
+            return value if isinstance(value, float) or not np.ndim(value) else value[rows]
 
         taken: dict[str, Any] = {}
         for f in dataclasses.fields(self):

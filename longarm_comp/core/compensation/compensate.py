@@ -166,7 +166,7 @@ def compensate_many(
 
 def lattice_of(model: Model, realisable: bool | Lattice) -> Lattice | None:
     """Where the servos can stand; None: nothing is known of it, or it is not asked for."""
-    if realisable is False:
+    if realisable is False or (realisable is True and not model.arm.steps.any()):
         return None
     lattice = Lattice.of(model.arm) if realisable is True else realisable
     return lattice if lattice.step.any() else None

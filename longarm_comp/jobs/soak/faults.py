@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from std_srvs.srv import SetBool
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import Image
+from std_srvs.srv import SetBool, Trigger
 
 from longarm_comp.core.files import write_text
 from longarm_comp.jobs.soak.scene import Scene
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.stamps import stamp_of
 
 _BROKEN_S = 1.5
 
@@ -74,6 +79,121 @@ class BreakFile:
         partial = self.path.with_suffix(".good")
         partial.write_bytes(good)
         partial.replace(self.path)
+
+
+@dataclass(frozen=True)
+class Freeze:
+    """Halts a node for a while. What it left the driver in is then reset, as a person would."""
+
+    node: str
+    seconds: float
+
+    @property
+    def name(self) -> str:
+        """In the report."""
+        return f"freeze {self.node}"
+
+    def strike(self, scene: Scene) -> None:
+        """Halt the process and let it go on. Targets go on meanwhile."""
+        pid = scene.supervisor.pid(self.node)
+        os.kill(pid, signal.SIGSTOP)
+        try:
+            scene.go_on(self.seconds)
+        finally:
+            os.kill(pid, signal.SIGCONT)
+        reset = graph.RESET.client(scene.client.node, of="servo_driver")
+        done: list[bool] = []
+
+        def again() -> bool:
+            done[:] = [scene.client.call(reset, Trigger.Request(), again=True).success]
+            return done[0]
+
+        scene.client.until(again, scene.setting.patience_s, "the driver's fault cannot be reset")
+
+
+@dataclass(frozen=True)
+class ClockFault:
+    """/clock goes at another rate for a while, or jumps."""
+
+    name: str
+    rate: float = 1.0
+    jump_s: float = 0.0
+
+    def strike(self, scene: Scene) -> None:
+        """Change the clock; targets go on. It then goes on at its rate from where it is."""
+        scene.clock.jump(self.jump_s)
+        scene.clock.rate = self.rate
+        scene.go_on(_BROKEN_S)
+        scene.clock.rate = 1.0
+
+
+@dataclass(frozen=True)
+class RubbishParameters:
+    """Parameters of every node are set to what they do not allow; each must be refused."""
+
+    name: str = "rubbish parameters"
+
+    def strike(self, scene: Scene) -> None:
+        """Set them, one after another."""
+        for node, parameter, value in _RUBBISH:
+            if node not in scene.supervisor.commands:
+                continue
+            client = scene.client.node.create_client(SetParameters, f"{node}/set_parameters")
+            wanted = Parameter(parameter, value=value).to_parameter_msg()
+            request = SetParameters.Request(parameters=[wanted])
+            (result,) = scene.client.call(client, request, again=True).results
+            if result.successful or not result.reason:
+                scene.ledger.wrong[f"{node} took {parameter} {value!r}"] += 1
+            scene.client.node.destroy_client(client)
+
+
+_RUBBISH: tuple[tuple[str, str, object], ...] = (
+    ("kinematics", "method", "rubbish"),
+    ("kinematics", "run_up", 3),
+    ("kinematics", "arm", "/nowhere.yaml"),
+    ("kinematics", "markers.sag_factor", math.nan),
+    ("kinematics", "unheard_of", 1),
+    ("error_predictor", "predictor", 7.5),
+    ("servo_driver", "rate_hz", -1.0),
+    ("stereo_bridge", "queue", "many"),
+    ("simulated_arm", "more_play", "elbow of joint 4"),
+)
+
+
+@dataclass(frozen=True)
+class BadImages:
+    """Images that are cut short, of another size or of no known encoding, and none in between."""
+
+    name: str = "bad images"
+
+    def strike(self, scene: Scene) -> None:
+        """Publish them beside those of the cameras."""
+        node = scene.client.node
+        sides = [topic.publisher(node) for topic in (graph.LEFT_IMAGE, graph.RIGHT_IMAGE)]
+        scene.client.spin(0.5)  # discovery
+        for encoding, width, held in (("mono8", 8, 3), ("mono8", 5, 25), ("smell", 4, 16)):
+            for side in sides:
+                image = Image(height=width, width=width, step=width, encoding=encoding)
+                image.data = bytes(held)
+                image.header.stamp = stamp_of(scene.clock.stamp_ns())
+                side.publish(image)
+        scene.go_on(_BROKEN_S)
+        for side in sides:
+            node.destroy_publisher(side)
+
+
+@dataclass(frozen=True)
+class Hold:
+    """The arm is held, then let go on. Nothing is sent to the driver in between."""
+
+    name: str = "hold"
+
+    def strike(self, scene: Scene) -> None:
+        """Hold and let go. Targets go on meanwhile."""
+        client = graph.HOLD.client(scene.client.node, of="servo_driver")
+        scene.client.call(client, SetBool.Request(data=True), again=True)
+        scene.go_on(_BROKEN_S)
+        scene.client.call(client, SetBool.Request(data=False), again=True)
 
 
 @dataclass(frozen=True)

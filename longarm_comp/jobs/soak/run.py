@@ -16,7 +16,17 @@ from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.dummy_predictor import train_dummy
-from longarm_comp.jobs.soak.faults import BreakFile, EmergencyStop, Fault, Kill
+from longarm_comp.jobs.soak.faults import (
+    BadImages,
+    BreakFile,
+    ClockFault,
+    EmergencyStop,
+    Fault,
+    Freeze,
+    Hold,
+    Kill,
+    RubbishParameters,
+)
 from longarm_comp.jobs.soak.scene import Scene
 from longarm_comp.jobs.soak.setting import NAMESPACE, SoakSettings
 from longarm_comp.nodes.bringup import running
@@ -34,6 +44,16 @@ def faults(setting: SoakSettings) -> list[Fault]:
         BreakFile(setting.model),
         BreakFile(setting.predictor),
         EmergencyStop(),
+        Hold(),
+        Freeze("simulated_arm", 4.0),  # the servos and the cameras are silent: a driver fault
+        Freeze("servo_driver", 1.0),
+        Freeze("kinematics", 1.0),
+        ClockFault("clock stands", rate=0.0),
+        ClockFault("clock runs away", rate=10.0),
+        ClockFault("clock jumps ahead", jump_s=100.0),
+        ClockFault("clock jumps back", jump_s=-300.0),
+        RubbishParameters(),
+        BadImages(),
     ]
 
 

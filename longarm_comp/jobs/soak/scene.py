@@ -16,6 +16,7 @@ from trajectory_msgs.msg import JointTrajectory
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.path import slow_path
+from longarm_comp.jobs.soak.clock import SimClock
 from longarm_comp.jobs.soak.leaks import LeakWatch
 from longarm_comp.jobs.soak.ledger import Ledger
 from longarm_comp.jobs.soak.setting import NAMESPACE, SoakSettings
@@ -66,6 +67,7 @@ class Scene:
     def __post_init__(self) -> None:
         """Subscribe to all topics that the ledger needs."""
         node = self.client.node
+        self.clock = SimClock(node)
         self._poses = [pose_message(m) for m in slow_path(self.arm, _PATH)]
         self._target = graph.TARGET_POSE.publisher(node)
         graph.COMPENSATION.subscription(node, self._on_compensation)
@@ -200,7 +202,7 @@ class Scene:
         self.ledger.target(self._publish(good=good), now, good=good)
 
     def _publish(self, *, good: bool, number: int | None = None) -> int:
-        stamp = int(self.client.node.get_clock().now().nanoseconds)
+        stamp = self.clock.stamp_ns()
         place = self.ledger.sent if number is None else number
         message = PoseStamped(pose=self._poses[place % _PATH])
         message.header.frame_id, message.header.stamp = "base", stamp_of(stamp)

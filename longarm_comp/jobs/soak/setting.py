@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.nodes.bringup import BringUp
+from longarm_comp.nodes.bringup import SIMULATED, BringUp
 from longarm_comp.share import folder
 
 NAMESPACE = "longarm_soak"
@@ -59,7 +59,15 @@ class SoakSettings:
         return self.out / "predictor.npz"
 
     def graph(self) -> BringUp:
-        """Graph of the simulated arm with a low image rate, as images are not tested."""
+        """Graph of the simulated arm on /clock, with a low image rate."""
+        own: dict[str, dict[str, object]] = {
+            "simulated_arm": {
+                "frame_rate_hz": 1.0,
+                "seed": self.seed,
+                "wire_faults_hz": self.wire_faults_hz,
+            },
+            "kinematics": {"move_time_s": 0.05},
+        }
         return BringUp(
             arm=self.arm,
             model=self.model,
@@ -67,12 +75,5 @@ class SoakSettings:
             sim=True,
             namespace=NAMESPACE,
             speed=10.0,
-            set={
-                "simulated_arm": {
-                    "frame_rate_hz": 1.0,
-                    "seed": self.seed,
-                    "wire_faults_hz": self.wire_faults_hz,
-                },
-                "kinematics": {"move_time_s": 0.05},
-            },
+            set={node: own.get(node, {}) | {"use_sim_time": True} for node in SIMULATED},
         )
