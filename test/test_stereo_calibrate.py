@@ -234,7 +234,7 @@ def test_a_view_is_taken_once_and_only_at_rest(pictures: Path) -> None:
     view = view_of(BOARD, *images)
 
     def shifted(px: float) -> BoardView:
-        left = dataclasses.replace(view.left, pixels=view.left.pixels + [px, 0.0])
+        left = dataclasses.replace(view.left, pixels=view.left.pixels + np.array([px, 0.0]))
         return dataclasses.replace(view, left=left)
 
     width = TRUE.size[0]
