@@ -21,7 +21,7 @@ from longarm_comp.arm_folder.measured import read_measured
 from longarm_comp.arm_folder.measured_check import of_record
 from longarm_comp.devices.stereo import CharucoTarget, StereoEye, StereoRig, TagBoard, fit_rigid
 from longarm_comp.devices.stereo.camera_file import read_camera
-from longarm_comp.devices.stereo.views import gaps, view_of
+from longarm_comp.devices.stereo.views import BoardView, gaps, view_of
 from longarm_comp.sim.cameras import Conditions, render
 from longarm_comp.sim.marker_images import charuco_plate, tag_plate
 
@@ -227,3 +227,25 @@ def test_a_board_shown_to_the_topics_calibrates_the_head(
     assert found["baseline_mm"] == pytest.approx(200.0, abs=0.5)
     again = shell.json("stereo", "calibrate", "mine", "--images", "taken", *FLAGS)
     assert again["focal_left_px"] == pytest.approx(found["focal_left_px"])
+
+
+def test_a_view_is_taken_once_and_only_at_rest(pictures: Path) -> None:
+    images = [cv2.imread(str(pictures / side / "04.png"), 0) for side in ("left", "right")]
+    view = view_of(BOARD, *images)
+
+    def shifted(px: float) -> BoardView:
+        left = dataclasses.replace(view.left, pixels=view.left.pixels + np.array([px, 0.0]))
+        return dataclasses.replace(view, left=left)
+
+    width = TRUE.size[0]
+    for near, far in (
+        (shifted(0.08 * width), shifted(0.2 * width)),
+        (dataclasses.replace(view, distance_m=1.05 * view.distance_m),
+         dataclasses.replace(view, distance_m=1.3 * view.distance_m)),
+        (dataclasses.replace(view, tilt_deg=(view.tilt_deg[0] + 5.0, view.tilt_deg[1])),
+         dataclasses.replace(view, tilt_deg=(view.tilt_deg[0], view.tilt_deg[1] - 15.0))),
+    ):  # fmt: skip
+        assert not view.is_new([near], width) and view.is_new([far], width)
+        assert not view.is_new([far, near], width)
+    assert view.is_new([], width) and not view.is_still(None)
+    assert view.is_still(shifted(0.5)) and not view.is_still(shifted(3.0))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.arm_folder.measured import note_measured
+from longarm_comp.arm_folder.measured import note_measured, read_measured
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
 from longarm_comp.arm_folder.yaml_edit import edited, ros_path
 from longarm_comp.core.arm import quaternion
@@ -38,18 +38,39 @@ def head_pose(folder: Path) -> np.ndarray:
     return quaternion.pose(xyz, turn)
 
 
-def write_head(folder: Path, pose: np.ndarray, facts: Mapping[str, Any]) -> list[str]:
+def head_at(folder: Path, session: str) -> np.ndarray:
+    """Where the head was taken to stand when a session was measured (4, 4).
+
+    That is what the file has now, unless it was written from this very session.
+
+    Args:
+        session: hash of the session.
+
+    Raises:
+        InputError: as `head_pose`, or the record cannot be read.
+    """
+    entry = read_measured(folder).get(BRIDGE)
+    if entry is None or entry.facts.get("session") != session:
+        return head_pose(folder)
+    before = entry.facts["before"]
+    return quaternion.pose(np.array(before["xyz"]), np.array(before["quaternion"]))
+
+
+def write_head(
+    folder: Path, pose: np.ndarray, before: np.ndarray, session: str, facts: Mapping[str, Any]
+) -> list[str]:
     """Write where the left camera stands; the simulated cameras move there too, level.
 
     Args:
         pose: (4, 4) left optical frame in the base frame.
+        before: (4, 4) where it was taken to stand when the session was measured.
+        session: its hash.
         facts: how good it is, for the record.
 
     Returns:
         Names of the files that were written.
     """
-    xyz = [round(float(v), 7) for v in pose[:3, 3]]
-    turn = [round(float(v), 12) for v in quaternion.from_rotation(pose[:3, :3])]
+    xyz, turn = _numbers(pose)
     values = dict(zip(_NAMES, (xyz, turn), strict=True))
     _edit(folder / BRIDGE, values)
     written = [BRIDGE]
@@ -57,8 +78,18 @@ def write_head(folder: Path, pose: np.ndarray, facts: Mapping[str, Any]) -> list
         axis = [round(float(v), 9) for v in pose[:3, 2]]
         _edit(folder / SIMULATED, {"camera.position": xyz, "camera.axis": axis})
         written.append(SIMULATED)
-    note_measured(folder, BRIDGE, "stereo hand-eye", values, facts)
+    told = {
+        **facts,
+        "session": session,
+        "before": dict(zip(("xyz", "quaternion"), _numbers(before), strict=True)),
+    }
+    note_measured(folder, BRIDGE, "stereo hand-eye", values, told)
     return written
+
+
+def _numbers(pose: np.ndarray) -> tuple[list[float], list[float]]:
+    turn = quaternion.from_rotation(pose[:3, :3])
+    return [round(float(v), 7) for v in pose[:3, 3]], [round(float(v), 12) for v in turn]
 
 
 def _edit(file: Path, values: Mapping[str, Sequence[float]]) -> None:

@@ -53,7 +53,8 @@ def _of_entry(folder: Path, file: str, entry: Measured) -> Iterator[Finding]:
         said = f"{names} changed by hand since {entry.at} ({entry.by}): measure again"
         yield unmeasured(f"{file}: changed", said)
     else:
-        facts = ", ".join(f"{name} {value}" for name, value in entry.facts.items())
+        told = {k: v for k, v in entry.facts.items() if k not in ("session", "before")}
+        facts = ", ".join(f"{name} {value}" for name, value in told.items())
         yield measured(file, f"{entry.at}, longarm {entry.by}: {facts}")
 
 

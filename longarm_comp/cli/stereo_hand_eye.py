@@ -43,7 +43,8 @@ def command(
 ) -> None:
     """Find where the stereo head stands, and write it into DIR/stereo_bridge.yaml.
 
-    From SESSION (CSV or bag), measured with the hand_eye that stands in the file now; or live:
+    From SESSION (CSV or bag), measured with the hand_eye that stands in the file now (the same
+    session may be given again: what stood there before is in measured.yaml); or live:
     move the arm to one pose after the other and let it rest. The arm's own errors go into the
     residual: with a calibrated --model it is smaller. DIR/simulated_arm.yaml follows.
 
@@ -52,7 +53,7 @@ def command(
       longarm stereo hand-eye my_arm my_arm/session --model my_arm/model.yaml
       longarm stereo hand-eye my_arm --live --poses 20
     """
-    from longarm_comp.arm_folder.head_file import head_pose, write_head
+    from longarm_comp.arm_folder.head_file import head_at, write_head
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.errors import InputError
     from longarm_comp.jobs.camera_placement import placed_cameras
@@ -63,20 +64,24 @@ def command(
         given = "both" if live else "neither"
         raise InputError("stereo hand-eye", "SESSION, --live", given, "one of the two")
     arm = Arm.load(folder / "arm.yaml")
-    assumed = head_pose(folder)
     known = physics(arm, model)
     if session is not None:
         rows = read_session(session, arm)
     else:
         rows = _live(arm, poses, within, namespace)
+    assumed = head_at(folder, rows.hash)
     found = placed_cameras(known, rows, assumed, free_tip)
-    written = [] if dry_run else write_head(folder, found.pose, _quality(found))
+    written = [] if dry_run else write_head(folder, found.pose, assumed, rows.hash, _quality(found))
     if as_json:
         print_json({"files": written, "xyz": found.pose[:3, 3], "quaternion": found.quaternion,
                     **_quality(found), "tip_off_mm": found.tip_off_mm})  # fmt: skip
     else:
         _show(found)
-    if arm.camera is not None and not dry_run:
+    if written:
+        note(
+            f"{' and '.join(written)} written: a running graph reads them when it is started again"
+        )
+    if arm.camera is not None and written:
         off = float(sum((a - b) ** 2 for a, b in zip(arm.camera.position_m, found.pose[:3, 3],
                                                      strict=True)) ** 0.5)  # fmt: skip
         if off > 0.01:
