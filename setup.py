@@ -33,7 +33,7 @@ RUNTIME = [
 
 STUDIES = ["joblib>=1.4", "scikit-learn>=1.4"]
 CLUSTER = ["dask[distributed]>=2024.1"]
-DOCS = ["furo>=2024.8", "myst-nb>=1.1", "sphinx>=7.4"]
+DOCS = ["furo>=2024.8", "myst-nb>=1.1", "pillow>=10.1", "sphinx>=7.4"]
 VIEW = ["viser==1.1.1", "websockets>=14"]  # pinned: longarm_comp/view/server.py wraps how it serves
 
 EXTRAS = {

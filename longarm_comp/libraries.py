@@ -1,4 +1,4 @@
-"""Refuses libraries that are too old, in one line with the command that installs newer ones.
+"""Refuses libraries that are too old or missing, in one line with the command that helps.
 
 Ubuntu 24.04 packages pydantic 1.10 and OpenCV 4.6; rosdep installs these.
 """
@@ -19,17 +19,16 @@ NEEDED = {
 
 def refuse_old_libraries() -> None:
     """End the program with exit code 2 where a library that every program needs is too old."""
-    old = [(name, found) for name in NEEDED if (found := _too_old(name))]
-    if not old:
+    faults = {name: fault for name in NEEDED if (fault := _fault(name))}
+    if not faults:
         return
-    has = ", ".join(f"{name} {found}" for name, found in old)
-    wanted = " ".join(f"'{NEEDED[name][0]}'" for name, _ in old)
-    print(f"longarm_comp: too old: {has}; run: pip install {wanted}", file=sys.stderr)
+    wanted = " ".join(f"'{NEEDED[name][0]}'" for name in faults)
+    print(f"longarm_comp: {'; '.join(faults.values())}; run: pip install {wanted}", file=sys.stderr)
     sys.exit(2)
 
 
-def _too_old(name: str) -> str:
-    """The version that is installed where it is too old; empty otherwise."""
+def _fault(name: str) -> str:
+    """Why a library cannot be used; empty where it can."""
     wanted, module = NEEDED[name]
     distribution, least = wanted.split(">=")
     try:
@@ -37,9 +36,9 @@ def _too_old(name: str) -> str:
     except PackageNotFoundError:  # from another source, as of apt: ask the module
         try:
             found = str(import_module(module).__version__)
-        except (ImportError, AttributeError):
-            return ""  # missing: its import says so
-    return found if _numbers(found) < _numbers(least) else ""
+        except (ImportError, AttributeError) as error:  # missing, or made for another numpy
+            return f"{name} cannot be used: {' '.join(str(error).split())}"
+    return f"{name} {found} is too old" if _numbers(found) < _numbers(least) else ""
 
 
 def _numbers(text: str) -> list[int]:

@@ -12,7 +12,7 @@ import rclpy
 from geometry_msgs.msg import Point, PoseWithCovarianceStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import JointState, Temperature
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory
 
@@ -39,12 +39,14 @@ class QuickArm:
         self._model = declared_model(arm)
         self.stand(arm.mid)
         self._way: list[np.ndarray] = []
+        self._id = ""
         self._state = DriverState.READY
         self.context = rclpy.Context()
         rclpy.init(context=self.context)
         self.node = Node("quick_arm", context=self.context)
         self._joints = graph.JOINT_STATES.publisher(self.node)
         self._tips = graph.TIP_MEASURED.publisher(self.node)
+        self._temperature = graph.TEMPERATURE.publisher(self.node)
         self._states = graph.DRIVER_STATE.publisher(self.node)
         self._motions = graph.MOTION.publisher(self.node)
         self._pauses = graph.PAUSE.client(self.node)
@@ -75,6 +77,7 @@ class QuickArm:
         if self._state != DriverState.READY:
             told.event, told.message = Motion.REFUSED, "held"
         else:
+            self._id = told.id
             self._way = [np.array(point.positions) for point in message.points]
             self.visited.append(self._way[-1])
         self._motions.publish(told)
@@ -82,10 +85,15 @@ class QuickArm:
     def _cycle(self) -> None:
         if self._way:
             self.stand(self._way.pop(0))
+            if not self._way:
+                self._motions.publish(Motion(id=self._id, event=Motion.REACHED))
         now = self.node.get_clock().now().to_msg()
         joints = JointState(name=list(self.arm.joint_names), position=self._q.tolist())
         joints.header.stamp = now
         self._joints.publish(joints)
+        warm = Temperature(temperature=22.0)
+        warm.header.stamp = now
+        self._temperature.publish(warm)
         seen = PoseWithCovarianceStamped()
         seen.header.stamp, seen.header.frame_id = now, "base"
         x, y, z = self._tip.tolist()

@@ -228,6 +228,7 @@ def named(rng: np.random.Generator) -> Diagnosis:
                 "title": "play",
                 "reading": "",
                 "set": ["backlash"],
+                "untold": [],
                 "where": ["joint 2"],
                 "log_bayes_factor": 214.6,
                 "parameters": [

@@ -38,18 +38,19 @@ class TrueJoint:
 
 TRUE = {
     "joint1": TrueJoint(2, -1, 1500.0, 2 * math.pi / 40960),
-    "joint2": TrueJoint(1, +1, 2300.0, 2 * math.pi / 40960),
+    "joint2": TrueJoint(1, +1, 2048.0, 2 * math.pi / 40960),
     "joint3": TrueJoint(3, -1, 2600.0, 2 * math.pi * 0.008 / 4096),
 }
 """The file of `folder` has ids 1, 2, 3, every direction + and every zero 2048."""
-POSE = {"joint1": 0.0, "joint2": math.radians(10.0), "joint3": 0.02}
+POSE = {"joint1": math.radians(-60.0), "joint2": math.radians(10.0), "joint3": 0.02}
+POSE_FLAGS = ("--pose", "joint1=-60", "--pose", "joint2=10", "--pose", "joint3=20")
 STOPS = {"joint1": (-60, 60), "joint2": (-30, 50), "joint3": (0, 100)}
 UNITS = {"joint1": math.radians(1.0), "joint2": math.radians(1.0), "joint3": 1e-3}
 
 
-def folder(shell: Shell, model: str) -> Path:
+def folder(shell: Shell, model: str, to: Path | str = "mine") -> Path:
     rows = [word for row in ROWS for word in ("--joint", row)]
-    assert shell("init", "mine", *rows, "--tip-at", 0.1, 0, 0, "--servos", model) == 0, shell.err
+    assert shell("init", to, *rows, "--tip-at", 0.1, 0, 0, "--servos", model) == 0, shell.err
     file = shell.folder / "mine" / "servo_driver.yaml"
     text = file.read_text().replace("reply_timeout_s: 0.02", "reply_timeout_s: 0.2")
     file.write_text(text)

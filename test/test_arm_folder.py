@@ -109,6 +109,16 @@ def test_a_urdf_is_narrowed_about_its_home(shell: Shell) -> None:
     assert "shoulder_pan_joint" in shell.refused("init", "no", *_urdf(), "--home", "knee=2")
 
 
+def test_an_arm_that_others_drive_and_measure_is_one_file(shell: Shell) -> None:
+    folder = made(shell, "ur5", *UR5, "--only-arm")
+    assert [file.name for file in folder.iterdir()] == ["arm.yaml"]
+    np.testing.assert_allclose(np.degrees(Arm.load(folder / "arm.yaml").upper[0]), 360)
+    assert "longarm import-data FILE --arm" in shell.err
+    assert shell("check", folder) == 0 and "others drive and measure it" in shell.out
+    (folder / "servo_driver.yaml").write_text("")
+    assert shell("check", folder) == 3
+
+
 def _urdf() -> tuple[str, ...]:
     return ("--urdf", str(example("ur_description/urdf/ur5_robot.urdf")), *UR5[2:])
 
@@ -220,7 +230,7 @@ def test_what_was_measured_is_no_longer_listed(shell: Shell, hobby: Path) -> Non
     before = levels(folder, "unmeasured")
     assert [where.split(":")[0] for where in before] == [
         *("servo_driver.yaml", "stereo_bridge.yaml", "stereo_bridge.yaml", "stereo_bridge.yaml"),
-        "samples.csv",
+        *("samples.csv", "cameras"),
     ]
     servos = folder / "servo_driver.yaml"
     servos.write_text(servos.read_text().replace("zero_ticks: 2048.0", "zero_ticks: 1990.0"))
@@ -229,7 +239,7 @@ def test_what_was_measured_is_no_longer_listed(shell: Shell, hobby: Path) -> Non
     )
     (folder / "samples.csv").write_text("")
     after = levels(folder, "unmeasured")
-    assert after == ["stereo_bridge.yaml: hand_eye", "stereo_bridge.yaml: marker"]
+    assert after == ["stereo_bridge.yaml: hand_eye", "stereo_bridge.yaml: marker", "cameras"]
     listed = shell.json("check", folder)
     assert [finding["where"] for finding in listed] == after
     assert "no such" not in shell.err
@@ -258,7 +268,7 @@ def test_the_marker_is_printed_in_true_size(shell: Shell, hobby: Path) -> None:
     replaced(folder / "stereo_bridge.yaml", r"tag_m: [\d.]+", "tag_m: 0.9")
     assert "fits on A0" in shell.refused("stereo", "marker", folder)
     replaced(folder / "stereo_bridge.yaml", "kind: tags", "kind: charuco")
-    assert "marker.kind" in shell.refused("stereo", "marker", folder)
+    assert "charuco board: columns" in shell.refused("stereo", "marker", folder)
 
 
 def test_the_arm_file_says_what_it_means(hobby: Path) -> None:

@@ -1,15 +1,16 @@
-"""`longarm collect` and `longarm record`: what they leave, also when they are broken off."""
+"""`longarm collect` and `longarm record`: what they leave, also when they are broken off.
+
+The arm goes where it is sent at once (`quick_arm.py`); `test_demo.py` collects with real servos.
+"""
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from nodes_bench import Bench, bench
+from quick_arm import quick_arm
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.moves import run_up_lengths
@@ -25,16 +27,17 @@ from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.data.plan import Plan, from_both_sides, sobol
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify.calibrate import declared_model
+from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.jobs.measurement_schedule import Visit, visits
-from longarm_comp.nodes.bringup import BringUp, running
 from longarm_comp.sessions.bag import open_bag
 from longarm_comp.sessions.bag_info import bag_info
 from longarm_comp.sessions.bag_segments import SegmentedBag
 from longarm_comp.sessions.message_types import message_types
+from longarm_comp.sessions.offered import offered
 from longarm_comp.sessions.poses import write_poses
 from longarm_comp.sessions.read import read_session
 
-POSES = 5
+POSES = 8
 TEXT = "std_msgs/msg/String"
 
 
@@ -119,6 +122,17 @@ def test_more_repeats_than_poses_are_refused(arm: Arm) -> None:
 # ------------------------------------------------------------------ bags that grow
 
 
+def offers(path: Path) -> dict[str, tuple[int, str, str]]:
+    """Depth, reliability and durability by topic, as `ros2 bag play` reads them."""
+    information = read_yaml(path / "metadata.yaml")["rosbag2_bagfile_information"]
+    topics = [t["topic_metadata"] for t in information["topics_with_message_count"]]
+    return {
+        topic["name"]: (qos["depth"], qos["reliability"], qos["durability"])
+        for topic in topics
+        for qos in topic["offered_qos_profiles"]
+    }
+
+
 def test_a_growing_bag_is_readable_after_every_segment(tmp_path: Path) -> None:
     path = tmp_path / "bag"
     with SegmentedBag(path) as bag:
@@ -128,7 +142,11 @@ def test_a_growing_bag_is_readable_after_every_segment(tmp_path: Path) -> None:
                 bag.finish_segment()
                 with open_bag(path) as reader:
                     assert reader.message_count == k + 1
+        bag.offers["/other"] = offered(1, latched=True)
         bag.write("/other", TEXT, 10**18 + 99, word("last"))
+    assert offers(path) == {
+        "/word": (10, "reliable", "volatile"), "/other": (1, "reliable", "transient_local"),
+    }  # fmt: skip
     with open_bag(path) as reader:
         stamps = [stamp for _, stamp, _ in reader.messages()]
     assert stamps == [*range(10**18, 10**18 + 30), 10**18 + 99]
@@ -194,22 +212,6 @@ os.kill(os.getpid(), signal.SIGKILL)
 # ------------------------------------------------------------------ on the graph
 
 
-@contextlib.contextmanager
-def simulated(demo_arm_path: Path) -> Iterator[None]:
-    graph = BringUp(
-        arm=demo_arm_path,
-        sim=True,
-        speed=20.0,
-        set={
-            "simulated_arm": {"hidden": "backlash=3.0", "frame_rate_hz": 10.0},
-            "servo_driver": {"follower.blend_s": 0.05},
-        },
-        without=("kinematics", "error_predictor"),
-    )
-    with running(graph):
-        yield
-
-
 def longarm(*words: object) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-m", "longarm_comp", *map(str, words)],
@@ -245,7 +247,7 @@ def test_a_session_survives_interruptions_and_is_resumed(
     bag = tmp_path / "bag"
     words = ("collect", demo_arm_path, tmp_path / "poses.csv", "-o", bag, "--sightings", 2)
     words += ("--dwell", 0.1, "--move", 0.05, "--seed", 3, "--resume")
-    with simulated(demo_arm_path):
+    with quick_arm(arm, lambda q: True):
         first = longarm(*words)
         killed = wait_for_a_visit(bag, first)
         os.kill(first.pid, signal.SIGKILL)
@@ -289,6 +291,7 @@ def spin_for(stage: Bench, seconds: float) -> None:
 
 def test_record_keeps_every_message_and_resumes(ros_domain: int, tmp_path: Path) -> None:
     from geometry_msgs.msg import PoseStamped
+    from rclpy.duration import Duration
 
     from longarm_comp.nodes import interfaces as graph
 
@@ -307,7 +310,7 @@ def test_record_keeps_every_message_and_resumes(ros_domain: int, tmp_path: Path)
                 targets.publish(target)
                 time.sleep(0.001)
             sent += 400
-            spin_for(stage, 1.0)
+            assert targets.wait_for_all_acked(Duration(seconds=60))
             process.send_signal(signal.SIGINT)
             said = process.communicate(timeout=30)[0]
             assert process.returncode == 0, said
@@ -337,3 +340,4 @@ def test_what_still_holds_is_not_dropped_between_visits(ros_domain: int, tmp_pat
         recorder.keep(since_ns=time.time_ns(), finish=True)
         assert recorder.counts == {"/temperature": 1}
         other.destroy_node()
+    assert offers(tmp_path / "bag") == {"/temperature": (5, "reliable", "volatile")}

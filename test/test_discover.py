@@ -25,12 +25,18 @@ from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.calibrate import declared_model, stages
 from longarm_comp.core.identify.discover.bank import Hypothesis, Spot
-from longarm_comp.core.identify.discover.discovery import Discovery, contest, discover
+from longarm_comp.core.identify.discover.discovery import (
+    Discovery,
+    contest,
+    discover,
+    helps_between,
+)
 from longarm_comp.core.identify.discover.functions import SWITCH, Functions, switch
 from longarm_comp.core.identify.discover.inputs import Argument, Arguments, levels_of
 from longarm_comp.core.identify.discover.propose import POSES, doubts, proposed
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.model_fit import ModelFit
+from longarm_comp.core.identify.proof import Proof
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
 from longarm_comp.report.record import checked
@@ -223,6 +229,21 @@ def test_a_true_name_is_not_contested() -> None:
     named = fit(plain.model.plus(CameraDrift()), plain.session)
     sealed = pytest.fail
     assert contest(named, plain, 100, sealed, None, np.random.default_rng(0)) is None
+
+
+@pytest.mark.parametrize(
+    ("rows", "worse", "kept"), [(12, 0.0, True), (12, 2.0, False), (4, 2.0, True)]
+)
+def test_poses_between_the_levels_of_a_grid_must_not_be_worse(
+    rows: int, worse: float, kept: bool
+) -> None:
+    """Unless there are too few of them to tell."""
+    before = np.tile([1e-3, 0.0, 0.0], (40, 1))
+    between = np.arange(40) < rows
+    after = np.where(between[:, None], worse * before, 0.0)
+    errors = {"calibrated": before, "with_effects": after}
+    proof = Proof(errors, errors, {}, True, 1.0, 0.0, 1.0, off_levels=between)
+    assert helps_between(proof) == kept
 
 
 # ------------------------------------------------------------------ what the data cannot tell

@@ -15,6 +15,7 @@ from longarm_comp.cli.registry import COMMANDS, GROUPS
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PAGES = [page for page in PAGES if "made" not in page.parts]
+FENCED = re.compile(r"^```[^\n]*\n(.*?)^```", re.DOTALL | re.MULTILINE)
 MODULES = {entry.name: entry.module for entry in COMMANDS}
 
 
@@ -29,9 +30,9 @@ def options(name: str) -> set[str]:
 
 def calls(text: str) -> list[list[str]]:
     """The words after `longarm`, of blocks and of code in a line; without comments."""
-    blocks = re.findall(r"```\w*\n(.*?)```", text, re.DOTALL)
+    blocks = FENCED.findall(text)
     lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
-    inline = re.findall(r"`(longarm [^`]+)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
+    inline = re.findall(r"`(longarm [^`]+)`", FENCED.sub("", text))
     said = [*lines, *(" ".join(each.split()) for each in inline)]
     begun = (re.match(r"\s*longarm (.*?)(?:\s#.*)?$", line) for line in said)
     return [match[1].split() for match in begun if match]
@@ -67,9 +68,9 @@ def test_what_is_wrong_is_noticed() -> None:
     for line in ("longarm diagnos arm.yaml", "longarm servo", "longarm stereo maker my_arm"):
         with pytest.raises(AssertionError):
             named(line.split()[1:])
-    assert calls("```\nlongarm plan a --kind x \\\n  --nope 1  # because\n```") == [
-        ["plan", "a", "--kind", "x", "--nope", "1"]
-    ]
+    picture = "```{image} a.svg\n:alt: A\n```\nlongarm is\n"
+    block = "```\nlongarm plan a --kind x \\\n --nope 1  # because\n```"
+    assert calls(picture + block) == [["plan", "a", "--kind", "x", "--nope", "1"]]
     assert "--nope" not in options("plan") and "--kind" in options("plan")
 
 

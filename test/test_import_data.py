@@ -92,10 +92,12 @@ def test_units_and_names_that_are_told(shell: Shell) -> None:
 
 def test_an_arm_says_which_joints_slide_and_what_they_are_called(work: Path, shell: Shell) -> None:
     data = yaml.safe_load((work / "arm.yaml").read_text())
-    for joint, name in zip(data["joints"], ("yaw", "lift", "slide", "wrist"), strict=True):
+    for joint, name in zip(
+        data["joints"], ("base_yaw_joint", "lift", "slide", "wrist"), strict=True
+    ):
         joint["name"] = name
     Path("arm.yaml").write_text(yaml.safe_dump(data))
-    Path("log.csv").write_text("slide,yaw,lift,wrist,x,y,z\n50,10,20,30,1,2,3\n")
+    Path("log.csv").write_text("slide,Base Yaw,LIFT,wrist,X,y,z\n50,10,20,30,1,2,3\n")
     call = ("import-data", "log.csv", "--units", "mm,deg")
     assert "joints: 'none'" in shell.refused(*call)
     assert shell(*call, "--arm", "arm.yaml") == 0, shell.err

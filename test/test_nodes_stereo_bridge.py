@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import math
+import os
+import signal
 from collections.abc import Iterator
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from nodes_bench import Bench, bench, own_graph
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import CompressedImage
 
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.images import image_message, info_message
 from longarm_comp.nodes.messages import sighting_of
+from longarm_comp.nodes.stamps import stamp_of
 from longarm_comp.sim.cameras import CameraPair, Conditions, render, tag_plate
 
 PAIR = CameraPair(focal_px=640.0)
@@ -27,9 +34,7 @@ class Cameras:
 
     def __init__(self, stage: Bench, rng: np.random.Generator) -> None:
         self.stage, self.rng = stage, rng
-        self.process = stage.start(
-            "stereo_bridge", {"diagnostics_period_s": 0.1, "reliable_images": True}
-        )
+        self.process = stage.start("stereo_bridge", {"diagnostics_period_s": 0.1})
         self.tips = stage.collect(graph.TIP_MEASURED)
         self.diagnostics = stage.collect(graph.DIAGNOSTICS)
         if graph.HAS_TF:
@@ -151,7 +156,7 @@ def test_wrong_size_and_nonsense_are_refused(cameras: Cameras) -> None:
     assert math.isnan(cameras.seen(left[:240, :320], right)[0])
     cameras.counted("size differs")
     message = image_message(left, cameras.ns + 50_000_000, "camera")
-    message.encoding = "bayer_rggb8"
+    message.encoding = "nv12"
     cameras.images[0].publish(message)
     message = image_message(right, cameras.ns + 50_000_000, "camera")
     cameras.images[1].publish(message)
@@ -171,3 +176,83 @@ def test_unsynchronised_and_lonely_images_are_counted_and_do_no_harm(cameras: Ca
     cameras.ns += 300_000_000
     assert math.isfinite(cameras.seen(left, right)[0])
     assert cameras.process.poll() is None
+
+
+def test_images_that_are_lost_on_the_way_are_counted(cameras: Cameras) -> None:
+    """The bridge is held up; its queue keeps the last images only."""
+    os.kill(cameras.process.pid, signal.SIGSTOP)
+    try:
+        small = np.zeros((4, 4), np.uint8)
+        for _ in range(40):
+            cameras.show(small, None)
+    finally:
+        os.kill(cameras.process.pid, signal.SIGCONT)
+
+    def lost() -> bool:
+        cameras.show(small, None)
+        facts = cameras.facts()
+        return int(facts.get("lost on the way: left", 0)) >= 20 and (
+            facts["lost on the way: right"] == "0"
+        )
+
+    cameras.stage.spin(lost)
+
+
+def test_cameras_that_publish_with_best_effort_are_heard_too(cameras: Cameras) -> None:
+    cameras.stage.spin(lambda: cameras.facts().get("images left") == "reliable")
+    node, reliable = cameras.stage.node, cameras.images
+    qos = QoSProfile(depth=5, reliability=graph.BEST_EFFORT)
+    topics = (graph.LEFT_IMAGE, graph.RIGHT_IMAGE)
+    cameras.images = [node.create_publisher(t.type, t.name, qos) for t in topics]
+    try:
+        for side in ("left", "right"):
+            cameras.stage.spin(
+                lambda side=side: cameras.facts().get(f"images {side}") == "best effort"
+            )
+        for publisher in cameras.images:
+            cameras.stage.connected(publisher)
+        left, right = cameras.render()
+        cameras.ns += 1_000_000_000
+
+        def heard() -> bool:
+            cameras.show(left, right)
+            cameras.stage.spin(lambda: cameras.tips, within=30.0)
+            return bool(np.isfinite(sighting_of(cameras.tips[-1])[0]).all())
+
+        cameras.tips.clear()
+        cameras.stage.spin(heard)
+    finally:
+        for publisher in cameras.images:
+            node.destroy_publisher(publisher)
+        cameras.images = reliable
+    cameras.stage.spin(lambda: cameras.facts().get("images left") == "reliable")
+
+
+def test_compressed_images_are_measured_in_a_namespace(cameras: Cameras) -> None:
+    stage, name = cameras.stage, "packed"
+    stage.start("stereo_bridge", {"image_transport": "compressed"}, name)
+    tips = stage.collect(graph.TIP_MEASURED, name)
+    node = stage.node
+
+    def publisher(topic: graph.Topic) -> Any:
+        made = node.create_publisher(topic.type, f"/{name}/{topic.name}", 5)
+        stage.connected(made)
+        return made
+
+    images = [publisher(topic) for topic in (graph.LEFT_COMPRESSED, graph.RIGHT_COMPRESSED)]
+    infos = [publisher(topic) for topic in (graph.LEFT_INFO, graph.RIGHT_INFO)]
+    pictures = [cv2.imencode(".png", picture)[1].tobytes() for picture in cameras.render()]
+
+    def measured() -> bool:
+        cameras.ns += 100_000_000
+        for to, info in zip(infos, PAIR.camera_infos(), strict=True):
+            to.publish(info_message(info, cameras.ns, "camera"))
+        for to, data in zip(images, pictures, strict=True):
+            message = CompressedImage(format="mono8; png compressed ", data=data)
+            message.header.stamp = stamp_of(cameras.ns)
+            to.publish(message)
+        return bool(tips) and math.isfinite(sighting_of(tips[-1])[0][0])
+
+    stage.spin(measured)
+    assert np.linalg.norm(sighting_of(tips[-1])[0] - FACING[:3, 3]) < 1e-3
+    assert tips[-1].header.frame_id == f"{name}/base"

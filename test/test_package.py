@@ -56,7 +56,8 @@ def ros_depends() -> set[str]:
 def outside_imports(folder: Path) -> dict[str, set[str]]:
     """Top-level names imported from outside this repository -> the files that import them."""
     found: dict[str, set[str]] = {}
-    beside = (file.stem for name in ("test", "examples") for file in (ROOT / name).glob("*.py"))
+    scripts = ("test", "examples", "docs/made_by")
+    beside = (file.stem for name in scripts for file in (ROOT / name).glob("*.py"))
     own = {PACKAGE, "bench", *beside}
     for file in sorted(folder.rglob("*.py")):
         for node in ast.walk(ast.parse(file.read_text("utf-8"))):
@@ -81,7 +82,7 @@ def distributions(top_level: str) -> set[str]:
     return providers().get(top_level, set()) | PREFIXED.get(top_level, set())
 
 
-@pytest.mark.parametrize("folder", [PACKAGE, "bench", "test", "examples"])
+@pytest.mark.parametrize("folder", [PACKAGE, "bench", "test", "examples", "docs/made_by"])
 def test_every_import_is_declared(folder: str, wheel: Path) -> None:
     allowed = declared(wheel, extras=True)
     undeclared = {
@@ -92,36 +93,45 @@ def test_every_import_is_declared(folder: str, wheel: Path) -> None:
     assert not undeclared, f"not in setup.py or package.xml: {undeclared}"
 
 
-def test_what_is_installed_with_the_package_is_what_it_uses_outside_of_studies(wheel: Path) -> None:
+WITH_EXTRAS = tuple(f"{PACKAGE}/{name}" for name in ("studies/", "view/", "cli/view.py"))
+
+
+def test_what_is_installed_with_the_package_is_what_it_uses_outside_of_extras(wheel: Path) -> None:
     found = outside_imports(ROOT / PACKAGE)
     needed = {
         name: distributions(name)
         for name, files in found.items()
-        if any(not file.startswith(f"{PACKAGE}/studies/") for file in files)
-        and name not in ros_depends()
+        if any(not file.startswith(WITH_EXTRAS) for file in files) and name not in ros_depends()
     }
     runtime = declared(wheel, extras=False)
     assert not {name for name, brought in needed.items() if not brought & runtime}
     assert not runtime - set().union(*needed.values())
-    assert not {"scikit-learn", "joblib", "dask"} & runtime
+    assert not {"scikit-learn", "joblib", "dask", "viser", "websockets"} & runtime
 
 
 @pytest.mark.parametrize(
-    ("library", "study"), [("sklearn", ("table1", "--arms", "1")), ("joblib", ("loop",))]
+    ("library", "command", "lacks"),
+    [
+        ("sklearn", "study table1 --arms 1 -o out", "this study needs sklearn: {}[studies]'"),
+        ("joblib", "study loop -o out", "this study needs joblib: {}[studies]'"),
+        ("viser", "view --no-open", "longarm view needs viser: {}[view]'"),
+    ],
 )
-def test_a_study_says_which_library_it_lacks(
-    library: str, study: tuple[str, ...], tmp_path: Path
+def test_a_command_says_which_library_it_lacks(
+    library: str, command: str, lacks: str, tmp_path: Path
 ) -> None:
-    words = ["study", *study, "-o", str(tmp_path / "out")]
+    words = command.split()
     code = f"""
 import sys
 sys.modules[{library!r}] = None
 from longarm_comp.cli.run import run
 sys.exit(run({words!r}))
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path
+    )
     assert done.returncode == 3
-    assert f"this study needs {library}: pip install 'longarm_comp[studies]'" in done.stderr
+    assert lacks.format("pip install 'longarm_comp") in done.stderr
     assert "Traceback" not in done.stderr
 
 
@@ -148,9 +158,33 @@ runpy.run_module({program!r}, run_name="__main__")
     )
     assert done.returncode == 2
     assert done.stderr.splitlines() == [
-        "longarm_comp: too old: pydantic 1.10.14, OpenCV 4.6.0; "
+        "longarm_comp: pydantic 1.10.14 is too old; OpenCV 4.6.0 is too old; "
         "run: pip install 'pydantic>=2.6' 'opencv-python-headless>=4.10'"
     ]
+
+
+def test_a_library_that_cannot_be_imported_is_named_with_the_command(tmp_path: Path) -> None:
+    """As Ubuntu's OpenCV, which was made for an older numpy than pip's."""
+    (tmp_path / "cv2.py").write_text("raise ImportError('numpy.core failed\\n to import')\n")
+    code = """
+import importlib.metadata as metadata, runpy
+known = metadata.version
+def version(name):
+    if name.startswith("opencv"):
+        raise metadata.PackageNotFoundError(name)
+    return known(name)
+metadata.version = version
+runpy.run_module("longarm_comp.nodes.stereo_bridge", run_name="__main__")
+"""
+    environment = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert done.stderr == (
+        "longarm_comp: OpenCV cannot be used: numpy.core failed to import; "
+        "run: pip install 'opencv-python-headless>=4.10'\n"
+    )
 
 
 def test_the_least_versions_are_those_that_pip_installs(wheel: Path) -> None:
@@ -324,7 +358,8 @@ def finds_its_own_files(prefix: Path) -> None:
     share = prefix / "share" / PACKAGE
     assert Path(found["launch"]) == share / "launch"
     for folder in ("config", "launch"):
-        assert set(tracked(folder)) == {f"{folder}/{f.name}" for f in (share / folder).glob("*.*")}
+        files = [f for f in (share / folder).rglob("*.*") if f.parent.name != "__pycache__"]
+        assert set(tracked(folder)) == {str(file.relative_to(share)) for file in files}
     assert len(found["nodes"]) == 5
     assert all(Path(file).is_file() and share in Path(file).parents for file in found["nodes"])
     assert found["interfaces"]

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
+from quick_predictor import FAST, quick_predictor, rows
 
 from bench.smooth import LOWER, UPPER, rms_mm, smooth_residual, smooth_set
 from longarm_comp.core.arm.context import Context
@@ -17,32 +15,16 @@ from longarm_comp.core.arm.history import recorded
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.inputs import raw_names
-from longarm_comp.core.learn.predictor import Provenance
-from longarm_comp.core.learn.predictor_file import load, save
-
-FAST = {"hidden": 6, "ensemble": 2, "iterations": 5, "population": 10}
-ORIGIN = Provenance("arm-1", "session-1", tuple(f"joint{i}" for i in range(1, 8)))
 
 
-@pytest.fixture(scope="module")
-def data():
-    return smooth_set(300, 0)
+@pytest.fixture(name="data")
+def data_():
+    return rows()
 
 
-@pytest.fixture(scope="module")
-def small(data):
-    """A quickly trained predictor that uses every kind of context."""
-    rng = np.random.default_rng(1)
-    side = rng.choice([-1.0, 1.0], (300, 1)) * np.ones(7)
-    side[:60] = rng.choice([-1.0, 1.0], (60, 7))
-    columns = {
-        "temperature_c": rng.uniform(20.0, 35.0, 300),
-        "payload_kg": np.full(300, 0.25),
-        "t_s": np.arange(300.0),
-    }
-    context = Context(tuple(side.T), columns)
-    residual = data.residual + 2e-3 * side[:, :3]
-    return train(data.q, residual, context, provenance=ORIGIN, **FAST), context
+@pytest.fixture(name="small")
+def small_():
+    return quick_predictor()
 
 
 @pytest.mark.parametrize(
@@ -225,129 +207,6 @@ def test_one_row_and_many_rows_give_the_same_numbers(data, small):
         np.testing.assert_allclose(one.sigma[0], many.sigma[i], rtol=1e-5)
 
 
-def test_a_saved_predictor_comes_back_the_same(data, small, tmp_path):
-    predictor, _ = small
-    path = tmp_path / "predictor.npz"
-    save(predictor, path)
-    back = load(path, arm_hash="arm-1", joint_names=ORIGIN.joint_names)
-    before, after = predictor.predict(data.test_q), back.predict(data.test_q)
-    np.testing.assert_array_equal(before.error, after.error)
-    np.testing.assert_array_equal(before.sigma, after.sigma)
-    np.testing.assert_array_equal(before.in_domain, after.in_domain)
-    np.testing.assert_array_equal(back.alone, predictor.alone)
-    assert back.provenance.settings["samples"] == 300
-    assert back.provenance.session_hash == "session-1"
-    first = path.read_bytes()
-    save(back, path)
-    assert path.read_bytes() == first
-
-
-def test_prediction_needs_numpy_alone(small, tmp_path):
-    predictor, _ = small
-    save(predictor, tmp_path / "p.npz")
-    code = (
-        "import sys, numpy as np; from longarm_comp.core.learn.predictor_file import load;"
-        f"load({str(tmp_path / 'p.npz')!r}).predict(np.zeros((1, 7)));"
-        "sys.exit('torch' in sys.modules or 'scipy' in sys.modules)"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
-@pytest.mark.parametrize("keep", [0, 10, 0.3, 0.9, 0.999])
-def test_a_truncated_file_is_refused_by_name(small, tmp_path, keep):
-    path = tmp_path / "cut.npz"
-    save(small[0], path)
-    whole = path.read_bytes()
-    path.write_bytes(whole[: keep if isinstance(keep, int) else int(keep * len(whole))])
-    with pytest.raises(InputError) as caught:
-        load(path)
-    assert "cut.npz" in str(caught.value)
-
-
-def test_flipped_bytes_never_get_through(small, tmp_path):
-    path = tmp_path / "flip.npz"
-    save(small[0], path)
-    whole = path.read_bytes()
-    truth = load(path).predict(np.zeros((1, 7))).error
-    for at in np.random.default_rng(8).integers(0, len(whole), 60):
-        broken = bytearray(whole)
-        broken[at] ^= 0xFF
-        path.write_bytes(bytes(broken))
-        try:
-            found = load(path).predict(np.zeros((1, 7))).error
-        except InputError:
-            continue
-        np.testing.assert_array_equal(found, truth)  # padding or a time stamp
-
-
-def rewrite(path, change):
-    with np.load(path) as data:
-        arrays = dict(data)
-    header = json.loads(arrays["header"].tobytes())
-    change(header, arrays)
-    arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
-    np.savez(path, **arrays)
-
-
-@pytest.mark.parametrize(
-    ("change", "field"),
-    [
-        (lambda h, a: h.update(version=99), "version"),
-        (lambda h, a: h.update(format="something"), "format"),
-        (lambda h, a: h.update(scale=float("nan")), "scale"),
-        (lambda h, a: h.update(hidden=7), "weights"),
-        (lambda h, a: h.update(hidden="six"), "hidden"),
-        (lambda h, a: h.update(joints=10**9), "joints"),
-        (lambda h, a: h.update(context=["moon_phase"]), "context"),
-        (lambda h, a: h.pop("variance_limit"), "variance_limit"),
-        (lambda h, a: a.pop("weights"), "weights"),
-        (lambda h, a: a.update(weights=a["weights"][:, :-1]), "weights"),
-        (lambda h, a: a.update(mean=a["mean"] * np.nan), "mean"),
-        (lambda h, a: a.update(kept=a["kept"] + 1000), "kept"),
-        (lambda h, a: a.update(offset=np.array(["a", "b", "c"])), "offset"),
-        (lambda h, a: a.update(alone=np.array([1e-3, np.nan, 1e-3])), "alone"),
-    ],
-)
-def test_a_wrong_field_is_named(small, tmp_path, change, field):
-    path = tmp_path / "wrong.npz"
-    save(small[0], path)
-    rewrite(path, change)
-    with pytest.raises(InputError) as caught:
-        load(path)
-    assert caught.value.field == field
-
-
-def test_a_file_of_an_earlier_version_refuses_by_its_domain_alone(data, small, tmp_path):
-    path = tmp_path / "earlier.npz"
-    save(small[0], path)
-    rewrite(path, lambda header, arrays: arrays.pop("alone"))
-    assert np.isinf(load(path).alone).all()
-    assert load(path).predict(data.q, small[1]).in_domain.all()
-
-
-def test_a_pickle_is_never_loaded(tmp_path):
-    path = tmp_path / "evil.npz"
-    np.savez(path, header=np.array([{"a": 1}], dtype=object))
-    with pytest.raises(InputError):
-        load(path)
-
-
-@pytest.mark.parametrize("wanted", [{"arm_hash": "arm-2"}, {"joint_names": ("a", "b")}])
-def test_another_arm_is_refused(small, tmp_path, wanted):
-    save(small[0], tmp_path / "p.npz")
-    with pytest.raises(InputError) as caught:
-        load(tmp_path / "p.npz", **wanted)
-    assert caught.value.field in wanted
-
-
-def test_a_missing_file_and_an_unwritable_folder_are_named(small, tmp_path):
-    with pytest.raises(InputError):
-        load(tmp_path / "none.npz")
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError):
-        save(small[0], tmp_path / "file" / "p.npz")
-
-
 @pytest.mark.parametrize(
     ("change", "field"),
     [
@@ -410,7 +269,9 @@ def read_twin(folder):
     return sets["samples"], sets["test"]
 
 
-@pytest.mark.parametrize(("samples", "share"), [(300, 0.22), (900, 0.20)])
+@pytest.mark.parametrize(
+    ("samples", "share"), [(300, 0.22), pytest.param(900, 0.20, marks=pytest.mark.long)]
+)
 def test_measured_twin_network_alone_leaves_little_of_the_z_error(data_dir, samples, share):
     """Without calibration first; what is left is mostly the servos' resolution (docs/ssa_bp.md)."""
     learn, test = read_twin(data_dir / "twin" / f"paper_twin_{samples}")

@@ -10,7 +10,6 @@ import base64
 import html
 import json
 import re
-import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -19,11 +18,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from browser import browser
 from report_samples import VERDICTS
 
 from longarm_comp.report import write_report
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = (
     *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"),
     *("--use-angle=swiftshader", "--enable-unsafe-swiftshader"),  # WebGL without a GPU
@@ -102,12 +101,6 @@ addEventListener("load", async () => {
   byId("visit").textContent = JSON.stringify(seen);
 });
 </script></body>"""
-
-
-def browser() -> str:
-    found = next(filter(None, map(shutil.which, BROWSERS)), None)
-    assert found, f"none of {', '.join(BROWSERS)} is installed: run `sudo make system`"
-    return found
 
 
 Visit = Callable[..., dict[str, Any]]

@@ -50,6 +50,7 @@ ROOMS = {
     "report": Room((*ROS, "nodes", "devices", "sim", "workflows", "cli")),
     "workflows": Room((*ROS, "click", "rich"), only=("core", "sessions", "report", "version")),
     "nodes": Room(("cli", "report", "workflows", "studies", "bench", "scipy", "torch")),
+    "view": Room(("click", "scipy", "torch"), only=("core", "nodes", "jobs.client")),
 }
 
 MATHS = {
@@ -219,10 +220,11 @@ def test_what_a_diagnosis_is_made_of_has_names_of_its_own() -> None:
     assert not twice
 
 
-def test_nodes_hold_no_maths() -> None:
+@pytest.mark.parametrize("room", ["nodes", "view"])
+def test_nodes_and_the_page_hold_no_maths(room: str) -> None:
     found = [
         f"{name}:{line}: {what}"
-        for name in in_room("nodes")
+        for name in in_room(room)
         for line, what in maths(sources()[name].read_text("utf-8"))
     ]
     assert not found, "\n".join(found)
@@ -265,6 +267,7 @@ def test_only_its_command_imports_the_benchmarks() -> None:
         ("workflows", "from longarm_comp.jobs.collect.run import collect"),
         ("workflows", "def f():\n    import click"),
         ("nodes", "from longarm_comp.workflows.train import train"),
+        ("view", "from longarm_comp.sessions.csv import read_csv"),
     ],
 )
 def test_a_planted_import_is_found(room: str, source: str) -> None:

@@ -17,14 +17,16 @@ from pathlib import Path
 import pytest
 import servo_bench
 from cli_shell import Shell
-from servo_bench import TRUE, bus, folder, hand, off_by, through_the_stops
+from servo_bench import POSE_FLAGS, TRUE, bus, folder, hand, off_by, through_the_stops
 
 from longarm_comp.arm_folder.measured import read_measured
+from longarm_comp.arm_folder.measured_check import of_record
 from longarm_comp.arm_folder.yaml_edit import edited
 from longarm_comp.cli import sweep_table
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import parse_yaml
 from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.devices.servo_setup import ServoSetup
 from longarm_comp.sim.servo_emulator import ServoEmulator
 
 MODELS = {"feetech": "sts3215", "dynamixel": "xl430-w250"}
@@ -99,8 +101,8 @@ def test_setup_finds_the_true_zeros(
     with bus(protocol) as emulator:
         swept |= {"emulator": emulator, "ways": through_the_stops()}
         words = ("--port", emulator.port, "--sweep-s", 60, "--zero", zero, *RIGHT)
-        pose = ("--pose", "joint2=10", "--pose", "joint3=20")
-        found = shell.json("servo", "setup", mine, *words, *(pose if zero == "pose" else ()))
+        pose = POSE_FLAGS if zero == "pose" else ()
+        found = shell.json("servo", "setup", mine, *words, *pose)
         off = off_by(mine / "servo_driver.yaml", emulator)
         assert not any(emulator.torques_on().values())
     assert max(map(abs, off.values())) <= 1.0, off
@@ -109,6 +111,11 @@ def test_setup_finds_the_true_zeros(
         assert ends == pytest.approx(stops, abs=0.2)
     text = (mine / "servo_driver.yaml").read_text()
     assert "# cycles a second" in text and f"port: {emulator.port}" in text
+    file = mine / "servo_driver.yaml"
+    assert [f.level for f in of_record(mine) if file.name in f.where] == ["measured"]
+    file.write_text(text.replace("direction: -1", "direction: 1", 1))
+    (listed,) = (f for f in of_record(mine) if file.name in f.where)
+    assert listed.level == "unmeasured" and "joint1.direction" in listed.text
     measured = read_measured(mine)["servo_driver.yaml"]
     assert measured.values["joints.joint1.servo_id"] == 2 and measured.facts["zero"] == zero
 
@@ -152,6 +159,35 @@ def test_a_sweep_that_does_not_fit_is_refused(shell: Shell, swept: dict[str, obj
         swept["ways"] = {2: ways[2], 3: ways[3]}
         short = (*words[:2], "--sweep-s", 1, *words[4:])
         assert "joint2 did not move: is servo 1" in untouched(mine, shell, *short)
+
+
+def test_an_arm_that_moves_and_torque_that_stays_on_are_told(
+    shell: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine = folder(shell, "sts3215")
+    original = ServoSetup.rest
+    with bus("feetech") as emulator:
+        words = ("--port", emulator.port, "--no-sweep", "--zero", "pose", *RIGHT)
+
+        def shaken(setup: ServoSetup) -> object:
+            read = setup._bus.read
+
+            def moved(ids: list[int]) -> object:
+                emulator.push(1, emulator.positions()[1] + 2.0)
+                return read(ids)
+
+            monkeypatch.setattr(setup._bus, "read", moved)
+            return original(setup)
+
+        monkeypatch.setattr(ServoSetup, "rest", shaken)
+        assert "joint2 moves: hold the arm still" in untouched(mine, shell, *words)
+
+        def unplugged(setup: ServoSetup) -> object:
+            emulator.faults.silence(2)
+            return original(setup)
+
+        monkeypatch.setattr(ServoSetup, "rest", unplugged)
+        assert "cut the power" in untouched(mine, shell, *words)
 
 
 def test_what_nobody_is_there_to_answer_names_its_flag(shell: Shell) -> None:
@@ -235,7 +271,7 @@ def test_a_dialogue_finds_exchanged_servos_and_a_broken_off_one_leaves_nothing(
         for servo_id in at:
             emulator.push(servo_id, through_the_stops()[servo_id][-1])
 
-        talk = Terminal(*words, "--pose", "joint2=10", "--pose", "joint3=20")
+        talk = Terminal(*words, *POSE_FLAGS)
         talk.until("serial port")
         talk.say(emulator.port)
         for name in TRUE:
@@ -265,7 +301,7 @@ def test_a_dialogue_finds_exchanged_servos_and_a_broken_off_one_leaves_nothing(
             talk.say(told[-1])
         assert told[0] == "joint2" and set(told[1:]) == {"+", "-"}
         talk.say("")
-        talk.until("is written")
+        talk.until("will be written")
         talk.say("y")
         talk.until("read back")
         assert talk.end() == 0

@@ -12,6 +12,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.base_settling import BaseSettling
+from longarm_comp.core.effects.camera_drift import CameraDrift
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.effects.column_bending import ColumnBending
 from longarm_comp.core.effects.effect import Effect
@@ -20,6 +21,9 @@ from longarm_comp.core.effects.slide_play import SlidePlay
 from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.model.model import Model
+from longarm_comp.report.assemble import record_of
+from longarm_comp.report.cards import cards
+from longarm_comp.report.record import checked
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import loads
 
@@ -123,3 +127,26 @@ def test_time_that_runs_with_the_column_makes_a_set_and_is_named(in_order: bool)
     assert {"camera_drift", "base_settling"} <= set(finding.names)
     together = [note for note in found.confirmed.notes[finding.name] if "run together" in note]
     assert [note.startswith("q1 and t_s") for note in together] == ([True] if in_order else [])
+
+
+@pytest.mark.parametrize("scatter", [0.28, 5.0])
+def test_a_drift_is_not_named_alone_where_time_runs_with_the_column(scatter: float) -> None:
+    """The rows tell a drift in time from one with height, but not from all that height may do."""
+    rng = np.random.default_rng(1)
+    q = poses(120)
+    height = (q[:, 0] - q[:, 0].mean()) / q[:, 0].std()
+    q = q[np.argsort(height + scatter * rng.standard_normal(len(q)))]
+    t = np.linspace(0.0, 7200.0, len(q))
+    drift = np.outer(t / 3600.0, [1.5e-3, -1e-3, 0.0])
+    seen = TrueArm(arm()).tip(q) + drift + rng.normal(0.0, 3e-4, (len(q), 3))
+    rows = Session.record(q, seen, columns={"t_s": t})
+    found = diagnose(arm(), rows, seed=1, kinds=(CameraDrift, GuideCurvature))
+    (finding,) = found.findings
+    assert finding.names == ("camera_drift",)
+    (card,) = cards(checked(record_of(found, (), "0" * 64)))
+    together = bool(np.corrcoef(q[:, 0], t)[0, 1] > 0.95)
+    assert together == (scatter < 1.0)
+    assert found.verdict == ("set" if together else "named")
+    assert finding.untold == (("q1",) if together else ())
+    assert ("q1 ran together with t_s: either may drive it" in found.summary) == together
+    assert ("the name is open" in card.sure) == together

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import concepts
 import own_arm
+from commands import write_plan
 from drawing import save_svg
 from matplotlib.figure import Figure
 
@@ -32,6 +33,9 @@ COMPUTED: dict[Callable[[Figure], None], tuple[float, float]] = {
 }
 """Pictures that need nothing but the package, and their size in inches."""
 
+OF_COMMANDS = {"plan.png": write_plan}
+"""What a command draws."""
+
 OF_A_DEMONSTRATION = (
     "bent_and_straight.svg",
     "ladder.svg",
@@ -41,9 +45,11 @@ OF_A_DEMONSTRATION = (
 
 
 def draw_computed(to: Path) -> None:
-    """Those that need no demonstration, each as an SVG by its function's name."""
+    """Those that need no demonstration; an SVG is named as its function."""
     for picture, size in COMPUTED.items():
         save_svg(picture, to / f"{picture.__name__}.svg", size)
+    for name, write in OF_COMMANDS.items():
+        write(to / name)
 
 
 def draw_demonstration(folder: Path, to: Path) -> None:

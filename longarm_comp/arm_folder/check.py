@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
+from longarm_comp.arm_folder.findings import (
+    LEVELS,
+    Finding,
+    implausible,
+    missing,
+    unmeasured,
+)
 from longarm_comp.arm_folder.make import ARM, NODES
+from longarm_comp.arm_folder.measured_check import of_record, recorded
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
 from longarm_comp.arm_folder.servos import ZERO_TICKS
 from longarm_comp.core.arm.arm import Arm
@@ -19,38 +25,12 @@ from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.devices.servo_config import ServoConfig
 
-Level = Literal["missing", "implausible", "unmeasured"]
 _REACH_M = (0.05, 20.0)
 _SAG_SHARE = 0.15
 """A sag above this share of the reach is no arm's, or no longer a small deflection."""
 _TICK = 1.5
 _OFF_MM = 10.0
 _SESSIONS = ("samples.csv", "session", "session_1")
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing to do about a folder.
-
-    Attributes:
-        level: missing and implausible must be put right; unmeasured is an assumption.
-        where: file, and the key in it.
-        text: what is the matter, and what to do.
-    """
-
-    level: Level
-    where: str
-    text: str
-
-    @property
-    def blocks(self) -> bool:
-        """Whether the folder cannot be used as it is."""
-        return self.level != "unmeasured"
-
-
-missing = partial(Finding, "missing")
-implausible = partial(Finding, "implausible")
-unmeasured = partial(Finding, "unmeasured")
 
 
 def check_folder(folder: Path) -> list[Finding]:
@@ -64,17 +44,22 @@ def check_folder(folder: Path) -> list[Finding]:
     arm, found = _loaded(folder / ARM, Arm.load)
     if arm is None:
         return found
-    found += [*_of_arm(arm), *_of_servos(folder, arm)]
-    found += _of_cameras(folder, arm, look=not any(finding.blocks for finding in found))
+    found += _of_arm(arm)
+    if any((folder / f"{node}.yaml").exists() for node in NODES):
+        found += _of_servos(folder, arm)
+        found += _of_cameras(folder, arm, look=not any(finding.blocks for finding in found))
+    else:
+        said = "no servos and cameras: others drive and measure it (else: longarm init DIR --arm)"
+        found.append(unmeasured(ARM, said))
     if not any((folder / name).exists() for name in _SESSIONS):
         found.append(
             unmeasured(
                 "samples.csv",
-                "no session yet: longarm up, plan and collect, or put measured rows there",
+                "no session yet: longarm up, plan and collect; or longarm import-data",
             )
         )  # fmt: skip
-    return sorted(found, key=lambda finding: ("missing", "implausible", "unmeasured").index(
-        finding.level))  # fmt: skip
+    found += of_record(folder)
+    return sorted(found, key=lambda finding: LEVELS.index(finding.level))
 
 
 def _loaded(path: Path, load: Callable[[Path], Any]) -> tuple[Any, list[Finding]]:
@@ -138,9 +123,9 @@ def _of_servos(folder: Path, arm: Arm) -> list[Finding]:
     except InputError as error:
         found.append(implausible(f"{ARM}: {error.field}", str(error.allowed)))
     zeros = [name for name, joint in servos.joints.items() if joint.zero_ticks == ZERO_TICKS]
-    if zeros:
+    if zeros and not recorded(folder, path.name):
         said = f"{ZERO_TICKS:g} of {', '.join(zeros)}: read the encoders at joint value 0"
-        said += "; check ids, gearing and directions too"
+        said += " (longarm servo setup); check ids, gearing and directions too"
         found.append(unmeasured(f"{path.name}: zero_ticks", said))
     return found
 
@@ -159,7 +144,8 @@ def _of_cameras(folder: Path, arm: Arm, look: bool) -> list[Finding]:
     if "stereo_bridge" not in read or any(finding.blocks for finding in found):
         return found
     bridge = read["stereo_bridge"]
-    found += _assumed(arm, bridge)
+    placed = recorded(folder, "stereo_bridge.yaml")
+    found += _assumed(arm, bridge, placed)
     if not look or "simulated_arm" not in read or bridge["marker.kind"] != "tags":
         return found  # the simulation has tags only
     try:
@@ -170,7 +156,7 @@ def _of_cameras(folder: Path, arm: Arm, look: bool) -> list[Finding]:
         said = f"the marker is seen at {sight}: move the cameras, turn the marker "
         said += "(marker.mounting) or narrow the limits in arm.yaml"
         found.append(implausible("simulated_arm.yaml: camera, marker", said))
-    elif sight.off_mm > _OFF_MM:
+    elif sight.off_mm > _OFF_MM and not placed:
         said = f"the tip is measured {sight.off_mm:.0f} mm from where it is: cameras and "
         said += "marker of simulated_arm.yaml stand elsewhere"
         found.append(implausible("stereo_bridge.yaml: hand_eye", said))
@@ -197,19 +183,23 @@ def _kind(value: Any) -> str:
     return "a number" if isinstance(value, int | float) else "text"
 
 
-def _assumed(arm: Arm, bridge: dict[str, Any]) -> Iterator[Finding]:
-    """What stands as `longarm init` writes it."""
+def _assumed(arm: Arm, bridge: dict[str, Any], placed: bool) -> Iterator[Finding]:
+    """What stands as `longarm init` writes it; ``placed``: the head's place was measured."""
     from longarm_comp.arm_folder.head import head_for
 
     file, made = "stereo_bridge.yaml", head_for(arm).bridge()
     own = own_parameters("stereo_bridge")
-    if bridge["hand_eye.xyz"] in (made["hand_eye.xyz"], own["hand_eye.xyz"]):
-        yield unmeasured(f"{file}: hand_eye", "where the left camera stands is assumed")
+    if not placed and bridge["hand_eye.xyz"] in (made["hand_eye.xyz"], own["hand_eye.xyz"]):
+        said = "where the left camera stands is assumed (longarm stereo hand-eye)"
+        yield unmeasured(f"{file}: hand_eye", said)
     if bridge["marker.tag_m"] in (made["marker.tag_m"], own["marker.tag_m"]):
         yield unmeasured(f"{file}: marker", "measure the printed tags: tag_m and gap_m")
     if not any(bridge["tip_in_marker"]):
         yield unmeasured(f"{file}: tip_in_marker", "the marker's middle is taken as the tip")
     if arm.camera is not None and not np.allclose(arm.camera.position_m, bridge["hand_eye.xyz"],
                                                   atol=0.01):  # fmt: skip
-        yield implausible(f"{ARM}: camera", f"{list(arm.camera.position_m)}; {file} has "
-                      f"hand_eye.xyz {bridge['hand_eye.xyz']}")  # fmt: skip
+        said = f"{list(arm.camera.position_m)}; {file} has hand_eye.xyz {bridge['hand_eye.xyz']}"
+        if placed:  # a model belongs to one arm.yaml, so that file is left to the user
+            yield unmeasured(f"{ARM}: camera", f"{said}, which was measured: correct it")
+        else:
+            yield implausible(f"{ARM}: camera", said)

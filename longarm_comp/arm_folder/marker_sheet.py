@@ -1,4 +1,4 @@
-"""The marker of a folder as a page to print, to scale, with a ruler to check the print by."""
+"""A marker or a calibration board as a page in true size, with a ruler to check the print by."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path
-from longarm_comp.devices.stereo import TagBoard
+from longarm_comp.devices.stereo import CharucoTarget, TagBoard
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,9 +20,10 @@ PAPERS = {"A4": (210, 297), "A3": (297, 420), "A2": (420, 594), "A1": (594, 841)
 _RIM, _FOOT = 12.0, 34.0
 """Least margin, and room for the ruler and the text below the marker, mm."""
 _INCH = 25.4
+Printed = TagBoard | CharucoTarget
 
 
-def sheet(board: TagBoard) -> tuple[str, Figure]:
+def sheet(board: Printed) -> tuple[str, Figure]:
     """The smallest paper that the marker fits on, and the page in true size.
 
     Raises:
@@ -30,9 +31,7 @@ def sheet(board: TagBoard) -> tuple[str, Figure]:
     """
     from matplotlib.figure import Figure
 
-    pitch, tag = 1e3 * (board.tag_m + board.gap_m), 1e3 * board.tag_m
-    size = np.array([board.columns, board.rows]) * pitch - 1e3 * board.gap_m
-    quiet = 0.2 * tag  # white about the marker
+    size, quiet = _size(board)
     needed = size + 2 * (quiet + _RIM) + (0.0, _FOOT)
     paper = next((p for p, s in PAPERS.items() if (needed <= s).all()), None)
     if paper is None:
@@ -44,18 +43,18 @@ def sheet(board: TagBoard) -> tuple[str, Figure]:
     axes.set(xlim=(0, width), ylim=(0, height))
     axes.axis("off")
     left, top = (width - size[0]) / 2, height - _RIM - quiet
-    for index in range(board.columns * board.rows):
-        row, column = divmod(index, board.columns)
-        _draw_tag(axes, board, board.first_id + index, left + column * pitch, top - row * pitch)
+    if isinstance(board, CharucoTarget):
+        _draw_charuco(axes, board, left, top)
+    else:
+        _draw_tags(axes, board, left, top)
     low = top - size[1] - quiet - 8.0
-    said = f"{board.dictionary}, tag {tag:g} mm, gap {1e3 * board.gap_m:g} mm."
     how = "Print at 100 %, measure the ruler, mount it flat."
-    axes.text(width / 2, low, f"{said} {how}", ha="center", fontsize=8)
+    axes.text(width / 2, low, f"{_said(board)} {how}", ha="center", fontsize=8)
     _draw_ruler(axes, width / 2, low - 6.0)
     return paper, figure
 
 
-def write_sheet(board: TagBoard, path: Path) -> str:
+def write_sheet(board: Printed, path: Path) -> str:
     """Write the page as PDF and return the paper's name."""
     paper, figure = sheet(board)
     with atomic_path(path) as partial:
@@ -63,18 +62,62 @@ def write_sheet(board: TagBoard, path: Path) -> str:
     return paper
 
 
-def _draw_tag(axes: Axes, board: TagBoard, number: int, left: float, top: float) -> None:
-    """Black square with white cells; left, top: its corner, mm."""
-    from matplotlib.patches import Rectangle
+def _size(board: Printed) -> tuple[np.ndarray, float]:
+    """Width and height, and the white about it, mm."""
+    grid = np.array([board.columns, board.rows])
+    if isinstance(board, CharucoTarget):
+        return 1e3 * board.square_m * grid, 200.0 * board.square_m
+    pitch = board.tag_m + board.gap_m
+    return 1e3 * (grid * pitch - board.gap_m), 200.0 * board.tag_m
 
+
+def _said(board: Printed) -> str:
+    tag = f"{board.dictionary}, tag {1e3 * board.tag_m:g} mm"
+    if isinstance(board, CharucoTarget):
+        return f"ChArUco {board.columns}x{board.rows}, square {1e3 * board.square_m:g} mm, {tag}."
+    return f"{tag}, gap {1e3 * board.gap_m:g} mm."
+
+
+def _draw_tags(axes: Axes, board: TagBoard, left: float, top: float) -> None:
+    pitch = 1e3 * (board.tag_m + board.gap_m)
+    for index in range(board.columns * board.rows):
+        row, column = divmod(index, board.columns)
+        corner = left + column * pitch, top - row * pitch
+        _draw_tag(axes, board, board.first_id + index, *corner)
+
+
+def _draw_charuco(axes: Axes, board: CharucoTarget, left: float, top: float) -> None:
+    """Tags where OpenCV has them, black squares in between."""
+    side, inset = 1e3 * board.square_m, 500.0 * (board.square_m - board.tag_m)
+    family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
+    grid = cv2.aruco.CharucoBoard((board.columns, board.rows), board.square_m, board.tag_m, family)
+    middles = np.array(grid.getObjPoints()).mean(axis=1)[:, :2]
+    places = [tuple(place) for place in np.floor(middles / board.square_m).astype(int).tolist()]
+    tags = dict(zip(places, np.ravel(grid.getIds()).tolist(), strict=True))
+    for row in range(board.rows):
+        for column in range(board.columns):
+            x, y = left + column * side, top - row * side
+            number = tags.get((column, row))
+            if number is None:
+                _fill(axes, x, y, side, "black")
+            else:
+                _draw_tag(axes, board, number, x + inset, y - inset)
+
+
+def _draw_tag(axes: Axes, board: Printed, number: int, left: float, top: float) -> None:
+    """Black square with white cells; left, top: its corner, mm."""
     family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
     cells = cv2.aruco.generateImageMarker(family, number, family.markerSize + 2)
     cell = 1e3 * board.tag_m / len(cells)
-    side = 1e3 * board.tag_m
-    axes.add_patch(Rectangle((left, top - side), side, side, color="black", lw=0))
+    _fill(axes, left, top, 1e3 * board.tag_m, "black")
     for row, column in np.argwhere(cells > 0):
-        corner = (left + column * cell, top - (row + 1) * cell)
-        axes.add_patch(Rectangle(corner, cell, cell, color="white", lw=0))
+        _fill(axes, left + column * cell, top - row * cell, cell, "white")
+
+
+def _fill(axes: Axes, left: float, top: float, side: float, color: str) -> None:
+    from matplotlib.patches import Rectangle
+
+    axes.add_patch(Rectangle((left, top - side), side, side, color=color, lw=0))
 
 
 def _draw_ruler(axes: Axes, middle: float, y: float) -> None:

@@ -12,7 +12,8 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from longarm_comp.arm_folder.parameter_file import one_line
+import yaml
+
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_text
 from longarm_comp.core.strict_yaml import read_yaml
@@ -72,5 +73,6 @@ def note_measured(
     """Add a measurement to the record, in place of an earlier one of the same file."""
     now = datetime.now(timezone.utc).isoformat(timespec="seconds")
     known = {**read_measured(folder), file: Measured(now, by, dict(values), dict(facts))}
-    entries = "".join(f"{name}: {one_line(vars(entry))}\n" for name, entry in known.items())
-    write_text(folder / FILE, _HEAD + entries)
+    entries = {name: vars(entry) for name, entry in known.items()}
+    text = yaml.safe_dump(entries, sort_keys=False, default_flow_style=None, width=100)
+    write_text(folder / FILE, _HEAD + text)

@@ -48,9 +48,13 @@ def write_servos(
 ) -> None:
     """Write the servo file in one step, and what was measured."""
     write_text(folder / SERVOS, text)
-    values = {
+    note_measured(folder, SERVOS, "servo setup", servo_values(joints), facts)
+
+
+def servo_values(joints: Mapping[str, JointConfig]) -> dict[str, Any]:
+    """What a setup finds of each joint, by dotted name."""
+    return {
         f"joints.{name}.{key}": getattr(joint, key)
         for name, joint in joints.items()
         for key in KEYS
     }
-    note_measured(folder, SERVOS, "servo setup", values, facts)

@@ -12,7 +12,7 @@ from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.devices.stereo import StereoEye, StereoRefusal, StereoRig, TagBoard
+from longarm_comp.devices.stereo import CharucoTarget, StereoEye, StereoRefusal, StereoRig, TagBoard
 from longarm_comp.sim.cameras import CameraPair, render, tag_plate
 from longarm_comp.sim.plant import mounting
 
@@ -54,6 +54,23 @@ def board_of(bridge: Mapping[str, Any]) -> TagBoard:
         bridge["marker.rows"],
         bridge["marker.dictionary"],
         bridge["marker.first_id"],
+    )
+
+
+def marker_of(bridge: Mapping[str, Any]) -> TagBoard | CharucoTarget:
+    """The printed marker, tags or a ChArUco board, that parameters of `stereo_bridge` describe.
+
+    Raises:
+        InputError: a value that it cannot have.
+    """
+    if bridge["marker.kind"] != "charuco":
+        return board_of(bridge)
+    return CharucoTarget(
+        bridge["marker.square_m"],
+        bridge["marker.tag_m"],
+        bridge["marker.columns"],
+        bridge["marker.rows"],
+        bridge["marker.dictionary"],
     )
 
 

@@ -10,10 +10,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
-from longarm_comp.arm_folder.sight import board_of
 from longarm_comp.core.arm import quaternion
-from longarm_comp.sim.cameras import CameraPair
-from longarm_comp.sim.plant import mounting
 
 _STEEPEST = np.cos(np.radians(75.0))
 """A tag that is turned further from a camera is not found."""
@@ -60,6 +57,10 @@ class View:
         Raises:
             InputError: a value that cameras or marker cannot have.
         """
+        from longarm_comp.arm_folder.sight import board_of  # these take a second, with OpenCV
+        from longarm_comp.sim.cameras import CameraPair
+        from longarm_comp.sim.plant import mounting
+
         board = board_of(bridge)
         corners = board.points(np.arange(board.n_corners)).reshape(-1, 4, 3)
         middle = corners.mean(axis=1, keepdims=True)

@@ -135,7 +135,6 @@ def _drive(ahead: Preview, output: Path, namespace: str, quiet: bool, **how: Any
     from longarm_comp.cli.signals import pause_on_stop_key, stop_on_signals
     from longarm_comp.core.errors import JobError
     from longarm_comp.jobs.client import ArmClient
-    from longarm_comp.jobs.collect.picture import coverage
     from longarm_comp.jobs.collect.progress import Outcomes
     from longarm_comp.jobs.collect.run import collect
 
@@ -162,6 +161,8 @@ def _drive(ahead: Preview, output: Path, namespace: str, quiet: bool, **how: Any
         raise
     finally:
         if outcomes.made:
+            from longarm_comp.jobs.collect.picture import coverage  # takes a second
+
             note(f"coverage: {coverage(ahead, outcomes, output)}")
 
 

@@ -15,6 +15,8 @@ from longarm_comp.cli.output import note, print_json
 if TYPE_CHECKING:
     from longarm_comp.arm_folder.make import Source
 
+_DRIVEN_DEG = 45.0
+"""Range of a turning joint that is driven through all of it in a first session."""
 _SOURCES = "--urdf FILE, --like demo, --arm FILE or --joint ROW"
 
 
@@ -44,6 +46,11 @@ _SOURCES = "--urdf FILE, --like demo, --arm FILE or --joint ROW"
 )
 @click.option("--home", multiple=True, metavar="JOINT=DEG", help="Middle of that range.")
 @click.option("--servos", default="sts3215", show_default=True, help="Model of the servos.")
+@click.option(
+    "--only-arm",
+    is_flag=True,
+    help="arm.yaml alone, with all of a URDF's limits: another controller and sensor are used.",
+)
 @options.as_json
 def command(
     out: Path,
@@ -59,6 +66,7 @@ def command(
     range_deg: float | None,
     home: tuple[str, ...],
     servos: str,
+    only_arm: bool,
     as_json: bool,
 ) -> None:
     """Write a new folder DIR: arm.yaml, and servo, camera and marker files that fit it.
@@ -72,11 +80,18 @@ def command(
       longarm init my_arm
       longarm init my_arm --like demo
       longarm init my_arm --urdf robot.urdf --base base_link --tip tool0
+      longarm init boom --urdf boom.urdf --only-arm
       longarm init my_arm --joint 'alpha=0 d=0.1 limits=-60..60' \\
         --joint 'alpha=90 limits=0..70 a=0 material=petg' --joint 'a=0.3 tube_a=30/26' \\
         --tip-at 0.2 0 0
     """
-    from longarm_comp.arm_folder.make import check_free, demonstration, files_of, write_folder
+    from longarm_comp.arm_folder.make import (
+        ARM,
+        check_free,
+        demonstration,
+        files_of,
+        write_folder,
+    )
 
     check_free(out)
     _one_source(urdf, like, arm, rows)
@@ -85,19 +100,21 @@ def command(
     else:
         homes = dict(map(_home, home))
         if urdf is not None:
-            source = _from_urdf(urdf, base, tip, 45.0 if range_deg is None else range_deg, homes)
+            whole = 0.0 if only_arm else _DRIVEN_DEG
+            source = _from_urdf(urdf, base, tip, whole if range_deg is None else range_deg, homes)
         elif arm is not None:
             source = _from_file(arm)
         else:
             table = _table(out, name, rows, tip_at, payload)
             source = _narrowed(table, "a DH table", range_deg or 0.0, homes)
-        files = files_of(source, servos)
+        files = {ARM: source.text} if only_arm else files_of(source, servos)
     write_folder(out, files)
     if as_json:
         print_json({"folder": str(out), "files": list(files)})
         return
     note(f"{', '.join(files)} in {out}")
-    note(f"next: longarm check {out}; longarm up {out}/arm.yaml --sim")
+    then = f"longarm import-data FILE --arm {out}/arm.yaml -o {out}/samples.csv"
+    note(f"next: longarm check {out}; {then if only_arm else f'longarm up {out}/arm.yaml --sim'}")
 
 
 def _one_source(urdf: Path | None, like: str | None, arm: Path | None, rows: Sequence[str]) -> None:

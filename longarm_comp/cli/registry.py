@@ -60,7 +60,9 @@ COMMANDS = (
     Entry("report compare", "report_compare", "Two diagnoses side by side."),
     Entry("servo scan", "servo_scan", "The servos on a bus: id, model, firmware, ids used twice."),
     Entry("servo setup", "servo_setup", "Ids, zeros and directions of the servos, by hand."),
-    Entry("stereo marker", "stereo_marker", "The marker as a page to print, with a ruler."),
+    Entry("stereo marker", "stereo_marker", "Marker or calibration board as a page to print."),
+    Entry("stereo calibrate", "stereo_calibrate", "Calibrate the two cameras from a board."),
+    Entry("stereo hand-eye", "stereo_hand_eye", "Find where the two cameras stand."),
     Entry("undo", "undo", "Restore the version of a model.yaml before the last change."),
 )
 

@@ -100,7 +100,7 @@ def _run(folder: Path, given: Answers, as_json: bool) -> None:
         joints, file,
     )  # fmt: skip
     _show(joints, sweep)
-    given.dialogue.go_on(f"{file} is written.")
+    given.dialogue.go_on(f"{file} will be written.")
     source = "pose" if rest else "sweep"
     write_servos(folder, text, joints, {"zero": source, "swept": bool(sweep)})
     reads = _read_back(ServoConfig.load(file))

@@ -3,34 +3,58 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from longarm_comp.cli import options
+from longarm_comp.cli import board_options, options
 from longarm_comp.cli.output import note
+
+if TYPE_CHECKING:
+    from longarm_comp.devices.stereo import CharucoTarget, TagBoard
 
 
 @click.command()
-@click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
+@click.argument("folder", type=click.Path(path_type=Path), metavar="[DIR]", required=False)
+@board_options.board(None)
 @options.output("marker.pdf", "Page to print.")
-def command(folder: Path, output: Path) -> None:
-    """Write the marker of DIR/stereo_bridge.yaml as a page to print, in true size.
+def command(
+    folder: Path | None,
+    board: str | None,
+    square_mm: float,
+    tag_mm: float | None,
+    dictionary: str,
+    output: Path,
+) -> None:
+    """Write the marker of DIR/stereo_bridge.yaml, or a calibration board, in true size.
 
     The page has a ruler of 100 mm: measure it, because printers scale. Then measure the tags and
-    set tag_m and gap_m.
+    set tag_m and gap_m, or say the board's --square-mm to `longarm stereo calibrate`.
 
     \b
-    Example:
+    Examples:
       longarm stereo marker my_arm -o marker.pdf
+      longarm stereo marker --board 7x5 --square-mm 25 -o board.pdf
     """
     from longarm_comp.arm_folder.marker_sheet import write_sheet
-    from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
-    from longarm_comp.arm_folder.sight import board_of
     from longarm_comp.core.errors import InputError
 
-    file = folder / "stereo_bridge.yaml"
-    given = own_parameters("stereo_bridge") | read_parameters(file)
-    if given["marker.kind"] != "tags":
-        raise InputError(file, "marker.kind", given["marker.kind"], "tags")
-    paper = write_sheet(board_of(given), output)
+    if (folder is None) == (board is None):
+        given = "neither" if folder is None else "both"
+        raise InputError("stereo marker", "DIR, --board", given, "one of the two")
+    if board is not None:
+        target = board_options.board_of(board, square_mm, tag_mm, dictionary)
+        paper = write_sheet(target, output)
+    else:
+        assert folder is not None
+        paper = write_sheet(_marker(folder), output)
     note(f"{output}: {paper}, to be printed at 100 %")
+
+
+def _marker(folder: Path) -> CharucoTarget | TagBoard:
+    from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
+    from longarm_comp.arm_folder.sight import marker_of
+
+    return marker_of(
+        own_parameters("stereo_bridge") | read_parameters(folder / "stereo_bridge.yaml")
+    )

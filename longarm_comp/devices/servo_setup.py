@@ -87,7 +87,10 @@ def beyond_travel(name: str, joint: JointConfig, travel: Travel) -> Iterator[str
     for over in (travel.low - low, high - travel.high):
         if over > _UNMOVED_TICKS:
             size = shown(joint, over * joint.si_per_tick)
-            yield f"{name}: its limits reach {size} beyond where it was moved by hand"
+            yield (
+                f"{name}: its limits reach {size} beyond where it was moved by hand; are they, "
+                "the zero and the direction right?"
+            )
 
 
 def shown(joint: JointConfig, value: float) -> str:

@@ -182,7 +182,7 @@ class ArmClient(GraphClient):
         graph.JOINT_STATES.subscription(self.node, self._on_joints)
         graph.TIP_MEASURED.subscription(self.node, self._on_tip)
         self._driver: DriverState | None = None
-        self._sent, self._refused = 0, ""
+        self._sent, self._refused, self._reached = 0, "", False
         graph.MOTION.subscription(self.node, self._on_motion)
         self._states = graph.DRIVER_STATE.subscription(self.node, self._on_state)
 
@@ -225,8 +225,9 @@ class ArmClient(GraphClient):
         self._driver = message
 
     def _on_motion(self, message: Motion) -> None:
-        if message.id == self._id and message.event == Motion.REFUSED:
-            self._refused = message.message
+        if message.id == self._id:
+            self._reached |= message.event == Motion.REACHED
+            self._refused = message.message if message.event == Motion.REFUSED else ""
 
     @property
     def _id(self) -> str:
@@ -256,7 +257,7 @@ class ArmClient(GraphClient):
                     positions=q.tolist(), velocities=[0.0] * self.arm.n, time_from_start=after
                 )
             )
-        self._sent, self._refused = self._sent + 1, ""
+        self._sent, self._refused, self._reached = self._sent + 1, "", False
         sent = JointTrajectory(joint_names=list(self.arm.joint_names), points=points)
         sent.header.frame_id = self._id
         self._trajectory.publish(sent)
@@ -299,7 +300,7 @@ class ArmClient(GraphClient):
             if self._refused:
                 raise JobError(f"the driver refused the move: {self._refused}")
             inside = self.joints is not None and (np.abs(self.joints - q) <= tolerance).all()
-            away[0] |= not inside
+            away[0] |= not inside or self._reached  # a passage may be too short to be heard of
             if not inside or not away[0]:
                 inside_since.clear()
             elif not inside_since:

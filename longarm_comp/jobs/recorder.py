@@ -17,6 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.interfaces import Topic
 from longarm_comp.sessions.bag_segments import SegmentedBag
+from longarm_comp.sessions.offered import offered
 
 SESSION_TOPICS = (
     graph.TARGET_POSE, graph.JOINT_TRAJECTORY, graph.COMPENSATION, graph.JOINT_STATES,
@@ -31,6 +32,7 @@ HELD_TOPICS = (graph.TEMPERATURE, graph.PAYLOAD, graph.INCLINATION)
 IMAGE_TOPICS = (graph.LEFT_IMAGE, graph.RIGHT_IMAGE, graph.LEFT_INFO, graph.RIGHT_INFO)
 
 _DEPTH = 2000
+_DRAIN_S, _AT_ONCE = 5.0, 20
 _SEGMENT_S = 20.0
 _CLOCKS_APART_NS = 60 * 10**9
 
@@ -67,6 +69,7 @@ class Recorder:
         message: Any = topic.type
         if "header" in message.get_fields_and_field_types():
             self._stamped.add(name)
+        self._bag.offers[name] = offered(topic.depth, latched=topic.latched)
         qos = QoSProfile(depth=_DEPTH, reliability=topic.listens)
         self._node.create_subscription(
             topic.type, topic.name, lambda raw: self.put(name, kind, bytes(raw)), qos, raw=True
@@ -101,6 +104,11 @@ class Recorder:
         stamp = int(seconds) * 10**9 + int(rest)
         return stamp if abs(stamp - received) < _CLOCKS_APART_NS else received
 
+    @property
+    def waiting(self) -> int:
+        """Messages that wait."""
+        return len(self._waiting)
+
     def drop(self) -> None:
         """Drop the waiting messages, but for those that still hold."""
         last = {entry[0]: entry for entry in self._waiting if entry[0] in self._held}
@@ -124,6 +132,15 @@ def _type_name(kind: type) -> str:
     return f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
 
 
+def _drain(executor: SingleThreadedExecutor, recorder: Recorder) -> None:
+    """Take what has arrived and was not taken yet, at most for some seconds."""
+    end, before = time.monotonic() + _DRAIN_S, -1
+    while recorder.waiting > before and time.monotonic() < end:
+        before = recorder.waiting
+        for _ in range(_AT_ONCE):
+            executor.spin_once(timeout_sec=0.0)
+
+
 def record(
     bag: SegmentedBag,
     topics: Sequence[Topic],
@@ -144,6 +161,7 @@ def record(
         while not stop.is_set() and (end is None or time.monotonic() < end):
             executor.spin_once(timeout_sec=0.1)
             recorder.keep()
+        _drain(executor, recorder)
     finally:
         recorder.keep(finish=True)
         executor.shutdown(timeout_sec=1.0)

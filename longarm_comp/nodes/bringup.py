@@ -128,7 +128,7 @@ class BringUp:
             "servo_driver": arm
             | ({"bus.port": port} if port else {})
             | (_PATIENT if self.sim else {}),
-            "stereo_bridge": {"reliable_images": True} if self.sim else {},
+            "stereo_bridge": {},
             "simulated_arm": arm | {"servos": servos, "port": bus},
         }
         values = per_node[node]

@@ -3,21 +3,63 @@
 from __future__ import annotations
 
 import array
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from longarm_comp.devices.stereo import CameraInfoLike, RefusalReason, StereoRefusal
 from longarm_comp.nodes.stamps import stamp_of
 
 Grey = NDArray[np.uint8]
-_CHANNELS = {"mono8": 1, "8UC1": 1, "bgr8": 3, "8UC3": 3, "rgb8": 3, "bgra8": 4, "rgba8": 4}
-_TO_BGR = {
-    "rgb8": cv2.COLOR_RGB2BGR,
-    "bgra8": cv2.COLOR_BGRA2BGR,
-    "rgba8": cv2.COLOR_RGBA2BGR,
+Samples = NDArray[np.uint8] | NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """How an image's bytes are pixels.
+
+    Attributes:
+        samples: numbers per pixel.
+        convert: of the numbers (H, W, samples), 8-bit, the pixels (H, W) grey or (H, W, 3) BGR.
+        wide: the numbers have 16 bits.
+    """
+
+    samples: int
+    convert: Callable[[Grey], Grey]
+    wide: bool = False
+
+
+def _sample(k: int) -> Callable[[Grey], Grey]:
+    return lambda numbers: numbers[:, :, k]
+
+
+def _coloured(code: int) -> Callable[[Grey], Grey]:
+    return lambda numbers: np.asarray(cv2.cvtColor(numbers, code), dtype=np.uint8)
+
+
+_BAYER = {
+    "rggb": _coloured(cv2.COLOR_BayerRGGB2GRAY),
+    "bggr": _coloured(cv2.COLOR_BayerBGGR2GRAY),
+    "gbrg": _coloured(cv2.COLOR_BayerGBRG2GRAY),
+    "grbg": _coloured(cv2.COLOR_BayerGRBG2GRAY),
+}
+
+# Names of sensor_msgs/image_encodings.hpp. Of YUV the brightness Y is every second byte.
+ENCODINGS: dict[str, Encoding] = {
+    **dict.fromkeys(("mono8", "8UC1"), Encoding(1, _sample(0))),
+    **dict.fromkeys(("mono16", "16UC1"), Encoding(1, _sample(0), wide=True)),
+    **dict.fromkeys(("bgr8", "8UC3"), Encoding(3, lambda numbers: numbers)),
+    "rgb8": Encoding(3, _coloured(cv2.COLOR_RGB2BGR)),
+    **dict.fromkeys(("bgra8", "8UC4"), Encoding(4, _coloured(cv2.COLOR_BGRA2BGR))),
+    "rgba8": Encoding(4, _coloured(cv2.COLOR_RGBA2BGR)),
+    **dict.fromkeys(("yuv422", "uyvy"), Encoding(2, _sample(1))),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv"), Encoding(2, _sample(0))),
+    **{f"bayer_{order}8": Encoding(1, convert) for order, convert in _BAYER.items()},
+    **{f"bayer_{order}16": Encoding(1, convert, wide=True) for order, convert in _BAYER.items()},
 }
 
 
@@ -27,19 +69,50 @@ def pixels_of(message: Image) -> Grey:
     Raises:
         StereoRefusal: BAD_IMAGE, for an unsupported encoding or data of another size than stated.
     """
-    channels = _CHANNELS.get(message.encoding)
-    if channels is None:
-        allowed = " ".join(_CHANNELS)
+    encoding = ENCODINGS.get(message.encoding)
+    if encoding is None:
+        allowed = " ".join(ENCODINGS)
         raise StereoRefusal(RefusalReason.BAD_IMAGE, encoding=message.encoding, allowed=allowed)
-    width = message.width * channels
+    width = message.width * encoding.samples * (2 if encoding.wide else 1)
     if len(message.data) != message.height * message.step or message.step < width or not width:
         size = f"{message.width}x{message.height}, step {message.step}, {len(message.data)} bytes"
         raise StereoRefusal(RefusalReason.BAD_IMAGE, size=size)
-    rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)
-    pixels = rows[:, :width].reshape(message.height, message.width, channels)
-    if message.encoding in _TO_BGR:
-        return np.asarray(cv2.cvtColor(pixels, _TO_BGR[message.encoding]), dtype=np.uint8)
-    return pixels[:, :, 0] if channels == 1 else pixels
+    rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)[:, :width]
+    if encoding.wide:
+        rows = _narrow(np.ascontiguousarray(rows).view(">u2" if message.is_bigendian else "<u2"))
+    return encoding.convert(rows.reshape(message.height, message.width, encoding.samples))
+
+
+def decoded(message: CompressedImage) -> Grey:
+    """Pixels (H, W), grey, of a compressed image; ``format`` as image_transport writes it.
+
+    Raises:
+        StereoRefusal: BAD_IMAGE, where the data are no image.
+    """
+    data = np.frombuffer(message.data, np.uint8)
+    try:
+        numbers = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH) if len(data) else None
+    except cv2.error:
+        numbers = None
+    if numbers is None:
+        what = f"{message.format!r}, {len(data)} bytes"
+        raise StereoRefusal(RefusalReason.BAD_IMAGE, compressed=what, allowed="jpeg or png")
+    grey = _narrow(numbers)
+    source, _, packed = message.format.partition(";")
+    if "bgr8" in packed or not source.startswith("bayer_"):
+        return grey
+    return ENCODINGS[source.strip()].convert(grey) if source.strip() in ENCODINGS else grey
+
+
+def _narrow(numbers: Samples) -> Grey:
+    """8-bit numbers: of wider ones the 8 bits from the highest that the image uses.
+
+    Cameras of 10, 12 and 14 bits leave the upper bits of 16 empty.
+    """
+    if numbers.dtype == np.uint8:
+        return numbers.astype(np.uint8, copy=False)
+    used = int(numbers.max(initial=0)).bit_length()
+    return (numbers >> max(0, used - 8)).astype(np.uint8)
 
 
 def image_message(grey: Grey, ns: int, frame: str) -> Image:

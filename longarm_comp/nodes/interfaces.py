@@ -17,7 +17,7 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import CameraInfo, Image, Imu, JointState, Temperature
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, JointState, Temperature
 from std_msgs.msg import Float64, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
@@ -81,7 +81,7 @@ class Topic:
     def subscription(
         self,
         node: Node,
-        callback: Callable[[Any], None],
+        callback: Callable[..., None],
         group: CallbackGroup | None = None,
         listens: ReliabilityPolicy | None = None,
         events: SubscriptionEventCallbacks = _UNHEARD_SUBSCRIPTION,
@@ -156,8 +156,16 @@ TIP_MEASURED = Topic(
     RELIABLE,
     "tip as the cameras see it, base frame; position NaN: marker lost",
 )
-LEFT_IMAGE = Topic("left/image_raw", Image, 5, BEST_EFFORT, "left image, 8-bit grey or colour")
-RIGHT_IMAGE = Topic("right/image_raw", Image, 5, BEST_EFFORT, "right image, 8-bit grey or colour")
+LEFT_IMAGE = Topic(
+    "left/image_raw", Image, 5, BEST_EFFORT, "left image, grey, colour, YUV or Bayer"
+)
+RIGHT_IMAGE = Topic("right/image_raw", Image, 5, BEST_EFFORT, "right image of any such encoding")
+LEFT_COMPRESSED = Topic(
+    "left/image_raw/compressed", CompressedImage, 5, BEST_EFFORT, "left image as JPEG or PNG"
+)
+RIGHT_COMPRESSED = Topic(
+    "right/image_raw/compressed", CompressedImage, 5, BEST_EFFORT, "right image as JPEG or PNG"
+)
 LEFT_INFO = Topic("left/camera_info", CameraInfo, 5, BEST_EFFORT, "calibration of the left camera")
 RIGHT_INFO = Topic(
     "right/camera_info", CameraInfo, 5, BEST_EFFORT, "calibration of the right camera"
@@ -206,7 +214,8 @@ TOPICS: tuple[Topic, ...] = (
     *(TARGET_POSE, JOINT_TRAJECTORY, COMPENSATION, JOINT_STATES, MOTION, DRIVER_STATE),
     PREDICTED_ERROR,
     TIP_MEASURED,
-    *(LEFT_IMAGE, RIGHT_IMAGE, LEFT_INFO, RIGHT_INFO, TEMPERATURE, PAYLOAD, INCLINATION),
+    *(LEFT_IMAGE, RIGHT_IMAGE, LEFT_COMPRESSED, RIGHT_COMPRESSED, LEFT_INFO, RIGHT_INFO),
+    *(TEMPERATURE, PAYLOAD, INCLINATION),
     *(MARKERS, COLLECT_PROGRESS, DIAGNOSTICS, ROBOT_DESCRIPTION),
     *((TF, TF_STATIC) if HAS_TF else ()),
 )

@@ -11,7 +11,7 @@ import numpy as np
 from geometry_msgs.msg import Point, PoseWithCovarianceStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo
 
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.errors import InputError, LongarmError
@@ -32,17 +32,28 @@ from longarm_comp.devices.stereo import (
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.frames import FrameTeller, prefix_of
 from longarm_comp.nodes.health import OK, PERIOD, STALE, WARN, Health, Report
-from longarm_comp.nodes.images import pixels_of, same_camera
+from longarm_comp.nodes.image_inlet import ImageInlet
+from longarm_comp.nodes.images import decoded, pixels_of, same_camera
 from longarm_comp.nodes.messages import pose_message
 from longarm_comp.nodes.params import Param, declare
 from longarm_comp.nodes.runner import run
 from longarm_comp.nodes.stamps import stamp_ns, stamp_of
+from longarm_comp.nodes.steady import steady_timer
 from longarm_comp.nodes.worker import Worker
+
+_TRANSPORTS = {
+    "raw": ((graph.LEFT_IMAGE, graph.RIGHT_IMAGE), pixels_of),
+    "compressed": ((graph.LEFT_COMPRESSED, graph.RIGHT_COMPRESSED), decoded),
+}
+
+_ADAPT_S = 0.5
+"""Pause between two looks at who publishes images."""
 
 PARAMS = (
     Param("base_frame", "base", "frame that the tip is reported in"),
     Param("rectified", False, "images are rectified (only P of camera_info holds)"),
-    Param("reliable_images", False, "subscribe reliably: large images, on one machine"),
+    Param("image_transport", "raw", "which images are heard", choices=tuple(_TRANSPORTS)),
+    Param("reliable_images", True, "no image is lost, if the cameras publish so; one machine"),
     Param("slop_ms", 5.0, "left and right stamps within it make a pair", 0.0, 1000.0),
     Param("queue", 8, "images a side that wait for a partner", 1, 100),
     Param("publish_lost", True, "a refused pair is published too, with its position NaN"),
@@ -101,7 +112,7 @@ class StereoBridge(Node):
             rms_px=p["limits.rms_px"],
             edge_px=p["limits.edge_px"],
         )
-        self._pairer: StereoPairer[Image] = StereoPairer(round(p["slop_ms"] * 1e6), p["queue"])
+        self._pairer: StereoPairer[Any] = StereoPairer(round(p["slop_ms"] * 1e6), p["queue"])
         self._infos: dict[Side, CameraInfo] = {}
         self._eye: StereoEye | None = None
         self._sightings = 0
@@ -111,12 +122,18 @@ class StereoBridge(Node):
         self._worker = Worker(self, executor, 2, self.survived)
         self._worker.start()
         self._tips = graph.TIP_MEASURED.publisher(self)
-        hears = graph.RELIABLE if p["reliable_images"] else graph.BEST_EFFORT
         left, right = Side.LEFT, Side.RIGHT
+        topics, self._pixels = _TRANSPORTS[p["image_transport"]]
+        self._inlets = {
+            side: ImageInlet(
+                self, topic, partial(self._on_image, side), reliable=p["reliable_images"]
+            )
+            for side, topic in zip((left, right), topics, strict=True)
+        }
+        for inlet in self._inlets.values():
+            steady_timer(self, _ADAPT_S, inlet.adapt)
         graph.LEFT_INFO.subscription(self, lambda m: self._on_info(left, m))
         graph.RIGHT_INFO.subscription(self, lambda m: self._on_info(right, m))
-        graph.LEFT_IMAGE.subscription(self, lambda m: self._on_image(left, m), listens=hears)
-        graph.RIGHT_IMAGE.subscription(self, lambda m: self._on_image(right, m), listens=hears)
         self._health = Health(self, {"stereo": self._report}, p[PERIOD.name])
 
     def close(self) -> None:
@@ -154,7 +171,7 @@ class StereoBridge(Node):
         frames = [Placed.at(self._base_frame, *camera) for camera in zip(names, poses, strict=True)]
         self._frames.tell_static(frames)
 
-    def _on_image(self, side: Side, message: Image) -> None:
+    def _on_image(self, side: Side, message: Any) -> None:
         for pair in self._pairer.add(side, stamp_ns(message.header.stamp), message):
             eye = self._eye
             if eye is None:
@@ -162,10 +179,10 @@ class StereoBridge(Node):
             elif not self._worker.submit(partial(self._measure, eye, pair)):
                 self._count("a pair came before the last was measured", None)
 
-    def _measure(self, eye: StereoEye, pair: Pair[Image]) -> None:
+    def _measure(self, eye: StereoEye, pair: Pair[Any]) -> None:
         """Measure a pair and publish the tip, on the worker's thread."""
         try:
-            seen = eye.measure(pixels_of(pair.left), pixels_of(pair.right), pair.stamp_ns)
+            seen = eye.measure(self._pixels(pair.left), self._pixels(pair.right), pair.stamp_ns)
         except LongarmError as error:
             self._refuse(error, pair.stamp_ns)
             return
@@ -207,6 +224,8 @@ class StereoBridge(Node):
             "pairs": self._pairer.pairs,
             **{f"refused: {why}": n for why, n in sorted(self._refusals.items())},
             **{f"dropped: {why}": n for why, n in self._pairer.drops.items()},
+            **{f"lost on the way: {s.name.lower()}": i.lost for s, i in self._inlets.items()},
+            **{f"images {s.name.lower()}": i.reliability for s, i in self._inlets.items()},
         }
         if not self._pairer.pairs:
             return Report(STALE, self._last, facts)

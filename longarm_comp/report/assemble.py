@@ -148,6 +148,7 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding) -> dict[str, Any]:
         "title": first.heading(),
         "reading": "; ".join(dict.fromkeys(t.reading for t in found.terms if t.reading)),
         "set": list(found.names),
+        "untold": list(found.untold),
         "where": list(found.where),
         "log_bayes_factor": found.log_bayes_factor,
         "parameters": parameters,

@@ -167,8 +167,10 @@ def _sure(finding: ReportFinding) -> tuple[str, str]:
     elif finding.runner_up is not None:
         margin = there - finding.runner_up.log_bayes_factor
         said.append(f"Next best: {finding.runner_up.effect}, odds of {odds(margin)} for the name")
+    if finding.untold:
+        said.append(f"What runs together with its input may drive it: {listed(finding.untold)}")
     sure = _word(there)
-    if others:
+    if finding.open:
         sure += "; the name is open"
     elif _word(margin) != sure:
         sure += f"; the name is {_word(margin)}"

@@ -54,6 +54,7 @@ class TipSize(_Record):
 class ReportFinding(_Record):
     """An effect that was added, or the set of effects that it cannot be distinguished from.
 
+    `untold` is what runs together with the recorded column that drives it.
     `seen_mm` and `commanded_mm` are mean held-out errors without it, the rest fitted again, and
     with it: as measured, and as a command would have it.
     """
@@ -62,6 +63,7 @@ class ReportFinding(_Record):
     title: str = ""
     reading: str = ""
     set: list[str]
+    untold: list[str] = []
     where: list[str]
     log_bayes_factor: float
     parameters: list[FindingParameter]
@@ -73,6 +75,11 @@ class ReportFinding(_Record):
     stable: float | None = Field(default=None, ge=0, le=1)
     doubts: list[str] = []
     action: str = ""
+
+    @property
+    def open(self) -> bool:
+        """Whether it may as well be something else."""
+        return len(self.set) > 1 or bool(self.untold)
 
 
 class ReportCandidate(_Record):

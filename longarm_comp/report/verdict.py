@@ -21,7 +21,7 @@ COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", 
 
 def meaning(report: DiagnosisReport) -> str:
     """The verdict in one sentence."""
-    n, open_ = len(report.findings), sum(len(f.set) > 1 for f in report.findings)
+    n, open_ = len(report.findings), sum(f.open for f in report.findings)
     left, unnamed = report.structure_left, sum(found.kept for found in report.discovered)
     none = f"{_count(unnamed).lower()} cause without a name was found and added"
     none = none.replace("cause", "causes").replace("was", "were") if unnamed > 1 else none

@@ -13,13 +13,14 @@ from types import TracebackType
 from typing import Any
 
 import yaml
-from rosbags.interfaces import Connection
+from rosbags.interfaces import Connection, Qos
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.files import write_text
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.sessions.message_types import message_types
+from longarm_comp.sessions.offered import offered
 
 _PARTIAL = ".recording"
 _KEY = "rosbag2_bagfile_information"
@@ -46,6 +47,8 @@ class SegmentedBag:
         self._connections: dict[tuple[str, str], Connection] = {}
         self.messages = 0
         """Number of messages in the current segment."""
+        self.offers: dict[str, Qos] = {}
+        """Quality of service of topics by name, where it is not the usual one."""
 
     def _begin(self, resume: bool) -> dict[str, Any] | None:
         metadata = self._path / "metadata.yaml"
@@ -109,7 +112,10 @@ class SegmentedBag:
         writer = self._writer or self._open()
         connection = self._connections.get((topic, kind))
         if connection is None:
-            connection = writer.add_connection(topic, kind, typestore=message_types())
+            connection = writer.add_connection(
+                topic, kind, typestore=message_types(),
+                offered_qos_profiles=[self.offers.get(topic, offered())],
+            )  # fmt: skip
             self._connections[topic, kind] = connection
         writer.write(connection, stamp_ns, data)
         self.messages += 1

@@ -24,6 +24,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.sessions.message_types import message_types
+from longarm_comp.sessions.offered import offered
 
 STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 PERIOD_S = 10.0  # between rows of a session that has no times
@@ -104,8 +105,9 @@ class _Recorder:
     def _put(self, topic: str, kind: str, stamp: int, message: Any) -> None:
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(
-                self._prefix + topic, kind, typestore=self._types
-            )
+                self._prefix + topic, kind, typestore=self._types,
+                offered_qos_profiles=[offered()],
+            )  # fmt: skip
         data = self._types.serialize_cdr(message, kind)
         self._writer.write(self._connections[topic], stamp, data)
 

@@ -1,4 +1,4 @@
-"""The page's buttons: each calls one service of the servo driver and says what came of it."""
+"""The page's buttons: each calls one service of the graph and says what came of it."""
 
 from __future__ import annotations
 
@@ -60,6 +60,10 @@ RELEASES = (
     Button("Reset fault", graph.RESET, Trigger.Request, _GREY,
            "Leaves a fault whose cause is gone."),
 )  # fmt: skip
+PAUSES = (
+    Button("Pause collect", graph.PAUSE, _on, _GREY, "It rests after the pose at hand."),
+    Button("Resume collect", graph.PAUSE, _off, _GREY, "It goes on."),
+)
 
 
 @dataclass
@@ -79,9 +83,10 @@ class Commands:
 
     def __init__(self, node: Node) -> None:
         self.said = Said()
+        self._node = node
         self._pressed: deque[Button] = deque()
         self._calls: list[_Call] = []
-        services = {button.service for button in (*STOPS, *RELEASES)}
+        services = {button.service for button in (*STOPS, *RELEASES, *PAUSES)}
         self._clients = {service: service.client(node, of=DRIVER) for service in services}
 
     def press(self, button: Button) -> None:
@@ -97,7 +102,8 @@ class Commands:
     def _begin(self, button: Button, now: float) -> None:
         client = self._clients[button.service]
         if not client.service_is_ready():
-            self._say(button, f"not done, nobody offers {client.srv_name}; is the driver up?")
+            name = self._node.resolve_service_name(client.srv_name)
+            self._say(button, f"not done, nobody offers {name}")
             return
         self._say(button, "asked", well=True)
         self._calls.append(_Call(button, now))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from html import escape
 from typing import Any
 
@@ -11,7 +12,7 @@ import viser
 from viser import uplot
 
 from longarm_comp.view import words
-from longarm_comp.view.commands import RELEASES, STOPS, Button, Said
+from longarm_comp.view.commands import PAUSES, RELEASES, STOPS, Button, Said
 from longarm_comp.view.scene import Exaggeration
 from longarm_comp.view.state import State
 from longarm_comp.view.trace import Trace
@@ -30,20 +31,17 @@ class Panel:
         self._server, self._namespace = server, namespace
         gui = server.gui
         gui.set_panel_label(f"longarm view {namespace}")
-        gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+        gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
         gui.main_panel.dock_right()
         self._state = gui.add_html("")
         for button in STOPS:
             made = gui.add_button(button.label, color=button.colour, hint=button.hint)
-            made.on_click(lambda _, pressed=button: press(pressed))
-        ways_on = {button.label: button for button in RELEASES}
-        group = gui.add_button_group(
-            "", tuple(ways_on), hint="\n".join(button.hint for button in RELEASES)
-        )
-        group.on_click(lambda event: press(ways_on[event.target.value]))
+            made.on_click(partial(_pressed, press, button))
+        self._group(RELEASES, press)
         self._said = gui.add_html("")
         self._job = gui.add_html("", visible=False)
         self._bar = gui.add_progress_bar(0.0, visible=False)
+        self._pauses = self._group(PAUSES, press, visible=False)
         self._tip = gui.add_html("")
         with gui.add_folder("Health"):
             self._health = gui.add_html("")
@@ -56,6 +54,16 @@ class Panel:
         self._drift = self._chart(
             "Evidence of drift", ("evidence", "warns at 1"), ("#1e64dc", "#888888")
         )
+
+    def _group(
+        self, buttons: Sequence[Button], press: Callable[[Button], None], visible: bool = True
+    ) -> Any:
+        """Smaller buttons in a row."""
+        named = {button.label: button for button in buttons}
+        hints = "\n".join(f"{button.label}: {button.hint}" for button in buttons)
+        group = self._server.gui.add_button_group("", tuple(named), hint=hints, visible=visible)
+        group.on_click(lambda event: press(named[event.target.value]))
+        return group
 
     def _chart(self, title: str, names: Sequence[str], colours: Sequence[str]) -> Any:
         lines = [
@@ -76,7 +84,7 @@ class Panel:
 
     def show(self, state: State, now: float, said: Said) -> None:
         """Show a state, and what came of the last press of a button."""
-        colour = _BAD if state.silent_s(now) else _GOOD
+        colour = _BAD if state.unread_s(now) else _GOOD
         headline = words.headline(state, now, self._namespace)
         self._write(self._state, [_line(headline, colour, bold=True), _line(words.target(state))])
         self._write(
@@ -86,13 +94,13 @@ class Panel:
         self._write(self._tip, [_line(text) for text in (*told, words.drift(state))])
         factor = self.exaggeration
         scale = words.exaggeration(factor.deflection, factor.error)
-        self._write(self._scale, [_line(scale)])
+        self._write(self._scale, [_line(scale), _line(words.LEGEND)])
         self._show_health(state, now)
         if state.progress is not None:
             job = state.progress
             self._write(self._job, [_line(words.progress(job, now))])
             _set(self._bar, "value", 100.0 * min(job.done / job.of, 1.0))
-            for handle in (self._job, self._bar):
+            for handle in (self._job, self._bar, self._pauses):
                 _set(handle, "visible", True)
 
     def draw(self, trace: Trace) -> None:
@@ -115,6 +123,10 @@ class Panel:
     def _write(handle: Any, lines: Sequence[str]) -> None:
         style = "font-size:0.85em;line-height:1.4;padding:0 0.75em;overflow-wrap:anywhere"
         _set(handle, "content", f"<div style='{style}'>{''.join(lines)}</div>" if lines else "")
+
+
+def _pressed(press: Callable[[Button], None], button: Button, _: object) -> None:
+    press(button)
 
 
 def _line(text: str, colour: str = _GOOD, *, bold: bool = False, indent: bool = False) -> str:

@@ -10,7 +10,6 @@ import viser
 
 from longarm_comp.core.model.outline import exaggerated
 from longarm_comp.view.state import Picture, State
-from longarm_comp.view.words import length_mm
 
 GREY, PALE = (150, 150, 150), (205, 205, 205)
 BLUE, GREEN, RED, ORANGE, YELLOW = (
@@ -34,21 +33,24 @@ class Scene:
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self._handles: dict[str, Any] = {}
+        self._middle = self._away = np.zeros(3)
+        self._beside: dict[str, np.ndarray] = {}
+        server.on_client_connect(self._aim)
 
     def show(self, state: State, now: float, factor: Exaggeration) -> None:
-        """Draw a state; pale where the graph is silent."""
+        """Draw a state; pale where it is not of now."""
         picture = state.picture
         if picture is None:
             return
         with self._server.atomic():
             if not self._handles:
                 self._begin(picture)
-            pale = bool(state.silent_s(now))
+            pale = state.old(now)
             hanging = exaggerated(picture.hanging, picture.declared, factor.deflection)
             self._line("declared", picture.declared, PALE if pale else GREY)
             self._line("hanging", hanging, PALE if pale else BLUE)
             end = hanging[-1]
-            self._label("hanging", end, "" if pale else f"deflection × {factor.deflection:g}")
+            self._label("hanging", None if pale else end, f"deflection × {factor.deflection:g}")
             tip = None if pale else state.seen_tip(now)
             for name, at in (("target", picture.target), ("tip", tip),
                              ("pseudo_target", picture.pseudo_target)):  # fmt: skip
@@ -57,8 +59,9 @@ class Scene:
                     self._handles[name].position = at
             missed = None if pale else state.missed(now)
             beside = None if pale else state.unpredicted(now)
-            self._arrow("missed", picture.target, missed, factor.error, "tip − target")
-            self._arrow("beside", picture.hanging[-1], beside, factor.error, "tip − predicted")
+            tip_at = self._arrow("missed", picture.target, missed, factor.error)
+            self._arrow("beside", end, beside, factor.error)
+            self._label("missed", tip_at, f"tip − target × {factor.error:g}")
 
     def _begin(self, picture: Picture) -> None:
         scene, size = self._server.scene, float(np.ptp(picture.declared, axis=0).max())
@@ -66,10 +69,10 @@ class Scene:
         scene.world_axes.visible = False
         scene.add_frame("/base", axes_length=0.08 * size, axes_radius=0.004 * size)
         scene.add_grid("/grid", width=2 * size, height=2 * size, cell_size=0.1, section_size=1.0)
-        for name, radius, colour in (("target", 0.009, GREEN), ("tip", 0.007, RED),
-                                     ("pseudo_target", 0.005, YELLOW)):  # fmt: skip
+        for name, radius, colour in (("target", 0.012, GREEN), ("tip", 0.008, RED),
+                                     ("pseudo_target", 0.006, YELLOW)):  # fmt: skip
             self._handles[name] = scene.add_icosphere(
-                f"/{name}", radius=radius * size, color=colour, opacity=0.6, visible=False
+                f"/{name}", radius=radius * size, color=colour, visible=False
             )
         start = np.stack([picture.declared[:-1], picture.declared[1:]], axis=1)
         for name, width in (("declared", 3.0), ("hanging", 6.0)):
@@ -81,15 +84,22 @@ class Scene:
                 f"/{name}", start[:1], colour, shaft_radius=0.003 * size, head_radius=0.008 * size,
                 head_length=0.02 * size, visible=False,
             )  # fmt: skip
-        for name, anchor in (("hanging", "top-left"), ("missed", "bottom-left"),
-                             ("beside", "top-right")):  # fmt: skip
+        for name, side in (("hanging", -1), ("missed", 1)):
+            self._beside[name] = np.array([0.0, 0.0, 0.04 * size * side])
             self._handles[f"{name} label"] = scene.add_label(
-                f"/{name}_label", "", anchor=anchor, font_screen_scale=0.9, visible=False
+                f"/{name}_label", "", anchor="center-right", font_screen_scale=0.9, visible=False
             )
+        self._middle, self._away = middle, 0.9 * size * _FAR
         camera = self._server.initial_camera
-        camera.look_at, camera.position = middle, middle + 1.1 * size * _FAR
+        camera.look_at, camera.position = middle, middle + self._away
         for client in self._server.get_clients().values():
-            client.camera.position, client.camera.look_at = middle + 1.1 * size * _FAR, middle
+            self._aim(client)
+
+    def _aim(self, client: viser.ClientHandle) -> None:
+        """Point the camera of a browser at the arm, from further away where it is narrow."""
+        if self._handles:
+            away = self._away * max(1.0, 1.0 / client.camera.aspect)
+            client.camera.position, client.camera.look_at = self._middle + away, self._middle
 
     def _line(self, name: str, points: np.ndarray, colour: tuple[int, int, int]) -> None:
         handle = self._handles[name]
@@ -97,20 +107,19 @@ class Scene:
         handle.colors = np.array(colour, np.uint8)
 
     def _arrow(
-        self, name: str, start: np.ndarray | None, error: np.ndarray | None, factor: float,
-        what: str,
-    ) -> None:  # fmt: skip
+        self, name: str, start: np.ndarray | None, error: np.ndarray | None, factor: float
+    ) -> np.ndarray | None:
+        """Draw an error (3,), where there is one; the end of its arrow (3,)."""
         handle = self._handles[name]
         handle.visible = start is not None and error is not None
         if start is None or error is None:
-            self._label(name, np.zeros(3), "")
-            return
+            return None
         end = exaggerated(start + error, start, factor)
         handle.points = np.stack([start, end])[None]
-        self._label(name, end, f"{what} {length_mm(error):.2f} mm × {factor:g}")
+        return end
 
-    def _label(self, name: str, at: np.ndarray, text: str) -> None:
+    def _label(self, name: str, at: np.ndarray | None, text: str) -> None:
         handle = self._handles[f"{name} label"]
-        handle.visible = bool(text)
-        if text:
-            handle.text, handle.position = text, at
+        handle.visible = at is not None
+        if at is not None:
+            handle.text, handle.position = text, at + self._beside[name]

@@ -18,6 +18,7 @@ _SETTLED_S = 0.6
 """A picture is a half second old and a sighting some frames: what came later after the last
 movement is of the arm at rest."""
 _TIP_AGE_S = 3.0
+_PICTURE_AGE_S = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +81,7 @@ class NodeHealth:
 
     def silent_s(self, now: float) -> float:
         """For how long it has said nothing that it should have said; 0: it speaks."""
-        quiet = now - self.at
-        return quiet if quiet > max(_NODE_SILENT_S, 3.0 * self.every_s) else 0.0
+        return _silence(self.at, now, max(_NODE_SILENT_S, 3.0 * self.every_s))
 
 
 @dataclass(frozen=True)
@@ -102,6 +102,7 @@ class State:
     Attributes:
         heard: when any message came last; None before the first.
         joints: last reading by name, rad and m.
+        read: when the joints were read last; None before the first.
         moved: when a joint moved last by more than `JOINT_REST`.
         driver: state of the driver in a word, and its reason; empty before the first.
         evidence: of drift, share of what warns; NaN where nothing judges.
@@ -112,6 +113,7 @@ class State:
     picture: Picture | None = None
     tip: Tip | None = None
     joints: Mapping[str, float] = field(default_factory=dict)
+    read: float | None = None
     moved: float = -math.inf
     driver: tuple[str, str] = ("", "")
     answer: Answer | None = None
@@ -123,8 +125,8 @@ class State:
     def with_joints(self, joints: Mapping[str, float], now: float) -> State:
         """After a reading of the joints."""
         if _same_joints(joints, self.seed):
-            return replace(self, joints=joints)
-        return replace(self, joints=joints, seed=joints, moved=now)
+            return replace(self, joints=joints, read=now)
+        return replace(self, joints=joints, read=now, seed=joints, moved=now)
 
     def with_report(self, node: str, parts: tuple[Part, ...], now: float) -> State:
         """After a report of a node on /diagnostics."""
@@ -135,9 +137,17 @@ class State:
         )
 
     def silent_s(self, now: float) -> float:
-        """For how long the whole graph has said nothing; 0: it speaks."""
-        quiet = math.inf if self.heard is None else now - self.heard
-        return quiet if quiet > SILENT_S else 0.0
+        """For how long the whole graph has said nothing; 0: it speaks; infinite: never."""
+        return _silence(self.heard, now, SILENT_S)
+
+    def unread_s(self, now: float) -> float:
+        """For how long no joints have come; as `silent_s`."""
+        return _silence(self.read, now, SILENT_S)
+
+    def old(self, now: float) -> bool:
+        """Whether the picture of the arm is not of now."""
+        at = None if self.picture is None else self.picture.at
+        return bool(self.unread_s(now) or _silence(at, now, _PICTURE_AGE_S))
 
     def seen_tip(self, now: float) -> np.ndarray | None:
         """(3,) m where the tip is seen now; None where it is not."""
@@ -174,6 +184,12 @@ class State:
 def true_to_scale(drawn: np.ndarray, declared: np.ndarray, factor: float) -> np.ndarray:
     """The hanging arm (k, 3) of one whose deflection was drawn ``factor`` (> 0) times larger."""
     return exaggerated(drawn, declared, 1.0 / factor)
+
+
+def _silence(last: float | None, now: float, allowed: float) -> float:
+    """Time since ``last`` where it is longer than allowed, else 0."""
+    quiet = math.inf if last is None else now - last
+    return quiet if quiet > allowed else 0.0
 
 
 def _same_joints(sent: Mapping[str, float], joints: Mapping[str, float]) -> bool:

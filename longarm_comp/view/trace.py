@@ -23,7 +23,7 @@ class Trace:
     def add(self, state: State, now: float, clock: float) -> bool:
         """Take a sample at ``clock`` (s of the epoch); False where nothing is known."""
         row = (length_mm(state.missed(now)), length_mm(state.unpredicted(now)), state.evidence)
-        if all(map(math.isnan, row)) or state.silent_s(now):
+        if all(map(math.isnan, row)) or state.unread_s(now):
             return False
         self._rows.append((clock, *row))
         return True

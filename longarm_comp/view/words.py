@@ -25,9 +25,12 @@ def headline(state: State, now: float, namespace: str) -> str:
         )
     if silent:
         return f"The graph is silent for {_ago(silent)}. What is shown is what it said last."
+    unread = state.unread_s(now)
+    if unread:
+        return f"No joint_states{'' if math.isinf(unread) else f' for {_ago(unread)}'}."
     words, why = state.driver
     if not words:
-        return "The graph speaks; no driver has said what it does."
+        return "The joints are read; no driver says what it does."
     return f"The driver is {words}{f' ({why})' if why else ''}."
 
 
@@ -79,6 +82,12 @@ def millimetres(vector: np.ndarray) -> str:
 def length_mm(vector: np.ndarray | None) -> float:
     """Length in mm of a vector (3,) in m; NaN without one."""
     return math.nan if vector is None else 1e3 * math.dist((0.0, 0.0, 0.0), vector.tolist())
+
+
+LEGEND = (
+    "Grey: the arm as declared, rigid. Blue: as predicted. Green: target. Yellow: pseudo-target. "
+    "Red: tip, and tip − target. Orange: tip − predicted."
+)
 
 
 def exaggeration(deflection: float, error: float) -> str:

@@ -29,6 +29,8 @@ from longarm_comp.core.model.model import Model
 FEW_POSES = 4
 _OUTLIER = 8.0  # robust standard deviations, before any fit
 _FAR = 0.5  # of a joint's range beyond its limits
+_TURN = 2 * np.pi
+"""Joints that all stay within it may well be in radians."""
 _MANY = 5.0  # times a joint's largest value, and more, are another unit
 _MOSTLY = 0.5  # of its rows blank: an inclinometer that is left out instead of the rows
 _TILTED = np.radians(20.0)
@@ -212,7 +214,10 @@ def _joint_units(case: _Case) -> Iterator[AdmissionFinding]:
         if other := _exchanged(arm, q, int(j)):
             limits = f"{limits} ({other})"
         elif many and within.mean() > 0.95:
-            limits = f"{hint}: {limits}"
+            small = factor == np.pi / 180 and np.abs(q[:, kind]).max() < _TURN
+            limits = f"{limits}; degrees, or limits that are too narrow?" if small else (
+                f"{hint}: {limits}"
+            )  # fmt: skip
         raise case.refuse(f"row {row + 1}, q{j + 1}", float(q[row, j]), limits)
     for j in np.flatnonzero((beyond > 1e-6).any(0)):
         count, worst = int((beyond[:, j] > 1e-6).sum()), beyond[:, j].max()

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate, Term
+from longarm_comp.core.identify.confounded import untold
 from longarm_comp.core.identify.evidence import (
     IMPLAUSIBLE,
     FitColumns,
@@ -75,6 +76,7 @@ class EffectFinding:
         worth_m: the same without what geometry and other effects could take up, m.
         share: what it takes of the mean squared error that the fitted rows would have without it.
         partial_aliases: effects that could stand for a part of it, best first.
+        untold: what runs together with the recorded column that drives it.
     """
 
     name: str
@@ -86,6 +88,12 @@ class EffectFinding:
     worth_m: float
     share: float
     partial_aliases: tuple[PartialAlias, ...] = ()
+    untold: tuple[str, ...] = ()
+
+    @property
+    def open(self) -> bool:
+        """Whether it may as well be something else."""
+        return bool(self.alternatives or self.untold)
 
     @property
     def where(self) -> tuple[str, ...]:
@@ -124,6 +132,7 @@ def findings(
             partial_aliases=_partial_aliases(
                 result, candidates, columns, f.terms, chosen.union(f.names)
             ),
+            untold=untold(result.fit.session, result.fit.model.arm, f.terms),
         )
         for f in found
     )

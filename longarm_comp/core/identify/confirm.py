@@ -10,9 +10,9 @@ from itertools import combinations, pairwise
 import numpy as np
 from scipy.special import ndtri
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
+from longarm_comp.core.identify.confounded import confounded
 from longarm_comp.core.identify.evidence import columns_at, key, neighbours
 from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.identify.search import SearchResult
@@ -25,8 +25,6 @@ TOUCHES = 0.05
 """Share of an interval within which a value is at its bound."""
 HOLDS = 3.0
 """Log Bayes factor above which the evidence of a resample holds."""
-TOGETHER = 0.95
-"""Two recorded quantities that correlate more than this are confounded."""
 SHARED = 0.5
 """Two findings that lose more of their evidence beside each other than this overlap."""
 
@@ -217,7 +215,7 @@ def _evidence(gram: np.ndarray, right: np.ndarray, own: np.ndarray) -> float:
 def _doubts(fit: ModelFit, found: EffectFinding, own: np.ndarray, stable: float) -> tuple[str, ...]:
     """What a sceptic would say."""
     said = [f"{part.name} could stand for its {part.part}" for part in found.partial_aliases]
-    said += _confounded(fit, found)
+    said += [p.sentence for p in confounded(fit.session, fit.model.arm, found.terms)]
     if stable < 0.95:
         said.append(f"its evidence holds in {100 * stable:.0f} % of resampled sessions only")
     if not len(own):
@@ -236,31 +234,6 @@ def _doubts(fit: ModelFit, found: EffectFinding, own: np.ndarray, stable: float)
         if abs(value) > 5 * p.prior:
             said.append(f"{fit.slots[k].label} = {value:.3g} {p.unit} is implausibly large")
     return tuple(said)
-
-
-def _confounded(fit: ModelFit, found: EffectFinding) -> list[str]:
-    """Inputs of an effect that run together with another recorded quantity, in words."""
-    session, arm = fit.session, fit.model.arm
-    joints = {f"q{k + 1}": session.q[:, k] for k in range(arm.n)}
-    recorded = {**joints, **session.columns}
-    varied = {name: v for name, v in recorded.items() if np.ptp(v) > 0.0}
-    own = {name for t in found.terms for name in t.inputs}
-    own |= {f"q{arm.commanded.index(j) + 1}" for t in found.terms for j in _commanded(t, arm)}
-    said = []
-    for one, two in combinations(varied, 2):
-        if not {one, two} & own or {one, two} <= set(joints):
-            continue
-        together = float(np.corrcoef(varied[one], varied[two])[0, 1])
-        if abs(together) > TOGETHER:
-            said.append(
-                f"{one} and {two} run together in these rows (correlation {together:.2f}): "
-                "measure poses in random order, or at other times"
-            )
-    return said
-
-
-def _commanded(term: Term, arm: Arm) -> list[int]:
-    return [joint for joint in term.joints if joint in arm.commanded]
 
 
 STEP = 0.05

@@ -24,6 +24,7 @@ from longarm_comp.core.identify.outcome import (
     judge,
     look_further,
     with_discovery,
+    with_network,
 )
 from longarm_comp.core.identify.plausible import check_fits, check_noise, check_sizes, check_worth
 from longarm_comp.core.identify.proof import prove
@@ -85,8 +86,6 @@ def diagnose(
     memory = identified.memory
     train, rest = (train, rest) if memory is None else rows(memory.run_up)
     sealed = Sealed(rest)
-    learn = Learner(train_network, identified.search.fit, say)
-    network = learn.on(identified.search.fit.model, identified.structure)
     sealed.release(f"{len(identified.search.chosen)} terms, seed {seed}")
     opened = sealed.open("proof")
     held_out = opened.take(opened.seen)
@@ -97,12 +96,15 @@ def diagnose(
         "with_effects": identified.search.fit.model,
     }
     proof = prove(models, identified.calibrated, identified.search.fit, held_out, rng)
-    outcome = judge(identified, calibrated, proof, network, learn, held_out, rng)
+    outcome = judge(identified, calibrated, proof, rng)
     structure = all_signs(outcome.structure, identified.search, outcome.proof)
     discovery = look_further(identified, outcome, structure.flag, sealed, rng, say, seed)
-    if discovery is not None and discovery.kept:
-        outcome = with_discovery(outcome, discovery, learn, held_out)
-        structure = at_least(structure, discovery)
+    added = discovery if discovery is not None and discovery.kept else None
+    if added is not None:
+        outcome = with_discovery(outcome, added)
+        structure = at_least(structure, added)
+    learn = Learner(train_network, identified.search.fit, say)
+    outcome = with_network(outcome, added, learn, held_out)
     looked_at = np.concatenate([train.q, held_out.q])
     found = tuple(
         on_few_levels(identified.search, identified.candidates, f, looked_at)

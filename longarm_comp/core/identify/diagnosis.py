@@ -93,7 +93,7 @@ class Diagnosis:
             return "unknown" if self.structure.flag or self.rolled_back else "noise"
         if self.structure.flag or any(len(f.names) > MOST_NAMES for f in self.findings):
             return "partly"
-        return "set" if any(f.alternatives for f in self.findings) else "named"
+        return "set" if any(f.open for f in self.findings) else "named"
 
     @property
     def errors(self) -> dict[str, np.ndarray]:

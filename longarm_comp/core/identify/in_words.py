@@ -44,6 +44,9 @@ def sentence(finding: EffectFinding, fit: ModelFit, confirmed: Confirmed) -> str
         odds = finding.log_bayes_factor - finding.runner_up.log_bayes_factor
         other = f", runner-up {finding.runner_up.candidate.name} (log odds {odds:.0f})"
     names, remark = _names(finding)
+    if finding.untold:
+        read = " and ".join(dict.fromkeys(n for t in finding.terms for n in t.inputs))
+        remark += f"; {' and '.join(finding.untold)} ran together with {read}: either may drive it"
     return f"{names}: {said}{other}{remark}"
 
 

@@ -16,7 +16,7 @@ from longarm_comp.core.identify.discover.discovery import Discovery, contest, di
 from longarm_comp.core.identify.identified import Identified, Progress
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import from_repeats
-from longarm_comp.core.identify.proof import NETWORK, LearnedCorrection, Proof
+from longarm_comp.core.identify.proof import LearnedCorrection, Proof
 from longarm_comp.core.identify.search import SearchResult
 from longarm_comp.core.identify.structure import Structure, examine
 from longarm_comp.core.model.model import Model
@@ -60,41 +60,18 @@ class Judged:
 
 
 def judge(
-    identified: Identified,
-    calibrated: Model,
-    proof: Proof,
-    network: LearnedCorrection | None,
-    learn: Learner,
-    held_out: Session,
-    rng: np.random.Generator,
+    identified: Identified, calibrated: Model, proof: Proof, rng: np.random.Generator
 ) -> Judged:
     """Effects that do not help unseen poses are taken back, whatever the fitted rows say.
 
     So are those that took less than half of what is wrong, where structure is left.
     """
-    model, structure = identified.search.fit.model, identified.structure
-    minor = (structure.flag or proof.off) and proof.share < LEAST_SHARE
-    tested = proof.with_network(model, network, held_out)
+    minor = (identified.structure.flag or proof.off) and proof.share < LEAST_SHARE
     if identified.findings and (minor or not proof.better):
-        return _roll_back(identified, calibrated, tested, learn, held_out, rng)
-    kept = network if tested.network_helps("with_effects") else None
-    return Judged(model, identified.findings, structure, kept, tested, False)
-
-
-def _roll_back(
-    identified: Identified,
-    model: Model,
-    proof: Proof,
-    learn: Learner,
-    held_out: Session,
-    rng: np.random.Generator,
-) -> Judged:
-    """The calibrated model, with a network trained on what that one leaves."""
-    structure = examine(identified.calibrated, identified.calibrated, rng)
-    network = learn.on(model, structure)
-    tested = proof.with_network(model, network, held_out)
-    kept = network if tested.network_helps("calibrated") else None
-    return Judged(model, (), structure, kept, tested, True)
+        left = examine(identified.calibrated, identified.calibrated, rng)
+        return Judged(calibrated, (), left, None, proof, True)
+    model = identified.search.fit.model
+    return Judged(model, identified.findings, identified.structure, None, proof, False)
 
 
 def look_further(
@@ -136,13 +113,12 @@ def at_least(structure: Structure, found: Discovery) -> Structure:
     return dataclasses.replace(structure, flag=True, size_m=size, inputs=found.inputs)
 
 
-def with_discovery(outcome: Judged, found: Discovery, learn: Learner, held_out: Session) -> Judged:
-    """The outcome with what was found: a network comes after it, of what that leaves."""
+def with_discovery(outcome: Judged, found: Discovery) -> Judged:
+    """The outcome with what was found."""
     before = outcome.proof
 
     def joined(before: Left, after: Left) -> Left:
-        kept = {stage: left for stage, left in before.items() if stage != NETWORK}
-        return {**kept, DISCOVERED: after["with_effects"]}
+        return {**before, DISCOVERED: after["with_effects"]}
 
     proof = dataclasses.replace(
         before,
@@ -150,11 +126,27 @@ def with_discovery(outcome: Judged, found: Discovery, learn: Learner, held_out: 
         commanded=joined(before.commanded, found.proof.commanded),
         turned=joined(before.turned, found.proof.turned),
     )
-    network = learn.on(found.fit.model, found.structure)
-    tested = proof.with_network(found.fit.model, network, held_out)
-    kept = network if tested.network_helps(DISCOVERED) else None
     findings = tuple(f for f in outcome.findings if f.name not in found.without)
-    return dataclasses.replace(outcome, findings=findings, network=kept, proof=tested)
+    return dataclasses.replace(outcome, findings=findings, proof=proof)
+
+
+def with_network(
+    outcome: Judged, found: Discovery | None, learn: Learner, held_out: Session
+) -> Judged:
+    """The outcome with a network of what all else leaves, where it helps.
+
+    Args:
+        found: what was added without a name.
+        held_out: rows of the proof.
+    """
+    beside = "calibrated" if outcome.rolled_back else "with_effects"
+    model, structure = outcome.model, outcome.structure
+    if found is not None:
+        model, structure, beside = found.fit.model, found.structure, DISCOVERED
+    network = learn.on(model, structure)
+    tested = outcome.proof.with_network(model, network, held_out)
+    kept = network if tested.network_helps(beside) else None
+    return dataclasses.replace(outcome, network=kept, proof=tested)
 
 
 def all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Structure:

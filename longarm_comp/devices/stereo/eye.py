@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.devices.stereo.camera import Array, Camera, StereoRig
+from longarm_comp.devices.stereo.found import found_corners
 from longarm_comp.devices.stereo.limits import Limits
 from longarm_comp.devices.stereo.marker_pose import MarkerPose, marker_pose
-from longarm_comp.devices.stereo.quality import edge_sigma_px, image_quality
 from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
-from longarm_comp.devices.stereo.target import Corners, Target
+from longarm_comp.devices.stereo.target import Target
 from longarm_comp.devices.stereo.triangulate import (
     PixelNoise,
     epipolar_px,
@@ -138,8 +138,8 @@ class StereoEye:
     ) -> StereoSighting:
         greys = as_grey(left, self.rig.left, "left"), as_grey(right, self.rig.right, "right")
         seen = (
-            self._corners(greys[0], RefusalReason.NOT_FOUND_LEFT, "left"),
-            self._corners(greys[1], RefusalReason.NOT_FOUND_RIGHT, "right"),
+            found_corners(self.target, greys[0], "left", self.limits),
+            found_corners(self.target, greys[1], "right", self.limits),
         )
         ids, in_left, in_right = np.intersect1d(seen[0].ids, seen[1].ids, return_indices=True)
         corners = self.target.points(ids)
@@ -170,26 +170,6 @@ class StereoEye:
         self._square_px2 = _KEPT * self._square_px2 + float(np.sum(np.square(pose.residuals)))
         self._freedom = _KEPT * self._freedom + pose.residuals.size - 6
         return self._sighting(pose, len(ids), stamp_ns)
-
-    def _corners(self, grey: NDArray[np.uint8], missing: RefusalReason, side: str) -> Corners:
-        seen = self.target.detect(grey)
-        if seen.repeated:
-            raise StereoRefusal(RefusalReason.AMBIGUOUS, image=side, ids=seen.repeated)
-        if not len(seen):
-            self._explain(grey, missing, side)
-        blur = edge_sigma_px(grey, seen.pixels)
-        sharp = blur <= self.limits.edge_px
-        self._require(RefusalReason.BLURRED, sharp, image=side, edge_px=round(blur, 2))
-        return seen
-
-    def _explain(self, grey: NDArray[np.uint8], missing: RefusalReason, side: str) -> None:
-        look = image_quality(grey)
-        facts = {"image": side, "bright": round(look.bright), "dark": round(look.dark)}
-        self._require(RefusalReason.TOO_DARK, look.bright >= self.limits.bright, **facts)
-        self._require(RefusalReason.TOO_BRIGHT, look.dark <= self.limits.dark, **facts)
-        facts["edge_px"] = round(look.edge_px, 2)
-        self._require(RefusalReason.BLURRED, look.edge_px <= self.limits.edge_px, **facts)
-        raise StereoRefusal(missing, **facts)
 
     @staticmethod
     def _require(reason: RefusalReason, met: bool, **facts: object) -> None:

@@ -73,6 +73,10 @@ def meaning(name: str, arm: Arm | None = None) -> str | None:
         return f"q{int(joint.group(1))}"
     if axis:
         return axis.group(1)
+    spelt = [re.sub(r"[^a-z0-9]", "", own.lower()) for own in arm.joint_names] if arm else []
+    for given in (plain, f"{plain}joint"):
+        if spelt.count(given) == 1:
+            return f"q{spelt.index(given) + 1}"
     if plain in ("t", "time", "timestamp"):
         return "t_s"
     if plain in ("temp", "temperature"):

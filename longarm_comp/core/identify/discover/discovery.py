@@ -201,7 +201,7 @@ def _proven(
         {"calibrated": base.model, "with_effects": best.fit.model}, base, best.fit, held_out, rng
     )
     gain = Gain.of(proof.errors["calibrated"], proof.errors["with_effects"])
-    kept = proof.better and gain.ci95[0] > 0 and _between(proof)
+    kept = proof.better and gain.ci95[0] > 0 and helps_between(proof)
     held = {t.name for t in start.model.terms}
     gone = tuple(dict.fromkeys(t.name for t in base.model.terms if t.name not in held))
     structure = examine(best.fit, start, rng)
@@ -219,7 +219,7 @@ def _proven(
     )
 
 
-def _between(proof: Proof) -> bool:
+def helps_between(proof: Proof) -> bool:
     """Whether rows off the levels of a grid, where there are some, are no worse for it."""
     off = proof.off_levels
     before, after = (

@@ -1,0 +1,161 @@
+"""Views of a calibration board: which may be used, and what they do not cover yet."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from longarm_comp.devices.stereo.camera import Array
+from longarm_comp.devices.stereo.found import found_corners
+from longarm_comp.devices.stereo.limits import Limits
+from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
+from longarm_comp.devices.stereo.target import Corners, Grey, Target
+
+FEWEST_VIEWS = 10
+FEWEST_CORNERS = 8
+_NEARER = 1.25
+"""Least ratio of the largest to the smallest distance."""
+_TILTED_DEG = 30.0
+"""Least range of the board's tilt about either axis. The focal length is only guessed here."""
+_GUESSED_FOCAL = 1.2
+"""As a share of the image's width."""
+_ROWS, _COLUMNS = ("top", "middle", "bottom"), ("left", "middle", "right")
+_NEW_PLACE, _NEW_SIZE, _NEW_TILT_DEG = 0.12, 0.12, 10.0
+_STILL_PX = 1.0
+
+
+@dataclass(frozen=True)
+class BoardView:
+    """One pair of images in which both cameras see the board.
+
+    Attributes:
+        left, right: all corners seen by each.
+        disparity_px: median shift of the common corners from left to right.
+        distance_m: roughly.
+        tilt_deg: about the image's horizontal and vertical axis, roughly.
+    """
+
+    left: Corners
+    right: Corners
+    disparity_px: float
+    distance_m: float
+    tilt_deg: tuple[float, float]
+
+    def is_new(self, others: Sequence[BoardView], width: int) -> bool:
+        """Whether it shows the board elsewhere, at another distance or tilt than the others."""
+        return all(self._differs(other, width) for other in others)
+
+    def _differs(self, other: BoardView, width: int) -> bool:
+        shift = self.left.pixels.mean(axis=0) - other.left.pixels.mean(axis=0)
+        turn = np.subtract(self.tilt_deg, other.tilt_deg)
+        return bool(
+            np.linalg.norm(shift) > _NEW_PLACE * width
+            or abs(np.log(self.distance_m / other.distance_m)) > _NEW_SIZE
+            or np.abs(turn).max() > _NEW_TILT_DEG
+        )
+
+    def moved_px(self, before: BoardView) -> float:
+        """Mean way of the common corners since another view, px; infinite without any."""
+        _, mine, its = np.intersect1d(self.left.ids, before.left.ids, return_indices=True)
+        if not len(mine):
+            return np.inf
+        way = self.left.pixels[mine] - before.left.pixels[its]
+        return float(np.linalg.norm(way, axis=1).mean())
+
+    def is_still(self, before: BoardView | None) -> bool:
+        """Whether the board has hardly moved since the pair before."""
+        return before is not None and self.moved_px(before) < _STILL_PX
+
+
+def view_of(board: Target, left: Grey, right: Grey, limits: Limits | None = None) -> BoardView:
+    """A usable view.
+
+    Args:
+        board: that is held before the cameras.
+        left, right: images (H, W) of one size.
+        limits: beyond which an image is refused.
+
+    Raises:
+        StereoRefusal: with the reason.
+    """
+    limits = limits or Limits()
+    if left.shape != right.shape:
+        raise StereoRefusal(
+            RefusalReason.WRONG_SIZE, left=left.shape[::-1], right=right.shape[::-1]
+        )
+    seen = tuple(
+        found_corners(board, grey, side, limits)
+        for side, grey in (("left", left), ("right", right))
+    )
+    ids, in_left, in_right = np.intersect1d(seen[0].ids, seen[1].ids, return_indices=True)
+    if len(ids) < FEWEST_CORNERS:
+        raise StereoRefusal(RefusalReason.OCCLUDED, corners=len(ids), at_least=FEWEST_CORNERS)
+    pixels = seen[0].pixels[in_left]
+    shift = np.median(pixels[:, 0] - seen[1].pixels[in_right][:, 0])
+    distance, tilt = _rough_pose(board.points(ids), pixels, left.shape[1], left.shape[0])
+    return BoardView(seen[0], seen[1], float(shift), distance, tilt)
+
+
+def gaps(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
+    """What the views lack, as instructions; none when they are enough.
+
+    Args:
+        views: that will be used.
+        size: (width, height) px.
+    """
+    found = []
+    if len(views) < FEWEST_VIEWS:
+        found.append(f"more views: {len(views)} of {FEWEST_VIEWS}")
+    if not views:
+        return found
+    for side, cells in zip(("left", "right"), covered(views, size), strict=True):
+        if bare := list(_bare(cells)):
+            found.append(f"{side} camera: no corner at the {', '.join(bare)} of what both see")
+    distances = [view.distance_m for view in views]
+    if max(distances) < _NEARER * min(distances):
+        ends = f"{min(distances):.2f} to {max(distances):.2f} m"
+        found.append(f"nearer and farther: all views are from about {ends}")
+    for axis, name in enumerate(("horizontal", "vertical")):
+        tilts = [view.tilt_deg[axis] for view in views]
+        if np.ptp(tilts) < _TILTED_DEG:
+            ends = f"{min(tilts):.0f} to {max(tilts):.0f} deg"
+            found.append(f"tilt about the {name} axis: only {ends} yet")
+    return found
+
+
+def covered(
+    views: Sequence[BoardView], size: tuple[int, int]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Ninths (3, 3) of the part of each image that both cameras see, with corners in them."""
+    width, height = size
+    shared = max(width - max(0.0, float(np.median([v.disparity_px for v in views]))), 1.0)
+    made = []
+    for start, side in ((width - shared, "left"), (0.0, "right")):
+        pixels = np.vstack([getattr(view, side).pixels for view in views])
+        across = np.clip((pixels[:, 0] - start) / shared * 3, 0, 2).astype(int)
+        down = np.clip(pixels[:, 1] / height * 3, 0, 2).astype(int)
+        cells = np.zeros((3, 3), dtype=bool)
+        cells[down, across] = True
+        made.append(cells)
+    return made[0], made[1]
+
+
+def _bare(cells: NDArray[np.bool_]) -> Iterator[str]:
+    for row, column in np.argwhere(~cells):
+        yield "centre" if row == column == 1 else f"{_ROWS[row]} {_COLUMNS[column]}"
+
+
+def _rough_pose(
+    points: Array, pixels: Array, width: int, height: int
+) -> tuple[float, tuple[float, float]]:
+    """Distance, m, and tilt about the image's horizontal and vertical axis, deg."""
+    focal = _GUESSED_FOCAL * width
+    k = np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
+    _, turn, move = cv2.solvePnP(points, pixels, k, None, flags=cv2.SOLVEPNP_IPPE)
+    normal = -cv2.Rodrigues(turn)[0][:, 2]  # towards the scene: z of the board is to the viewer
+    tilt = np.degrees([np.arctan2(normal[1], normal[2]), np.arctan2(normal[0], normal[2])])
+    return float(move[2, 0]), (float(tilt[0]), float(tilt[1]))

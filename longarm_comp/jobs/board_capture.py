@@ -1,0 +1,127 @@
+"""Guided capture of a calibration board from the image topics."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+from sensor_msgs.msg import Image
+
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.devices.stereo import Pair, Side, StereoPairer, StereoRefusal, Target
+from longarm_comp.devices.stereo.target import Grey
+from longarm_comp.devices.stereo.views import FEWEST_VIEWS, BoardView, gaps, view_of
+from longarm_comp.jobs.client import GraphClient
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.images import pixels_of
+from longarm_comp.nodes.stamps import stamp_ns
+
+_SLOP_NS = 5_000_000
+_FIRST_S = 30.0
+
+
+class _Images:
+    """The newest pair of images on the topics."""
+
+    def __init__(self, client: GraphClient) -> None:
+        self._pairer: StereoPairer[Image] = StereoPairer(_SLOP_NS, 8)
+        self._newest: Pair[Image] | None = None
+        for side, topic in ((Side.LEFT, graph.LEFT_IMAGE), (Side.RIGHT, graph.RIGHT_IMAGE)):
+            topic.subscription(client.node, partial(self._on, side))
+
+    def _on(self, side: Side, message: Image) -> None:
+        for pair in self._pairer.add(side, stamp_ns(message.header.stamp), message):
+            self._newest = pair
+
+    def take(self) -> tuple[Grey, Grey] | None:
+        """The newest pair (H, W) uint8, once."""
+        pair, self._newest = self._newest, None
+        return None if pair is None else (_grey(pair.left), _grey(pair.right))
+
+
+def capture(
+    board: Target,
+    within_s: float,
+    tell: Callable[[str], None],
+    *,
+    namespace: str = "",
+    stop: threading.Event | None = None,
+    save: Path | None = None,
+) -> tuple[list[BoardView], tuple[int, int]]:
+    """Take a view whenever the board rests somewhere new, until nothing is missing.
+
+    Args:
+        board: that is held before the cameras.
+        within_s: patience.
+        tell: told what is seen and what is missing.
+        save: folder for the images that were taken.
+
+    Returns:
+        The views, and (width, height) px of the images.
+
+    Raises:
+        InputError: the images change their size.
+        JobError: no images, or something is still missing when patience ends.
+        Interrupted: ``stop`` was set.
+    """
+    views: list[BoardView] = []
+    before: BoardView | None = None
+    size: tuple[int, int] | None = None
+    with GraphClient(namespace, stop, "board_capture") as client:
+        images = _Images(client)
+
+        def complete() -> bool:
+            nonlocal before, size
+            pair = images.take()
+            if pair is None:
+                return False
+            found = pair[0].shape[1], pair[0].shape[0]
+            if size not in (None, found):
+                raise InputError("left/image_raw", "size", found, f"{size} as before")
+            size = found
+            try:
+                view = view_of(board, *pair)
+            except StereoRefusal as refusal:
+                tell(refusal.reason.value)
+                before = None
+                return False
+            rests, before = view.is_still(before), view
+            if rests and view.is_new(views, size[0]):
+                views.append(view)
+                if save is not None:
+                    _save(save, len(views), pair)
+            elif not rests:
+                tell("hold the board still")
+                return False
+            lacking = gaps(views, size)
+            tell(f"{len(views)} of {FEWEST_VIEWS} views; " + (lacking[-1] if lacking else "done"))
+            return not lacking
+
+        client.until(lambda: images.take() is not None, _FIRST_S, "no pair of images")
+        try:
+            client.until(complete, within_s, "board")
+        except JobError as error:
+            if client.stop.is_set() or size is None:
+                raise
+            lacking = "; ".join(gaps(views, size))
+            raise JobError(f"not within {within_s:g} s: {lacking}", views=len(views)) from error
+    assert size is not None
+    return views, size
+
+
+def _grey(message: Image) -> Grey:
+    pixels = pixels_of(message)
+    if pixels.ndim == 3:
+        return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+    return np.ascontiguousarray(pixels)
+
+
+def _save(folder: Path, number: int, pair: tuple[Grey, Grey]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for side, grey in zip(("left", "right"), pair, strict=True):
+        if not cv2.imwrite(str(folder / f"{side}{number:02d}.png"), grey):
+            raise InputError(folder, "--save", "cannot be written", "a folder to write in")

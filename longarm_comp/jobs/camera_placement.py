@@ -1,0 +1,119 @@
+"""Where the stereo head stands, from a session that it measured: hand-eye calibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.arm import quaternion
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.model.model import Model
+from longarm_comp.devices.stereo import HandEye, hand_eye
+
+FEWEST_POSES = 10
+_FOLDS = 5
+_SIGMA_M = 1e-4
+"""Of a sighting whose session does not say it. What the arm's own errors add is seen in the fit."""
+_SPREAD_M = 0.05
+"""The tips must reach over so much in two directions, or the head's rotation is hardly told."""
+
+
+@dataclass(frozen=True)
+class CameraPlacement:
+    """Where the left optical frame is in the base frame.
+
+    Attributes:
+        pose: (4, 4).
+        position_sd_mm, rotation_sd_deg: (3,) each, one standard deviation, base axes.
+        residual_mm: rms distance of the sightings that count from the predicted tips.
+        held_out_mm: the same for rows that the fit had not seen (five folds).
+        moved_mm, turned_deg: against where the session's file had it.
+        rows, outliers: rows used and left out.
+        tip_off_mm: (3,) of the seen point from the declared tip, tip frame, where that was free.
+    """
+
+    pose: np.ndarray
+    position_sd_mm: np.ndarray
+    rotation_sd_deg: np.ndarray
+    residual_mm: float
+    held_out_mm: float
+    moved_mm: float
+    turned_deg: float
+    rows: int
+    outliers: int
+    tip_off_mm: np.ndarray | None
+
+    @property
+    def quaternion(self) -> np.ndarray:
+        """Orientation x, y, z, w."""
+        return quaternion.from_rotation(self.pose[:3, :3])
+
+
+def placed_cameras(
+    model: Model, session: Session, assumed: np.ndarray, free_tip: bool = False
+) -> CameraPlacement:
+    """Fit the head's pose to rows whose tip was measured through it.
+
+    Args:
+        model: predicts the tips.
+        session: measured with the head at `assumed`.
+        assumed: (4, 4) left optical frame in the base frame that the sightings were computed with.
+        free_tip: the seen point's place in the tip frame is unknown too.
+
+    Raises:
+        InputError: fewer than `FEWEST_POSES` rows with a whole position.
+        JobError: the tips hardly spread, or do not determine what is unknown.
+    """
+    rows = session.take(session.located)
+    if len(rows) < FEWEST_POSES:
+        allowed = f"at least {FEWEST_POSES} rows with x, y and z"
+        raise InputError(session.source, "rows", len(rows), allowed)
+    tips = model.pose(rows.q, rows.context())
+    spread = np.linalg.svd(tips[:, :3, 3] - tips[:, :3, 3].mean(axis=0), compute_uv=False)
+    wide = 2.0 * spread / np.sqrt(len(rows))
+    if wide[1] < _SPREAD_M:
+        raise JobError(
+            "the tip stayed on a line or at a point: measure poses all over its range",
+            spread_mm=[round(1e3 * float(w)) for w in wide],
+        )
+    turn = assumed[:3, :3]
+    seen = (rows.xyz - assumed[:3, 3]) @ turn
+    sigma = np.full((len(rows), 3), _SIGMA_M) if rows.sigma is None else rows.sigma
+    sigma = np.where(np.isfinite(sigma) & (sigma > 0), sigma, _SIGMA_M)
+    covariances = turn.T @ (sigma[:, :, None] ** 2 * np.eye(3)) @ turn
+
+    def fitted(kept: np.ndarray) -> HandEye:
+        tip = None if free_tip else np.zeros(3)
+        return hand_eye(tips[kept], seen[kept], covariances[kept], marker_in_tip=tip)
+
+    every = np.arange(len(rows))
+    fit = fitted(every)
+    good = np.setdiff1d(every, fit.outliers)
+    left_out = []
+    for fold in range(_FOLDS):
+        out = good[fold::_FOLDS]
+        left_out.append(_off(fitted(np.setdiff1d(good, out)), tips[out], seen[out]))
+    sd = np.sqrt(np.diag(fit.covariance))
+    moved = np.linalg.inv(assumed) @ fit.camera_in_base
+    angle = np.arccos(np.clip((np.trace(moved[:3, :3]) - 1) / 2, -1.0, 1.0))
+    return CameraPlacement(
+        pose=fit.camera_in_base,
+        position_sd_mm=1e3 * sd[:3],
+        rotation_sd_deg=np.degrees(sd[3:6]),
+        residual_mm=1e3 * fit.rms_m,
+        held_out_mm=1e3 * float(np.sqrt(np.mean(np.concatenate(left_out)))),
+        moved_mm=1e3 * float(np.linalg.norm(moved[:3, 3])),
+        turned_deg=float(np.degrees(angle)),
+        rows=len(good),
+        outliers=len(fit.outliers),
+        tip_off_mm=1e3 * fit.marker_in_tip if free_tip else None,
+    )
+
+
+def _off(fit: HandEye, tips: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Squared distances (N,) m^2 of sightings from predicted tips."""
+    found = seen @ fit.camera_in_base[:3, :3].T + fit.camera_in_base[:3, 3]
+    predicted = tips[:, :3, :3] @ fit.marker_in_tip + tips[:, :3, 3]
+    return np.sum((found - predicted) ** 2, axis=1)

@@ -1,0 +1,86 @@
+"""Sightings of the tip at poses at which somebody else lets the arm rest."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.errors import JobError
+from longarm_comp.jobs.client import ArmClient
+
+_REST_S = 0.5
+_STILL = 1e-3
+"""Share of a joint's range within which it is at rest."""
+_NEW = 0.04
+"""Share of a joint's range by which one joint at least must differ from every pose before."""
+_SIGHTINGS = 5
+_FIRST_S = 30.0
+
+
+def sightings_at_rest(
+    arm: Arm,
+    poses: int,
+    within_s: float,
+    tell: Callable[[str], None],
+    *,
+    namespace: str = "",
+    stop: threading.Event | None = None,
+) -> Session:
+    """A row for every new pose at which the arm rests and the tip is seen.
+
+    Args:
+        arm: names the joints.
+        poses: rows to collect.
+        within_s: patience.
+        tell: told of every row.
+
+    Raises:
+        JobError: no joint_states, or too few poses when patience ends.
+        Interrupted: ``stop`` was set.
+    """
+    span = arm.upper - arm.lower
+    q: list[np.ndarray] = []
+    xyz: list[np.ndarray] = []
+    sd: list[np.ndarray] = []
+    with ArmClient(arm, namespace, stop, "hand_eye") as client:
+        client.until(lambda: client.joints is not None, _FIRST_S, "no joint_states")
+        anchor, since = client.joints, time.monotonic()
+        client.sightings.clear()
+
+        def enough() -> bool:
+            nonlocal anchor, since
+            now = client.joints
+            assert now is not None and anchor is not None
+            if (np.abs(now - anchor) > _STILL * span).any():
+                anchor, since = now, time.monotonic()
+                client.sightings.clear()
+            if time.monotonic() - since < _REST_S:
+                client.sightings.clear()  # what was taken before the arm hung still
+                return False
+            if any((np.abs(now - old) <= _NEW * span).all() for old in q):
+                return False
+            seen = [s for s in client.sightings if np.isfinite(s[1]).all()]
+            if len(seen) >= _SIGHTINGS:
+                points = np.array([point for _, point, _ in seen])
+                variance = np.mean([v for _, _, v in seen], axis=0) / len(seen)
+                q.append(now)
+                xyz.append(points.mean(axis=0))
+                sd.append(np.sqrt(np.where(variance > 0, variance, np.nan)))
+                tell(f"pose {len(q)} of {poses}: taken; move on")
+            return len(q) >= poses
+
+        try:
+            client.until(enough, within_s, "poses")
+        except JobError as error:
+            if client.stop.is_set():
+                raise
+            raise JobError(
+                f"{len(q)} of {poses} poses within {within_s:g} s: let the arm rest at different "
+                "poses where the marker is seen"
+            ) from error
+    return Session.record(np.array(q), np.array(xyz), sigma=np.array(sd), source="live")

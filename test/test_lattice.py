@@ -1,0 +1,62 @@
+"""Nearest points of a lattice: against every combination, in machine code and in Python."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from longarm_comp.core.ik.lattice import NOTHING, nearest
+
+
+def lattices(rng: np.random.Generator, n: int, count: int = 40, price: float = 0.05) -> np.ndarray:
+    """(count, n, n + 1): factors of three equations and a price, and what is to be made zero."""
+    A = np.concatenate(
+        [rng.normal(size=(count, 3, n)), np.broadcast_to(price * np.eye(n), (count, n, n))], 1
+    )
+    b = np.concatenate([rng.normal(size=(count, 3, 1)), rng.normal(size=(count, n, 1)) * price], 1)
+    made: np.ndarray = np.linalg.qr(np.concatenate([A, b], 2), mode="r")[:, :n]  # type: ignore[call-overload]
+    return made
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("n", [1, 2, 3, 5])
+def test_the_nearest_points_are_those_of_brute_force(
+    n: int, compiled: bool, rng: np.random.Generator
+) -> None:
+    R = lattices(rng, n, price=0.3)
+    low, high = rng.integers(-3, 0, (40, n)), rng.integers(1, 4, (40, n))
+    full = 0
+    found = nearest(
+        R, low.astype(float), high.astype(float), kept=4, max_nodes=100_000, compiled=compiled
+    )
+    for i in range(len(R)):
+        steps = (np.arange(a, b + 1) for a, b in zip(low[i], high[i], strict=True))
+        k = np.array(list(itertools.product(*steps)), float)
+        distance2 = ((k @ R[i, :, :n].T + R[i, :, n]) ** 2).sum(axis=1)
+        order = np.argsort(distance2)[:4]
+        have = int((found.distance2[i] < NOTHING).sum())
+        full += have == min(4, len(k))
+        np.testing.assert_array_equal(found.k[i, :have], k[order[:have]])
+        np.testing.assert_allclose(found.distance2[i, :have], distance2[order[:have]], rtol=1e-9)
+    assert full >= 36  # where the box lies far off, its points are not worth the search
+
+
+def test_machine_code_and_plain_python_find_the_same(rng: np.random.Generator) -> None:
+    R = lattices(rng, 7, 37, price=0.01)
+    box = np.full((37, 7), 40.0)
+    machine, python = (nearest(R, -box, box, compiled=c) for c in (True, False))
+    np.testing.assert_array_equal(machine.k, python.k)
+    np.testing.assert_allclose(machine.distance2, python.distance2, rtol=1e-9)
+    np.testing.assert_array_equal(machine.nodes, python.nodes)
+    assert (np.diff(machine.distance2, axis=1) >= 0).all()
+
+
+def test_a_search_ends_at_its_nodes(rng: np.random.Generator) -> None:
+    R = lattices(rng, 6, 9)
+    box = np.full((9, 6), 40.0)
+    short, whole = (nearest(R, -box, box, max_nodes=m) for m in (20, 10_000))
+    assert (short.nodes <= 20).all() and (whole.nodes > 20).all()
+    assert (short.distance2[:, 0] >= whole.distance2[:, 0]).all()
+    assert (whole.distance2 < NOTHING).all()

@@ -1,0 +1,147 @@
+"""Files of predictors: what is saved comes back, what is damaged is refused by name."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from quick_predictor import ORIGIN, quick_predictor, rows
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.learn.predictor_file import load, save
+
+
+@pytest.fixture(name="data")
+def data_():
+    return rows()
+
+
+@pytest.fixture(name="small")
+def small_():
+    return quick_predictor()
+
+
+def test_a_saved_predictor_comes_back_the_same(data, small, tmp_path):
+    predictor, _ = small
+    path = tmp_path / "predictor.npz"
+    save(predictor, path)
+    back = load(path, arm_hash="arm-1", joint_names=ORIGIN.joint_names)
+    before, after = predictor.predict(data.test_q), back.predict(data.test_q)
+    np.testing.assert_array_equal(before.error, after.error)
+    np.testing.assert_array_equal(before.sigma, after.sigma)
+    np.testing.assert_array_equal(before.in_domain, after.in_domain)
+    np.testing.assert_array_equal(back.alone, predictor.alone)
+    assert back.provenance.settings["samples"] == 300
+    assert back.provenance.session_hash == "session-1"
+    first = path.read_bytes()
+    save(back, path)
+    assert path.read_bytes() == first
+
+
+def test_prediction_needs_numpy_alone(small, tmp_path):
+    predictor, _ = small
+    save(predictor, tmp_path / "p.npz")
+    code = (
+        "import sys, numpy as np; from longarm_comp.core.learn.predictor_file import load;"
+        f"load({str(tmp_path / 'p.npz')!r}).predict(np.zeros((1, 7)));"
+        "sys.exit('torch' in sys.modules or 'scipy' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("keep", [0, 10, 0.3, 0.9, 0.999])
+def test_a_truncated_file_is_refused_by_name(small, tmp_path, keep):
+    path = tmp_path / "cut.npz"
+    save(small[0], path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: keep if isinstance(keep, int) else int(keep * len(whole))])
+    with pytest.raises(InputError) as caught:
+        load(path)
+    assert "cut.npz" in str(caught.value)
+
+
+def test_flipped_bytes_never_get_through(small, tmp_path):
+    path = tmp_path / "flip.npz"
+    save(small[0], path)
+    whole = path.read_bytes()
+    truth = load(path).predict(np.zeros((1, 7))).error
+    for at in np.random.default_rng(8).integers(0, len(whole), 60):
+        broken = bytearray(whole)
+        broken[at] ^= 0xFF
+        path.write_bytes(bytes(broken))
+        try:
+            found = load(path).predict(np.zeros((1, 7))).error
+        except InputError:
+            continue
+        np.testing.assert_array_equal(found, truth)  # padding or a time stamp
+
+
+def rewrite(path, change):
+    with np.load(path) as data:
+        arrays = dict(data)
+    header = json.loads(arrays["header"].tobytes())
+    change(header, arrays)
+    arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
+    np.savez(path, **arrays)
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        (lambda h, a: h.update(version=99), "version"),
+        (lambda h, a: h.update(format="something"), "format"),
+        (lambda h, a: h.update(scale=float("nan")), "scale"),
+        (lambda h, a: h.update(hidden=7), "weights"),
+        (lambda h, a: h.update(hidden="six"), "hidden"),
+        (lambda h, a: h.update(joints=10**9), "joints"),
+        (lambda h, a: h.update(context=["moon_phase"]), "context"),
+        (lambda h, a: h.pop("variance_limit"), "variance_limit"),
+        (lambda h, a: a.pop("weights"), "weights"),
+        (lambda h, a: a.update(weights=a["weights"][:, :-1]), "weights"),
+        (lambda h, a: a.update(mean=a["mean"] * np.nan), "mean"),
+        (lambda h, a: a.update(kept=a["kept"] + 1000), "kept"),
+        (lambda h, a: a.update(offset=np.array(["a", "b", "c"])), "offset"),
+        (lambda h, a: a.update(alone=np.array([1e-3, np.nan, 1e-3])), "alone"),
+    ],
+)
+def test_a_wrong_field_is_named(small, tmp_path, change, field):
+    path = tmp_path / "wrong.npz"
+    save(small[0], path)
+    rewrite(path, change)
+    with pytest.raises(InputError) as caught:
+        load(path)
+    assert caught.value.field == field
+
+
+def test_a_file_of_an_earlier_version_refuses_by_its_domain_alone(data, small, tmp_path):
+    path = tmp_path / "earlier.npz"
+    save(small[0], path)
+    rewrite(path, lambda header, arrays: arrays.pop("alone"))
+    assert np.isinf(load(path).alone).all()
+    assert load(path).predict(data.q, small[1]).in_domain.all()
+
+
+def test_a_pickle_is_never_loaded(tmp_path):
+    path = tmp_path / "evil.npz"
+    np.savez(path, header=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(InputError):
+        load(path)
+
+
+@pytest.mark.parametrize("wanted", [{"arm_hash": "arm-2"}, {"joint_names": ("a", "b")}])
+def test_another_arm_is_refused(small, tmp_path, wanted):
+    save(small[0], tmp_path / "p.npz")
+    with pytest.raises(InputError) as caught:
+        load(tmp_path / "p.npz", **wanted)
+    assert caught.value.field in wanted
+
+
+def test_a_missing_file_and_an_unwritable_folder_are_named(small, tmp_path):
+    with pytest.raises(InputError):
+        load(tmp_path / "none.npz")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError):
+        save(small[0], tmp_path / "file" / "p.npz")
