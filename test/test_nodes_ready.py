@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -23,15 +26,18 @@ from sensor_msgs.msg import Temperature
 from std_msgs.msg import Header
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.dummy_predictor import train_dummy
-from longarm_comp.nodes import compensator
+from longarm_comp.nodes import compensator, predictor_client
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import BringUp
 from longarm_comp.nodes.kinematics import Kinematics
 from longarm_comp.nodes.messages import joints_message, pose_message
-from longarm_interfaces.srv import Compensate
+from longarm_comp.nodes.predictor_client import NoAnswer, PredictorClient
+from longarm_comp.nodes.readiness import Readiness
+from longarm_interfaces.srv import Compensate, PredictError
 
 STATUS = Compensate.Response
 
@@ -134,6 +140,54 @@ def test_ready_means_compiled_and_the_predictor_probed_also_after_its_return(
     seen.says("targets", "compensating")  # found without a target
     answer = seen.ask()
     assert answer.status == STATUS.SUCCESS, answer.message
+
+
+class Eager:
+    """A worker that has done a job before `submit` returns."""
+
+    def submit(self, job: Callable[[], None]) -> bool:
+        job()
+        return True
+
+
+def test_a_worker_that_is_quick_is_asked_again(stage: Bench) -> None:
+    probed, rehearsed = [], []
+    predictor = SimpleNamespace(answers=False, probe=lambda: probed.append(1))
+    kinds = iter(["one model", "one model", "another", "another"])
+    compute = SimpleNamespace(kind=lambda: next(kinds), rehearse=lambda: rehearsed.append(1))
+    ready = Readiness(stage.node, Eager(), compute, predictor, compiled=True)
+    for _ in range(3):
+        ready.look()
+    assert len(probed) == 4
+    assert len(rehearsed) == (2 if find_spec("llvmlite") else 0)
+
+
+def test_a_silent_predictor_is_probed_by_targets_and_ever_less_often(
+    arm: Arm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, sent = [0.0], []
+    monkeypatch.setattr(predictor_client, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    caller = SimpleNamespace(present=True, answer=lambda number, within_s: None)
+    caller.send = lambda request: sent.append(now[0]) or len(sent)
+    client = PredictorClient(caller, arm, 0.5)
+    for tick in range(100):  # 10 s
+        now[0] = 0.1 * tick
+        with pytest.raises(NoAnswer, match="does not answer" if tick else "did not answer"):
+            client.ask(arm.mid, Context.empty())
+    gaps = [b - a for a, b in pairwise(sent[1:])]
+    assert gaps == pytest.approx([0.6, 1.1, 2.1, 4.1], abs=0.11)
+    caller.answer = lambda number, within_s: PredictError.Response(
+        sigma=1.0, success=True, beside_deflection=True
+    )
+    client.probe()
+    assert client.answers
+    asked = len(sent)
+    client.ask(arm.mid, Context.empty())  # the very next target
+    assert len(sent) == asked + 1
+    caller.present = False
+    with pytest.raises(NoAnswer, match="no error_predictor"):
+        client.ask(arm.mid, Context.empty())
+    assert not client.answers
 
 
 def test_composed_the_predictor_is_called_and_not_asked_over_the_middleware(

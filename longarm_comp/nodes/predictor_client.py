@@ -23,8 +23,8 @@ class NoAnswer(JobError):  # noqa: N818
     """No predictor answered in time, or it has no file loaded."""
 
 
-_PROBE_S = 0.5
-"""Pause between two probes of a predictor that does not answer, s. Nothing waits for a probe."""
+_PROBE_S = 0.5, 4.0
+"""First and longest patience with a probe, s: it doubles, as a busy machine answers late."""
 
 
 class PredictorClient:
@@ -47,7 +47,7 @@ class PredictorClient:
         self._caller, self._arm, self._timeout_s = caller, arm, timeout_s
         self._silent = False  # a question was not answered in time
         self._probe: int | None = None
-        self._probed_s = 0.0
+        self._probed_s, self._patience_s = 0.0, _PROBE_S[0]
         self.answers = False
         self.file_hash = ""
 
@@ -99,9 +99,10 @@ class PredictorClient:
         if not self._look():
             raise NoAnswer("no error_predictor is running")
         if self._silent:  # only the first target waits for the timeout
+            self.probe()
             raise NoAnswer("error_predictor does not answer, physics only until it does")
         answer = self._caller.answer(self._caller.send(request), self._timeout_s)
-        self.answers, self._silent, self._probe = answer is not None, answer is None, None
+        self._is(answers=answer is not None, silent=answer is None)
         if answer is None:
             raise NoAnswer(f"error_predictor did not answer within {self._timeout_s:g} s")
         return answer
@@ -110,19 +111,26 @@ class PredictorClient:
         """Ask a predictor that does not answer whether it does now, without waiting."""
         if not self._look() or self.answers:
             return
-        if self._probe is None or time.monotonic() - self._probed_s > _PROBE_S:
-            self._probed_s = time.monotonic()
+        now = time.monotonic()
+        if self._probe is None or now - self._probed_s > self._patience_s:
+            if self._probe is not None:
+                self._patience_s = min(2.0 * self._patience_s, _PROBE_S[1])
+            self._probed_s = now
             anywhere = PredictError.Request(joints=joints_message(self._arm, self._arm.mid))
             self._probe = self._caller.send(anywhere)
 
     def _look(self) -> bool:
         """Whether a predictor is on the graph, after a look for the answer to a probe."""
         if not self.present:
-            self.answers, self._silent, self._probe = False, False, None
+            self._is(answers=False, silent=False)
             return False
         if self._probe is not None and self._caller.answer(self._probe, 0.0) is not None:
-            self.answers, self._silent, self._probe = True, False, None
+            self._is(answers=True, silent=False)
         return True
+
+    def _is(self, *, answers: bool, silent: bool) -> None:
+        self.answers, self._silent = answers, silent
+        self._probe, self._patience_s = None, _PROBE_S[0]
 
 
 class LocalCaller:

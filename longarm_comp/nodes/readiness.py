@@ -48,7 +48,9 @@ class Readiness:
         """Prepare what is not at hand."""
         needed, _ = self._needed()
         if not self._busy and (needed != self._prepared or not self._predictor.answers):
-            self._busy = self._worker.submit(partial(self._prepare, needed))
+            self._busy = True  # before the worker can have done it
+            if not self._worker.submit(partial(self._prepare, needed)):
+                self._busy = False
 
     def _needed(self) -> tuple[Hashable, str]:
         """What the programs of the next target depend on; why that is not known, or nothing."""
