@@ -72,7 +72,7 @@ class RestWatch:
             self._there_since = at_s
 
     def sighted(self, tip: np.ndarray, variance: np.ndarray, at_s: float) -> RestPose | None:
-        """Take a sighting (m, m^2; NaN if lost) of a time (s). Returns the rest pose that it completes.
+        """Take a sighting (m, m^2; NaN if lost) of a time (s); the rest pose that it completes.
 
         The time is that of the images: a sighting that comes late shows the arm as it was then.
         """
