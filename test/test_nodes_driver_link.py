@@ -150,7 +150,6 @@ def test_nothing_is_called_sent_or_accepted_that_was_not(
     second.kill()
     second.wait()
     says(STATUS.SUCCESS, "", executed=True)
-    assert stage.node.count_publishers("compensation") == 2  # the middleware still counts it
 
     driver.instances = ("a", "b")
     says(STATUS.NO_DRIVER, "two drivers")
