@@ -263,8 +263,8 @@ class Arm(Declared):
 
     @cached_property
     def called(self) -> dict[str, str]:
-        """By place (``joint 4``, a row of arm.yaml): what people call the joint, where that is another
-        number or a name, as ``q2, luff`` after rows that are fixed."""
+        """By place (``joint 4``, a row of arm.yaml): what people call the joint, where that is
+        another number or a name, as ``q2, luff`` after rows that are fixed."""
         made = {}
         for number, row in enumerate(self.commanded, 1):
             words = [f"q{number}"] if number != row else []
