@@ -230,6 +230,7 @@ def named(rng: np.random.Generator) -> Diagnosis:
                 "set": ["backlash"],
                 "untold": [],
                 "where": ["joint 2"],
+                "called": {},
                 "log_bayes_factor": 214.6,
                 "parameters": [
                     {

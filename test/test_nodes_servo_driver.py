@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 import signal
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,174 +13,28 @@ import yaml
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
-from action_msgs.msg import GoalStatus
-from builtin_interfaces.msg import Duration, Time
+from builtin_interfaces.msg import Time
+from driver_rig import Rig, driver_rig
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
-from nodes_bench import Bench, bench, own_graph
 from rcl_interfaces.srv import DescribeParameters
-from rclpy.action import ActionClient
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import Header
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.messages import duration
-from longarm_comp.sim.servo_emulator import MotorSpec, ServoEmulator, read_arm
 from longarm_interfaces.msg import DriverState, Motion
-
-CONFIG = """
-/**/servo_driver:
-  ros__parameters:
-    retry_s: 0.2
-    diagnostics_period_s: 0.1
-    bus: {protocol: feetech, port: PORT, reply_timeout_s: 0.2, retries: 1}
-    joints:
-      shoulder: {servo_id: 1, model: sts3215, type: revolute, zero_ticks: 2048.0, gear_ratio: 3.0,
-        multi_turn: true, lower: -0.5, upper: 1.0, max_velocity: 2.0,
-        full_effort: 8.0}
-      boom: {servo_id: 2, model: sts3215, type: prismatic, zero_ticks: 3900.0, direction: -1,
-        pinion_radius_m: 0.018, lower: 0.0, upper: 0.1, max_velocity: 0.1}
-    follower: {stall_time_s: 0.3, silence_s: 1.0}
-"""
-
-
-class Rig:
-    """An emulated bus, the driver's process, and what it says."""
-
-    def __init__(self, stage: Bench, folder: Path) -> None:
-        self.stage = stage
-        self.file = folder / "servo_driver.yaml"
-        self.link = folder / "bus"
-        self.file.write_text(CONFIG.replace("PORT", str(self.link)))
-        self.arm = read_arm(self.file)
-        self.emulator = ServoEmulator(
-            self.arm.protocol,
-            self.arm.start_ticks(),
-            MotorSpec(stiff_ticks=30.0),
-            link=self.link,
-        )
-        self.emulator.start()
-        self.states = stage.collect(graph.JOINT_STATES)
-        self.motions = stage.collect(graph.MOTION)
-        self.said = stage.collect(graph.DRIVER_STATE)
-        self.diagnostics = stage.collect(graph.DIAGNOSTICS)
-        self.trajectories = graph.JOINT_TRAJECTORY.publisher(stage.node)
-        self.process = self.start()
-
-    def start(self, patience_s: float = 5.0, clock: str = "system") -> subprocess.Popen[str]:
-        command = ["-m", "longarm_comp.nodes.servo_driver", "--ros-args"]
-        command += ["--params-file", str(self.file), "-p", f"patience_s:={patience_s}"]
-        if clock == "nobody's":  # /clock is waited for, and never comes
-            command += ["-p", "use_sim_time:=true"]
-        self.process = self.stage.python(command)
-        return self.process
-
-    def begins_without_servos(self, patience_s: float) -> subprocess.Popen[str]:
-        """End the driver and start it anew with no cable."""
-        self.process.send_signal(signal.SIGINT)
-        assert self.process.wait(timeout=10) == 0
-        self.emulator.unplug()
-        del self.diagnostics[:]
-        return self.start(patience_s)
-
-    def driving(self) -> bool:
-        return all(self.emulator.torques_on().values())
-
-    def free(self) -> bool:
-        return not any(self.emulator.torques_on().values())
-
-    def joints(self) -> dict[str, float]:
-        """Where the emulated joints really stand."""
-        return self.arm.values(self.emulator.positions())
-
-    def send(self, name: str = "", **goal: float) -> None:
-        point = JointTrajectoryPoint(
-            positions=list(goal.values()), time_from_start=Duration(nanosec=200_000_000)
-        )
-        self.stage.connected(self.trajectories)
-        self.trajectories.publish(
-            JointTrajectory(header=Header(frame_id=name), joint_names=list(goal), points=[point])
-        )
-
-    def events(self, name: str) -> list[int]:
-        """What the driver has told of the trajectory of that id."""
-        return [motion.event for motion in self.motions if motion.id == name]
-
-    def becomes(self, name: str, *events: int) -> Motion:
-        """Wait until this, and nothing else, has become of a trajectory; the last message."""
-        self.stage.spin(lambda: len(self.events(name)) >= len(events))
-        assert self.events(name) == list(events)
-        return next(motion for motion in reversed(self.motions) if motion.id == name)
-
-    def is_in(self, state: int) -> DriverState:
-        """Wait until the driver tells that state."""
-        self.stage.spin(lambda: self.said and self.said[-1].state == state)
-        return self.said[-1]
-
-    def arrives(self, **goal: float) -> None:
-        def there() -> bool:
-            at = self.joints()
-            return all(abs(at[name] - value) < 1e-3 for name, value in goal.items())
-
-        self.stage.spin(there)
-
-    def goes(self, **goal: float) -> None:
-        """Send until it is on its way: the driver's subscription may still be connecting."""
-        self.send(**goal)
-        self.arrives(**goal)
-
-    def told(self, part: str) -> str:
-        """The last sentence of a part of /diagnostics."""
-        for array in reversed(self.diagnostics):
-            for status in array.status:
-                if status.name.endswith(part):
-                    return str(status.message)
-        return ""
-
-    def refused(self) -> int:
-        """How many trajectories it says it refused."""
-        for array in reversed(self.diagnostics):
-            for status in array.status:
-                for value in status.values:
-                    if value.key == "refused":
-                        return int(value.value)
-        return -1
-
-    def call(self, service: graph.Service, request: Any) -> Any:
-        return self.stage.call(service.client(self.stage.node, of="servo_driver"), request)
-
-    def change(self, transition: int) -> bool:
-        client = self.stage.node.create_client(ChangeState, "servo_driver/change_state")
-        request = ChangeState.Request(transition=Transition(id=transition))
-        return bool(self.stage.call(client, request).success)
-
-    def is_idle(self) -> None:
-        """Wait until it drives and has read every servo."""
-        self.stage.spin(lambda: self.driving() and self.told(": arm") in ("idle", "holding"))
 
 
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    folder = tmp_path_factory.mktemp("driver")
-    with own_graph(folder), bench() as stage:
-        made = Rig(stage, folder)
-        try:
-            yield made
-        finally:
-            stage.end_processes()
-            made.emulator.stop()
+    with driver_rig(tmp_path_factory.mktemp("driver")) as made:
+        yield made
 
 
 @pytest.fixture
 def rig(shared: Rig) -> Rig:
-    """The driver, running and in order; started again where a test ended it."""
-    del shared.diagnostics[:], shared.motions[:]
-    if shared.process.poll() is not None:
-        shared.start()
-    shared.is_idle()
-    return shared
+    """The driver, running and in order."""
+    return shared.in_order()
 
 
 def test_follows_reports_and_lets_go_through_its_life(rig: Rig) -> None:
@@ -389,112 +241,3 @@ def test_steps_that_the_servos_do_not_have_are_refused(rig: Rig, tmp_path: Path)
     assert "step of shoulder" in said
     assert "whole multiples of the servo's tick" in said
     assert "Traceback" not in said
-
-
-needs_follow = pytest.mark.skipif(
-    not graph.HAS_FOLLOW, reason="control_msgs is not installed: run make setup"
-)
-
-
-class Followed:
-    """A goal of `follow_joint_trajectory`, its feedback and what became of it."""
-
-    def __init__(self, rig: Rig, times: float = 0.2, tolerances: dict[str, Any] | None = None,
-                 **to: float) -> None:  # fmt: skip
-        self.rig, self.feedback = rig, []
-        self.client = ActionClient(rig.stage.node, graph.FOLLOW.type, graph.FOLLOW.name)
-        rig.stage.spin(self.client.server_is_ready)
-        point = JointTrajectoryPoint(positions=list(to.values()))
-        point.time_from_start = duration(times)
-        goal = graph.FOLLOW.type.Goal(**(tolerances or {}))
-        goal.trajectory = JointTrajectory(joint_names=list(to), points=[point])
-        sent = self.client.send_goal_async(goal, lambda said: self.feedback.append(said.feedback))
-        rig.stage.spin(sent.done)
-        self.goal = sent.result()
-        assert self.goal.accepted
-        self.result = self.goal.get_result_async()
-
-    def ends(self, status: int, code: int) -> str:
-        """Wait for the end; what it says."""
-        self.rig.stage.spin(self.result.done)
-        got = self.result.result()
-        assert (got.status, got.result.error_code) == (status, code), got.result.error_string
-        self.client.destroy()
-        return str(got.result.error_string)
-
-
-def allowed(name: str, position: float) -> list[Any]:
-    from control_msgs.msg import JointTolerance
-
-    return [JointTolerance(name=name, position=position)]
-
-
-@needs_follow
-def test_a_goal_of_joints_is_followed_told_of_and_reached(rig: Rig) -> None:
-    rig.is_idle()
-    codes = graph.FOLLOW.type.Result
-    start = rig.joints()["shoulder"]
-    followed = Followed(rig, 0.6, {"goal_tolerance": allowed("shoulder", 0.05)},
-                        shoulder=0.6, boom=0.02)  # fmt: skip
-    assert followed.ends(GoalStatus.STATUS_SUCCEEDED, codes.SUCCESSFUL) == ""
-    assert rig.joints()["shoulder"] == pytest.approx(0.6, abs=3e-3)
-    said = followed.feedback
-    assert list(said[-1].joint_names) == ["shoulder", "boom"]
-    for one in said:
-        off = one.desired.positions[0] - one.actual.positions[0]
-        assert one.error.positions[0] == pytest.approx(off, abs=1e-12)
-        assert min(start, 0.6) - 0.01 < one.desired.positions[0] < max(start, 0.6) + 0.01
-    # The same story is told on the topic, by an id of its own.
-    (name,) = {motion.id for motion in rig.motions}
-    rig.becomes(name, Motion.ACCEPTED, Motion.REACHED)
-
-
-@needs_follow
-@pytest.mark.parametrize(
-    ("to", "tolerances", "code", "words"),
-    [
-        ({"elbow": 0.1}, {}, "INVALID_JOINTS", "'elbow'; allowed: one of shoulder, boom"),
-        ({"shoulder": 3.0}, {}, "INVALID_GOAL", "shoulder"),
-        ({"shoulder": 0.1}, {"velocity": 1.0}, "INVALID_GOAL", "velocity or acceleration"),
-    ],
-)
-def test_a_goal_that_cannot_be_followed_is_refused_in_words(
-    rig: Rig, to: dict[str, float], tolerances: dict[str, float], code: str, words: str
-) -> None:
-    rig.is_idle()
-    limits = allowed("shoulder", 0.1)
-    for name, value in tolerances.items():
-        setattr(limits[0], name, value)
-    before = rig.joints()
-    followed = Followed(rig, tolerances={"path_tolerance": limits}, **to)
-    code_number = getattr(graph.FOLLOW.type.Result, code)
-    assert words in followed.ends(GoalStatus.STATUS_ABORTED, code_number)
-    assert rig.joints() == pytest.approx(before, abs=1e-3)
-
-
-@needs_follow
-def test_a_goal_that_is_not_reached_says_why(rig: Rig) -> None:
-    """Replaced, cancelled, too late, beyond its tolerance, broken off."""
-    rig.is_idle()
-    codes, aborted = graph.FOLLOW.type.Result, GoalStatus.STATUS_ABORTED
-    rig.goes(shoulder=0.0)
-    slow = Followed(rig, 20.0, shoulder=0.9)
-    rig.stage.spin(lambda: slow.feedback)
-    rig.send("topic", shoulder=0.1)
-    assert "another trajectory" in slow.ends(aborted, codes.PATH_TOLERANCE_VIOLATED)
-    rig.arrives(shoulder=0.1)
-    slow = Followed(rig, 20.0, shoulder=0.9)
-    rig.stage.spin(lambda: slow.feedback)
-    slow.goal.cancel_goal_async()
-    assert "the arm was stopped" in slow.ends(GoalStatus.STATUS_CANCELED, codes.SUCCESSFUL)
-    assert rig.joints()["shoulder"] < 0.5
-    late = Followed(rig, 0.05, {"goal_time_tolerance": duration(0.05)}, shoulder=1.0)
-    assert "goal_time_tolerance" in late.ends(aborted, codes.GOAL_TOLERANCE_VIOLATED)
-    rough = Followed(rig, 0.3, {"path_tolerance": allowed("shoulder", 1e-5)}, shoulder=0.0)
-    assert "off on the way, 1e-05 allowed" in rough.ends(aborted, codes.PATH_TOLERANCE_VIOLATED)
-    assert rig.joints()["shoulder"] > 0.05  # stopped before its end
-    slow = Followed(rig, 20.0, shoulder=-0.4)
-    rig.stage.spin(lambda: slow.feedback)
-    assert rig.call(graph.ESTOP, SetBool.Request(data=True)).success
-    assert "emergency stop" in slow.ends(aborted, codes.PATH_TOLERANCE_VIOLATED)
-    assert rig.call(graph.ESTOP, SetBool.Request(data=False)).success

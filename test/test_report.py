@@ -17,7 +17,8 @@ import pytest
 from report_pages import page_of, sample
 from report_samples import VERDICTS
 
-from longarm_comp.report import Input, SeenRows, record, tables, words, write_report
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.report import Input, SeenRows, cards, record, tables, words, write_report
 
 SECTIONS = [
     *("verdict", "findings", "untested", "errors", "distribution", "scene", "guilty"),
@@ -47,6 +48,22 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def test_shipped_schema_is_that_of_the_record() -> None:
     shipped = Path(record.__file__).with_name("schema.json").read_text("utf-8")
     assert shipped == record.schema_text()
+
+
+def test_a_joint_is_said_by_the_number_that_a_mechanic_knows() -> None:
+    """Rows that are fixed come before it: row 4 is the second joint."""
+    rows = [{"id": 1, "type": "fixed"}, {"id": 2, "type": "revolute", "limits_deg": [-9, 9]},
+            {"id": 3, "type": "fixed"},
+            {"id": 4, "type": "revolute", "limits_deg": [-9, 9], "name": "luff"}]  # fmt: skip
+    data = {"name": "any", "convention": "mdh_craig", "tip": {"frame": 4}, "joints": rows}
+    assert Arm.parse(data, "test").called == {"joint 2": "q1", "joint 4": "q2, luff"}
+    for row in rows:
+        row |= {"type": "revolute", "limits_deg": [-9, 9]}
+    assert Arm.parse(data, "test").called == {"joint 4": "luff"}
+    report, _ = sample("named")
+    report["findings"][0] |= {"where": ["joint 4"], "called": {"joint 4": "q2, luff"}}
+    (card, *_) = cards.cards(record.checked(report))
+    assert card.title == "Play, joint 4 (q2, luff)"
 
 
 @pytest.mark.parametrize("verdict", VERDICTS)

@@ -7,7 +7,6 @@ switched off on deactivate, cleanup, shutdown, emergency stop and at the end of 
 from __future__ import annotations
 
 import inspect
-import math
 import os
 import sys
 import time
@@ -20,7 +19,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, LongarmError
@@ -32,9 +31,10 @@ from longarm_comp.devices.servo_config import BusConfig, FollowerConfig, ServoCo
 from longarm_comp.devices.servo_follower import Accepted, Event, EventKind, FollowerState, KeepsOut
 from longarm_comp.devices.servo_joint import JointConfig
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.driver_messages import bus_report, motion_message, readings_message
 from longarm_comp.nodes.follow import FollowServer
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
-from longarm_comp.nodes.messages import duration, trajectory_of
+from longarm_comp.nodes.messages import trajectory_of
 from longarm_comp.nodes.params import Param, declare, nested, overrides, redeclare
 from longarm_comp.nodes.runner import run
 from longarm_comp.nodes.steady import steady_timer
@@ -239,18 +239,7 @@ class ServoDriver(LifecycleNode):
             self.get_logger().debug(why)
 
     def _joints(self) -> JointState:
-        """The last read-back; empty where a servo was silent."""
-        joints = self.readings
-        message = JointState(
-            name=list(joints),
-            position=[joint.position for joint in joints.values()],
-            velocity=[joint.velocity for joint in joints.values()],
-            effort=[joint.effort for joint in joints.values()],
-        )
-        if all(map(math.isnan, message.effort)):
-            message.effort = []  # of no joint is it known
-        message.header.stamp = self.get_clock().now().to_msg()
-        return message
+        return readings_message(self.readings, self.get_clock().now().to_msg())
 
     @property
     def names(self) -> Sequence[str]:
@@ -295,15 +284,7 @@ class ServoDriver(LifecycleNode):
 
     def _tell(self, event: int, name: str, why: str = "", taken: Accepted | None = None) -> None:
         """Publish what became of the trajectory of that id."""
-        message = Motion(id=name, event=event, message=why, joints=self._joints())
-        message.header.stamp = self.get_clock().now().to_msg()
-        if taken is not None:
-            names = list(self._config.joints)
-            message.start = JointState(name=names, position=taken.start.tolist())
-            message.points = [
-                JointTrajectoryPoint(positions=row, time_from_start=duration(at))
-                for row, at in zip(taken.points.tolist(), taken.times.tolist(), strict=True)
-            ]
+        message = motion_message(name, event, why, self._joints(), taken, self.names)
         self._motions.publish(message)
         if self._follow is not None:
             self._follow.told(event, name, why)
@@ -376,19 +357,7 @@ class ServoDriver(LifecycleNode):
         if self._arm is None:
             why = self._fault or self._waiting or "not configured"
             return Report(ERROR if self._fault else WARN, why, facts)
-        if self._arm.bus is not None:
-            counters = self._arm.bus.counters
-            facts |= {name: getattr(counters, name) for name in counters.__slots__}
-        cycle = self._last
-        for name, servo_id in self._config.ids.items():
-            state = cycle.states.get(servo_id) if cycle else None
-            if state is not None:
-                facts[f"{name} temperature [C]"] = state.temperature_c
-                facts[f"{name} load [share]"] = round(state.load, 3)
-                facts[f"{name} voltage [V]"] = round(state.voltage_v, 1)
-        if cycle is not None and cycle.trouble:
-            return Report(ERROR, cycle.trouble, facts)
-        return Report(OK, "every servo answers", facts)
+        return bus_report(self._config, self._arm.bus, self._last, facts)
 
     def _arm_report(self) -> Report:
         facts: dict[str, object] = {**self._counts, "last refusal": self._refusal}

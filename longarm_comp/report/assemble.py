@@ -150,6 +150,7 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding) -> dict[str, Any]:
         "set": list(found.names),
         "untold": list(found.untold),
         "where": list(found.where),
+        "called": {p: w for p, w in final.model.arm.called.items() if p in found.where},
         "log_bayes_factor": found.log_bayes_factor,
         "parameters": parameters,
         "runner_up": None

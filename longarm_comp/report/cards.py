@@ -102,7 +102,7 @@ def _unnamed(found: ReportDiscovered) -> Card:
 
 def _card(finding: ReportFinding, report: DiagnosisReport) -> Card:
     sure, because = _sure(finding)
-    title, where = finding.title or finding.effect.replace("_", " "), places(finding.where)
+    title, where = finding.title or finding.effect.replace("_", " "), _where(finding)
     in_order = sorted(finding.parameters, key=lambda p: _natural(p.where))
     return Card(
         title=title.capitalize() + (f", {where}" if where not in title else ""),
@@ -130,6 +130,15 @@ def places(where: list[str]) -> str:
         return "; ".join(where)
     values = [parts[1] for parts in split]
     return f"{kinds.pop()}s {', '.join(values[:-1])} and {values[-1]}"
+
+
+def _where(finding: ReportFinding) -> str:
+    """Its places, with what people call these joints where that is not the row's number."""
+    if not finding.called:
+        return places(finding.where)
+    called = finding.called
+    said = (f"{p} ({called[p]})" if p in called else p for p in sorted(finding.where, key=_natural))
+    return "; ".join(said)
 
 
 def _natural(place: str) -> list[tuple[int, str]]:

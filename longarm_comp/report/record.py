@@ -54,6 +54,7 @@ class TipSize(_Record):
 class ReportFinding(_Record):
     """An effect that was added, or the set of effects that it cannot be distinguished from.
 
+    `called` says which joint a row of arm.yaml is, where its number or name is another.
     `untold` is what runs together with the recorded column that drives it.
     `seen_mm` and `commanded_mm` are mean held-out errors without it, the rest fitted again, and
     with it: as measured, and as a command would have it.
@@ -65,6 +66,7 @@ class ReportFinding(_Record):
     set: list[str]
     untold: list[str] = []
     where: list[str]
+    called: dict[str, str] = {}
     log_bayes_factor: float
     parameters: list[FindingParameter]
     runner_up: RunnerUp | None

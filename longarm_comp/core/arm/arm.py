@@ -262,6 +262,19 @@ class Arm(Declared):
         return tuple(self.joints[i - 1].name or f"joint{i}" for i in self.commanded)
 
     @cached_property
+    def called(self) -> dict[str, str]:
+        """By place (``joint 4``, a row of arm.yaml): what people call the joint, where that is
+        another number or a name, as ``q2, luff`` after rows that are fixed."""
+        made = {}
+        for number, row in enumerate(self.commanded, 1):
+            words = [f"q{number}"] if number != row else []
+            if self.joints[row - 1].name not in (None, f"joint{row}", f"joint_{row}", f"q{number}"):
+                words.append(str(self.joints[row - 1].name))
+            if words:
+                made[f"joint {row}"] = ", ".join(words)
+        return made
+
+    @cached_property
     def lower(self) -> np.ndarray:
         """Lower joint limits, (n,), rad or m."""
         return np.array([self.joints[i - 1].limits[0] for i in self.commanded])

@@ -33,7 +33,9 @@ def sentence(finding: EffectFinding, fit: ModelFit, confirmed: Confirmed) -> str
             if interval.at_bound:
                 continue
             shown = value_in_words(interval, slot.parameter.unit)
-            values.append(f"{slot.owner.where} {slot.parameter.name} {shown}")
+            called = fit.model.arm.called.get(slot.owner.where)
+            where = f"{slot.owner.where} ({called})" if called else slot.owner.where
+            values.append(f"{where} {slot.parameter.name} {shown}")
     readings = dict.fromkeys(t.reading for t in finding.terms if t.reading)
     if not values:
         values = [", ".join(finding.where)]

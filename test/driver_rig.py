@@ -1,0 +1,171 @@
+"""`servo_driver` as a process, on an emulated bus that a test holds in its hands."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from builtin_interfaces.msg import Duration
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from nodes_bench import Bench, bench, own_graph
+from std_msgs.msg import Header
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.sim.servo_emulator import MotorSpec, ServoEmulator, read_arm
+from longarm_interfaces.msg import DriverState, Motion
+
+CONFIG = """
+/**/servo_driver:
+  ros__parameters:
+    retry_s: 0.2
+    diagnostics_period_s: 0.1
+    bus: {protocol: feetech, port: PORT, reply_timeout_s: 0.2, retries: 1}
+    joints:
+      shoulder: {servo_id: 1, model: sts3215, type: revolute, zero_ticks: 2048.0, gear_ratio: 3.0,
+        multi_turn: true, lower: -0.5, upper: 1.0, max_velocity: 2.0,
+        full_effort: 8.0}
+      boom: {servo_id: 2, model: sts3215, type: prismatic, zero_ticks: 3900.0, direction: -1,
+        pinion_radius_m: 0.018, lower: 0.0, upper: 0.1, max_velocity: 0.1}
+    follower: {stall_time_s: 0.3, silence_s: 1.0}
+"""
+
+
+class Rig:
+    """An emulated bus, the driver's process, and what it says."""
+
+    def __init__(self, stage: Bench, folder: Path) -> None:
+        self.stage = stage
+        self.file = folder / "servo_driver.yaml"
+        self.link = folder / "bus"
+        self.file.write_text(CONFIG.replace("PORT", str(self.link)))
+        self.arm = read_arm(self.file)
+        self.emulator = ServoEmulator(
+            self.arm.protocol,
+            self.arm.start_ticks(),
+            MotorSpec(stiff_ticks=30.0),
+            link=self.link,
+        )
+        self.emulator.start()
+        self.states = stage.collect(graph.JOINT_STATES)
+        self.motions = stage.collect(graph.MOTION)
+        self.said = stage.collect(graph.DRIVER_STATE)
+        self.diagnostics = stage.collect(graph.DIAGNOSTICS)
+        self.trajectories = graph.JOINT_TRAJECTORY.publisher(stage.node)
+        self.process = self.start()
+
+    def start(self, patience_s: float = 5.0, clock: str = "system") -> subprocess.Popen[str]:
+        command = ["-m", "longarm_comp.nodes.servo_driver", "--ros-args"]
+        command += ["--params-file", str(self.file), "-p", f"patience_s:={patience_s}"]
+        if clock == "nobody's":  # /clock is waited for, and never comes
+            command += ["-p", "use_sim_time:=true"]
+        self.process = self.stage.python(command)
+        return self.process
+
+    def begins_without_servos(self, patience_s: float) -> subprocess.Popen[str]:
+        """End the driver and start it anew with no cable."""
+        self.process.send_signal(signal.SIGINT)
+        assert self.process.wait(timeout=10) == 0
+        self.emulator.unplug()
+        del self.diagnostics[:]
+        return self.start(patience_s)
+
+    def driving(self) -> bool:
+        return all(self.emulator.torques_on().values())
+
+    def free(self) -> bool:
+        return not any(self.emulator.torques_on().values())
+
+    def joints(self) -> dict[str, float]:
+        """Where the emulated joints really stand."""
+        return self.arm.values(self.emulator.positions())
+
+    def send(self, name: str = "", **goal: float) -> None:
+        point = JointTrajectoryPoint(
+            positions=list(goal.values()), time_from_start=Duration(nanosec=200_000_000)
+        )
+        self.stage.connected(self.trajectories)
+        self.trajectories.publish(
+            JointTrajectory(header=Header(frame_id=name), joint_names=list(goal), points=[point])
+        )
+
+    def events(self, name: str) -> list[int]:
+        """What the driver has told of the trajectory of that id."""
+        return [motion.event for motion in self.motions if motion.id == name]
+
+    def becomes(self, name: str, *events: int) -> Motion:
+        """Wait until this, and nothing else, has become of a trajectory; the last message."""
+        self.stage.spin(lambda: len(self.events(name)) >= len(events))
+        assert self.events(name) == list(events)
+        return next(motion for motion in reversed(self.motions) if motion.id == name)
+
+    def is_in(self, state: int) -> DriverState:
+        """Wait until the driver tells that state."""
+        self.stage.spin(lambda: self.said and self.said[-1].state == state)
+        return self.said[-1]
+
+    def arrives(self, **goal: float) -> None:
+        def there() -> bool:
+            at = self.joints()
+            return all(abs(at[name] - value) < 1e-3 for name, value in goal.items())
+
+        self.stage.spin(there)
+
+    def goes(self, **goal: float) -> None:
+        """Send until it is on its way: the driver's subscription may still be connecting."""
+        self.send(**goal)
+        self.arrives(**goal)
+
+    def told(self, part: str) -> str:
+        """The last sentence of a part of /diagnostics."""
+        for array in reversed(self.diagnostics):
+            for status in array.status:
+                if status.name.endswith(part):
+                    return str(status.message)
+        return ""
+
+    def refused(self) -> int:
+        """How many trajectories it says it refused."""
+        for array in reversed(self.diagnostics):
+            for status in array.status:
+                for value in status.values:
+                    if value.key == "refused":
+                        return int(value.value)
+        return -1
+
+    def call(self, service: graph.Service, request: Any) -> Any:
+        return self.stage.call(service.client(self.stage.node, of="servo_driver"), request)
+
+    def change(self, transition: int) -> bool:
+        client = self.stage.node.create_client(ChangeState, "servo_driver/change_state")
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return bool(self.stage.call(client, request).success)
+
+    def is_idle(self) -> None:
+        """Wait until it drives and has read every servo."""
+        self.stage.spin(lambda: self.driving() and self.told(": arm") in ("idle", "holding"))
+
+    def in_order(self) -> Rig:
+        """Forget what was said; running, and started again where a test ended it."""
+        del self.diagnostics[:], self.motions[:]
+        if self.process.poll() is not None:
+            self.start()
+        self.is_idle()
+        return self
+
+
+@contextmanager
+def driver_rig(folder: Path) -> Iterator[Rig]:
+    """A driver on a graph of its own."""
+    with own_graph(folder), bench() as stage:
+        made = Rig(stage, folder)
+        try:
+            yield made
+        finally:
+            stage.end_processes()
+            made.emulator.stop()
