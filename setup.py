@@ -9,7 +9,14 @@ from setuptools import find_packages, setup
 NAME = "longarm_comp"
 
 # Programs that `ros2 run longarm_comp ...` finds: the modules of nodes/ that have a main.
-NODES = ["error_predictor", "kinematics", "servo_driver", "simulated_arm", "stereo_bridge"]
+NODES = [
+    "composed",
+    "error_predictor",
+    "kinematics",
+    "servo_driver",
+    "simulated_arm",
+    "stereo_bridge",
+]
 
 RUNTIME = [
     "click>=8.1",

@@ -11,6 +11,7 @@ import select
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -246,8 +247,19 @@ class Terminal:
                 with contextlib.suppress(OSError):
                     self._text += os.read(self._master, 4096).decode(errors="replace")
 
+    def stop(self) -> int:
+        """SIGTERM until it ends: one that comes just before a read of the terminal waits for it."""
+        ends = time.monotonic() + 60.0
+        while self.process.poll() is None and time.monotonic() < ends:
+            self.process.send_signal(signal.SIGTERM)
+            again = time.monotonic() + 5.0
+            self.read_while(lambda by=again: self.process.poll() is None and time.monotonic() < by)
+        return self.end()
+
     def end(self) -> int:
-        self.read_while(lambda: self.process.poll() is None)
+        ends = time.monotonic() + 60.0
+        self.read_while(lambda: self.process.poll() is None and time.monotonic() < ends)
+        assert self.process.poll() is not None, self._text
         os.close(self._master)
         return self.process.returncode
 
@@ -263,8 +275,7 @@ def test_a_dialogue_finds_exchanged_servos_and_a_broken_off_one_leaves_nothing(
                           "--id", "joint1=1", "--id", "joint2=2", "--id", "joint3=3")  # fmt: skip
         broken.until("joint1: which way")
         assert all(emulator.torques_on().values())
-        broken.process.send_signal(signal.SIGTERM)
-        assert broken.end() == 130
+        assert broken.stop() == 130
         assert not any(emulator.torques_on().values())
         assert (mine / "servo_driver.yaml").read_bytes() == before
         at = emulator.positions()
