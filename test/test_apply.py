@@ -20,6 +20,7 @@ from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.learn import predictor_file
+from longarm_comp.core.learn.predictor import LearnedGain
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored, save_model, store
@@ -27,6 +28,7 @@ from longarm_comp.report import record
 from longarm_comp.workflows.apply import apply, undo
 from longarm_comp.workflows.changes import changes
 from longarm_comp.workflows.inputs import admitted, file_hash, load_predictor
+from longarm_comp.workflows.train import TrainedPredictor, train
 
 FOUND = Model(ARM, (*JointZero.for_arm(ARM), FrictionHysteresis(1, width=0.004)))
 
@@ -90,6 +92,21 @@ def test_a_first_diagnosis_on_the_declared_arm_and_back(
     assert "previous version" in shell.refused("undo", model)
     apply(folder, ARM, model, network=False)  # the declared arm is at work, as it was diagnosed
     assert model.read_bytes() == (folder / "model.yaml").read_bytes()
+
+
+def test_a_network_that_does_not_help_is_not_put_to_work(
+    diagnosed: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def useless(*given: Any, **named: Any) -> TrainedPredictor:
+        return dataclasses.replace(train(*given, **named), gain=LearnedGain(1e-4, 2e-4, -1e-4))
+
+    monkeypatch.setattr("longarm_comp.workflows.apply.train", useless)
+    model, said = at_work(tmp_path), []
+    done = apply(diagnosed(), ARM, model, note=said.append)
+    assert done.predictor is None and not (model.parent / "predictor.npz").exists()
+    assert "the network leaves 0.200 mm, the physics alone 0.100 mm" in done.refused
+    assert f"physics only: {done.refused}" in said
+    assert model.is_file()
 
 
 def test_undo_restores_model_and_predictor_byte_for_byte(

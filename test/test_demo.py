@@ -61,14 +61,15 @@ def test_the_loop_brings_the_arm_nearer_to_its_targets(
     report = json.loads(said)
     assert report == json.loads((out / "demo.json").read_text())
     rows = {row["model"]: row for row in report["rows"]}
-    assert list(rows) == [table.ORIGINAL, table.DECLARED, table.FOUND, table.LEARNED]
+    learned = [] if report["network_refused"] else [table.LEARNED]
+    assert list(rows) == [table.ORIGINAL, table.DECLARED, table.FOUND, *learned]
     true_mm = [row["true_mean_mm"] for row in rows.values()]
     assert true_mm[1] < 0.7 * true_mm[0]
     assert max(true_mm[2:]) < 0.05 * true_mm[1]
     for row in rows.values():  # the cameras tell nearly what is true
         assert row["n"] == 6
         assert abs(row["mean_mm"] - row["true_mean_mm"]) < 0.3
-    assert true_mm[3] < true_mm[2] + 0.1  # the network is used where it helps
+    assert true_mm[-1] < true_mm[2] + 0.05  # a network that does not help is not put to work
     named = {name for names in report["effects_found"] for name in names}
     assert {"joint_compliance", "backlash"} <= named
     assert "or joint_compliance with backlash for the deadband" in report["diagnosis"]

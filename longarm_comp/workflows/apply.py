@@ -38,6 +38,7 @@ class Applied:
         version: of it.
         changes: largest at the tip first.
         predictor: file of the predictor that was trained; None: none, so physics only.
+        refused: why a network that was trained is not put to work; empty if it is.
         set_aside: file of the predictor that no longer fits; None: there was none.
         commanded_mm: mean held-out error of the diagnosis before and after, as a command would
             have it; None where it was not recorded.
@@ -48,6 +49,7 @@ class Applied:
     version: int
     changes: tuple[Change, ...]
     predictor: Path | None
+    refused: str
     set_aside: Path | None
     commanded_mm: tuple[float, float] | None
     seen_mm: tuple[float, float] | None
@@ -99,6 +101,10 @@ def apply(
     trained = train(arm, rows, model=made, seed=seed, note=note, progress=progress) if (
         network
     ) else None  # fmt: skip
+    refused = "" if trained is None or trained.gain.helps else str(trained.gain)
+    if refused:
+        note(f"physics only: {refused}")
+        trained = None
     seen = rows.take(rows.seen)
     changed = changes(before, after, seen.q, seen.context())
     if not model.is_file():
@@ -112,6 +118,7 @@ def apply(
         stored.version,
         tuple(changed),
         target if trained is not None else None,
+        refused,
         aside,
         *mean_errors(report),
     )

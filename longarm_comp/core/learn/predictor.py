@@ -71,6 +71,12 @@ class LearnedGain:
         """Whether the error falls beyond chance."""
         return self.low > 0.0
 
+    def __str__(self) -> str:
+        return (
+            f"at poses left out of the training the network leaves {1e3 * self.left:.3f} mm, "
+            f"the physics alone {1e3 * self.without:.3f} mm"
+        )
+
 
 @dataclass(frozen=True)
 class Provenance:
@@ -222,9 +228,6 @@ class Predictor:
                     "the physics alone leaves"
                 )
             if unproven[row]:
-                parts.append(
-                    f"rows left out of the training: {1e3 * self.gain.left:.3f} mm with the "
-                    f"network, {1e3 * self.gain.without:.3f} mm with the physics alone"
-                )
+                parts.append(str(self.gain))
             reason[row] = "; ".join(parts)
         return ~bad, reason

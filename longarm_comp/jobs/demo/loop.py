@@ -158,6 +158,7 @@ def report(settings: DemoSettings, result: DemoResult) -> dict[str, Any]:
         "diagnosis": found.report.summary,
         "effects_found": found.effects_found,
         "network_inputs": list(result.inputs),
+        "network_refused": (found.applied or {}).get("network_refused", ""),
         "hidden": settings.hidden,
         "seed": settings.seed,
         "seconds": {**seconds, "total": sum(seconds.values())},

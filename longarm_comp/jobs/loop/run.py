@@ -248,6 +248,7 @@ class Loop:
             "model": str(done.model),
             "version": done.version,
             "predictor": None if done.predictor is None else str(done.predictor),
+            "network_refused": done.refused,
             "undo": done.undo,
             "changes": [{"text": str(c), "what": c.what, "where": c.where, "kind": c.kind,
                          "tip_mm": c.tip_mm} for c in done.changes],
