@@ -60,6 +60,11 @@ class Demonstration:
     def _steps(self) -> dict[str, Any]:
         return dict(json.loads((self.folder / "steps.json").read_text("utf-8")))
 
+    @property
+    def runs(self) -> list[str]:
+        """Those that it has: the last one where a network is put to work."""
+        return [run for run in RUNS if f"run: {run}" in self._steps]
+
     def true(self, run: str) -> np.ndarray:
         """(N, 3) where the simulation's tip came to rest, m."""
         return np.array(self._steps[f"run: {run}"]["true"])
@@ -106,7 +111,8 @@ def _arm(axes: Axes, line: np.ndarray, color: str, width: float, dash: Any, labe
 def _tips(axes: Axes, demo: Demonstration, at: int) -> None:
     """Where the tip came to rest at one target, in true size."""
     axes.plot(0, 0, "+", color=INK, ms=26, mew=2.5)
-    for run, (color, sign, words) in RUNS.items():
+    for run in demo.runs:
+        color, sign, words = RUNS[run]
         off = 1e3 * (demo.true(run)[at] - demo.targets[at])
         size = 11 if run in (ORIGINAL, DECLARED) else 8
         axes.plot(off[0], off[2], sign, color=color, ms=size, mfc="none" if size == 8 else color,

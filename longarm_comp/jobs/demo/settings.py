@@ -15,7 +15,7 @@ from longarm_comp.share import folder
 NAMESPACE = "longarm_demo"
 """Its own namespace: apart from any real arm on the same network."""
 
-PACE = Pace(sightings=3, dwell_s=0.06, move_s=0.05, arrive_s=20.0, look_s=3.0, tolerance=5e-4)
+PACE = Pace(sightings=3, dwell_s=0.08, move_s=0.05, arrive_s=20.0, look_s=3.0, tolerance=2e-4)
 _FRAME_RATE_HZ = 20.0
 
 
@@ -36,7 +36,7 @@ class DemoSettings:
     """
 
     out: Path
-    poses: int = 150
+    poses: int = 180
     targets: int = 40
     hidden: str = "joint_compliance=8.0 backlash=3.0"
     speed: float = 20.0

@@ -190,11 +190,9 @@ class Loop:
             return ended("not applied: no yes was given")
         applied = self._journal.once(f"applied {k}", partial(self._apply, k))
         self._done(f"train_{k}")
-        trials = []
+        trials = [self._drive(names.found.format(k=k), targets, Method.DEFLECTION)]
         if applied["predictor"] is not None:
-            trials.append(self._drive(names.found.format(k=k), targets, Method.DEFLECTION))
-        name = names.found if applied["predictor"] is None else names.learned
-        trials.append(self._drive(name.format(k=k), targets, method))
+            trials.append(self._drive(names.learned.format(k=k), targets, method))
         gain = compared(last, trials[-1])
         x, y, z = (1e-3 * s for s in report.noise.sigma_mm or (0.0, 0.0, 0.0))
         mean = float(np.linalg.norm(trials[-1].error, axis=1).mean())
