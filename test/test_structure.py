@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from numpy.polynomial.legendre import Legendre
 from small_arm import ARM, measured
 
 from longarm_comp.core.identify.calibrate import declared_model, stages
+from longarm_comp.core.identify.outcome import all_signs
 from longarm_comp.core.identify.structure import Structure, examine
 
 SIGMA = 1e-4
@@ -41,3 +44,25 @@ def test_what_moves_one_axis_shows_beside_the_noise_of_the_others(seed: int) -> 
 @pytest.mark.parametrize("seed", [1, 3, 5])
 def test_noise_leaves_none(seed: int) -> None:
     assert not left(seed, 0.0).flag
+
+
+@pytest.mark.parametrize(("of_noise", "shows"), [(0.5, False), (3.0, True)])
+def test_rows_left_out_are_a_sign_only_where_they_hold_more_than_the_noise(
+    of_noise: float, shows: bool
+) -> None:
+    """A fifth of the rows is left out; their errors, over all rows, are a share of the noise."""
+    weights = (np.arange(100) % 5 > 0).astype(float)
+    sigma = np.full(3, 2e-5)
+    length = of_noise * np.linalg.norm(sigma) * np.sqrt(5.0)
+    residual = np.where(weights[:, None] > 0, 0.0, length / np.sqrt(3.0)) * np.ones(3)
+    fit = SimpleNamespace(
+        weights=weights, residual=residual, metres=np.ones(3), sigma=sigma,
+        session=SimpleNamespace(blocks=[SimpleNamespace(kind="position")]),
+    )  # fmt: skip
+    noise = SimpleNamespace(unevenness=1.0, sigma=sigma)
+    result: Any = SimpleNamespace(fit=fit, noise=noise, exhausted=False)
+    proof: Any = SimpleNamespace(off=False, excess_m=0.0)
+    nothing = Structure(False, 1.0, (), 0.0, 1.0, ())
+    found = all_signs(nothing, result, proof)
+    assert found.flag == shows
+    assert found.inputs == (("outliers",) if shows else ())

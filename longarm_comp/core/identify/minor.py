@@ -84,7 +84,12 @@ def smallest(fit: ModelFit) -> float:
         middle = np.median(rows.xyz, axis=0)
         spread = np.median(np.linalg.norm(rows.xyz - middle, axis=1))
         limit = min(limit, OF_SPREAD * float(spread))
-    return max(limit, OF_NOISE * float(np.linalg.norm(_unit(fit))))
+    return max(limit, OF_NOISE * noise_length(fit))
+
+
+def noise_length(fit: ModelFit) -> float:
+    """The noise of a row as a length at the tip, m."""
+    return float(np.linalg.norm(_unit(fit)))
 
 
 def settled(

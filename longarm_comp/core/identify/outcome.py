@@ -14,6 +14,7 @@ from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.diagnosis import DISCOVERED
 from longarm_comp.core.identify.discover.discovery import Discovery, contest, discover
 from longarm_comp.core.identify.identified import Identified, Progress
+from longarm_comp.core.identify.minor import noise_length
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import from_repeats
 from longarm_comp.core.identify.proof import LearnedCorrection, Proof
@@ -150,14 +151,23 @@ def with_network(
 
 
 def all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Structure:
-    """The structure, also where other signs than the test of the fitted rows show some."""
+    """The structure, also where other signs than the test of the fitted rows show some.
+
+    Many rows that are left out are one, where they hold more than the noise does: cameras err by
+    more than a normal law has it, and that is no structure.
+    """
     out = result.fit.weights == 0
     lengths = result.fit.residual * result.fit.metres
     rejected = float(np.sqrt((lengths[out] ** 2).sum() / len(out)))
     positions = result.fit.session.blocks[0].kind == "position"
     uneven = result.noise.unevenness if positions else 1.0
     for shows, size, where, sign in (
-        (out.mean() > MOST_OUTLIERS, rejected, "outliers", "shows in the rows left out"),
+        (
+            out.mean() > MOST_OUTLIERS and rejected > noise_length(result.fit),
+            rejected,
+            "outliers",
+            "shows in the rows left out",
+        ),
         (
             uneven > MOST_UNEVEN,
             float(np.max(result.noise.sigma[:3])),
