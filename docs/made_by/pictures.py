@@ -41,6 +41,7 @@ OF_A_DEMONSTRATION = (
     "ladder.svg",
     "first_screen.png",
     "demonstration.webp",
+    "view.png",
 )
 
 
@@ -56,6 +57,7 @@ def draw_demonstration(folder: Path, to: Path) -> None:
     """Those of one demonstration, from the folder that it wrote."""
     from animation import write_animation
     from demonstration import Demonstration, bent_and_straight, ladder
+    from live_page import write_live_page
     from screen import write_first_screen
 
     demo = Demonstration(folder)
@@ -63,6 +65,7 @@ def draw_demonstration(folder: Path, to: Path) -> None:
     save_svg(ladder(demo), to / "ladder.svg", (7.6, 3.2))
     write_first_screen(folder / "report.html", to / "first_screen.png")
     write_animation(demo, to / "demonstration.webp")
+    write_live_page(to / "view.png")
 
 
 if __name__ == "__main__":

@@ -17,19 +17,28 @@ FLAGS = (
 )
 
 
+def chromium() -> str:
+    """Path of the browser.
+
+    Raises:
+        SystemExit: none is installed.
+    """
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        raise SystemExit(f"none of {', '.join(BROWSERS)} is installed: run `sudo make system`")
+    return browser
+
+
 def write_first_screen(page: Path, to: Path, size: tuple[int, int] = (1200, 985)) -> None:
     """Open a page at a size (px) and write what shows as PNG.
 
     Raises:
         SystemExit: no browser is installed.
     """
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if browser is None:
-        raise SystemExit(f"none of {', '.join(BROWSERS)} is installed: run `sudo make system`")
     with tempfile.TemporaryDirectory() as folder:
         shot = Path(folder) / "shot.png"
         subprocess.run(
-            [browser, *FLAGS, f"--user-data-dir={folder}/profile", f"--screenshot={shot}",
+            [chromium(), *FLAGS, f"--user-data-dir={folder}/profile", f"--screenshot={shot}",
              f"--window-size={size[0]},{size[1]}", page.resolve().as_uri()],
             check=True, capture_output=True,
         )  # fmt: skip
