@@ -71,7 +71,7 @@ def read_arm(path: str | Path) -> EmulatedArm:
     try:
         protocol = str(data["bus"]["protocol"])
         joints = tuple(_joint(name, fields) for name, fields in data["joints"].items())
-    except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
+    except (KeyError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         allowed = "bus.protocol and joints.<name>.servo_id, type, zero_ticks, lower, upper"
         raise InputError(path, "servo configuration", repr(error), allowed) from error
     return EmulatedArm(protocol, joints)
