@@ -135,58 +135,6 @@ sys.exit(run({words!r}))
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("program", ["longarm_comp", "longarm_comp.nodes.kinematics"])
-def test_libraries_that_are_too_old_are_refused_in_one_line(program: str, tmp_path: Path) -> None:
-    """As Ubuntu 24.04 has them: one known to pip's metadata, one only by its module."""
-    info = tmp_path / "pydantic-1.10.14.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: pydantic\nVersion: 1.10.14\n")
-    code = f"""
-import importlib.metadata as metadata, runpy, sys, types
-known = metadata.version
-def version(name):
-    if name.startswith("opencv"):
-        raise metadata.PackageNotFoundError(name)
-    return known(name)
-metadata.version = version
-sys.modules["cv2"] = types.SimpleNamespace(__version__="4.6.0")
-runpy.run_module({program!r}, run_name="__main__")
-"""
-    environment = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True
-    )
-    assert done.returncode == 2
-    assert done.stderr.splitlines() == [
-        "longarm_comp: pydantic 1.10.14 is too old; OpenCV 4.6.0 is too old; "
-        "run: pip install 'pydantic>=2.6' 'opencv-python-headless>=4.10'"
-    ]
-
-
-def test_a_library_that_cannot_be_imported_is_named_with_the_command(tmp_path: Path) -> None:
-    """As Ubuntu's OpenCV, which was made for an older numpy than pip's."""
-    (tmp_path / "cv2.py").write_text("raise ImportError('numpy.core failed\\n to import')\n")
-    code = """
-import importlib.metadata as metadata, runpy
-known = metadata.version
-def version(name):
-    if name.startswith("opencv"):
-        raise metadata.PackageNotFoundError(name)
-    return known(name)
-metadata.version = version
-runpy.run_module("longarm_comp.nodes.stereo_bridge", run_name="__main__")
-"""
-    environment = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True
-    )
-    assert done.returncode == 2
-    assert done.stderr == (
-        "longarm_comp: OpenCV cannot be used: numpy.core failed to import; "
-        "run: pip install 'opencv-python-headless>=4.10'\n"
-    )
-
-
 def test_the_least_versions_are_those_that_pip_installs(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         (name,) = (n for n in archive.namelist() if n.endswith(".dist-info/METADATA"))
