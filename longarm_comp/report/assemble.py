@@ -149,6 +149,7 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding) -> dict[str, Any]:
         "reading": "; ".join(dict.fromkeys(t.reading for t in found.terms if t.reading)),
         "set": list(found.names),
         "untold": list(found.untold),
+        "unnamed": found.unnamed,
         "where": list(found.where),
         "called": {p: w for p, w in final.model.arm.called.items() if p in found.where},
         "log_bayes_factor": found.log_bayes_factor,
