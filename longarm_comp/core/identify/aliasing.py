@@ -172,9 +172,7 @@ def _levels(q: np.ndarray) -> np.ndarray:
 
 
 def _fitted(result: SearchResult, term: Term) -> Term:
-    return next(
-        t for t in result.fit.model.terms if key(t) == key(term) and t.placement == term.placement
-    )
+    return next(t for t in result.fit.model.terms if t.variant == term.variant)
 
 
 def are_aliases(one: Term, other: Term) -> bool:
@@ -259,7 +257,7 @@ def _plausible(
 
     Estimated with priors that are as wide as that, so that they hardly pull.
     """
-    s, t = marginal.of(columns.white(candidate))
+    s, t = marginal.of(columns.scaled(candidate.terms))
     size = np.linalg.solve(s + np.eye(len(t)) / IMPLAUSIBLE**2, t)
     return bool((np.abs(size) <= IMPLAUSIBLE).all())
 

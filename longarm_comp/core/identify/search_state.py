@@ -190,9 +190,9 @@ class SearchState:
             self.chosen[key(term)] = term.with_values(values)
 
     def _rebuild(self) -> None:
-        known = {(key(t), repr(t.placement)): t for t in self._start.terms}
+        known = {t.variant: t for t in self._start.terms}
         geometry = [t for t in self._start.terms if key(t) in {key(b) for b in self.base.terms}]
-        kept = [known.get((k, repr(t.placement)), t) for k, t in self.chosen.items()]
+        kept = [known.get(t.variant, t) for t in self.chosen.values()]
         effects = [t for t in (*geometry, *kept) if isinstance(t, Effect)]
         biases = [t for t in (*geometry, *kept) if isinstance(t, Bias)]
         self._start = Model(
@@ -263,5 +263,5 @@ def _distinct(
     for candidate in candidates:
         for term in candidate.terms:
             if key(term) not in chosen:
-                made.setdefault((*key(term), repr(term.placement)), term)
+                made.setdefault(term.variant, term)
     return tuple(made.values())

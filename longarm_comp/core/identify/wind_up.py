@@ -159,9 +159,7 @@ class _Evidence:
         """On top of a model without the terms and of all else that the library holds."""
         fitted = fit(model, rows(_middle(RUN_UPS)))
         columns = columns_at(fitted)
-        others = {
-            (t.name, repr(t.placement)): t for c in candidates for t in c.terms if t not in terms
-        }
+        others = {t.variant: t for c in candidates for t in c.terms if t not in terms}
         beside, mine = columns.of(tuple(others.values())), columns.of(terms)
         noise, weights = from_residual(fitted, np.concatenate([beside, mine], axis=-1))
         fitted = dataclasses.replace(fitted, sigma=noise.sigma, rho=noise.rho, weights=weights)
