@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -109,6 +109,18 @@ def library(
             missing.append((kind.name, why))
         testable += usable + _families(usable)
     return Library(tuple(testable), tuple(missing))
+
+
+def distinct(
+    candidates: Iterable[Candidate], but: Container[tuple[str, str]] = ()
+) -> tuple[Term, ...]:
+    """Each instance once, those at some places left out."""
+    made: dict[tuple[object, ...], Term] = {}
+    for candidate in candidates:
+        for term in candidate.terms:
+            if term.key not in but:
+                made.setdefault(term.variant, term)
+    return tuple(made.values())
 
 
 def _require(term: Term, context: Context) -> None:
