@@ -11,7 +11,6 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
-from scipy.linalg.lapack import dpotrs
 from scipy.optimize import lsq_linear
 
 
@@ -89,7 +88,7 @@ class Marginal:
         return (s + s.T) / 2, of.b.T @ self.y - of.cross.T @ self._coefficients
 
     def _solved(self, right: np.ndarray) -> np.ndarray:
-        return np.asarray(dpotrs(self._factor[0], right, lower=1)[0])
+        return np.asarray(cho_solve(self._factor, right, check_finite=False))
 
 
 @dataclass(frozen=True)
