@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from action_msgs.msg import GoalStatus
+from builtin_interfaces.msg import Duration
 from driver_rig import Rig, driver_rig
 from rclpy.action import ActionClient
 from std_srvs.srv import SetBool
@@ -75,8 +76,8 @@ def test_a_goal_of_joints_is_followed_told_of_and_reached(rig: Rig) -> None:
     rig.is_idle()
     codes = graph.FOLLOW.type.Result
     start = rig.joints()["shoulder"]
-    followed = Followed(rig, 0.6, {"goal_tolerance": allowed("shoulder", 0.05)},
-                        shoulder=0.6, boom=0.02)  # fmt: skip
+    given = {"goal_tolerance": allowed("shoulder", 0.05), "goal_time_tolerance": Duration(sec=-1)}
+    followed = Followed(rig, 0.6, given, shoulder=0.6, boom=0.02)
     assert followed.ends(GoalStatus.STATUS_SUCCEEDED, codes.SUCCESSFUL) == ""
     assert rig.joints()["shoulder"] == pytest.approx(0.6, abs=3e-3)
     said = followed.feedback

@@ -27,7 +27,7 @@ from longarm_comp.core.model.keep_out import entered
 from longarm_comp.jobs.client import ArmClient, DriverStopped
 from longarm_comp.jobs.collect.causes import Causes
 from longarm_comp.jobs.collect.progress import Progress
-from longarm_comp.jobs.collect.told import progress_message
+from longarm_comp.jobs.collect.progress_message import progress_message
 from longarm_comp.jobs.measurement_schedule import Visit
 from longarm_comp.jobs.pace import Pace
 from longarm_comp.jobs.recorder import Recorder
