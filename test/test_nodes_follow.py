@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -11,7 +10,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from action_msgs.msg import GoalStatus
 from builtin_interfaces.msg import Duration
-from driver_rig import Rig, driver_rig
+from driver_rig import Rig
 from rclpy.action import ActionClient
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -19,19 +18,6 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import duration
 from longarm_interfaces.msg import Motion
-
-
-@pytest.fixture(scope="module")
-def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    with driver_rig(tmp_path_factory.mktemp("driver")) as made:
-        yield made
-
-
-@pytest.fixture
-def rig(shared: Rig) -> Rig:
-    """The driver, running and in order."""
-    return shared.in_order()
-
 
 needs_follow = pytest.mark.skipif(
     not graph.HAS_FOLLOW, reason="control_msgs is not installed: run make setup"
