@@ -71,7 +71,6 @@ def hand(emulator: ServoEmulator, ways: dict[int, list[float]]) -> threading.Thr
     It rests where nobody reads any more: a sweep may end first.
     """
 
-    @suppress(AssertionError)
     def turn() -> None:
         for servo_id, way in ways.items():
             at = emulator.positions()[servo_id]
@@ -82,7 +81,11 @@ def hand(emulator: ServoEmulator, ways: dict[int, list[float]]) -> threading.Thr
                     heard = emulator.frames_heard
                     until(lambda heard=heard: emulator.frames_heard >= heard + 2)
 
-    thread = threading.Thread(target=turn, daemon=True)
+    def turn_while_read() -> None:
+        with suppress(AssertionError):
+            turn()
+
+    thread = threading.Thread(target=turn_while_read, daemon=True)
     thread.start()
     return thread
 
