@@ -6,7 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,10 +66,7 @@ def bus(protocol: str) -> Iterator[ServoEmulator]:
 
 
 def hand(emulator: ServoEmulator, ways: dict[int, list[float]]) -> threading.Thread:
-    """Turns servo after servo along its way, a step when the last one has been read.
-
-    It rests where nobody reads any more: a sweep may end first.
-    """
+    """Turns servo after servo along its way, a step when the last one has been read."""
 
     def turn() -> None:
         for servo_id, way in ways.items():
@@ -81,11 +78,7 @@ def hand(emulator: ServoEmulator, ways: dict[int, list[float]]) -> threading.Thr
                     heard = emulator.frames_heard
                     until(lambda heard=heard: emulator.frames_heard >= heard + 2)
 
-    def turn_while_read() -> None:
-        with suppress(AssertionError):
-            turn()
-
-    thread = threading.Thread(target=turn_while_read, daemon=True)
+    thread = threading.Thread(target=turn, daemon=True)
     thread.start()
     return thread
 

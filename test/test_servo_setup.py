@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import servo_bench
@@ -48,14 +49,17 @@ def emulator(request: pytest.FixtureRequest) -> Iterator[ServoEmulator]:
 
 
 @pytest.fixture
-def swept(monkeypatch: pytest.MonkeyPatch) -> dict[int, list[float]]:
-    """Ways along which a hand turns the servos once a sweep has begun."""
-    ways: dict[int, list[float]] = {}
+def swept(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Ways along which a hand turns the servos once a sweep has begun; it ends no sooner."""
+    ways: dict[str, Any] = {}
     original = sweep_table.swept
 
-    def begun(setup: object, seconds: float | None) -> object:
-        hand(ways["emulator"], ways["ways"])  # type: ignore[call-overload]
-        return original(setup, seconds)  # type: ignore[arg-type]
+    def begun(setup: Any, seconds: float | None) -> object:
+        turning, sweep = hand(ways["emulator"], ways["ways"]), setup.sweep
+        setup.sweep = lambda done, seen: sweep(
+            lambda *now: not turning.is_alive() and done(*now), seen
+        )
+        return original(setup, seconds)
 
     monkeypatch.setattr(sweep_table, "swept", begun)
     return ways
