@@ -102,7 +102,11 @@ def collect(
         Interrupted: the client was stopped; the bag holds every complete visit.
     """
     pause = pause or threading.Event()
-    done = visited(path, todo, client) if resume and (path / "metadata.yaml").is_file() else set()
+    done = (
+        visited(path, todo, client.arm.n)
+        if resume and (path / "metadata.yaml").is_file()
+        else set()
+    )
     with SegmentedBag(path, resume=resume) as bag:
         run = _Run(client, Recorder(client.node, bag), pace or Pace(), pause, progress,
                    Causes(client, client.arm, view), len(done), len(todo))  # fmt: skip
@@ -277,25 +281,29 @@ def _tell_visit(client: ArmClient, recorder: Recorder, visit: Visit) -> None:
     recorder.put(topic, ROW_TYPE, serialize_message(String(data=json.dumps(row))))
 
 
-def visited(path: Path, todo: Sequence[Visit], client: ArmClient) -> set[int]:
-    """Indices of the visits that a bag holds.
+def visited(path: Path, todo: Sequence[Visit], n: int) -> set[int]:
+    """Indices of the visits that a bag of an arm with n joints holds.
 
     Raises:
         InputError: its poses, or the sides they were approached from, are not those of these
-            visits.
+            visits, or `collect` did not record it.
     """
     planned = {visit.index: visit.path for visit in todo}
     done: set[int] = set()
-    command = np.zeros((0, client.arm.n))
+    command = np.zeros((0, n))
     with open_bag(path) as reader:
         kept = [c for c in reader.connections if _last_name(c.topic) in _READ]
         for connection, _, raw in reader.messages(connections=kept) if kept else ():
             name = _last_name(connection.topic)
             message: Any = message_types().deserialize_cdr(raw, _READ[name])
-            if name == COMMAND_TOPIC:
-                command = np.array([point.positions for point in message.points])
-                continue
-            index = int(json.loads(message.data)["index"])
+            try:
+                if name == COMMAND_TOPIC:
+                    command = np.array([point.positions for point in message.points], float)
+                    continue
+                index = int(json.loads(message.data)["index"])
+            except (KeyError, TypeError, ValueError) as error:
+                allowed = "a bag that `longarm collect` began"
+                raise InputError(path, connection.topic, str(error), allowed) from error
             way = planned.get(index)
             if way is None or command.shape != way.shape or np.abs(command - way).max() > SAME_POSE:
                 allowed = "the plan, seed and options that it was begun with"
