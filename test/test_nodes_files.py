@@ -151,19 +151,43 @@ def test_a_launch_file_describes_itself(file: Path, monkeypatch: pytest.MonkeyPa
     module.generate_launch_description()
     (entities,), _ = module.LaunchDescription.call_args
     assert len(entities) >= 2
-    if "nodes" in module.__dict__:
-        arguments = {name: default or "" for name, default, _ in module.ARGUMENTS}
-        arm = str(folder("config") / "arm_demo.yaml")
-        given = {**arguments, "arm": arm, "sim": "true", "rviz": "true"}
-        module.LaunchConfiguration = lambda name: types.SimpleNamespace(
-            perform=lambda context: given[name]
-        )
-        made = module.nodes(None)
-        assert len(made) == len(SIMULATED) + 2
-        calls = [call.kwargs for call in module.Node.call_args_list]
-        assert [call["executable"] for call in calls[: len(SIMULATED)]] == list(SIMULATED)
-        for call in calls[: len(SIMULATED)]:
-            passes_what_the_node_has(call["executable"], *call["parameters"])
+
+
+@pytest.mark.parametrize(
+    ("composed", "programs"),
+    [
+        ("false", SIMULATED),
+        ("true", ("composed", "simulated_arm", "servo_driver", "stereo_bridge")),
+    ],
+)
+def test_a_launch_starts_every_node_with_what_it_takes(
+    composed: str, programs: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = launched(ROOT / "launch" / "longarm.launch.py", monkeypatch)
+    arguments = {name: default or "" for name, default, _ in module.ARGUMENTS}
+    arm = str(folder("config") / "arm_demo.yaml")
+    given = {**arguments, "arm": arm, "sim": "true", "rviz": "true", "composed": composed}
+    module.LaunchConfiguration = lambda name: types.SimpleNamespace(
+        perform=lambda context: given[name]
+    )
+    made = module.nodes(None)
+    assert len(made) == len(programs) + 2
+    calls = [call.kwargs for call in module.Node.call_args_list][: len(programs)]
+    assert [call["executable"] for call in calls] == list(programs)
+    passed = {}
+    for call in calls:
+        if call["executable"] != "composed":
+            assert call["name"] == call["executable"]
+            passed[call["executable"]] = call["parameters"]
+            continue
+        assert call["name"] is None  # it would rename both nodes
+        *listed, written = call["parameters"]
+        for file, (node, values) in zip(listed, read_yaml(Path(written)).items(), strict=True):
+            passed[node.removeprefix("/**/")] = [file, values["ros__parameters"]]
+    assert set(passed) == set(SIMULATED)
+    for node, parameters in passed.items():
+        passes_what_the_node_has(node, *parameters)
+        assert node == "stereo_bridge" or parameters[1]["arm"] == arm
 
 
 def test_bad_input_ends_a_launch_and_nothing_else_does(monkeypatch: pytest.MonkeyPatch) -> None:
