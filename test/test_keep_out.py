@@ -92,14 +92,18 @@ def test_the_way_that_is_judged_is_the_way_that_is_gone() -> None:
     here = rig.trace[-1]["turn"]
     names = ("turn", "slide")
     points = (
-        TrajectoryPoint(1.5, (here, 0.05), (-0.4, 0.0)),
-        TrajectoryPoint(3.0, (here, 0.03), (0.0, 0.0)),
+        TrajectoryPoint(6.0, (here, 0.05), (-0.1, 0.0)),
+        TrajectoryPoint(9.0, (here, 0.03), (0.0, 0.0)),
     )
     rig.follower.accept(JointTrajectory(names, points), rig.now)
-    rig.run(4.0)
+    rig.run(10.0)
     gone = np.array([[row[name] for name in names] for row in rig.trace[before:]])
-    assert np.ptp(gone[:, 0]) > 0.1  # although every way-point has the same angle
-    far = np.abs(gone[:, None] - asked[-1][None]).max(axis=2)
-    assert far.min(axis=1).max() < 0.03 and far.min(axis=0).max() < 0.01
+    assert gone[:25, 0].max() > here + 0.02  # it was under way
+    assert np.ptp(gone[25:, 0]) > 0.1  # although every way-point has the same angle
+    for side in (gone[:25], gone[25:]):
+        far = np.abs(side[:, None] - asked[-1][None]).max(axis=2)
+        assert far.min(axis=1).max() < 0.02
+    far = np.abs(asked[-1][:, None] - gone[None]).max(axis=2)
+    assert far.min(axis=1).max() < 0.01
     rig.follower.halt(rig.now)
     assert len(asked) == 2  # a stop is never refused

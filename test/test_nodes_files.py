@@ -7,6 +7,7 @@ import importlib
 import os
 import sys
 import types
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
@@ -126,6 +127,18 @@ def test_files_with_effects_reach_the_node_that_loads_models() -> None:
     given = graph.parameters("kinematics", "")["effects"]
     assert given.split(os.pathsep) == [str(files[0]), str(Path.cwd() / "mine.py")]
     assert "effects" not in graph.parameters("error_predictor", "")
+
+
+def test_the_calibration_of_a_folder_reaches_real_cameras_only(tmp_path: Path) -> None:
+    arm = tmp_path / "arm.yaml"
+    arm.write_text((folder("config") / "arm_demo.yaml").read_text("utf-8"))
+    graph = BringUp(arm=arm)
+    (tmp_path / "cameras").mkdir()
+    (tmp_path / "cameras" / "left.yaml").write_text("")
+    assert graph.parameters("stereo_bridge", "") == {}
+    (tmp_path / "cameras" / "right.yaml").write_text("")
+    assert graph.parameters("stereo_bridge", "") == {"cameras": str(tmp_path / "cameras")}
+    assert replace(graph, sim=True).parameters("stereo_bridge", "") == {}
 
 
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))

@@ -19,6 +19,7 @@ from typing import Any
 
 import yaml
 
+from longarm_comp.arm_folder.camera_files import CAMERAS, SIDES
 from longarm_comp.arm_folder.make import parameter_files
 from longarm_comp.arm_folder.parameter_file import ros_parameters
 from longarm_comp.core.arm.arm import Arm
@@ -89,6 +90,15 @@ class BringUp:
         own = (self.config or self.arm.absolute().parent) / name
         return own if own.is_file() else folder("config") / name
 
+    @property
+    def cameras(self) -> Path | None:
+        """Folder of the pair's calibration, beside the parameter files; None where there is none.
+
+        The simulated cameras tell their own.
+        """
+        own = (self.config or self.arm.absolute().parent) / CAMERAS
+        return own if all((own / f"{side}.yaml").is_file() for side in SIDES) else None
+
     def fitted(self, scratch: Path) -> BringUp:
         """This graph with servos of the arm's joints.
 
@@ -128,7 +138,7 @@ class BringUp:
             "servo_driver": arm
             | ({"bus.port": port} if port else {})
             | (_PATIENT if self.sim else {}),
-            "stereo_bridge": {},
+            "stereo_bridge": {} if self.sim else _path("cameras", self.cameras),
             "simulated_arm": arm | {"servos": servos, "port": bus},
         }
         values = per_node[node]
