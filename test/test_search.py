@@ -10,6 +10,7 @@ import pytest
 from demo_rows import N, session_of
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.base_compliance import BaseCompliance
 from longarm_comp.core.effects.bearing_tilt import BearingTilt
@@ -21,12 +22,14 @@ from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.link_stiffness import LinkStiffness
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.identify.aliasing import findings
-from longarm_comp.core.identify.calibrate import geometry
+from longarm_comp.core.identify.calibrate import declared_model, geometry
 from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.evidence import FitMarginal, columns_at, score
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.search import SearchResult, search
 from longarm_comp.core.model.model import Model
+from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.hidden import loads
 
 KINDS = (JointCompliance, JointGain, GearEccentricity, ThermalGrowth)
 
@@ -124,3 +127,49 @@ def test_a_soft_base_and_the_bearing_above_it_are_a_set(arm: Arm) -> None:
 def test_poses_tell_a_soft_base_from_a_bearing_that_turns(arm: Arm) -> None:
     tilting = BearingTilt(2, about_x=6e-3, about_y=6e-3)
     assert named(arm, session_of(arm, 1, tilting), *ELASTIC) == [("bearing_tilt",)]
+
+
+HEAVY_BASE = Arm.parse(
+    {
+        "name": "printed",
+        "convention": "mdh_craig",
+        "tip": {"frame": 3, "position_m": [0.12, 0.0, 0.0]},
+        "joints": [
+            {"id": 1, "type": "revolute", "d_m": 0.09, "limits_deg": [-60, 60]},
+            {
+                "id": 2, "type": "revolute", "alpha_deg": 90, "theta_offset_deg": 60,
+                "limits_deg": [-30, 30],
+            },
+            {
+                "id": 3, "type": "revolute", "a_m": 0.16, "theta_offset_deg": -70,
+                "limits_deg": [-40, 40],
+            },
+        ],
+        "links": [
+            {
+                "name": "tube", "row": 3, "role": "a", "length_m": 0.16, "mass_kg": 0.018,
+                "section": {"type": "tube", "od_m": 0.02, "id_m": 0.017}, "E_pa": 2.1e9,
+                "poisson": 0.38,
+            }
+        ],
+        "point_masses": [{"name": "servo", "frame": 2, "mass_kg": 0.12}],
+    },
+    "printed arm",
+)  # fmt: skip
+"""Its servos stand in the base: its joints carry the tube alone."""
+
+
+@pytest.mark.parametrize(("compliance", "unnamed"), [(2.2, ""), (20.0, "joint 2 compliance")])
+def test_a_heavy_base_makes_no_soft_joint_implausible(compliance: float, unnamed: str) -> None:
+    """It was said to be 14 priors large, and gave way to an eccentric gear with a gain."""
+    rng = np.random.default_rng(0)
+    q = sobol(HEAVY_BASE, 60, rng).q
+    soft = loads.JointCompliance(np.array([0.0, compliance, 0.0]))
+    xyz = TrueArm(HEAVY_BASE, (soft,), steps=2).tip(q) + 1.5e-5 * rng.standard_normal((60, 3))
+    rows = Session.record(q, xyz)
+    base = declared_model(HEAVY_BASE).plus(*geometry(HEAVY_BASE, rows))
+    kinds = (JointCompliance, GearEccentricity, JointGain)
+    candidates = library(HEAVY_BASE, rows.context(), kinds, base.terms).testable
+    _, found = findings(search(base, rows, candidates), candidates)
+    assert ("joint_compliance", ("joint 2",)) in [(f.name, f.where) for f in found]
+    assert found[0].unnamed.removesuffix(" is implausibly large") == unnamed

@@ -5,16 +5,15 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from typing_extensions import Self
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import PER_JOINT
+from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.arm.history import play
-from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.arm.posture import Chain, Posture
 from longarm_comp.core.arm.spatial import Scalar, Twist
 from longarm_comp.core.effects.effect import Effect, Parameter, moving_joints, place
 
@@ -22,6 +21,8 @@ GATES = (0.0, 0.03, 0.075, 0.15, 0.3)
 """Loads below which friction may hold a joint (`JointTerm.side`), of the arm's typical ones."""
 BLEND = 1 / 6
 """Share of such a load over which friction and load change over, where it is not known."""
+POSES = 64
+"""Poses over which a typical load is taken."""
 _RESTING = 1e-6  # N m: a vertical axis carries no torque but for rounding
 
 
@@ -148,16 +149,34 @@ def with_prior(parameters: tuple[Parameter, ...], **changes: object) -> tuple[Pa
     return tuple(dataclasses.replace(p, **changes) for p in parameters)  # type: ignore[arg-type]
 
 
-@lru_cache(maxsize=64)
-def _scales(arm_hash: str, mass: float, reach: float, gravity: float) -> tuple[float, float]:
-    return max(mass * gravity, 1e-9), max(mass * gravity * reach / 4, 1e-9)
+_loads_of: dict[str, tuple[float, float]] = {}
 
 
 def typical_loads(arm: Arm) -> tuple[float, float]:
-    """Weight (N) and a quarter of weight times reach (N m): the size of an arm's loads."""
-    mass = sum(b.mass_kg for b in arm.links) + sum(m.mass_kg for m in arm.point_masses)
-    mass += arm.payload.mass_kg if arm.payload else 0.0
-    return _scales(arm.hash, mass, reach(arm), float(np.linalg.norm(arm.gravity_mps2)))
+    """Size of an arm's loads: its weight (N) and a torque (N m).
+
+    The torque is a quarter of weight times reach, or the RMS moment about the bearing that carries
+    most, over poses between the limits, where that is less: a heavy base loads no joint.
+    """
+    if arm.hash not in _loads_of:
+        mass = sum(b.mass_kg for b in arm.links) + sum(m.mass_kg for m in arm.point_masses)
+        mass += arm.payload.mass_kg if arm.payload else 0.0
+        force = mass * float(np.linalg.norm(arm.gravity_mps2))
+        torque = min(force * reach(arm) / 4, _largest_moment(arm))
+        _loads_of[arm.hash] = max(force, 1e-9), max(torque, 1e-9)
+    return _loads_of[arm.hash]
+
+
+def _largest_moment(arm: Arm) -> float:
+    """RMS over poses of the moment about the most loaded bearing, N m."""
+    poses = np.random.default_rng(0).uniform(arm.lower, arm.upper, (POSES, arm.n))
+    chain = Chain(arm, elements_per_beam=1)
+    q = tuple(np.ascontiguousarray(poses.T))
+    frames, lengths = chain.place(q, {})
+    posture = Posture(chain, q, Context.empty(), frames, lengths, arm.gravity_mps2)
+    moments = [posture.moment(posture.bearing(row)) for row in arm.commanded]
+    each = np.array([[np.broadcast_to(part, POSES) for part in moment] for moment in moments])
+    return float(np.sqrt((each**2).sum(axis=1).mean(axis=1).max()))
 
 
 def reach(arm: Arm) -> float:
