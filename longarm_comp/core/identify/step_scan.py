@@ -187,20 +187,17 @@ class _Joint:
     def _worth(self, white: np.ndarray, teeth: np.ndarray) -> tuple[float, float]:
         """Log evidence of one saw-tooth, and the share that it takes of the squares that are left.
 
-        The least of three: by the noise; by all that is left, of unknown size; and by the sum over
-        the rows against its scatter were the signs of the rows chance, as what is left may be large
-        at some poses.
+        By the noise, or by the sum over the rows against its scatter were the signs of the rows
+        chance, where that is less: what else is left may be large at some poses.
         """
         y = self.marginal.y
         shift = (white * teeth[:, None]).reshape(-1)
         projected = self.marginal.project(shift)
         gain = float(projected @ y - 0.5 * projected @ shift)
-        left = float(self.marginal.py @ self.marginal.py)
-        free = max(len(y) - self.fitted.effective, 1.0)
-        ratio = max(1.0 - 2.0 * gain / left, 1e-12)
         rows = (shift * self.marginal.py).reshape(white.shape).sum(1)
         signs = 0.5 * float(rows.sum() ** 2 / max((rows**2).sum(), 1e-300))
-        return min(gain, -0.5 * free * float(np.log(ratio)), signs), 1.0 - ratio
+        left = float(self.marginal.py @ self.marginal.py)
+        return min(gain, signs), 2.0 * gain / max(left, 1e-300)
 
 
 def _teeth(turns: np.ndarray) -> np.ndarray:
