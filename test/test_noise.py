@@ -22,7 +22,10 @@ def fit_of(residual: np.ndarray) -> Any:
     return SimpleNamespace(
         columns=np.zeros((rows, 3, 0)), slots=(), residual=residual, weights=np.ones(rows),
         sigma=np.full(3, 1e-3), model=SimpleNamespace(values=np.zeros(0)),
-        session=SimpleNamespace(mask=None, claimed=None, blocks=(ChannelBlock("position"),)),
+        session=SimpleNamespace(
+            mask=None, claimed={}, uneven=lambda _: np.ones(rows), blocks=(ChannelBlock("position"),),
+            channels=("x", "y", "z"),
+        ),
     )  # fmt: skip
 
 

@@ -133,28 +133,30 @@ def from_residual(
     columns = np.concatenate([fit.columns * priors(fit.slots), extra], axis=-1)
     y = (fit.residual + fit.columns @ fit.model.values)[..., None]
     channels = np.ascontiguousarray(np.moveaxis(np.concatenate([columns, y], -1), 1, 0))
-    weights, used = fit.weights, np.zeros(0)
+    weights, used, uneven = fit.weights, np.zeros(0), fit.session.uneven(fit.session.claimed)
     sigma, size = fit.sigma.copy(), 1.0
     held = fit.session.mask
     added = np.arange(columns.shape[-1]) >= fit.columns.shape[-1]
-    few = len(added) > weights.sum() * len(sigma)
+    few = len(added) > (weights > 0).sum() * len(sigma)
     for _ in range(MOST_STEPS if few else steps):
         if not np.array_equal(weights, used):
-            rows = channels[:, weights > 0]
+            rows = channels[:, weights > 0] * np.sqrt(weights[weights > 0])[:, None]
             products, used = rows.transpose(0, 2, 1) @ rows, weights
         scale = np.where(added, size, 1.0)
         white = products / sigma[:, None, None] ** 2
         gram = white[:, :-1, :-1] * np.outer(scale, scale)
         posterior = linear.solved(gram.sum(0), scale * white[:, :-1, -1].sum(0))
         residual = (y - columns @ (scale * posterior.u)[:, None])[..., 0]
-        kept = residual if held is None else np.where(held, residual, np.nan)
+        count = linear.believed(residual, uneven, held)
+        even = residual * np.sqrt(count)[:, None]
+        kept = even if held is None else np.where(held, even, np.nan)
         robust = MAD * median(np.abs(kept[weights > 0]))
         taken = (gram * posterior.covariance).sum(axis=(1, 2))
-        count = np.full(len(sigma), weights.sum()) if held is None else held[weights > 0].sum(0)
-        degrees = np.maximum(count - taken, 1e-9)
-        worst = np.abs(kept) / np.maximum(robust * np.sqrt(count / degrees), 1e-9)
-        weights = (np.nan_to_num(worst).max(axis=1) <= OUTLIER).astype(float)
-        square = (residual[weights > 0] ** 2).sum(0)
+        rows_held = (weights > 0).sum() if held is None else held[weights > 0].sum(0)
+        degrees = np.maximum(rows_held - taken, 1e-9)
+        worst = np.abs(kept) / np.maximum(robust * np.sqrt(rows_held / degrees), 1e-9)
+        weights = count * (np.nan_to_num(worst).max(axis=1) <= OUTLIER)
+        square = (even[weights > 0] ** 2).sum(0)
         alike = _usual(fit, square / degrees)
         new = np.sqrt((square + ALIKE * alike) / (degrees + ALIKE))
         if held is not None:
@@ -164,10 +166,10 @@ def from_residual(
         sigma, size = np.maximum(new, 1e-7), float(np.clip(size * shrunk, 1e-4, 1.0))
         if done and abs(shrunk - 1.0) < 0.05:
             break
-    claimed = fit.session.claimed
-    if claimed is not None and columns.shape[-1] > weights.sum():
-        sigma = np.maximum(sigma, claimed)
-    rho = lag_correlation(residual / sigma, weights, held)
+    if columns.shape[-1] > (weights > 0).sum():
+        claimed = fit.session.claimed
+        sigma = np.maximum(sigma, [claimed.get(name, 0.0) for name in fit.session.channels])
+    rho = lag_correlation(even / sigma, weights, held)
     return NoiseEstimate(sigma, "residual", rho, float(np.max(degrees))), weights
 
 
