@@ -19,14 +19,22 @@ ROWS, COLUMNS = 40, 200
 def fit_of(residual: np.ndarray) -> Any:
     """A fit of nothing, which leaves so much (N, 3)."""
     rows = len(residual)
+    session = SimpleNamespace(
+        mask=None,
+        claimed={},
+        uneven=lambda _: np.ones(rows),
+        blocks=(ChannelBlock("position"),),
+        channels=("x", "y", "z"),
+    )
     return SimpleNamespace(
-        columns=np.zeros((rows, 3, 0)), slots=(), residual=residual, weights=np.ones(rows),
-        sigma=np.full(3, 1e-3), model=SimpleNamespace(values=np.zeros(0)),
-        session=SimpleNamespace(
-            mask=None, claimed={}, uneven=lambda _: np.ones(rows), blocks=(ChannelBlock("position"),),
-            channels=("x", "y", "z"),
-        ),
-    )  # fmt: skip
+        columns=np.zeros((rows, 3, 0)),
+        slots=(),
+        residual=residual,
+        weights=np.ones(rows),
+        sigma=np.full(3, 1e-3),
+        model=SimpleNamespace(values=np.zeros(0)),
+        session=session,
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
