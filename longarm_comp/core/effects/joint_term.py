@@ -17,7 +17,7 @@ from longarm_comp.core.arm.posture import Chain, Posture
 from longarm_comp.core.arm.spatial import Scalar, Twist
 from longarm_comp.core.effects.effect import Effect, Parameter, moving_joints, place
 
-GATES = (0.0, 0.03, 0.075, 0.15, 0.3)
+GATES = (0.0, 0.03, 0.075, 0.15, 0.3, 0.75)
 """Loads below which friction may hold a joint (`JointTerm.side`), of the arm's typical ones."""
 BLEND = 1 / 6
 """Share of such a load over which friction and load change over, where it is not known."""
