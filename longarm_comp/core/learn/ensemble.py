@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
@@ -106,15 +108,23 @@ def train(
 
     sizes = HIDDEN_CHOICES if hidden is None else (hidden,)
     starts = ensemble if hidden is not None else (ensemble + 1) // 2
+    most = len(sizes) * starts + FOLDS
+
+    def fitted(wanted: list[tuple[int, int, NDArray[np.bool_] | slice]], done: int) -> list[Fit]:
+        """Networks of some units, starts and rows, on all cores: each is one's own."""
+        made: list[Fit] = []
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            for one in pool.map(lambda each: fit(*each), wanted):
+                if progress is not None:
+                    progress(done + len(made), most)
+                made.append(one)
+        return made
+
     fits: list[Fit] = []
     for turn, units in enumerate(sizes):
         if turn and Shape(x.shape[1], units, 3).size > 1.5 * (weights > 0).sum():
             break
-        networks = []
-        for start in range(starts):
-            if progress is not None:
-                progress(turn * starts + start, len(sizes) * starts + FOLDS)
-            networks.append(fit(units, start))
+        networks = fitted([(units, start, slice(None)) for start in range(starts)], turn * starts)
         fits += networks
         if (
             max(each.evidence for each in networks)
@@ -148,14 +158,12 @@ def train(
             {**origin.settings, **settings},
         ),
     )  # fmt: skip
-    left = y.copy()
-    for k, out in enumerate(_folds(q, np.random.default_rng([seed, FOLDS]))):
-        if progress is not None:
-            progress(len(sizes) * starts + k, len(sizes) * starts + FOLDS)
-        one = fit(fits[0].shape.hidden, 0, ~out)
+    left, folds = y.copy(), _folds(q, np.random.default_rng([seed, FOLDS]))
+    without = fitted([(fits[0].shape.hidden, 0, ~out) for out in folds], most - FOLDS)
+    for one, out in zip(without, folds, strict=True):
         left[out] -= forward(one.shape, one.weights, with_ones(x[out])) * scale + offset
     if progress is not None:
-        progress(len(sizes) * starts + FOLDS, len(sizes) * starts + FOLDS)
+        progress(most, most)
     return _calibrated(draft, y, left, x, weights, probe)
 
 
