@@ -150,7 +150,7 @@ def test_the_commands_show_a_plan_and_move_nothing(hobby: Path, shell: Shell) ->
     assert not any(view.unseen(poses))
     assert shell("collect", arm, "seen.csv", "--dry-run", "--floor", -0.02) == 0
     assert "20 of 20" in shell.out and "over the floor" in shell.out
-    assert "needs the cameras" not in shell.err and "lowest point" in shell.err
+    assert "not checked" not in shell.out and "lowest point" in shell.err
     for words, text in (
         (("collect", arm, "seen.csv"), "--dry-run"),
         (("collect", arm, "seen.csv", "--dry-run", "--picture", "x.gif"), ".png"),
