@@ -139,10 +139,10 @@ def test_the_commands_show_a_plan_and_move_nothing(hobby: Path, shell: Shell) ->
     view = view_beside(arm)
     assert view is not None
     assert shell("plan", arm, "--kind", "sobol", "-n", 20, "-o", "all.csv", "--seed", 3) == 0
-    told = shell.json("collect", arm, "all.csv", "--dry-run", "--picture", "all.svg")
+    told = shell.json("collect", arm, "all.csv", "--dry-run", "--picture", "all.SVG")
     seen = next(c for c in told["checks"] if c["question"] == "seen by both cameras")
     assert seen["passed"] == 20 - len(seen["faults"]) < 20  # else --seen has nothing to do
-    assert (shell.folder / "all.svg").read_text().count("<svg") == 1
+    assert (shell.folder / "all.SVG").read_text().count("<svg") == 1
     words = ("plan", arm, "--kind", "sobol", "-n", 20, "-o", "seen.csv", "--seed", 3, "--seen")
     assert shell(*words, "--floor", -0.02) == 0
     declared = Arm.load(arm)
