@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +12,9 @@ import pytest
 from cli_shell import Shell
 from some_arms import HOBBY
 
+from longarm_comp.arm_folder.camera_files import SIDES, camera_path
 from longarm_comp.arm_folder.parameter_file import own_parameters
-from longarm_comp.arm_folder.visible import View, view_beside
+from longarm_comp.arm_folder.visible import Lens, View, view_beside
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.boxes import Box
@@ -22,6 +24,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.stereo import StereoEye, StereoRefusal, StereoRig
+from longarm_comp.devices.stereo.camera_file import write_camera
 from longarm_comp.devices.stereo.marker import tags_of
 from longarm_comp.jobs.collect.preview import PlanCheck, preview, refuse_blocked, servos_beside
 from longarm_comp.jobs.measurement_schedule import Visit, visits
@@ -178,3 +181,14 @@ def test_the_lens_of_the_graph_replaces_the_files(hobby: Path) -> None:
     tips = declared_model(arm).pose(sobol(arm, 40, 0).q)
     wide = replace(view, lens=replace(view.lens, focal_px=0.3 * view.lens.focal_px))
     assert all("too far" in text or "turned" in text for text in wide.unseen(tips))
+
+
+def test_the_calibration_beside_an_arm_is_its_lens(hobby: Path, tmp_path: Path) -> None:
+    for name in ("arm", "stereo_bridge", "simulated_arm"):
+        shutil.copy(hobby / f"{name}.yaml", tmp_path)
+    pair = CameraPair(focal_px=512.0, size=(800, 600), baseline_m=0.17)
+    for side, info in zip(SIDES, pair.camera_infos(), strict=True):
+        write_camera(camera_path(tmp_path, side), side, info, "")
+    view = view_beside(tmp_path / "arm.yaml")
+    assert view is not None
+    assert view.lens == Lens(512.0, (399.5, 299.5), (800, 600), pytest.approx(0.17))

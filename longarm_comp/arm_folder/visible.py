@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
 from longarm_comp.core.arm import quaternion
+
+if TYPE_CHECKING:
+    from longarm_comp.devices.stereo import CameraInfoLike
 
 _STEEPEST = np.cos(np.radians(75.0))
 """A tag that is turned further from a camera is not found."""
@@ -38,6 +41,15 @@ class Lens:
     middle_px: tuple[float, float]
     size_px: tuple[int, int]
     baseline_m: float
+
+    @classmethod
+    def of(cls, left: CameraInfoLike, right: CameraInfoLike) -> Lens | None:
+        """From a calibrated pair; None where it is not calibrated."""
+        p, across = left.p, right.p
+        if not p[0] > 0.0 or not across[0] > 0.0:
+            return None
+        middle, size = (float(p[2]), float(p[6])), (int(left.width), int(left.height))
+        return cls(float(p[0]), middle, size, -float(across[3] / across[0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,4 +185,21 @@ def view_beside(arm: Path) -> View | None:
         own_parameters(node) | read_parameters(file)
         for node, file in zip(nodes, files, strict=True)
     )
-    return View.of(bridge, simulated) if bridge["marker.kind"] == "tags" else None
+    if bridge["marker.kind"] != "tags":
+        return None
+    view, lens = View.of(bridge, simulated), lens_beside(arm)
+    return view if lens is None else replace(view, lens=lens)
+
+
+def lens_beside(arm: Path) -> Lens | None:
+    """The cameras' lens by the calibration beside an arm.yaml; None where there is none.
+
+    Raises:
+        InputError: a file cannot be read.
+    """
+    from longarm_comp.arm_folder.camera_files import SIDES, camera_path, read_camera
+
+    files = [camera_path(arm.absolute().parent, side) for side in SIDES]
+    if not all(file.is_file() for file in files):
+        return None
+    return Lens.of(*map(read_camera, files))

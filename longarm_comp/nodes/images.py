@@ -134,7 +134,7 @@ def info_message(info: CameraInfoLike, ns: int, frame: str) -> CameraInfo:
     return message
 
 
-def same_camera(a: CameraInfo, b: CameraInfo) -> bool:
-    """Whether two messages hold the same calibration."""
+def same_camera(a: CameraInfoLike, b: CameraInfoLike) -> bool:
+    """Whether two messages or files hold the same calibration."""
     keys = ("width", "height", "distortion_model", "d", "k", "r", "p")
     return all(np.array_equal(getattr(a, key), getattr(b, key)) for key in keys)

@@ -50,12 +50,8 @@ class Causes:
         self._infos[side] = message
         if self._view is None or len(self._infos) < 2:
             return
-        p, across = self._infos["left"].p, self._infos["right"].p
-        if not p[0] > 0.0 or not across[0] > 0.0:
-            return
-        size = (int(self._infos["left"].width), int(self._infos["left"].height))
-        lens = Lens(float(p[0]), (float(p[2]), float(p[6])), size, -float(across[3] / across[0]))
-        self._view = replace(self._view, lens=lens)
+        lens = Lens.of(self._infos["left"], self._infos["right"])
+        self._view = self._view if lens is None else replace(self._view, lens=lens)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
