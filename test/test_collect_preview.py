@@ -14,7 +14,6 @@ from some_arms import HOBBY
 
 from longarm_comp.arm_folder.camera_files import SIDES, camera_path
 from longarm_comp.arm_folder.parameter_file import own_parameters
-from longarm_comp.arm_folder.sight import board_of
 from longarm_comp.arm_folder.visible import Lens, View, view_beside
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
@@ -26,6 +25,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.stereo import StereoEye, StereoRefusal, StereoRig
 from longarm_comp.devices.stereo.camera_file import write_camera
+from longarm_comp.devices.stereo.marker import tags_of
 from longarm_comp.jobs.collect.preview import PlanCheck, preview, refuse_blocked, servos_beside
 from longarm_comp.jobs.measurement_schedule import Visit, visits
 from longarm_comp.sessions.poses import read_poses
@@ -53,7 +53,7 @@ def test_geometry_knows_what_the_detector_finds_in_rendered_pictures() -> None:
         np.array(bridge["hand_eye.xyz"]), np.array(bridge["hand_eye.quaternion"])
     )
     rig = StereoRig.from_camera_info(*head.camera_infos(), rectified=False)
-    eye = StereoEye(rig, board_of(bridge), hand_eye, bridge["tip_in_marker"])
+    eye = StereoEye(rig, tags_of(bridge), hand_eye, bridge["tip_in_marker"])
     plate = tag_plate(*(simulated[f"marker.{k}"] for k in ("tag_m", "gap_m", "columns", "rows")))
     on_tip = np.linalg.inv(mounting(simulated["marker.mounting"]))
     rng = np.random.default_rng(5)

@@ -52,7 +52,7 @@ def test_a_finding_in_practice_is_the_model_against_the_model_without_it() -> No
     """The rest fitted again to first order, against a whole fit; the size as a sum by hand."""
     found, fitted = real(), real().fit
     (drift,) = (f for f in found.findings if f.name == "camera_drift")
-    made = practical(fitted, drift.terms, found.held_out)
+    (made,) = practical(fitted, [drift.terms], found.held_out)
     rate = np.array([getattr(drift.terms[0], axis) for axis in "xyz"])
     hours = fitted.session.columns["t_s"] / 3600
     assert made.tip_m == pytest.approx(hours * np.linalg.norm(rate), rel=1e-6)
@@ -134,11 +134,15 @@ Told = tuple[record.DiagnosisReport, Page]
 @pytest.fixture(scope="module")
 def told() -> list[Told]:
     """The generated reports, and their pages without figures."""
-    once = cache(lambda k: practical(real().fit, real().findings[k].terms, real().held_out))
+    every = practical(real().fit, [f.terms for f in real().findings], real().held_out)
     index = {f.name: k for k, f in enumerate(real().findings)}
     made = []
     with pytest.MonkeyPatch.context() as patched:  # the same fit, so the same each time
-        patched.setattr(assemble, "practical", lambda fit, terms, _: once(index[terms[0].name]))
+        patched.setattr(
+            assemble,
+            "practical",
+            lambda fit, found, _: [every[index[terms[0].name]] for terms in found],
+        )
         for seed in SEEDS:
             found = drawn(seed)
             report = record.checked(assemble.record_of(found, (), "0" * 64))

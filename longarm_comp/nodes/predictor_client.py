@@ -103,7 +103,7 @@ class PredictorClient:
             self.probe()
             raise NoAnswer("error_predictor does not answer, physics only until it does")
         answer = self._caller.answer(self._caller.send(request), self._timeout_s)
-        self._is(answers=answer is not None, silent=answer is None)
+        self._note(answers=answer is not None, silent=answer is None)
         if answer is None:
             raise NoAnswer(f"error_predictor did not answer within {self._timeout_s:g} s")
         return answer
@@ -123,13 +123,13 @@ class PredictorClient:
     def _look(self) -> bool:
         """Whether a predictor is on the graph, after a look for the answer to a probe."""
         if not self.present:
-            self._is(answers=False, silent=False)
+            self._note(answers=False, silent=False)
             return False
         if self._probe is not None and self._caller.answer(self._probe, 0.0) is not None:
-            self._is(answers=True, silent=False)
+            self._note(answers=True, silent=False)
         return True
 
-    def _is(self, *, answers: bool, silent: bool) -> None:
+    def _note(self, *, answers: bool, silent: bool) -> None:
         self.answers, self._silent = answers, silent
         self._probe, self._patience_s = None, _PROBE_S[0]
 

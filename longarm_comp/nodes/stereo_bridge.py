@@ -20,7 +20,6 @@ from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.link_frames import Placed
 from longarm_comp.devices.stereo import (
     CameraInfoLike,
-    CharucoTarget,
     Limits,
     Pair,
     Side,
@@ -29,10 +28,9 @@ from longarm_comp.devices.stereo import (
     StereoRefusal,
     StereoRig,
     StereoSighting,
-    TagBoard,
-    Target,
 )
-from longarm_comp.devices.stereo.camera_file import CameraFile, read_camera
+from longarm_comp.devices.stereo.camera_file import read_camera
+from longarm_comp.devices.stereo.marker import marker_of
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.frames import FrameTeller, prefix_of
 from longarm_comp.nodes.health import OK, PERIOD, STALE, WARN, Health, Report
@@ -49,6 +47,9 @@ _TRANSPORTS = {
     "raw": ((graph.LEFT_IMAGE, graph.RIGHT_IMAGE), pixels_of),
     "compressed": ((graph.LEFT_COMPRESSED, graph.RIGHT_COMPRESSED), decoded),
 }
+
+MARKER_LOST = "marker lost: "
+"""What the report of the part `stereo` begins with while no tip is measured."""
 
 _ADAPT_S = 0.5
 """Pause between two looks at who publishes images."""
@@ -86,21 +87,11 @@ PARAMS = (
 )
 
 
-def target_of(p: dict[str, Any]) -> Target:
-    """The printed marker that the parameters describe."""
-    columns, rows, family = p["marker.columns"], p["marker.rows"], p["marker.dictionary"]
-    if p["marker.kind"] == "charuco":
-        return CharucoTarget(p["marker.square_m"], p["marker.tag_m"], columns, rows, family)
-    return TagBoard(
-        p["marker.tag_m"], p["marker.gap_m"], columns, rows, family, p["marker.first_id"]
-    )
-
-
-def _file(folder: str, side: Side) -> CameraFile:
+def _file(folder: str, side: Side) -> CameraInfoLike:
     return read_camera(Path(folder) / f"{side.name.lower()}.yaml")
 
 
-def _other(info: CameraInfo, file: CameraFile) -> bool:
+def _other(info: CameraInfo, file: CameraInfoLike) -> bool:
     """Whether a message holds a calibration, and not that of the file."""
     return bool(info.k[0]) and not same_camera(info, file)
 
@@ -114,7 +105,7 @@ class StereoBridge(Node):
         self._prefix, self._publish_lost = prefix_of(self), p["publish_lost"]
         self._base_frame, self._frames = self._prefix + p["base_frame"], FrameTeller(self)
         self._rectified = p["rectified"]
-        self._target = target_of(p)
+        self._target = marker_of(p)
         turn = np.array(p["hand_eye.quaternion"])
         if not quaternion.is_unit(turn):
             where = "parameters of stereo_bridge"
@@ -266,7 +257,7 @@ class StereoBridge(Node):
         if not self._pairer.pairs:
             return Report(STALE, self._last, facts)
         if self._lost:
-            return Report(WARN, f"marker lost: {self._last}", facts)
+            return Report(WARN, MARKER_LOST + self._last, facts)
         return Report(OK, f"tip measured: {self._last}", facts)
 
 

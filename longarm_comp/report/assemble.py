@@ -14,7 +14,7 @@ from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.evidence import Smallest, key
 from longarm_comp.core.identify.in_words import left_in_words
-from longarm_comp.core.identify.practical import Gain, practical
+from longarm_comp.core.identify.practical import Gain, Practical, practical
 from longarm_comp.report.candidate_states import candidate_rows, sizes
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.discovered import KEY, discovered
@@ -59,11 +59,15 @@ def record_of(
     """
     structure, noise = diagnosis.structure, diagnosis.search.noise
     sigma = _position_noise(diagnosis)
+    final = diagnosis.fit if diagnosis.added is None else diagnosis.added.fit
+    real = practical(final, [f.terms for f in diagnosis.findings], diagnosis.held_out)
     return {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict,
         "summary": diagnosis.summary,
-        "findings": [_finding(diagnosis, f) for f in diagnosis.findings],
+        "findings": [
+            _finding(diagnosis, f, one) for f, one in zip(diagnosis.findings, real, strict=True)
+        ],
         "candidates": candidate_rows(diagnosis, tried),
         "structure_left": {
             "flag": structure.flag,
@@ -122,7 +126,7 @@ def _provenance(seed: int, data_sha256: str, uses: int) -> dict[str, Any]:
     }
 
 
-def _finding(diagnosis: Diagnosis, found: EffectFinding) -> dict[str, Any]:
+def _finding(diagnosis: Diagnosis, found: EffectFinding, real: Practical) -> dict[str, Any]:
     places = {key(t) for t in found.terms}
     parameters = []
     for k, slot in enumerate(diagnosis.fit.slots):
@@ -140,8 +144,7 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding) -> dict[str, Any]:
             }
         )
     runner, first = found.runner_up, found.terms[0]
-    final = diagnosis.fit if diagnosis.added is None else diagnosis.added.fit
-    real = practical(final, found.terms, diagnosis.held_out)
+    called = diagnosis.arm.called
     tip_mm = 1e3 * real.tip_m
     return {
         "effect": found.name,
@@ -149,8 +152,9 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding) -> dict[str, Any]:
         "reading": "; ".join(dict.fromkeys(t.reading for t in found.terms if t.reading)),
         "set": list(found.names),
         "untold": list(found.untold),
+        "unnamed": found.unnamed,
         "where": list(found.where),
-        "called": {p: w for p, w in final.model.arm.called.items() if p in found.where},
+        "called": {p: w for p, w in called.items() if p in found.where},
         "log_bayes_factor": found.log_bayes_factor,
         "parameters": parameters,
         "runner_up": None
@@ -236,11 +240,11 @@ def _error_row(
 
 
 def _outliers(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    fit = diagnosis.fit
-    rows = []
+    fit, rows = diagnosis.fit, []
+    noise = fit.uneven(fit.session)[:, None] * fit.sigma
     for row in fit.outliers:
         length = float(np.linalg.norm(fit.residual[row] * fit.metres))
-        ratio = float(np.max(np.abs(fit.residual[row]) / fit.sigma))
+        ratio = float(np.max(np.abs(fit.residual[row]) / noise[row]))
         why = f"{1e3 * length:.1f} mm off, {ratio:.0f} standard deviations on its worst axis"
         rows.append({"index": int(fit.session.index[row]), "why": why})
     return rows

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
-from scipy import stats
+from numpy.typing import ArrayLike
+from scipy.special import gammaincinv
 
 _LEAST = 0.05
 """Where less of the estimate than this share has room, the noise is not known."""
@@ -90,14 +91,19 @@ def excess(rms: float, floor: NoiseFloor | None) -> float:
     return sqrt(max(0.0, rms**2 - (0.0 if floor is None else floor.figures.rms**2)))
 
 
+def normal_length(share: ArrayLike) -> np.ndarray:
+    """Length that a share of vectors of three unit normal components stays below."""
+    return np.asarray(np.sqrt(2.0 * gammaincinv(1.5, share)))
+
+
 def _gaussian(sigma: Sequence[float], n: int, longest: float = np.inf) -> ErrorFigures:
     variance = float(np.mean(np.square(sigma)))
-    length = stats.chi(3, scale=sqrt(variance) or 1.0)
-    largest = float(length.ppf(0.5 ** (1 / max(n, 1))))
+    scale = sqrt(variance) or 1.0
+    largest = scale * float(normal_length(0.5 ** (1 / max(n, 1))))
     return ErrorFigures(
-        float(length.mean()),
+        scale * sqrt(8 / np.pi),
         sqrt(3 * variance),
-        float(length.ppf(0.95)),
+        scale * float(normal_length(0.95)),
         min(largest, longest),
         sigma[2] * sqrt(2 / np.pi),
         variance,

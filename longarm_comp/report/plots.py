@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy import stats
 
 from longarm_comp.report.arrows import arrows, exaggeration, points_of, stages_of
 from longarm_comp.report.detail import Correlation, Input, Marked, SeenRows
+from longarm_comp.report.noise_floor import normal_length
 from longarm_comp.report.style import FLOOR, GRID, INK, LOOKS, SKY, VERMILLION
 
 _MM = 1e3
@@ -44,7 +44,7 @@ def distribution(rows: SeenRows, sigma_mm: tuple[float, float, float] | None) ->
     if sigma_mm is not None:
         scale = float(np.sqrt(np.mean(np.square(sigma_mm))))
         at = np.linspace(0.005, 0.995, 200)
-        left.plot(stats.chi(3, scale=scale).ppf(at), at, color=INK, linewidth=1, label=FLOOR)
+        left.plot(scale * normal_length(at), at, color=INK, linewidth=1, label=FLOOR)
     left.set(
         xscale="log", ylim=(0, 1.02), xlabel="3-D error, mm (log scale)", ylabel="share of rows"
     )

@@ -13,7 +13,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Any, ClassVar
 
 from typing_extensions import Self
@@ -259,6 +259,16 @@ class _Term:
     def place(self) -> str:
         """Key that only one instance in a model may have: by default, where it is."""
         return self.where
+
+    @cached_property
+    def key(self) -> tuple[str, str]:
+        """The effect at its place: a model holds it there once, in one form."""
+        return self.name, self.place
+
+    @cached_property
+    def variant(self) -> tuple[object, ...]:
+        """The effect at its place in its form, whatever its parameters' values."""
+        return (self.name, *self.placement.values())
 
     @property
     def joints(self) -> tuple[int, ...]:

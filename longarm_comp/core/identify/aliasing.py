@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.core.identify.candidates import Candidate, Term
+from longarm_comp.core.identify.candidates import Candidate, Term, distinct
 from longarm_comp.core.identify.confounded import untold
 from longarm_comp.core.identify.evidence import (
     IMPLAUSIBLE,
@@ -28,8 +28,10 @@ from longarm_comp.core.identify.evidence import (
     score,
 )
 from longarm_comp.core.identify.minor import share, worth
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.search import SearchResult
 from longarm_comp.core.identify.search_state import ODDS
+from longarm_comp.core.model.model import slots_of
 
 FEW = 3
 """On so few levels of a joint, any function of it is an offset and two numbers."""
@@ -77,6 +79,7 @@ class EffectFinding:
         share: what it takes of the mean squared error that the fitted rows would have without it.
         partial_aliases: effects that could stand for a part of it, best first.
         untold: what runs together with the recorded column that drives it.
+        unnamed: why a cause without a name may be there instead; empty where it may not.
     """
 
     name: str
@@ -89,11 +92,12 @@ class EffectFinding:
     share: float
     partial_aliases: tuple[PartialAlias, ...] = ()
     untold: tuple[str, ...] = ()
+    unnamed: str = ""
 
     @property
     def open(self) -> bool:
         """Whether it may as well be something else."""
-        return bool(self.alternatives or self.untold)
+        return bool(self.alternatives or self.untold or self.unnamed)
 
     @property
     def where(self) -> tuple[str, ...]:
@@ -116,6 +120,7 @@ def findings(
     result and stays in the residual, as structure.
     """
     columns = columns_at(result.fit)
+    columns.of(distinct(candidates))  # all at once: much faster
     found = []
     for name in dict.fromkeys(t.name for t in result.chosen):
         terms = tuple(_fitted(result, t) for t in result.chosen if t.name == name)
@@ -133,6 +138,7 @@ def findings(
                 result, candidates, columns, f.terms, chosen.union(f.names)
             ),
             untold=untold(result.fit.session, result.fit.model.arm, f.terms),
+            unnamed=_incredible(result.fit, f.terms),
         )
         for f in found
     )
@@ -165,6 +171,17 @@ def on_few_levels(
     return dataclasses.replace(found, alternatives=(*found.alternatives, *added))
 
 
+def _incredible(fit: ModelFit, terms: Sequence[Term]) -> str:
+    """Which parameter is of a size that nobody believes; empty where none is."""
+    sizes = {
+        f"{s.owner.where} {s.parameter.name}": abs(getattr(s.owner, s.parameter.name))
+        / s.parameter.prior
+        for s in slots_of(fit.model.arm, terms)
+    }
+    most = max(sizes, key=lambda label: sizes[label], default="")
+    return f"{most} is implausibly large" if most and sizes[most] > IMPLAUSIBLE else ""
+
+
 def _levels(q: np.ndarray) -> np.ndarray:
     """(n,) distinct values of every joint, to a hundredth of its range."""
     span = np.maximum(np.ptp(q, axis=0), 1e-9)
@@ -172,9 +189,7 @@ def _levels(q: np.ndarray) -> np.ndarray:
 
 
 def _fitted(result: SearchResult, term: Term) -> Term:
-    return next(
-        t for t in result.fit.model.terms if key(t) == key(term) and t.placement == term.placement
-    )
+    return next(t for t in result.fit.model.terms if t.variant == term.variant)
 
 
 def are_aliases(one: Term, other: Term) -> bool:
@@ -259,7 +274,7 @@ def _plausible(
 
     Estimated with priors that are as wide as that, so that they hardly pull.
     """
-    s, t = marginal.of(columns.white(candidate))
+    s, t = marginal.of(columns.scaled(candidate.terms))
     size = np.linalg.solve(s + np.eye(len(t)) / IMPLAUSIBLE**2, t)
     return bool((np.abs(size) <= IMPLAUSIBLE).all())
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -111,6 +111,18 @@ def library(
     return Library(tuple(testable), tuple(missing))
 
 
+def distinct(
+    candidates: Iterable[Candidate], but: Container[tuple[str, str]] = ()
+) -> tuple[Term, ...]:
+    """Each instance once, those at some places left out."""
+    made: dict[tuple[object, ...], Term] = {}
+    for candidate in candidates:
+        for term in candidate.terms:
+            if term.key not in but:
+                made.setdefault(term.variant, term)
+    return tuple(made.values())
+
+
 def _require(term: Term, context: Context) -> None:
     """Raise `InputError` where an input that a term needs was not recorded, or never changed."""
     term.require(context)
@@ -151,7 +163,7 @@ class CandidateColumns:
     def of(self, terms: Sequence[Term]) -> np.ndarray:
         """(N, d, k) columns of some terms, each times its prior standard deviation."""
         slots = slots_of(self.model.arm, terms)
-        keys = [(s.owner.name, *s.owner.placement.values(), s.parameter.name) for s in slots]
+        keys = [(*s.owner.variant, s.parameter.name) for s in slots]
         new = {k: s for k, s in zip(keys, slots, strict=True) if k not in self._known}
         if new:
             columns = self.unscaled(list(new.values()))
@@ -163,7 +175,7 @@ class CandidateColumns:
 
     def shift(self, terms: Sequence[Term]) -> np.ndarray:
         """(N, d) what terms without parameters add together, m or rad."""
-        keys = [(t.name, *t.placement.values()) for t in terms]
+        keys = [t.variant for t in terms]
         new = {k: t for k, t in zip(keys, terms, strict=True) if k not in self._shifts}
         if new:
             found = self._added(list(new.values()))

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import log_ndtr
 
-from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
+from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term, distinct
 from longarm_comp.core.identify.linear import Added, Marginal, Products
 from longarm_comp.core.identify.model_fit import ModelFit, priors
-from longarm_comp.core.model.model import Slot, slots_of
+from longarm_comp.core.model.model import slots_of
 
 LOCATED = 2.0
 """Within an effect, a place must be this much (log) more probable with it than without."""
@@ -29,28 +29,58 @@ def columns_at(fitted: ModelFit) -> FitColumns:
     return FitColumns(fitted)
 
 
+@dataclass(frozen=True)
+class Scaled(Products):
+    """Prior-scaled columns of a candidate in units of the noise, with their products.
+
+    Attributes:
+        lower, upper: (k,) bounds of the parameters in prior standard deviations.
+        widths: (k,) prior standard deviations.
+        lengths: (k, k) product of the columns as lengths at the tip, m^2, mean of the rows.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    widths: np.ndarray
+    lengths: np.ndarray
+
+
 class FitColumns(CandidateColumns):
     """Columns of candidates at a fit, and their products with its design: each computed once."""
 
     def __init__(self, fitted: ModelFit) -> None:
         super().__init__(fitted.model, fitted.posture, fitted.session)
         self._fitted = fitted
-        self._products: dict[tuple[object, ...], Products] = {}
+        self._cross: dict[tuple[object, ...], tuple[np.ndarray, np.ndarray]] = {}
+        self._scaled: dict[tuple[object, ...], Scaled] = {}
 
-    def white(self, candidate: Candidate) -> Products:
-        """Its prior-scaled columns in units of the noise, with their products."""
-        parts = [self._white(term) for term in candidate.terms]
-        if len(parts) == 1:
-            return parts[0]
-        b = np.concatenate([part.b for part in parts], axis=1)
-        return Products(b, b.T @ b, np.concatenate([part.cross for part in parts], axis=1))
+    def scaled(self, terms: Sequence[Term]) -> Scaled:
+        """Columns of some terms, fitted together."""
+        known = tuple(term.variant for term in terms)
+        if known not in self._scaled:
+            self._scaled[known] = self._together(terms)
+        return self._scaled[known]
 
-    def _white(self, term: Term) -> Products:
-        known = (term.name, *term.placement.values())
-        if known not in self._products:
+    def _together(self, terms: Sequence[Term]) -> Scaled:
+        parts = [self._white(term) for term in terms]
+        b = np.concatenate([b for b, _ in parts], axis=1)
+        slots = slots_of(self.model.arm, terms)
+        widths = priors(slots)
+        lower = np.array([s.parameter.lower for s in slots]) / widths
+        upper = np.array([s.parameter.upper for s in slots]) / widths
+        moved = self.of(terms) * self._fitted.metres[:, None]
+        moved = moved.reshape(math.prod(self.shape), len(slots))
+        return Scaled(
+            b, b.T @ b, np.concatenate([cross for _, cross in parts], axis=1),
+            lower, upper, widths, moved.T @ moved / self.shape[0],
+        )  # fmt: skip
+
+    def _white(self, term: Term) -> tuple[np.ndarray, np.ndarray]:
+        """Whitened columns of a term, and the design's product with them."""
+        if term.variant not in self._cross:
             b = self._fitted.whitened(self.of([term]))
-            self._products[known] = Products(b, b.T @ b, self._fitted.design.T @ b)
-        return self._products[known]
+            self._cross[term.variant] = b, self._fitted.design.T @ b
+        return self._cross[term.variant]
 
 
 class FitMarginal(Marginal):
@@ -109,7 +139,7 @@ class Score:
 
 def key(term: Term) -> tuple[str, str]:
     """An effect at a place: it can be there in one form only."""
-    return term.name, term.place
+    return term.key
 
 
 def marginal_without(
@@ -143,22 +173,20 @@ def score(
     fitted: ModelFit, marginal: FitMarginal, candidate: Candidate, columns: FitColumns
 ) -> Score:
     """Evidence of a candidate on top of a marginal."""
-    slots = candidate.slots(fitted.model.arm)
-    if not slots:
+    white = columns.scaled(candidate.terms)
+    if not len(white.widths):
         return _fixed(fitted, marginal, candidate, columns)
-    white = columns.white(candidate)
     if not np.isfinite(white.gram).all() or not white.gram.any():
-        zero = np.zeros(len(slots))
+        zero = np.zeros(len(white.widths))
         return Score(candidate, 0.0, 0.0, zero, 0.0)
     added = Added.of(*marginal.of(white))
-    lower, upper = _bounds(slots)
-    mean = np.clip(added.mean, lower, upper)
+    mean = np.clip(added.mean, white.lower, white.upper)
     return Score(
         candidate,
-        _bounded(added, lower, upper),
+        _bounded(added, white.lower, white.upper),
         added.fit_gain,
-        mean * priors(slots),
-        _rms(fitted, columns.of(candidate.terms) @ mean),
+        mean * white.widths,
+        math.sqrt(max(float(mean @ white.lengths @ mean), 0.0)),
     )
 
 
@@ -173,12 +201,12 @@ def pruned(
     owner = [candidate.terms.index(s.owner) for s in slots]
     if len(candidate.terms) < 2 or set(owner) != set(range(len(candidate.terms))):
         return candidate
-    s, t = marginal.of(columns.white(candidate))
-    lower, upper = _bounds(slots)
+    white = columns.scaled(candidate.terms)
+    s, t = marginal.of(white)
 
     def evidence(terms: Sequence[int]) -> float:
         own = np.flatnonzero(np.isin(owner, terms))
-        return _bounded(Added.of(s[np.ix_(own, own)], t[own]), lower[own], upper[own])
+        return _bounded(Added.of(s[np.ix_(own, own)], t[own]), white.lower[own], white.upper[own])
 
     left = list(range(len(candidate.terms)))
     here = evidence(left)
@@ -192,17 +220,14 @@ def pruned(
     return Candidate(candidate.name, tuple(candidate.terms[k] for k in left))
 
 
-def _bounds(slots: Sequence[Slot]) -> tuple[np.ndarray, np.ndarray]:
-    """(k,) lower and upper bounds in prior standard deviations."""
-    scale = priors(tuple(slots))
-    lower = np.array([s.parameter.lower for s in slots]) / scale
-    return lower, np.array([s.parameter.upper for s in slots]) / scale
-
-
 def _bounded(added: Added, lower: np.ndarray, upper: np.ndarray) -> float:
     """Log Bayes factor, bounds of the parameters counted."""
-    sd = np.sqrt(np.diag(added.covariance))
-    inside = _log_mass((lower - added.mean) / sd, (upper - added.mean) / sd)
+    ends = np.isfinite(lower) | np.isfinite(upper)
+    if not ends.any():
+        return added.log_bayes_factor
+    lower, upper, mean = lower[ends], upper[ends], added.mean[ends]
+    sd = np.sqrt(np.diag(added.covariance)[ends])
+    inside = _log_mass((lower - mean) / sd, (upper - mean) / sd)
     return added.log_bayes_factor + float((inside - _log_mass(lower, upper)).sum())
 
 
@@ -301,6 +326,7 @@ def detectable(
 ) -> tuple[Smallest, ...]:
     """`smallest` of candidates on top of everything that was fitted, in the order given."""
     columns, marginal = columns_at(fit), FitMarginal(fit)
+    columns.of(distinct(candidates))  # all at once: much faster
     return tuple(smallest(fit, marginal, columns, c, threshold) for c in candidates)
 
 

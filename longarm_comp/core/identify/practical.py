@@ -65,29 +65,35 @@ class Practical:
     commanded: Gain
 
 
-def practical(fitted: ModelFit, terms: Sequence[Term], held_out: Session) -> Practical:
-    """What a finding's terms mean in practice.
+def practical(
+    fitted: ModelFit, findings: Sequence[Sequence[Term]], held_out: Session
+) -> list[Practical]:
+    """What the terms of each finding mean in practice.
 
     Args:
         fitted: the final fit, which holds the terms.
-        terms: of the finding.
+        findings: terms of each finding.
         held_out: rows that were not fitted.
     """
-    places = {key(t) for t in terms}
-    model, less = fitted.model, refitted_without(fitted, places)
-    return Practical(
-        tip_shift(fitted, places),
-        Gain.of(errors(less, held_out), errors(model, held_out)),
-        Gain.of(commanded_errors(less, held_out), commanded_errors(model, held_out)),
-    )
-
-
-def tip_shift(fitted: ModelFit, places: set[tuple[str, str]]) -> np.ndarray:
-    """(N,) length by which the terms at some places move the seen tip at each fitted row, m."""
-    rows, context = fitted.session, fitted.session.context()
-    moved = fitted.model.measured(rows.q, context)
-    still = _without(fitted.model, places).measured(rows.q, context)
-    return np.asarray(np.linalg.norm(moved - still, axis=1))
+    if not findings:
+        return []
+    model, rows = fitted.model, fitted.session
+    context = rows.context()
+    tips = model.measured(rows.q, context)
+    after = errors(model, held_out), commanded_errors(model, held_out)
+    made = []
+    for terms in findings:
+        places = {key(t) for t in terms}
+        less = refitted_without(fitted, places)
+        still = _without(model, places).measured(rows.q, context)
+        made.append(
+            Practical(
+                np.linalg.norm(tips - still, axis=1),
+                Gain.of(errors(less, held_out), after[0]),
+                Gain.of(commanded_errors(less, held_out), after[1]),
+            )
+        )
+    return made
 
 
 def refitted_without(fitted: ModelFit, places: set[tuple[str, str]]) -> Model:

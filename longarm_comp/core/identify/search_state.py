@@ -12,7 +12,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify import noise as noise_step
-from longarm_comp.core.identify.candidates import Candidate, Term
+from longarm_comp.core.identify.candidates import Candidate, Term, distinct
 from longarm_comp.core.identify.evidence import (
     LOCATED,
     FitColumns,
@@ -70,7 +70,7 @@ class SearchState:
             unfitted(self._start, self.session) if self.chosen else fit(self._start, self.session)
         )
         at: FitColumns = self.columns if self.chosen else columns_at(first)
-        every = at.of(_distinct(self.candidates, self.chosen))
+        every = at.of(distinct(self.candidates, self.chosen))
         judged, weights = noise_step.from_residual(first, every)
         if self.known is not None:
             judged = noise_step.agreed(self.known, judged)
@@ -85,7 +85,7 @@ class SearchState:
     def _look(self) -> None:
         """Columns of every candidate at the fit, all at once: much faster than one by one."""
         self.columns: FitColumns = columns_at(self.fit)
-        self.columns.of(_distinct(self.candidates, self.chosen))
+        self.columns.of(distinct(self.candidates, self.chosen))
 
     def settle(self) -> None:
         """Take the last fit to its end."""
@@ -190,9 +190,9 @@ class SearchState:
             self.chosen[key(term)] = term.with_values(values)
 
     def _rebuild(self) -> None:
-        known = {(key(t), repr(t.placement)): t for t in self._start.terms}
+        known = {t.variant: t for t in self._start.terms}
         geometry = [t for t in self._start.terms if key(t) in {key(b) for b in self.base.terms}]
-        kept = [known.get((k, repr(t.placement)), t) for k, t in self.chosen.items()]
+        kept = [known.get(t.variant, t) for t in self.chosen.values()]
         effects = [t for t in (*geometry, *kept) if isinstance(t, Effect)]
         biases = [t for t in (*geometry, *kept) if isinstance(t, Bias)]
         self._start = Model(
@@ -253,15 +253,3 @@ class SearchState:
 
     def names(self, without: Sequence[tuple[str, str]]) -> set[str]:
         return {name for name, _ in self.chosen if (name, _) not in without}
-
-
-def _distinct(
-    candidates: Sequence[Candidate], chosen: dict[tuple[str, str], Term]
-) -> tuple[Term, ...]:
-    """Each instance once, those already in the model left out."""
-    made: dict[tuple[object, ...], Term] = {}
-    for candidate in candidates:
-        for term in candidate.terms:
-            if key(term) not in chosen:
-                made.setdefault((*key(term), repr(term.placement)), term)
-    return tuple(made.values())

@@ -20,7 +20,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.friction_hysteresis import SLIDE, FrictionHysteresis
-from longarm_comp.core.identify.candidates import Candidate, CandidateColumns
+from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, distinct
 from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.linear import Marginal
@@ -159,10 +159,8 @@ class _Evidence:
         """On top of a model without the terms and of all else that the library holds."""
         fitted = fit(model, rows(_middle(RUN_UPS)))
         columns = columns_at(fitted)
-        others = {
-            (t.name, repr(t.placement)): t for c in candidates for t in c.terms if t not in terms
-        }
-        beside, mine = columns.of(tuple(others.values())), columns.of(terms)
+        others = distinct(candidates, {t.key for t in terms})
+        beside, mine = columns.of(others), columns.of(terms)
         noise, weights = from_residual(fitted, np.concatenate([beside, mine], axis=-1))
         fitted = dataclasses.replace(fitted, sigma=noise.sigma, rho=noise.rho, weights=weights)
         design = np.concatenate([fitted.design, fitted.whitened(beside)], axis=1)

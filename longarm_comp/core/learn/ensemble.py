@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -61,25 +61,23 @@ def train(
 ) -> Predictor:
     """Train the paper's SSA-BP on residuals.
 
-    Parameters
-    ----------
-    q: (N, n) commanded joints, rad and m.
-    residual: (N, 3) measured - predicted, m.
-    context: circumstances of the rows, as `Session.context` gives them.
-    inputs: ``context`` or ``joints`` (the paper's).
-    init: ``ssa`` or ``xavier`` (the control).
-    seed: the same seed gives the same predictor on the same machine.
-    population, iterations: of the sparrow search.
-    hidden: hidden units; ``None`` tries several sizes and keeps the likeliest members of any.
-    ensemble: members, each from its own start.
-    weights: (N,) precision factors of the samples; 0 leaves one out.
-    progress: called with (networks trained, largest number of networks).
-    provenance: arm, session and model of the predictor; the settings are added.
-    device: torch device of the sparrow's population (``cuda``); None is numpy.
+    Args:
+        q: (N, n) commanded joints, rad and m.
+        residual: (N, 3) measured - predicted, m.
+        context: circumstances of the rows, as `Session.context` gives them.
+        inputs: ``context`` or ``joints`` (the paper's).
+        init: ``ssa`` or ``xavier`` (the control).
+        seed: the same seed gives the same predictor on the same machine.
+        population, iterations: of the sparrow search.
+        hidden: hidden units; ``None`` tries several sizes and keeps the likeliest members of any.
+        ensemble: members, each from its own start.
+        weights: (N,) precision factors of the samples; 0 leaves one out.
+        progress: called with (networks trained, largest number of networks).
+        provenance: arm, session and model of the predictor; the settings are added.
+        device: torch device of the sparrow's population (``cuda``); None is numpy.
 
-    Raises
-    ------
-    InputError: wrong shapes, values not finite, fewer than 20 samples, all rows one pose.
+    Raises:
+        InputError: wrong shapes, values not finite, fewer than 20 samples, all rows one pose.
     """
     q, known = check_rows("train", q, context)
     y, weights = _checked_targets(q, residual, weights)
@@ -96,32 +94,15 @@ def train(
     offset = np.median(y[weights > 0], axis=0)
     scale = float(np.sqrt(np.mean(np.median(np.abs(y - offset)[weights > 0], axis=0) ** 2)))
     scale = max(1.4826 * scale, 1e-9)
-    target = (y - offset) / scale
-
-    def fit(units: int, start: int, rows: NDArray[np.bool_] | slice = slice(None)) -> Fit:
-        shape, rng = Shape(x.shape[1], units, 3), np.random.default_rng([seed, units, start])
-        fitness = fitness_on(device, shape, x[rows], target[rows])
-        begun = INITS[init](shape, fitness, rng, search)
-        return back_propagate(shape, begun, x[rows], target[rows], weights[rows])
-
+    rows = _Rows(x, (y - offset) / scale, weights, init, seed, search, device)
     sizes = HIDDEN_CHOICES if hidden is None else (hidden,)
     starts = ensemble if hidden is not None else (ensemble + 1) // 2
-    fits: list[Fit] = []
-    for turn, units in enumerate(sizes):
-        if turn and Shape(x.shape[1], units, 3).size > 1.5 * (weights > 0).sum():
-            break
-        networks = []
-        for start in range(starts):
-            if progress is not None:
-                progress(turn * starts + start, len(sizes) * starts + FOLDS)
-            networks.append(fit(units, start))
-        fits += networks
-        if (
-            max(each.evidence for each in networks)
-            < max(each.evidence for each in fits) - _UNLIKELY
-        ):
-            break
-    fits = sorted(fits, key=lambda each: -each.evidence)[:ensemble]
+
+    def tell(networks: int) -> None:
+        if progress is not None:
+            progress(networks, len(sizes) * starts + FOLDS)
+
+    fits = rows.likeliest(sizes, starts, tell)[:ensemble]
     shape = Shape(x.shape[1], max(each.shape.hidden for each in fits), 3)
     probe = _probe(x, encoding, np.random.default_rng([seed]))
     settings = {
@@ -150,13 +131,56 @@ def train(
     )  # fmt: skip
     left = y.copy()
     for k, out in enumerate(_folds(q, np.random.default_rng([seed, FOLDS]))):
-        if progress is not None:
-            progress(len(sizes) * starts + k, len(sizes) * starts + FOLDS)
-        one = fit(fits[0].shape.hidden, 0, ~out)
+        tell(len(sizes) * starts + k)
+        one = rows.fit(fits[0].shape.hidden, 0, ~out)
         left[out] -= forward(one.shape, one.weights, with_ones(x[out])) * scale + offset
-    if progress is not None:
-        progress(len(sizes) * starts + FOLDS, len(sizes) * starts + FOLDS)
+    tell(len(sizes) * starts + FOLDS)
     return _calibrated(draft, y, left, x, weights, probe)
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """What networks are trained on, and how.
+
+    Attributes:
+        x, target: (N, d) inputs and (N, 3) residual, standardised.
+        weights: (N,) precision factors.
+        init, seed, search, device: as `train` has them.
+    """
+
+    x: Array
+    target: Array
+    weights: Array
+    init: str
+    seed: int
+    search: SparrowSearch
+    device: str | None
+
+    def fit(self, units: int, start: int, rows: NDArray[np.bool_] | slice = slice(None)) -> Fit:
+        """One network of so many hidden units, from start number ``start``."""
+        shape = Shape(self.x.shape[1], units, 3)
+        rng = np.random.default_rng([self.seed, units, start])
+        x, target = self.x[rows], self.target[rows]
+        begun = INITS[self.init](shape, fitness_on(self.device, shape, x, target), rng, self.search)
+        return back_propagate(shape, begun, x, target, self.weights[rows])
+
+    def likeliest(
+        self, sizes: Sequence[int], starts: int, tell: Callable[[int], None]
+    ) -> list[Fit]:
+        """Networks of rising size until the evidence falls, the likeliest first."""
+        fits: list[Fit] = []
+        for turn, units in enumerate(sizes):
+            if turn and Shape(self.x.shape[1], units, 3).size > 1.5 * (self.weights > 0).sum():
+                break
+            networks = []
+            for start in range(starts):
+                tell(turn * starts + start)
+                networks.append(self.fit(units, start))
+            fits += networks
+            best = max(each.evidence for each in fits)
+            if max(each.evidence for each in networks) < best - _UNLIKELY:
+                break
+        return sorted(fits, key=lambda each: -each.evidence)
 
 
 def _folds(q: Array, rng: np.random.Generator) -> list[NDArray[np.bool_]]:

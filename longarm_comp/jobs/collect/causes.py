@@ -13,8 +13,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.client import GraphClient
 from longarm_comp.nodes import interfaces as graph
-
-_LOST = "marker lost: "
+from longarm_comp.nodes.stereo_bridge import MARKER_LOST
 
 
 class Causes:
@@ -57,6 +56,6 @@ class Causes:
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             if status.name == f"{self._bridge}: stereo":
-                lost = status.message.startswith(_LOST)
-                why = status.message.removeprefix(_LOST).partition(" (")[0]
+                lost = status.message.startswith(MARKER_LOST)
+                why = status.message.removeprefix(MARKER_LOST).partition(" (")[0]
                 self._said = why if lost else ""
