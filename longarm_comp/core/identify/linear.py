@@ -28,6 +28,22 @@ class Posterior:
     covariance: np.ndarray
     effective: float
 
+    @classmethod
+    def of(cls, gram: np.ndarray, right: np.ndarray) -> Posterior:
+        """From the normal equations A'A (p, p) and A'y (p,), without bounds."""
+        one = np.eye(len(right))
+        covariance = cho_solve((np.linalg.cholesky(gram + one), True), one)
+        return cls(covariance @ right, covariance, float(len(right) - np.trace(covariance)))
+
+    def evidence(self, own: np.ndarray) -> float:
+        """Log Bayes factor of the columns at some positions on top of the others.
+
+        In the terms of `Marginal` their block of the covariance is ``(I+S)^-1`` and their mean
+        ``(I+S)^-1 t``.
+        """
+        mean, block = self.u[own], self.covariance[np.ix_(own, own)]
+        return float(mean @ np.linalg.solve(block, mean) + np.linalg.slogdet(block)[1]) / 2
+
 
 def solve(
     a: np.ndarray, y: np.ndarray, lower: np.ndarray | None = None, upper: np.ndarray | None = None
