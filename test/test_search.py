@@ -18,6 +18,7 @@ from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.joint_term import typical_loads
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.link_stiffness import LinkStiffness
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
