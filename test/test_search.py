@@ -160,6 +160,14 @@ HEAVY_BASE = Arm.parse(
 """Its servos stand in the base: its joints carry the tube alone."""
 
 
+def test_loads_are_known_where_a_mass_is_where_a_column_says() -> None:
+    """No column is at hand when they are asked for."""
+    declared = HEAVY_BASE.model_dump(mode="json", exclude_none=True)
+    trolley = {"name": "t", "frame": 2, "mass_kg": 0.7, "position_columns": ["mx", "my", "mz"]}
+    placed = Arm.parse({**declared, "point_masses": [trolley]}, "trolley")
+    assert typical_loads(placed)[1] > 0.0
+
+
 @pytest.mark.parametrize(("compliance", "unnamed"), [(2.2, ""), (20.0, "joint 2 compliance")])
 def test_a_heavy_base_makes_no_soft_joint_implausible(compliance: float, unnamed: str) -> None:
     """It was said to be 14 priors large, and gave way to an eccentric gear with a gain."""
