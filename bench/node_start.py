@@ -90,8 +90,9 @@ def _commands(folder: Path, nodes: Sequence[str]) -> dict[str, list[str]]:
     space = f"longarm_bench_{os.getpid()}"
     graph = BringUp(demo_arm_file(), predictor=predictor, sim=True, namespace=space)
     commands = {"bare": [sys.executable, "-m", "bench.bare_node"]}
+    started = graph.commands(folder)
     for node in nodes:
-        python, flag, module, *rest = graph.command(node, str(folder / "bus"))
+        python, flag, module, *rest = started[node]
         commands[node] = [python, flag, "bench.ready_node", module, *rest]
     return commands
 

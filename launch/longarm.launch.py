@@ -31,6 +31,7 @@ ARGUMENTS = (
     ("bus", "", "simulation: link to make to the servo bus; empty: in a new temporary folder"),
     ("namespace", "", "of this arm, so that several share a network"),
     ("config", "", "folder of parameter files that replace the package's own"),
+    ("composed", "false", "kinematics and error_predictor in one process"),
     ("rviz", "false", "start RViz too"),
 )
 
@@ -38,6 +39,11 @@ ARGUMENTS = (
 def path(text):
     """A path, or None for nothing."""
     return Path(text) if text else None
+
+
+def true(text):
+    """Whether an argument is set."""
+    return text.lower() in ("true", "1")
 
 
 BAD_INPUT = 2
@@ -52,7 +58,7 @@ def end_on_bad_input(event, context):
 def nodes(context):
     """One launch_ros Node for each of the graph."""
     given = {name: LaunchConfiguration(name).perform(context) for name, _, _ in ARGUMENTS}
-    sim = given["sim"].lower() in ("true", "1")
+    sim = true(given["sim"])
     scratch = Path(tempfile.mkdtemp(prefix="longarm_"))
     atexit.register(shutil.rmtree, scratch, ignore_errors=True)
     graph = BringUp(
@@ -66,22 +72,23 @@ def nodes(context):
         port=given["port"],
         speed=float(given["speed"]),
         set={"simulated_arm": {"hidden": given["hidden"]}} if sim else {},
+        composed=true(given["composed"]),
     ).fitted(scratch)
     bus = given["bus"] or str(scratch / "servo_bus")
     made = [
         Node(
             package="longarm_comp",
             executable=name,
-            name=name,
+            name=None if name == "composed" else name,
             namespace=graph.namespace,
-            parameters=[str(graph.file(name)), graph.parameters(name, bus)],
+            parameters=graph.given(name, bus, scratch),
             output="screen",
             respawn=True,
             respawn_delay=1.0,
         )
-        for name in graph.nodes
+        for name in graph.processes
     ]
-    if given["rviz"].lower() in ("true", "1"):
+    if true(given["rviz"]):
         base = "/".join(filter(None, (graph.namespace.strip("/"), "base")))
         view = ["-d", str(folder("config") / "longarm.rviz"), "-f", base]
         made.append(

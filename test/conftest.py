@@ -12,10 +12,14 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from cli_shell import Shell, made_by_commands
+
+if TYPE_CHECKING:
+    from driver_rig import Rig
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("LONGARM_DATA", ROOT.parent / "shared" / "data"))
@@ -96,6 +100,21 @@ def shell(
 def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with an arm, sessions, a model and a predictor; to be read only."""
     return made_by_commands(tmp_path_factory.mktemp("work"))
+
+
+@pytest.fixture(scope="module")
+def running_driver(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    """`servo_driver` on an emulated bus, one for all tests of a file."""
+    from driver_rig import driver_rig
+
+    with driver_rig(tmp_path_factory.mktemp("driver")) as made:
+        yield made
+
+
+@pytest.fixture
+def rig(running_driver: Rig) -> Rig:
+    """The driver, running and in order."""
+    return running_driver.in_order()
 
 
 @contextmanager

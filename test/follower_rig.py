@@ -53,7 +53,7 @@ def servo_state(ticks: int, **changes: Any) -> ServoState:
 class Rig:
     """A follower on servos that go where they are told within one step."""
 
-    def __init__(self, config: ServoConfig = CONFIG, keeps_out: KeepsOut = lambda path: "") -> None:
+    def __init__(self, config: ServoConfig = CONFIG, keeps_out: KeepsOut | None = None) -> None:
         self.config = config
         self.follower = TrajectoryFollower(config, keeps_out)
         self.now = 100.0

@@ -18,10 +18,11 @@ from test_urdf import example
 from longarm_comp.arm_folder.check import check_folder
 from longarm_comp.arm_folder.marker_sheet import PAPERS, sheet
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
-from longarm_comp.arm_folder.sight import board_of, seen_from
+from longarm_comp.arm_folder.sight import seen_from
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.devices.stereo.marker import tags_of
 
 UR5 = ("--urdf", "UR5", "--base", "base_link", "--tip", "tool0")
 NODES = ("servo_driver", "stereo_bridge", "simulated_arm")
@@ -249,7 +250,7 @@ def test_what_was_measured_is_no_longer_listed(shell: Shell, hobby: Path) -> Non
 def test_the_marker_is_printed_in_true_size(shell: Shell, hobby: Path) -> None:
     """The page, scanned at 300 dpi, through the real detector."""
     given = own_parameters("stereo_bridge") | read_parameters(hobby / "stereo_bridge.yaml")
-    board = board_of(given)
+    board = tags_of(given)
     paper, page = sheet(board)
     scan = io.BytesIO()
     page.savefig(scan, format="png", dpi=300)

@@ -28,6 +28,7 @@ from longarm_comp.core.data.plan import Plan, from_both_sides, sobol
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.strict_yaml import read_yaml
+from longarm_comp.jobs.collect.resume import visited
 from longarm_comp.jobs.measurement_schedule import Visit, visits
 from longarm_comp.sessions.bag import open_bag
 from longarm_comp.sessions.bag_info import bag_info
@@ -165,6 +166,13 @@ def test_a_bag_of_nothing_is_a_bag_and_rubbish_is_not_resumed(tmp_path: Path) ->
     (tmp_path / "other" / "thesis.txt").write_text("mine")
     with pytest.raises(InputError, match=r"thesis\.txt"):
         SegmentedBag(tmp_path / "other", resume=True)
+
+
+def test_a_bag_that_collect_did_not_begin_is_not_resumed(tmp_path: Path) -> None:
+    with SegmentedBag(tmp_path / "bag") as bag:
+        bag.write("/session_row", TEXT, 10**18, word('{"number": 3}'))
+    with pytest.raises(InputError, match=r"/session_row: .*index.*longarm collect"):
+        visited(tmp_path / "bag", [], 7)
 
 
 def test_a_recording_that_fails_before_its_first_message_leaves_nothing(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,9 +12,9 @@ import pytest
 from cli_shell import Shell
 from some_arms import HOBBY
 
+from longarm_comp.arm_folder.camera_files import SIDES, camera_path
 from longarm_comp.arm_folder.parameter_file import own_parameters
-from longarm_comp.arm_folder.sight import board_of
-from longarm_comp.arm_folder.visible import View, view_beside
+from longarm_comp.arm_folder.visible import Lens, View, view_beside
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.boxes import Box
@@ -23,6 +24,8 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.stereo import StereoEye, StereoRefusal, StereoRig
+from longarm_comp.devices.stereo.camera_file import write_camera
+from longarm_comp.devices.stereo.marker import tags_of
 from longarm_comp.jobs.collect.preview import PlanCheck, preview, refuse_blocked, servos_beside
 from longarm_comp.jobs.measurement_schedule import Visit, visits
 from longarm_comp.sessions.poses import read_poses
@@ -50,7 +53,7 @@ def test_geometry_knows_what_the_detector_finds_in_rendered_pictures() -> None:
         np.array(bridge["hand_eye.xyz"]), np.array(bridge["hand_eye.quaternion"])
     )
     rig = StereoRig.from_camera_info(*head.camera_infos(), rectified=False)
-    eye = StereoEye(rig, board_of(bridge), hand_eye, bridge["tip_in_marker"])
+    eye = StereoEye(rig, tags_of(bridge), hand_eye, bridge["tip_in_marker"])
     plate = tag_plate(*(simulated[f"marker.{k}"] for k in ("tag_m", "gap_m", "columns", "rows")))
     on_tip = np.linalg.inv(mounting(simulated["marker.mounting"]))
     rng = np.random.default_rng(5)
@@ -178,3 +181,14 @@ def test_the_lens_of_the_graph_replaces_the_files(hobby: Path) -> None:
     tips = declared_model(arm).pose(sobol(arm, 40, 0).q)
     wide = replace(view, lens=replace(view.lens, focal_px=0.3 * view.lens.focal_px))
     assert all("too far" in text or "turned" in text for text in wide.unseen(tips))
+
+
+def test_the_calibration_beside_an_arm_is_its_lens(hobby: Path, tmp_path: Path) -> None:
+    for name in ("arm", "stereo_bridge", "simulated_arm"):
+        shutil.copy(hobby / f"{name}.yaml", tmp_path)
+    pair = CameraPair(focal_px=512.0, size=(800, 600), baseline_m=0.17)
+    for side, info in zip(SIDES, pair.camera_infos(), strict=True):
+        write_camera(camera_path(tmp_path, side), side, info, "")
+    view = view_beside(tmp_path / "arm.yaml")
+    assert view is not None
+    assert view.lens == Lens(512.0, (399.5, 299.5), (800, 600), pytest.approx(0.17))

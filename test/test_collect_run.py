@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from cli_shell import Shell
 from quick_arm import QuickArm, quick_arm
 from rich.console import Console
 
-from longarm_comp.arm_folder.visible import View, view_beside
+from longarm_comp.arm_folder.visible import view_beside
 from longarm_comp.cli.live import table
 from longarm_comp.cli.signals import pause_on_stop_key
 from longarm_comp.core.arm.arm import Arm
@@ -81,9 +82,7 @@ def test_what_is_lost_has_its_likely_cause_and_the_graph_is_told(
     plan = sobol(arm, 6, 1)
     pixels = view.pixels(declared_model(arm).pose(plan.q))[0][:, 0]
     cut = int(np.sort(pixels)[3]) + 5  # the images end there
-    lens = view.lens
-    narrow = View(view.left_in_base, type(lens)(lens.focal_px, lens.middle_px, (cut, 480), 0.3),
-                  view.tags, view.normal, view.tag_m)  # fmt: skip
+    narrow = replace(view, lens=replace(view.lens, size_px=(cut, 480)))
     why = narrow.unseen(declared_model(arm).pose(plan.q))
     assert 1 <= sum(map(bool, why)) <= 5
     shown: list[Progress] = []

@@ -290,3 +290,39 @@ def test_noise_of_repeats_leaves_out_the_side(rng: np.random.Generator) -> None:
     assert (
         from_repeats(Model(SMALL), Session.record(q[:6], xyz[:6], approach=side[:6])) is None
     )  # too few
+
+
+def test_rows_count_by_the_noise_that_they_state_where_that_is_true(
+    rng: np.random.Generator,
+) -> None:
+    """One row in four is ten times noisier than the others, as it says: none is an outlier."""
+    n = 160
+    rough = np.where(rng.random(n) < 0.25, 10.0, 1.0)
+    truth = blank(Model(SMALL, (JointZero(1), JointZero(2)))).with_values(np.array([3e-3, -2e-3]))
+    q = box(SMALL, n, rng)
+    noise = 1e-4 * rough[:, None] * rng.standard_normal((n, 3))
+    stated = np.repeat(3.0 * 1e-4 * rough[:, None], 3, axis=1)  # three times too careful
+    rows = Session.record(q, truth.tip(q) + noise, sigma=stated)
+    found = fit(blank(truth), rows)
+    assert not len(found.outliers)
+    np.testing.assert_allclose(found.weights, rough**-2.0)
+    np.testing.assert_allclose(found.sigma, 1e-4, rtol=0.15)
+    np.testing.assert_allclose(found.uneven(rows.take(rough > 1)), 10.0)
+    chi2 = (((found.model.values - truth.values) / found.standard_errors) ** 2).sum()
+    assert chi2 < 14.0
+    alike = fit(blank(truth), dataclasses.replace(rows, sigma=None))
+    assert len(alike.outliers) > 20
+    assert (found.standard_errors < 0.9 * alike.standard_errors).all()
+
+
+def test_stated_noise_that_the_rows_do_not_show_counts_for_nothing(
+    rng: np.random.Generator,
+) -> None:
+    n = 160
+    truth = blank(Model(SMALL, (JointZero(1), JointZero(2)))).with_values(np.array([3e-3, -2e-3]))
+    q = box(SMALL, n, rng)
+    stated = np.repeat(10.0 ** rng.uniform(-5, -4, (n, 1)), 3, axis=1)
+    rows = Session.record(q, truth.tip(q) + 1e-4 * rng.standard_normal((n, 3)), sigma=stated)
+    found = fit(blank(truth), rows)
+    assert set(found.weights) <= {0.0, 1.0}
+    assert (found.uneven(rows) == 1.0).all()

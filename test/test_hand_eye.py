@@ -14,18 +14,18 @@ from servo_bench import folder as arm_folder
 from small_arm import ARM
 
 from longarm_comp.arm_folder.check import check_folder
-from longarm_comp.arm_folder.head_file import head_pose
+from longarm_comp.arm_folder.head_file import head_at, head_pose
 from longarm_comp.arm_folder.measured import note_measured, read_measured
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
 from longarm_comp.arm_folder.servo_file import SERVOS, servo_values
-from longarm_comp.arm_folder.sight import board_of
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.errors import JobError
+from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.stereo import StereoEye, StereoRig
+from longarm_comp.devices.stereo.marker import tags_of
 from longarm_comp.jobs.camera_placement import placed_cameras
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sim.cameras import CameraPair, render, tag_plate
@@ -61,7 +61,7 @@ class Head:
     def seen(self, q: np.ndarray) -> np.ndarray:
         """The tip (N, 3) as the bridge measures it with the file's hand-eye, m, from images."""
         rig = StereoRig.from_camera_info(*self.true.camera_infos(), rectified=False)
-        eye = StereoEye(rig, board_of(self._bridge), head_pose(self.folder))
+        eye = StereoEye(rig, tags_of(self._bridge), head_pose(self.folder))
         tips = declared_model(self.arm).pose(q)
         images = (render(t @ self._on_tip, self._plate, self.true, self._rng) for t in tips)
         return np.array([eye.measure(*pair, 0).point for pair in images])
@@ -133,6 +133,11 @@ def test_what_does_not_tell_it_is_refused(
     write_csv(session.take(np.arange(6)), shell.folder / "few.csv")
     assert "at least 10" in shell.refused("stereo", "hand-eye", folder, "few.csv")
     assert "one of the two" in shell.refused("stereo", "hand-eye", folder)
+    spoiled = copied(folder, shell.folder / "spoiled")
+    told = {"session": session.hash, "before": {"xyz": [0.0, 0.0]}}
+    note_measured(spoiled, "stereo_bridge.yaml", "stereo hand-eye", {}, told)
+    with pytest.raises(InputError, match=r"measured\.yaml: stereo_bridge\.yaml: facts\.before"):
+        head_at(spoiled, session.hash)
     same = Session.record(np.tile(session.q[0], (12, 1)), np.tile(session.xyz[0], (12, 1)))
     with pytest.raises(JobError, match="all over its range"):
         placed_cameras(declared_model(head.arm), same, head_pose(folder))

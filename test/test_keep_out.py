@@ -15,6 +15,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.keep_out import entered
 from longarm_comp.core.model.outline import outline
 from longarm_comp.core.strict_yaml import read_yaml
+from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
 
 UNIT = Box(min_m=(0.0, 0.0, 0.0), max_m=(1.0, 1.0, 1.0))
 
@@ -74,7 +75,35 @@ def test_the_follower_takes_no_way_that_it_must_keep_out_of() -> None:
     rig = Rig(CONFIG, keeps_out)
     with pytest.raises(JobError, match="lamp"):
         rig.send((1.0, {"turn": 0.6}))
-    np.testing.assert_allclose(asked[0], [[0.2, 0.03], [0.6, 0.03]], atol=1e-3)
+    np.testing.assert_allclose(asked[0][-1], [0.6, 0.03], atol=1e-3)
+    assert (np.diff(asked[0][:, 0]) >= 0.0).all() and asked[0][0, 0] == pytest.approx(0.2, abs=0.01)
     assert all(step.goals is None for step in rig.run(0.2))
     rig.send((1.0, {"turn": 0.4}))
     assert rig.run(0.2)[-1].goals is not None
+
+
+def test_the_way_that_is_judged_is_the_way_that_is_gone() -> None:
+    """From the middle of a motion and with given velocities: neither is straight."""
+    asked: list[np.ndarray] = []
+    rig = Rig(CONFIG, lambda way: asked.append(way) or "")
+    rig.send((1.5, {"turn": 0.7}))
+    rig.run(0.7)
+    before = len(rig.trace)
+    here = rig.trace[-1]["turn"]
+    names = ("turn", "slide")
+    points = (
+        TrajectoryPoint(6.0, (here, 0.05), (-0.1, 0.0)),
+        TrajectoryPoint(9.0, (here, 0.03), (0.0, 0.0)),
+    )
+    rig.follower.accept(JointTrajectory(names, points), rig.now)
+    rig.run(10.0)
+    gone = np.array([[row[name] for name in names] for row in rig.trace[before:]])
+    assert gone[:25, 0].max() > here + 0.02  # it was under way
+    assert np.ptp(gone[25:, 0]) > 0.1  # although every way-point has the same angle
+    for side in (gone[:25], gone[25:]):
+        far = np.abs(side[:, None] - asked[-1][None]).max(axis=2)
+        assert far.min(axis=1).max() < 0.02
+    far = np.abs(asked[-1][:, None] - gone[None]).max(axis=2)
+    assert far.min(axis=1).max() < 0.01
+    rig.follower.halt(rig.now)
+    assert len(asked) == 2  # a stop is never refused

@@ -105,6 +105,20 @@ def test_a_place_stays_that_others_can_replace_by_incredible_sizes_only() -> Non
     assert kept.fit is both
 
 
+@pytest.mark.parametrize(("most_m", "stays"), [(1e-5, True), (np.inf, False)])
+def test_a_place_stays_that_is_worth_more_than_was_estimated(most_m: float, stays: bool) -> None:
+    one = diagnose(ARM, session([drives.JointGain(at(2, 0.02))]), kinds=(JointGain,)).search
+    gain = Minor.of(one.chosen, 0.0, "asked", most_m)
+    asked = taken_out(
+        one,
+        lambda now: iter([(one.chosen, gain)] if now.chosen else []),
+        lambda said: None,
+    )
+    assert one.chosen
+    assert asked[1] == (() if stays else (gain,))
+    assert bool(asked[0].chosen) == stays
+
+
 def test_what_never_changed_is_not_testable() -> None:
     rows = of_truth(Model(ARM), 40, {"temperature_c": np.full(40, 27.5)})
     tried = library(ARM, rows.context(), (ThermalGrowth, JointGain))

@@ -7,6 +7,7 @@ import importlib
 import os
 import sys
 import types
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
@@ -128,6 +129,18 @@ def test_files_with_effects_reach_the_node_that_loads_models() -> None:
     assert "effects" not in graph.parameters("error_predictor", "")
 
 
+def test_the_calibration_of_a_folder_reaches_real_cameras_only(tmp_path: Path) -> None:
+    arm = tmp_path / "arm.yaml"
+    arm.write_text((folder("config") / "arm_demo.yaml").read_text("utf-8"))
+    graph = BringUp(arm=arm)
+    (tmp_path / "cameras").mkdir()
+    (tmp_path / "cameras" / "left.yaml").write_text("")
+    assert graph.parameters("stereo_bridge", "") == {}
+    (tmp_path / "cameras" / "right.yaml").write_text("")
+    assert graph.parameters("stereo_bridge", "") == {"cameras": str(tmp_path / "cameras")}
+    assert replace(graph, sim=True).parameters("stereo_bridge", "") == {}
+
+
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
 
 
@@ -151,19 +164,43 @@ def test_a_launch_file_describes_itself(file: Path, monkeypatch: pytest.MonkeyPa
     module.generate_launch_description()
     (entities,), _ = module.LaunchDescription.call_args
     assert len(entities) >= 2
-    if "nodes" in module.__dict__:
-        arguments = {name: default or "" for name, default, _ in module.ARGUMENTS}
-        arm = str(folder("config") / "arm_demo.yaml")
-        given = {**arguments, "arm": arm, "sim": "true", "rviz": "true"}
-        module.LaunchConfiguration = lambda name: types.SimpleNamespace(
-            perform=lambda context: given[name]
-        )
-        made = module.nodes(None)
-        assert len(made) == len(SIMULATED) + 2
-        calls = [call.kwargs for call in module.Node.call_args_list]
-        assert [call["executable"] for call in calls[: len(SIMULATED)]] == list(SIMULATED)
-        for call in calls[: len(SIMULATED)]:
-            passes_what_the_node_has(call["executable"], *call["parameters"])
+
+
+@pytest.mark.parametrize(
+    ("composed", "programs"),
+    [
+        ("false", SIMULATED),
+        ("true", ("composed", "simulated_arm", "servo_driver", "stereo_bridge")),
+    ],
+)
+def test_a_launch_starts_every_node_with_what_it_takes(
+    composed: str, programs: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = launched(ROOT / "launch" / "longarm.launch.py", monkeypatch)
+    arguments = {name: default or "" for name, default, _ in module.ARGUMENTS}
+    arm = str(folder("config") / "arm_demo.yaml")
+    given = {**arguments, "arm": arm, "sim": "true", "rviz": "true", "composed": composed}
+    module.LaunchConfiguration = lambda name: types.SimpleNamespace(
+        perform=lambda context: given[name]
+    )
+    made = module.nodes(None)
+    assert len(made) == len(programs) + 2
+    calls = [call.kwargs for call in module.Node.call_args_list][: len(programs)]
+    assert [call["executable"] for call in calls] == list(programs)
+    passed = {}
+    for call in calls:
+        if call["executable"] != "composed":
+            assert call["name"] == call["executable"]
+            passed[call["executable"]] = call["parameters"]
+            continue
+        assert call["name"] is None  # it would rename both nodes
+        *listed, written = call["parameters"]
+        for file, (node, values) in zip(listed, read_yaml(Path(written)).items(), strict=True):
+            passed[node.removeprefix("/**/")] = [file, values["ros__parameters"]]
+    assert set(passed) == set(SIMULATED)
+    for node, parameters in passed.items():
+        passes_what_the_node_has(node, *parameters)
+        assert node == "stereo_bridge" or parameters[1]["arm"] == arm
 
 
 def test_bad_input_ends_a_launch_and_nothing_else_does(monkeypatch: pytest.MonkeyPatch) -> None:

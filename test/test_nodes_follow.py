@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -10,7 +9,8 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from action_msgs.msg import GoalStatus
-from driver_rig import Rig, driver_rig
+from builtin_interfaces.msg import Duration
+from driver_rig import Rig
 from rclpy.action import ActionClient
 from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -18,19 +18,6 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import duration
 from longarm_interfaces.msg import Motion
-
-
-@pytest.fixture(scope="module")
-def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    with driver_rig(tmp_path_factory.mktemp("driver")) as made:
-        yield made
-
-
-@pytest.fixture
-def rig(shared: Rig) -> Rig:
-    """The driver, running and in order."""
-    return shared.in_order()
-
 
 needs_follow = pytest.mark.skipif(
     not graph.HAS_FOLLOW, reason="control_msgs is not installed: run make setup"
@@ -75,8 +62,8 @@ def test_a_goal_of_joints_is_followed_told_of_and_reached(rig: Rig) -> None:
     rig.is_idle()
     codes = graph.FOLLOW.type.Result
     start = rig.joints()["shoulder"]
-    followed = Followed(rig, 0.6, {"goal_tolerance": allowed("shoulder", 0.05)},
-                        shoulder=0.6, boom=0.02)  # fmt: skip
+    given = {"goal_tolerance": allowed("shoulder", 0.05), "goal_time_tolerance": Duration(sec=-1)}
+    followed = Followed(rig, 0.6, given, shoulder=0.6, boom=0.02)
     assert followed.ends(GoalStatus.STATUS_SUCCEEDED, codes.SUCCESSFUL) == ""
     assert rig.joints()["shoulder"] == pytest.approx(0.6, abs=3e-3)
     said = followed.feedback

@@ -202,9 +202,11 @@ def test_composed_the_predictor_is_called_and_not_asked_over_the_middleware(
     assert name == "composed"
     process = stage.program(words, ROOT, ROOT)
     seen = Watched(stage, arm, "/one")
+    published = stage.collect(graph.PREDICTED_ERROR, "one")
     answer = seen.ask()
     assert answer.status == STATUS.SUCCESS, answer.message
     assert answer.in_domain and answer.predicted_error.x != 0.0
+    stage.spin(lambda: published or (seen.ask() and False))  # nothing is kept for a late listener
     asks = stage.node.get_client_names_and_types_by_node("kinematics", "/one")
     assert asks == []
     serves = stage.node.get_service_names_and_types_by_node("error_predictor", "/one")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ import yaml
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from builtin_interfaces.msg import Time
-from driver_rig import Rig, driver_rig
+from driver_rig import Rig
 from lifecycle_msgs.msg import Transition
 from rcl_interfaces.srv import DescribeParameters
 from rosgraph_msgs.msg import Clock
@@ -23,18 +22,6 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.nodes import interfaces as graph
 from longarm_interfaces.msg import DriverState, Motion
-
-
-@pytest.fixture(scope="module")
-def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    with driver_rig(tmp_path_factory.mktemp("driver")) as made:
-        yield made
-
-
-@pytest.fixture
-def rig(shared: Rig) -> Rig:
-    """The driver, running and in order."""
-    return shared.in_order()
 
 
 def test_follows_reports_and_lets_go_through_its_life(rig: Rig) -> None:

@@ -6,6 +6,7 @@ import math
 import os
 import signal
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -18,6 +19,7 @@ from nodes_bench import Bench, bench, own_graph
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CompressedImage
 
+from longarm_comp.devices.stereo.camera_file import write_camera
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.images import image_message, info_message
 from longarm_comp.nodes.messages import sighting_of
@@ -75,11 +77,11 @@ class Cameras:
         self.covariance = sighting_of(self.tips[0])[1]
         return sighting_of(self.tips[0])[0]
 
-    def facts(self) -> dict[str, str]:
+    def facts(self, space: str = "/") -> dict[str, str]:
         """The bridge's last report."""
         for array in reversed(self.diagnostics):
             for status in array.status:
-                if status.name.endswith(": stereo"):
+                if status.name == f"{space}stereo_bridge: stereo":
                     return {value.key: value.value for value in status.values}
         return {}
 
@@ -228,9 +230,15 @@ def test_cameras_that_publish_with_best_effort_are_heard_too(cameras: Cameras) -
     cameras.stage.spin(lambda: cameras.facts().get("images left") == "reliable")
 
 
-def test_compressed_images_are_measured_in_a_namespace(cameras: Cameras) -> None:
+def test_compressed_images_are_measured_in_a_namespace_by_the_files_of_the_pair(
+    cameras: Cameras, tmp_path: Path
+) -> None:
+    """Whatever calibration the cameras tell, and if they tell none."""
     stage, name = cameras.stage, "packed"
-    stage.start("stereo_bridge", {"image_transport": "compressed"}, name)
+    for side, info in zip(("left", "right"), PAIR.camera_infos(), strict=True):
+        write_camera(tmp_path / f"{side}.yaml", side, info, "")
+    given = {"image_transport": "compressed", "cameras": str(tmp_path)}
+    stage.start("stereo_bridge", given | {"diagnostics_period_s": 0.1}, name)
     tips = stage.collect(graph.TIP_MEASURED, name)
     node = stage.node
 
@@ -245,14 +253,23 @@ def test_compressed_images_are_measured_in_a_namespace(cameras: Cameras) -> None
 
     def measured() -> bool:
         cameras.ns += 100_000_000
-        for to, info in zip(infos, PAIR.camera_infos(), strict=True):
-            to.publish(info_message(info, cameras.ns, "camera"))
         for to, data in zip(images, pictures, strict=True):
             message = CompressedImage(format="mono8; png compressed ", data=data)
             message.header.stamp = stamp_of(cameras.ns)
             to.publish(message)
         return bool(tips) and math.isfinite(sighting_of(tips[-1])[0][0])
 
+    def another_is_told() -> bool:
+        for to, info in zip(infos, PAIR.camera_infos(), strict=True):
+            message = info_message(info, cameras.ns, "camera")
+            message.p[0] *= 1.1
+            to.publish(message)
+        return "another one" in cameras.facts(f"/{name}/")["calibration"]
+
+    stage.spin(measured)
+    stage.spin(lambda: cameras.facts(f"/{name}/").get("calibration") == "files")
+    stage.spin(another_is_told)
+    tips.clear()
     stage.spin(measured)
     assert np.linalg.norm(sighting_of(tips[-1])[0] - FACING[:3, 3]) < 1e-3
     assert tips[-1].header.frame_id == f"{name}/base"

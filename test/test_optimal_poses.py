@@ -25,6 +25,7 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sessions.poses import read_poses
 from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.workflows.plan import bounded
 
 NOISE = (SIGMA, 1e-3)
 
@@ -140,6 +141,8 @@ def test_a_floor_and_what_is_seen_hold_for_every_kind_of_plan() -> None:
         assert len(poses) == 12 and (there[:, 2] > low).all() and (there[:, 1] > aside).all()
     free = la.plan(standing, 12)
     assert (la.plan(standing, 12, floor=-9.0).q == free.q).all()
+    own = boxed(np.zeros(3), np.ones(3)).arm
+    assert set(bounded(own, [[2, 2, 2, 3, 3, 3]], None).keep_out) == {"lamp", "--keep-out 1"}
     with pytest.raises(InputError, match="below the arm's foot"):
         la.plan(standing, 12, floor=0.0)
     with pytest.raises(JobError, match="only 0 of"):

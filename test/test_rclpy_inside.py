@@ -128,12 +128,15 @@ def test_a_worker_hears_serves_asks_and_counts_either_way(stage: Bench, direct: 
     assert not errors
 
 
-def test_of_two_publishers_every_target_is_heard_or_counted_as_lost(stage: Bench) -> None:
-    """More than the queue holds, while the worker is busy."""
+@pytest.mark.parametrize("direct", [True, False])
+def test_of_two_publishers_every_target_is_heard_or_counted_as_lost(
+    stage: Bench, direct: bool
+) -> None:
+    """More than the queue holds, while nobody takes them."""
     heard: list[PoseStamped] = []
     errors: list[Exception] = []
     go_on = threading.Event()
-    worker = Worker(stage.node, stage.executor, 10, errors.append)
+    worker = Worker(stage.node, stage.executor, 10, errors.append, direct=direct)
     worker.inlets.hear(graph.TARGET_POSE, heard.append)
     worker.start()
     both = [graph.TARGET_POSE.publisher(stage.node) for _ in range(2)]

@@ -136,14 +136,20 @@ def test_hold_brakes_holds_and_takes_nothing_until_it_is_released(rig: Rig) -> N
 def test_a_joint_may_have_a_following_error_of_its_own() -> None:
     rig = Rig()
     joints = dict(rig.config.joints)
-    joints["turn"] = TURN.model_copy(update={"max_error": 0.1})
-    strict = Rig(CONFIG.model_copy(update={"joints": joints}))
-    for one in (rig, strict):
+    joints["turn"] = TURN.model_copy(update={"max_error": 0.18})
+    joints["slide"] = SLIDE.model_copy(update={"max_error": 0.009})
+    strict, near = (Rig(CONFIG.model_copy(update={"joints": joints})) for _ in range(2))
+    for one, turn in ((rig, 0.4), (strict, 0.4), (near, 0.36)):
         one.obeys.discard(5)
-        one.send((1.0, {"turn": 0.4}))  # 0.2 rad off in the end: 130 ticks of 400
+        one.send((1.0, {"turn": turn, "slide": 0.04}))  # 130 ticks of 400 are 0.2 rad
     assert EventKind.FAULT not in kinds(rig.run(4.0))
+    assert EventKind.FAULT not in kinds(near.run(4.0))
     (fault,) = [e for s in strict.run(4.0) for e in s.events if e.kind is EventKind.FAULT]
     assert "turn" in fault.message
+    near.obeys.discard(9)
+    near.send((1.0, {"slide": 0.055}))
+    (fault,) = [e for s in near.run(4.0) for e in s.events if e.kind is EventKind.FAULT]
+    assert "slide" in fault.message
 
 
 def test_halt_brakes_and_holds(rig: Rig) -> None:

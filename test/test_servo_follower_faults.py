@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from follower_rig import DT, SLIDE, TURN, Rig, kinds, servo_state
+from follower_rig import CONFIG, DT, LIMITS, SLIDE, TURN, Rig, kinds, servo_state
 
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.servo_bus import ServoAlarm
@@ -64,6 +64,39 @@ def test_a_stalled_servo_is_a_fault_and_stops_pushing(rig: Rig) -> None:
     assert _troubles(steps) == [(Trouble.STALLED, "turn")]
     hold = next(s.goals for s in steps if s.state is FollowerState.FAULT)
     assert hold is not None and hold[5] == stuck
+
+
+@pytest.mark.parametrize(("max_load", "stalls"), [(0.4, True), (0.6, False)])
+def test_a_joint_may_have_a_load_limit_of_its_own(max_load: float, stalls: bool) -> None:
+    joints = {
+        name: j.model_copy(update={"max_load": max_load}) for name, j in CONFIG.joints.items()
+    }
+    rig = Rig(CONFIG.model_copy(update={"joints": joints}))
+    rig.obeys.discard(5)
+    rig.states[5] = replace(rig.states[5], load=-0.5)
+    rig.send((0.5, {"turn": 0.3}))  # less off than counts as not following
+    assert _troubles(rig.run(3.0)) == ([(Trouble.STALLED, "turn")] if stalls else [])
+
+
+def test_a_stall_must_last_and_a_reset_forgets_it(rig: Rig) -> None:
+    rig.obeys.discard(5)
+    rig.states[5] = replace(rig.states[5], load=0.95)
+    rig.send((0.5, {"turn": 0.3}))
+    assert _troubles(rig.run(1.2 * LIMITS.stall_time_s)) == []  # it pushes from half of it on
+    assert _troubles(rig.run(0.5)) == [(Trouble.STALLED, "turn")]
+    rig.follower.reset(rig.now)
+    rig.send((0.5, {"turn": 0.3}))
+    assert _troubles(rig.run(0.3)) == []  # pushing, but not for long
+
+
+def test_a_fault_outside_the_limits_holds_at_the_limit(rig: Rig) -> None:
+    rig.send((4.0, {"turn": 1.0}))
+    rig.run(5.0)
+    rig.obeys.discard(5)
+    beyond = TURN.tick_limits[1] + 15
+    rig.states[5] = servo_state(beyond, temperature_c=99.0)
+    (hold,) = [s.goals for s in rig.run(0.1) if s.state is FollowerState.FAULT and s.goals]
+    assert hold[5] == TURN.tick_limits[1]
 
 
 def test_a_short_peak_of_load_is_no_stall(rig: Rig) -> None:

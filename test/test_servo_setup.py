@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import servo_bench
@@ -48,14 +49,17 @@ def emulator(request: pytest.FixtureRequest) -> Iterator[ServoEmulator]:
 
 
 @pytest.fixture
-def swept(monkeypatch: pytest.MonkeyPatch) -> dict[int, list[float]]:
-    """Ways along which a hand turns the servos once a sweep has begun."""
-    ways: dict[int, list[float]] = {}
+def swept(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Ways along which a hand turns the servos once a sweep has begun; it ends no sooner."""
+    ways: dict[str, Any] = {}
     original = sweep_table.swept
 
-    def begun(setup: object, seconds: float | None) -> object:
-        hand(ways["emulator"], ways["ways"])  # type: ignore[call-overload]
-        return original(setup, seconds)  # type: ignore[arg-type]
+    def begun(setup: Any, seconds: float | None) -> object:
+        turning, sweep = hand(ways["emulator"], ways["ways"]), setup.sweep
+        setup.sweep = lambda done, seen: sweep(
+            lambda *now: not turning.is_alive() and done(*now), seen
+        )
+        return original(setup, seconds)
 
     monkeypatch.setattr(sweep_table, "swept", begun)
     return ways
@@ -206,7 +210,9 @@ def test_what_nobody_is_there_to_answer_names_its_flag(shell: Shell) -> None:
         )
         assert "--pose" in untouched(mine, shell, *words, "--pose", "elbow=3", code=2)
         wrong = [word.replace("joint1=2", "joint1=1") for word in words]
-        assert "an id for each joint" in untouched(mine, shell, *wrong, code=2)
+        assert "an id that no other joint has" in untouched(mine, shell, *wrong, code=2)
+        half = [word.replace("joint1=2", "joint1=2.5") for word in words]
+        assert "--id: '2.5'; allowed: JOINT=ID, a whole" in untouched(mine, shell, *half, code=2)
         lost = [word.replace("joint1=2", "joint1=9") for word in words]
         assert "servo 9 of joint1 is not on the bus" in untouched(mine, shell, *lost)
         assert shell("servo", "setup", mine, *words) == 0
@@ -361,3 +367,10 @@ b: "last"
     ]  # fmt: skip
     with pytest.raises(InputError, match="d"):
         edited(text, {("d", "e"): 1}, "file")
+    assert edited("a:\nb: {c: , d: 1}\n", {("a",): 2, ("b", "c"): [3]}, "file") == (
+        "a: 2\nb: {c: [3] , d: 1}\n"
+    )
+    with pytest.raises(InputError, match="file, edited"):
+        edited("a: &x 1\nb: *x\n", {("a",): 2}, "file")
+    with pytest.raises(InputError, match=r"a\.c: 'cannot be edited'"):
+        edited("a: &x {c: 1}\nb: *x\n", {("a", "c"): 2, ("b", "c"): 3}, "file")

@@ -109,6 +109,37 @@ def test_orientations_are_averaged_as_turns(tmp_path: Path) -> None:
     assert session.sigmas["orientation"][0] == pytest.approx(3e-3 / np.sqrt(3))
 
 
+# ------------------------------------------------------------------ when the tip is at rest
+
+
+def _still_from(readings: list[float], sighted: dict[float, float]) -> float:
+    """The tip that `settled` takes, of readings every 0.05 s and sightings by time."""
+    times = 0.05 * np.arange(1, len(readings) + 1)
+    seen = [
+        Sighting(t, np.array([x, 0.0, 0.0]), np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 0.0)
+        for t, x in sighted.items()
+    ]
+    found = settled(seen, times, np.array(readings)[:, None], 0.0)
+    assert found is not None
+    return float(found.xyz[0])
+
+
+def test_a_joint_that_still_creeps_to_its_end_is_not_at_rest() -> None:
+    """At 0.10 s it is 0.9 mrad off, within the tolerance of rest; at 0.15 s it stands."""
+    joint = [0.1, 0.4991, *8 * [0.5]]
+    rest = {0.3: 0.7, 0.4: 0.7}
+    assert _still_from(joint, {0.12: 0.7009, **rest}) == 0.7
+    assert _still_from(joint, {0.17: 0.7001, **rest}) == 0.7  # the encoder stands, the tip swings
+    assert _still_from(joint, {0.17: 0.7001}) == 0.7001  # nothing better was seen
+    assert _still_from(joint, {0.12: 0.7009}) == 0.7009
+
+
+def test_an_encoder_that_flickers_is_at_rest() -> None:
+    tick = 1.5e-3
+    joint = [0.1, *(0.5 + tick * (k % 2) for k in range(9))]
+    assert _still_from(joint, {0.2: 0.7, 0.4: 0.701}) == pytest.approx(0.7005)
+
+
 # ------------------------------------------------------------------ as a robot records
 
 

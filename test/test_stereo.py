@@ -125,4 +125,6 @@ def test_the_cameras_share_nothing_with_the_measurement() -> None:
     """Or an error of convention would cancel in every test above."""
     for module in (cameras, plates):
         assert module.__file__ is not None
-        assert "longarm_comp.devices" not in Path(module.__file__).read_text(encoding="utf-8")
+        assert "longarm_comp.devices.stereo" not in Path(module.__file__).read_text(
+            encoding="utf-8"
+        )

@@ -118,6 +118,8 @@ def test_views_that_do_not_cover_are_refused_in_words(shell: Shell, pictures: Pa
     assert "more views: 0" in shell.refused(*words, above, "--dictionary", "DICT_4X4_50", code=3)
     (above / "right1.png").unlink()
     assert "right1.png" in shell.refused(*words, above)
+    (above / "left1.png").rename(above / "right1.png")
+    assert "no left image" in shell.refused(*words, above)
     assert "no folder" in shell.refused(*words, "nowhere")
     assert "--board" in shell.refused(*words, above, "--board", "7")
     assert "one of the two" in shell.refused("stereo", "calibrate", "mine")

@@ -56,7 +56,7 @@ def test_rows_left_out_are_a_sign_only_where_they_hold_more_than_the_noise(
     length = of_noise * np.linalg.norm(sigma) * np.sqrt(5.0)
     residual = np.where(weights[:, None] > 0, 0.0, length / np.sqrt(3.0)) * np.ones(3)
     fit = SimpleNamespace(
-        weights=weights, residual=residual, metres=np.ones(3), sigma=sigma,
+        weights=weights, residual=residual, metres=np.ones(3), noise_m=sigma,
         session=SimpleNamespace(blocks=[SimpleNamespace(kind="position")]),
     )  # fmt: skip
     noise = SimpleNamespace(unevenness=1.0, sigma=sigma)

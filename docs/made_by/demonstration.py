@@ -39,7 +39,7 @@ class Demonstration:
     @cached_property
     def arm(self) -> la.Arm:
         """The declared arm."""
-        return la.Arm.load(folder("config") / "arm_demo.yaml")
+        return la.Arm.load(folder("config") / "arm_demo_steps.yaml")
 
     @cached_property
     def found(self) -> la.Model:

@@ -5,13 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from longarm_comp.arm_folder.measured import note_measured
+from longarm_comp.devices.camera_info import CameraInfo
 from longarm_comp.devices.stereo.board_calibration import BoardCalibration
-from longarm_comp.devices.stereo.camera_file import (
-    CameraFile,
-    calibration_files,
-    read_camera,
-    write_camera,
-)
+from longarm_comp.devices.stereo.camera_file import calibration_of, read_camera, write_camera
 
 CAMERAS = "cameras"
 SIDES = ("left", "right")
@@ -24,7 +20,7 @@ def camera_path(folder: Path, side: str) -> Path:
 
 def write_cameras(folder: Path, found: BoardCalibration) -> list[Path]:
     """Write both files and what was measured; returns their paths."""
-    cameras = dict(zip(SIDES, calibration_files(found.fit.rig), strict=True))
+    cameras = dict(zip(SIDES, calibration_of(found.fit.rig), strict=True))
     head = (
         f"Calibrated from {len(found.fit.used)} views, {found.fit.rms_px:.3f} px rms; boards that "
         f"were left out:\n{found.held_out_mm:.3f} mm rms at {found.distances_m[0]:.2f} to "
@@ -50,7 +46,7 @@ def camera_values(folder: Path) -> dict[str, object]:
     return _values({side: read_camera(camera_path(folder, side)) for side in SIDES})
 
 
-def _values(cameras: dict[str, CameraFile]) -> dict[str, object]:
+def _values(cameras: dict[str, CameraInfo]) -> dict[str, object]:
     return {
         f"{side}.{key}": list(getattr(camera, key))
         for side, camera in cameras.items()

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from longarm_comp.arm_folder.measured import note_measured, read_measured
+from longarm_comp.arm_folder.measured import FILE, note_measured, read_measured
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
 from longarm_comp.arm_folder.yaml_edit import edited, ros_path
 from longarm_comp.core.arm import quaternion
@@ -28,14 +28,7 @@ def head_pose(folder: Path) -> np.ndarray:
     """
     file = folder / BRIDGE
     given = own_parameters("stereo_bridge") | read_parameters(file)
-    try:
-        xyz, turn = (np.array(given[name], dtype=float) for name in _NAMES)
-        good = xyz.shape == (3,) and turn.shape == (4,) and quaternion.is_unit(turn)
-    except (TypeError, ValueError):
-        good = False
-    if not good:
-        raise InputError(file, "hand_eye", [given[n] for n in _NAMES], "xyz and a unit quaternion")
-    return quaternion.pose(xyz, turn)
+    return _pose(file, "hand_eye", [given[name] for name in _NAMES])
 
 
 def head_at(folder: Path, session: str) -> np.ndarray:
@@ -52,8 +45,9 @@ def head_at(folder: Path, session: str) -> np.ndarray:
     entry = read_measured(folder).get(BRIDGE)
     if entry is None or entry.facts.get("session") != session:
         return head_pose(folder)
-    before = entry.facts["before"]
-    return quaternion.pose(np.array(before["xyz"]), np.array(before["quaternion"]))
+    before = entry.facts.get("before")
+    pair = (before.get("xyz"), before.get("quaternion")) if isinstance(before, dict) else ()
+    return _pose(folder / FILE, f"{BRIDGE}: facts.before", pair)
 
 
 def write_head(
@@ -69,22 +63,38 @@ def write_head(
 
     Returns:
         Names of the files that were written.
+
+    Raises:
+        InputError: a file cannot be read, or has no place for the values.
     """
     xyz, turn = _numbers(pose)
     values = dict(zip(_NAMES, (xyz, turn), strict=True))
+    told = {
+        **facts,
+        "session": session,
+        "before": dict(zip(("xyz", "quaternion"), _numbers(before), strict=True)),
+    }
+    # The record first: it says where the head was, if the rest is broken off and done again.
+    note_measured(folder, BRIDGE, "stereo hand-eye", values, told)
     _edit(folder / BRIDGE, values)
     written = [BRIDGE]
     if (folder / SIMULATED).is_file():
         axis = [round(float(v), 9) for v in pose[:3, 2]]
         _edit(folder / SIMULATED, {"camera.position": xyz, "camera.axis": axis})
         written.append(SIMULATED)
-    told = {
-        **facts,
-        "session": session,
-        "before": dict(zip(("xyz", "quaternion"), _numbers(before), strict=True)),
-    }
-    note_measured(folder, BRIDGE, "stereo hand-eye", values, told)
     return written
+
+
+def _pose(file: Path, field: str, given: Sequence[Any]) -> np.ndarray:
+    """(4, 4) of a position and a quaternion."""
+    try:
+        xyz, turn = (np.array(value, dtype=float) for value in given)
+        good = xyz.shape == (3,) and turn.shape == (4,) and quaternion.is_unit(turn)
+    except (TypeError, ValueError):
+        good = False
+    if not good:
+        raise InputError(file, field, list(given), "xyz and a unit quaternion")
+    return quaternion.pose(xyz, turn)
 
 
 def _numbers(pose: np.ndarray) -> tuple[list[float], list[float]]:

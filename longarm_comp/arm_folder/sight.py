@@ -12,7 +12,8 @@ from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.devices.stereo import CharucoTarget, StereoEye, StereoRefusal, StereoRig, TagBoard
+from longarm_comp.devices.stereo import StereoEye, StereoRefusal, StereoRig
+from longarm_comp.devices.stereo.marker import tags_of
 from longarm_comp.sim.cameras import CameraPair, render, tag_plate
 from longarm_comp.sim.plant import mounting
 
@@ -41,39 +42,6 @@ class Sight:
         return f"{self.found} of {self.poses} poses"
 
 
-def board_of(bridge: Mapping[str, Any]) -> TagBoard:
-    """The printed tags that parameters of `stereo_bridge` describe, by dotted name.
-
-    Raises:
-        InputError: a value that tags cannot have.
-    """
-    return TagBoard(
-        bridge["marker.tag_m"],
-        bridge["marker.gap_m"],
-        bridge["marker.columns"],
-        bridge["marker.rows"],
-        bridge["marker.dictionary"],
-        bridge["marker.first_id"],
-    )
-
-
-def marker_of(bridge: Mapping[str, Any]) -> TagBoard | CharucoTarget:
-    """The printed marker, tags or a ChArUco board, that parameters of `stereo_bridge` describe.
-
-    Raises:
-        InputError: a value that it cannot have.
-    """
-    if bridge["marker.kind"] != "charuco":
-        return board_of(bridge)
-    return CharucoTarget(
-        bridge["marker.square_m"],
-        bridge["marker.tag_m"],
-        bridge["marker.columns"],
-        bridge["marker.rows"],
-        bridge["marker.dictionary"],
-    )
-
-
 def seen_from(
     arm: Arm, bridge: Mapping[str, Any], simulated: Mapping[str, Any], poses: int = _POSES
 ) -> Sight:
@@ -98,7 +66,7 @@ def seen_from(
         np.array(bridge["hand_eye.xyz"]), np.array(bridge["hand_eye.quaternion"])
     )
     rig = StereoRig.from_camera_info(*head.camera_infos(), rectified=False)
-    eye = StereoEye(rig, board_of(bridge), hand_eye, bridge["tip_in_marker"])
+    eye = StereoEye(rig, tags_of(bridge), hand_eye, bridge["tip_in_marker"])
     rng = np.random.default_rng(0)
     off = []
     for k, tip in enumerate(declared_model(arm).pose(sobol(arm, poses, 0).q)):

@@ -3,33 +3,53 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
 from longarm_comp.core.arm import quaternion
 
+if TYPE_CHECKING:
+    from longarm_comp.devices.stereo import CameraInfoLike
+
 _STEEPEST = np.cos(np.radians(75.0))
 """A tag that is turned further from a camera is not found."""
 _TAG_PX = 12.5
 """Nor is one that looks smaller: geometric mean of its seen sides, px."""
-_SHARE = 0.5
-"""Of the corners, that both cameras must see (`devices/stereo/limits.py`)."""
 _MARGIN = 0.1
-"""White around a tag that must be in the picture, as a share of the tag."""
+"""White around a tag that must be in the picture, as a share of the tag.
+
+These three are from rendered images: `pytest test/test_collect_preview.py` compares.
+"""
 
 
 @dataclass(frozen=True)
 class Lens:
-    """Of both cameras: focal length and middle of the image, px, and size of the image, px."""
+    """Two equal cameras side by side.
+
+    Attributes:
+        focal_px: focal length.
+        middle_px: principal point, x and y.
+        size_px: width and height of the images.
+        baseline_m: from the left to the right camera.
+    """
 
     focal_px: float
     middle_px: tuple[float, float]
     size_px: tuple[int, int]
     baseline_m: float
+
+    @classmethod
+    def of(cls, left: CameraInfoLike, right: CameraInfoLike) -> Lens | None:
+        """From a calibrated pair; None where it is not calibrated."""
+        p, across = left.p, right.p
+        if not p[0] > 0.0 or not across[0] > 0.0:
+            return None
+        middle, size = (float(p[2]), float(p[6])), (int(left.width), int(left.height))
+        return cls(float(p[0]), middle, size, -float(across[3] / across[0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +62,7 @@ class View:
         tags: (T, 4, 3) corners of the tags with their margin on the tip frame, m.
         normal: (3,) out of the paper, on the tip frame.
         tag_m: side of a tag.
+        share: of the tags, that both cameras must see.
     """
 
     left_in_base: np.ndarray
@@ -49,6 +70,7 @@ class View:
     tags: np.ndarray
     normal: np.ndarray
     tag_m: float
+    share: float
 
     @classmethod
     def of(cls, bridge: Mapping[str, Any], simulated: Mapping[str, Any]) -> View:
@@ -57,11 +79,12 @@ class View:
         Raises:
             InputError: a value that cameras or marker cannot have.
         """
-        from longarm_comp.arm_folder.sight import board_of  # these take a second, with OpenCV
+        from longarm_comp.devices.stereo.limits import Limits  # these take a second, with OpenCV
+        from longarm_comp.devices.stereo.marker import tags_of
         from longarm_comp.sim.cameras import CameraPair
         from longarm_comp.sim.plant import mounting
 
-        board = board_of(bridge)
+        board = tags_of(bridge)
         corners = board.points(np.arange(board.n_corners)).reshape(-1, 4, 3)
         middle = corners.mean(axis=1, keepdims=True)
         wide = middle + (1.0 + 2.0 * _MARGIN) * (corners - middle)
@@ -80,17 +103,18 @@ class View:
             (wide - np.array(bridge["tip_in_marker"])) @ on_tip.T,
             on_tip[:, 2],
             board.tag_m,
+            Limits().seen_share,
         )
 
     def unseen(self, tips: np.ndarray) -> list[str]:
         """For each of the tip poses (M, 4, 4), base frame: why it is not measured, or "".
 
-        Both cameras must see half of the tags, large and straight enough.
+        Both cameras must see `share` of the tags, large and straight enough.
         """
         local = np.linalg.inv(self.left_in_base) @ tips
         tags = np.einsum("mij,tkj->mtki", local[:, :3, :3], self.tags) + local[:, None, None, :3, 3]
         found = [self._inside(tags - [k * self.lens.baseline_m, 0.0, 0.0]) for k in (0, 1)]
-        both = (found[0] & found[1]).mean(axis=1) >= _SHARE
+        both = (found[0] & found[1]).mean(axis=1) >= self.share
         middle = tags.mean(axis=(1, 2)) - [0.5 * self.lens.baseline_m, 0.0, 0.0]
         normal = local[:, :3, :3] @ self.normal
         depth = np.linalg.norm(middle, axis=1)
@@ -102,7 +126,7 @@ class View:
                 sides = [
                     side
                     for side, seen in zip(("left", "right"), found, strict=True)
-                    if seen[k].mean() < _SHARE
+                    if seen[k].mean() < self.share
                 ]
                 why.append(f"out of view of {_cameras(sides)} ({self._where(middle[k])})")
             elif facing[k] < _STEEPEST:
@@ -161,4 +185,21 @@ def view_beside(arm: Path) -> View | None:
         own_parameters(node) | read_parameters(file)
         for node, file in zip(nodes, files, strict=True)
     )
-    return View.of(bridge, simulated) if bridge["marker.kind"] == "tags" else None
+    if bridge["marker.kind"] != "tags":
+        return None
+    view, lens = View.of(bridge, simulated), lens_beside(arm)
+    return view if lens is None else replace(view, lens=lens)
+
+
+def lens_beside(arm: Path) -> Lens | None:
+    """The cameras' lens by the calibration beside an arm.yaml; None where there is none.
+
+    Raises:
+        InputError: a file cannot be read.
+    """
+    from longarm_comp.arm_folder.camera_files import SIDES, camera_path, read_camera
+
+    files = [camera_path(arm.absolute().parent, side) for side in SIDES]
+    if not all(file.is_file() for file in files):
+        return None
+    return Lens.of(*map(read_camera, files))

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Mapping
+from functools import reduce
 from typing import Any
 
 import yaml
 
 from longarm_comp.arm_folder.parameter_file import one_line
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.strict_yaml import parse_yaml
 
 Path = tuple[str, ...]
 
@@ -23,10 +26,15 @@ def edited(text: str, values: Mapping[Path, Any], where: object) -> str:
         where: the file, for messages.
 
     Raises:
-        InputError: a mapping that a value belongs into is not there.
+        InputError: a mapping that a value belongs into is not there, or the text cannot be edited
+            so, for instance as other values refer to this one.
     """
     for path, value in values.items():
         text = _with_value(text, path, one_line(value), where)
+    made = parse_yaml(text, f"{where}, edited")
+    for path, value in values.items():
+        if reduce(operator.getitem, path, made) != value:
+            raise InputError(where, ".".join(path), "cannot be edited", "a plain value")
     return text
 
 
@@ -52,7 +60,8 @@ def _with_value(text: str, path: Path, written: str, where: object) -> str:
         if inner is None:
             return _added(text, node, f"{key}: {written}")
         node = inner
-    return text[: node.start_mark.index] + written + text[_end(text, node) :]
+    start, end = node.start_mark.index, _end(text, node)
+    return text[:start] + (" " if start == end else "") + written + text[end:]
 
 
 def _added(text: str, node: yaml.MappingNode, entry: str) -> str:

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from longarm_comp.jobs.collect.progress import Progress
     from longarm_comp.jobs.collect.run import Collected
 
+_LOOK_S = 0.2
+"""Time of one sighting, where cameras take five pictures a second."""
+
 
 @click.command()
 @options.arm
@@ -125,10 +128,6 @@ def command(
         note(f"{len(done.blocked)} visits were not made, as no way there is free: {why}")
 
 
-_LOOK_S = 0.2
-"""Time of one sighting, where cameras take five pictures a second."""
-
-
 def _drive(ahead: Preview, output: Path, namespace: str, quiet: bool, **how: Any) -> Collected:
     """Collect; draw what became of each pose, also where it ends early."""
     from longarm_comp.cli.live import shown
@@ -177,12 +176,12 @@ def _show(ahead: Preview, picture: Path | None, as_json: bool) -> None:
             "checks": [{"question": c.question, "passed": c.passed, "blocks": c.blocks,
                         "faults": {v.index: f for v, f in zip(ahead.visits, c.faults, strict=True)
                                    if f}} for c in ahead.checks],
-            "unasked": ahead.unasked, "lowest_m": ahead.lowest_m, "seconds": ahead.seconds,
+            "unasked": [f"{asked}: {why}" for asked, why in ahead.unasked.items()],
+            "lowest_m": ahead.lowest_m, "seconds": ahead.seconds,
         })  # fmt: skip
     else:
         rows = [(c.question, f"{c.passed} of {count}", c.mostly) for c in ahead.checks]
-        rows += [(text.partition(": ")[0], "not checked", text.partition(": ")[2])
-                 for text in ahead.unasked]  # fmt: skip
+        rows += [(asked, "not checked", why) for asked, why in ahead.unasked.items()]
         print_table(f"{ahead.arm.name}: {count} visits", ("visits", "yes", "where not"), rows)
         note(f"the arm's lowest point is at z = {ahead.lowest_m:.3f} m")
         if ahead.seconds is not None:

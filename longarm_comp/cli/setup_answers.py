@@ -84,7 +84,7 @@ class Answers:
 
         made = cls(
             Dialogue(_COMMAND, yes), config, port, protocol, baud, ids,
-            {n: int(_number("--id", v)) for n, v in named("--id", id_of).items()},
+            {n: _id(v) for n, v in named("--id", id_of).items()},
             sweep_s, no_sweep, zero,
             {n: _number("--pose", v) * hand_unit(joints[n])[0]
              for n, v in named("--pose", pose).items()},
@@ -136,12 +136,12 @@ class Answers:
         for name in ids if attended() else ():
             if name not in self.ids:
                 text = f"{name}: servo id ({', '.join(map(str, on_bus))})"
-                ids[name] = int(_number("--id", self.dialogue.ask("--id", text, "an id",
-                                                                  str(ids[name]))))  # fmt: skip
+                ids[name] = _id(self.dialogue.ask("--id", text, "an id", str(ids[name])))
         joints: dict[str, JointConfig] = {}
         for name, servo_id in ids.items():
             if servo_id in (joint.servo_id for joint in joints.values()):
-                raise InputError(_COMMAND, "--id", f"{name}={servo_id}", "an id for each joint")
+                allowed = "an id that no other joint has"
+                raise InputError(_COMMAND, "--id", f"{name}={servo_id}", allowed)
             if servo_id not in on_bus:
                 raise JobError(
                     f"servo {servo_id} of {name} is not on the bus: name another with --id "
@@ -155,13 +155,19 @@ class Answers:
         return joints
 
 
+def _id(text: str) -> int:
+    if not text.strip().isdecimal():
+        raise InputError(_COMMAND, "--id", text, "JOINT=ID, a whole number")
+    return int(text)
+
+
 def _number(flag: str, text: str) -> float:
     try:
         value = float(text)
     except ValueError:
         value = float("nan")
     if not abs(value) < 1e6:
-        raise InputError(_COMMAND, flag, text, "JOINT=NUMBER, deg or mm (an id: a whole number)")
+        raise InputError(_COMMAND, flag, text, "JOINT=NUMBER, deg or mm")
     return value
 
 

@@ -32,7 +32,7 @@ def swept(setup: ServoSetup, seconds: float | None) -> Sweep:
     from rich.live import Live
 
     end = None if seconds is None else time.monotonic() + seconds
-    drawn = [0.0]
+    drawn = 0.0
 
     def done(sweep: Sweep, still_s: float) -> bool:
         if end is None:
@@ -45,8 +45,9 @@ def swept(setup: ServoSetup, seconds: float | None) -> Sweep:
     with Live(console=Console(stderr=True), auto_refresh=False) as live:
 
         def show(sweep: Sweep) -> None:
-            if time.monotonic() - drawn[0] > _REDRAWN_S:
-                drawn[0] = time.monotonic()
+            nonlocal drawn
+            if time.monotonic() - drawn > _REDRAWN_S:
+                drawn = time.monotonic()
                 live.update(_table(setup.joints, sweep), refresh=True)
 
         return setup.sweep(done, show)

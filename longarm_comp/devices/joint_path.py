@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -100,6 +101,46 @@ class JointPath:
         chord = np.diff(self.positions, axis=0) / np.diff(self.times)[:, None]
         m, n = self.slopes[:-1], self.slopes[1:]
         return 6 * chord - 4 * m - 2 * n, 3 * (m + n) - 6 * chord
+
+
+@dataclass(frozen=True)
+class TakenOver:
+    """A path taken up in the middle of a motion: at first it is blended with braking.
+
+    Both lie within the joint box, so their blend does; position and velocity are continuous.
+
+    Attributes:
+        path: what is followed after the blend.
+        start, speed: (n,) set-point and its velocity at the take-over; rad or m, and a second.
+        blend_s: duration of the blend, s.
+        lower, upper: (n,) the joint box.
+    """
+
+    path: JointPath
+    start: Array
+    speed: Array
+    blend_s: float
+    lower: Array
+    upper: Array
+
+    def at(self, time_s: float) -> Array:
+        """(n,) position at a time after the take-over."""
+        wanted = self.path.at(time_s)
+        if time_s < self.blend_s:
+            u = time_s / self.blend_s
+            brake = self.start + self.speed * time_s * (1.0 - 0.5 * u)
+            weight = u * u * (3.0 - 2.0 * u)
+            wanted = (1.0 - weight) * np.clip(brake, self.lower, self.upper) + weight * wanted
+        return np.clip(wanted, self.lower, self.upper)
+
+    def postures(self) -> Array:
+        """(N, n) joints on the way: 16 in the blend, and 16 from one way-point to the next."""
+        knots = [(0.0, self.blend_s), *pairwise(self.path.times.tolist())]
+        times = sorted(t for a, b in knots for t in np.linspace(a, b, _LOOKED_AT + 1)[1:].tolist())
+        return np.array([self.at(t) for t in times])
+
+
+_LOOKED_AT = 16
 
 
 def plan_path(

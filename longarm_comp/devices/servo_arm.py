@@ -68,7 +68,7 @@ class ServoArm:
         JobError: a servo is of another model than configured.
     """
 
-    def __init__(self, config: ServoConfig, keeps_out: KeepsOut = lambda path: "") -> None:
+    def __init__(self, config: ServoConfig, keeps_out: KeepsOut | None = None) -> None:
         self.config = config
         self.follower = TrajectoryFollower(config, keeps_out)
         self._ids = list(config.ids.values())

@@ -25,7 +25,13 @@ import numpy as np
 
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.follower_step import Accepted, Event, EventKind, FollowerState, Step
-from longarm_comp.devices.joint_path import Array, JointPath, JointTrajectory, plan_path
+from longarm_comp.devices.joint_path import (
+    Array,
+    JointPath,
+    JointTrajectory,
+    TakenOver,
+    plan_path,
+)
 from longarm_comp.devices.servo_bus import ServoState
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_watch import Finding, ServoWatch, Trouble
@@ -36,6 +42,7 @@ __all__ = ["Accepted", "Event", "EventKind", "FollowerState", "Step", "Trajector
 _SETTLED_TICKS_S = 30.0
 
 KeepsOut = Callable[[Array], str]
+"""Says why an arm must not go through joints (N, n); empty where it may."""
 
 
 class TrajectoryFollower:
@@ -46,11 +53,10 @@ class TrajectoryFollower:
 
     Args:
         config: the joints and their limits.
-        keeps_out: says why way-points (k, n), the first where the arm stands, must not be
-            followed; empty where they may.
+        keeps_out: asked of every trajectory; None: nothing is kept out of.
     """
 
-    def __init__(self, config: ServoConfig, keeps_out: KeepsOut = lambda path: "") -> None:
+    def __init__(self, config: ServoConfig, keeps_out: KeepsOut | None = None) -> None:
         self._config, self._keeps_out = config, keeps_out
         self._joints = list(config.joints.values())
         self._names = tuple(config.joints)
@@ -69,9 +75,8 @@ class TrajectoryFollower:
         self._set: Array | None = None
         self._velocity = np.zeros(len(self._joints))
         self._goals: dict[int, int] | None = None
-        self._path: JointPath | None = None
-        self._path_time = 0.0
-        self._from: tuple[Array, Array] = (self._lower, self._velocity)
+        self._way: TakenOver | None = None
+        self._way_time = 0.0
 
     @property
     def state(self) -> FollowerState:
@@ -113,11 +118,12 @@ class TrajectoryFollower:
                 start, wanted.times, wanted.positions, wanted.velocities, self._max_velocity
             )
             self._check_inside(path)
-            entry = self._keeps_out(np.vstack([start, wanted.positions]))
+        way = self._taken_over(path, start)
+        if wanted is not None and self._keeps_out is not None:
+            entry = self._keeps_out(way.postures())
             if entry:
                 raise JobError(entry)
-        self._set = start
-        self._path, self._path_time, self._from = path, 0.0, (start, self._velocity.copy())
+        self._set, self._way, self._way_time = start, way, 0.0
         self._state, self._settled, self._still_s = FollowerState.TRACKING, False, 0.0
         kind = EventKind.REPLACED if accepted.replaces else EventKind.STARTED
         self._say(kind, f"{len(trajectory.points)} points, {path.duration:.2f} s")
@@ -128,6 +134,11 @@ class TrajectoryFollower:
     def halt(self, now: float) -> None:
         """Stop smoothly and hold. Raises as ``accept``."""
         self.accept(JointTrajectory((), ()), now)
+
+    def _taken_over(self, path: JointPath, start: Array) -> TakenOver:
+        """A path as it is followed from the present set-point and velocity."""
+        blend_s = self._config.follower.blend_s
+        return TakenOver(path, start, self._velocity.copy(), blend_s, self._lower, self._upper)
 
     def _braking(self, start: Array) -> JointPath:
         """From a set-point to the nearest rest."""
@@ -144,9 +155,8 @@ class TrajectoryFollower:
         """Stop smoothly, stay with the torque on and take no trajectory, until it is released."""
         if on and not self._held:
             if self._state is FollowerState.TRACKING and self._set is not None:
-                path, start = self._braking(self._set), self._set
-                self._path, self._path_time = path, 0.0
-                self._from = (start, self._velocity.copy())
+                self._way = self._taken_over(self._braking(self._set), self._set)
+                self._way_time = 0.0
             self._settled = True  # the trajectory is not followed to its end
             self._say(EventKind.HELD, "held: it stays where it is")
         self._held = on
@@ -208,15 +218,15 @@ class TrajectoryFollower:
             self._velocity = np.zeros_like(self._velocity)
             return None
         self._doubting = False
-        assert self._path is not None and self._set is not None
-        self._path_time += dt
-        wanted = np.clip(self._reference(), self._lower, self._upper)
+        assert self._way is not None and self._set is not None
+        path = self._way.path
+        self._way_time += dt
         bound = self._max_velocity * dt
-        step = np.clip(wanted - self._set, -bound, bound)
+        step = np.clip(self._way.at(self._way_time) - self._set, -bound, bound)
         self._set = self._set + step
         self._velocity = step / dt if dt > 0.0 else self._velocity
-        arrived = self._path_time >= self._path.duration + self._config.follower.blend_s
-        if arrived and np.allclose(self._set, self._path.end, rtol=0.0, atol=1e-9):
+        arrived = self._way_time >= path.duration + self._config.follower.blend_s
+        if arrived and np.allclose(self._set, path.end, rtol=0.0, atol=1e-9):
             self._state = FollowerState.HOLDING
             self._settle(dt)
         self._goals = {
@@ -224,22 +234,6 @@ class TrajectoryFollower:
             for joint, value in zip(self._joints, self._set.tolist(), strict=True)
         }
         return self._goals
-
-    def _reference(self) -> Array:
-        """The path, blended with a braking motion from the set-point at the take-over.
-
-        Both lie within the joint box, so their blend does; position and velocity are continuous.
-        """
-        assert self._path is not None
-        blend, t = self._config.follower.blend_s, self._path_time
-        wanted = self._path.at(t)
-        if t >= blend:
-            return wanted
-        start, speed = self._from
-        u = t / blend
-        brake = np.clip(start + speed * t * (1.0 - 0.5 * u), self._lower, self._upper)
-        weight = u * u * (3.0 - 2.0 * u)
-        return (1.0 - weight) * brake + weight * wanted
 
     def _settle(self, dt: float) -> None:
         """Report once that the arm has come to rest: at the end of its trajectory, or short."""
@@ -289,7 +283,7 @@ class TrajectoryFollower:
         return [Finding(Trouble.LET_GO, name, "its torque is off") for name in loose]
 
     def _drop_motion(self) -> None:
-        self._path = self._set = self._goals = None
+        self._way = self._set = self._goals = None
         self._velocity = np.zeros_like(self._velocity)
 
     def _check_ready(self, now: float) -> None:

@@ -5,6 +5,7 @@ Readings belong to a servo id, not to a joint, so that ids can be exchanged afte
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -16,13 +17,17 @@ from longarm_comp.devices.servo_bus import IncompleteReply, SerialServoBus, Serv
 from longarm_comp.devices.servo_joint import JointConfig
 
 _PERIOD_S = 0.02
+"""Between two readings."""
 _MOST_LOST = 25
 """Readings in a row that may be incomplete: cables move with the arm."""
 _LOOKS, _STILL_TICKS = 15, 8
+"""Readings of a held pose, and how much they may differ: a hand trembles."""
 _UNMOVED_TICKS = 8
-_NEAR_TICKS = 6
-_SETTLED_S = 0.3
+"""A servo that was swept over no more than that was not moved."""
+_NEAR_TICKS, _SETTLED_S = 6, 0.3
+"""A move is over where the servo rests so near its goal for so long."""
 _PATIENCE = 3.0
+"""With a move: times one second and the time that it takes."""
 _SPEED = 5.0
 """Speed of a nudge, deg/s or mm/s: to be seen, and to be stepped away from."""
 _STOPS_AGREE = 0.05
@@ -101,7 +106,7 @@ def shown(joint: JointConfig, value: float) -> str:
 
 def hand_unit(joint: JointConfig) -> tuple[float, str]:
     """Unit in which joint values are typed: its size in rad or m, and its name."""
-    return (1e-3, "mm") if joint.type == "prismatic" else (0.017453292519943295, "deg")
+    return (1e-3, "mm") if joint.type == "prismatic" else (math.radians(1.0), "deg")
 
 
 def zero_from_pose(joint: JointConfig, ticks: float, value: float) -> float:
@@ -157,7 +162,8 @@ class ServoSetup:
         """Torque off at the end, whatever happens; the servos keep one or many turns as declared.
 
         Raises:
-            ServoBusError: torque off was not confirmed.
+            ServoBusError: torque off was not confirmed at the start.
+            JobError: it was not at the end.
         """
         try:
             self.free()
@@ -185,6 +191,9 @@ class ServoSetup:
         Args:
             done: given the travels so far and the seconds since a servo last moved.
             seen: told of every reading.
+
+        Raises:
+            IncompleteReply: half a second of readings lacked a servo.
         """
         lost, moved = 0, time.monotonic()
         self._sweep = {}

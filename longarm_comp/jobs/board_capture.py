@@ -15,7 +15,7 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.stereo import Pair, Side, StereoPairer, StereoRefusal, Target
 from longarm_comp.devices.stereo.target import Grey
 from longarm_comp.devices.stereo.views import FEWEST_VIEWS, BoardView, gaps, view_of
-from longarm_comp.jobs.client import GraphClient
+from longarm_comp.jobs.client import GraphClient, Interrupted
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.images import pixels_of
 from longarm_comp.nodes.stamps import stamp_ns
@@ -104,8 +104,10 @@ def capture(
         client.until(lambda: images.take() is not None, _FIRST_S, "no pair of images")
         try:
             client.until(complete, within_s, "board")
+        except Interrupted:
+            raise
         except JobError as error:
-            if client.stop.is_set() or size is None:
+            if size is None:
                 raise
             lacking = "; ".join(gaps(views, size))
             raise JobError(f"not within {within_s:g} s: {lacking}", views=len(views)) from error

@@ -11,7 +11,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import JobError
-from longarm_comp.jobs.client import ArmClient
+from longarm_comp.jobs.client import ArmClient, Interrupted
 
 _REST_S = 0.5
 _STILL = 1e-3
@@ -76,9 +76,9 @@ def sightings_at_rest(
 
         try:
             client.until(enough, within_s, "poses")
+        except Interrupted:
+            raise
         except JobError as error:
-            if client.stop.is_set():
-                raise
             raise JobError(
                 f"{len(q)} of {poses} poses within {within_s:g} s: let the arm rest at different "
                 "poses where the marker is seen"

@@ -19,6 +19,7 @@ from typing import Any
 
 import yaml
 
+from longarm_comp.arm_folder.camera_files import CAMERAS, SIDES
 from longarm_comp.arm_folder.make import parameter_files
 from longarm_comp.arm_folder.parameter_file import ros_parameters
 from longarm_comp.core.arm.arm import Arm
@@ -89,6 +90,15 @@ class BringUp:
         own = (self.config or self.arm.absolute().parent) / name
         return own if own.is_file() else folder("config") / name
 
+    @property
+    def cameras(self) -> Path | None:
+        """Folder of the pair's calibration, beside the parameter files; None where there is none.
+
+        The simulated cameras tell their own.
+        """
+        own = (self.config or self.arm.absolute().parent) / CAMERAS
+        return own if all((own / f"{side}.yaml").is_file() for side in SIDES) else None
+
     def fitted(self, scratch: Path) -> BringUp:
         """This graph with servos of the arm's joints.
 
@@ -128,7 +138,7 @@ class BringUp:
             "servo_driver": arm
             | ({"bus.port": port} if port else {})
             | (_PATIENT if self.sim else {}),
-            "stereo_bridge": {},
+            "stereo_bridge": {} if self.sim else _path("cameras", self.cameras),
             "simulated_arm": arm | {"servos": servos, "port": bus},
         }
         values = per_node[node]
@@ -158,28 +168,48 @@ class BringUp:
             "lag_s": float(given.get("lag_s", 0.03)) / self.speed,
         }
 
-    def command(self, node: str, bus: str) -> list[str]:
-        """Program and arguments of a node's process."""
-        words = [*self._program(node), "--params-file", str(self.file(node))]
-        for name, value in self.parameters(node, bus).items():
-            words += ["-p", f"{name}:={_text(value)}"]
-        return words
+    @property
+    def processes(self) -> tuple[str, ...]:
+        """Programs that run the nodes, each by its name, in the order of starting."""
+        if not self.composed:
+            return self.nodes
+        return ("composed", *(node for node in self.nodes if node not in COMPOSED))
+
+    def given(self, process: str, bus: str, scratch: Path) -> list[Path | dict[str, Any]]:
+        """Parameters of a process: files and values, the later ones override the earlier ones.
+
+        Args:
+            bus: link to the simulated servo bus.
+            scratch: folder for a file of values, where a process has several nodes.
+        """
+        if process != "composed":
+            return [self.file(process), self.parameters(process, bus)]
+        values = {f"/**/{n}": {"ros__parameters": self.parameters(n, bus)} for n in COMPOSED}
+        write_text(scratch / "composed.yaml", yaml.safe_dump(values))
+        return [*map(self.file, COMPOSED), scratch / "composed.yaml"]
 
     def commands(self, scratch: Path) -> dict[str, list[str]]:
         """Program and arguments of every process, by its name; ``scratch``: folder for files."""
-        bus, together = str(scratch / "servo_bus"), COMPOSED if self.composed else ()
-        made = {node: self.command(node, bus) for node in self.nodes if node not in together}
-        if together:
-            given = {f"/**/{n}": {"ros__parameters": self.parameters(n, bus)} for n in together}
-            write_text(scratch / "composed.yaml", yaml.safe_dump(given))
-            files = [*map(self.file, together), scratch / "composed.yaml"]
-            options = [word for file in files for word in ("--params-file", str(file))]
-            made["composed"] = [*self._program("composed"), *options]
-        return made
+        bus = str(scratch / "servo_bus")
+        return {
+            name: [*self._program(name), *_words(self.given(name, bus, scratch))]
+            for name in self.processes
+        }
 
     def _program(self, module: str) -> list[str]:
         words = [sys.executable, "-m", f"{PACKAGE}.nodes.{module}", "--ros-args"]
         return words + (["-r", f"__ns:=/{self.namespace.strip('/')}"] if self.namespace else [])
+
+
+def _words(given: list[Path | dict[str, Any]]) -> list[str]:
+    """Parameters on a command line."""
+    words: list[str] = []
+    for part in given:
+        if isinstance(part, Path):
+            words += ["--params-file", str(part)]
+        else:
+            words += [w for name, value in part.items() for w in ("-p", f"{name}:={_text(value)}")]
+    return words
 
 
 def _path(name: str, path: Path | None) -> dict[str, Any]:

@@ -14,12 +14,17 @@ from longarm_comp.nodes.error_predictor import ErrorPredictor
 from longarm_comp.nodes.kinematics import Kinematics
 from longarm_comp.nodes.predictor_client import LocalCaller
 from longarm_comp.nodes.runner import run
+from longarm_comp.nodes.worker import Worker
 
 
 def nodes(executor: SingleThreadedExecutor) -> tuple[ErrorPredictor, Kinematics]:
     """Both nodes."""
     predictor = ErrorPredictor(executor)
-    return predictor, Kinematics(executor, LocalCaller(predictor.answer))
+
+    def caller(worker: Worker) -> LocalCaller:
+        return LocalCaller(predictor.answer, predictor.publish, worker.next)
+
+    return predictor, Kinematics(executor, caller)
 
 
 def main() -> None:

@@ -6,7 +6,6 @@ import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 from geometry_msgs.msg import Vector3Stamped
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -90,25 +89,21 @@ class ErrorPredictor(Node):
     def _on_predict(
         self, request: PredictError.Request, reply: Callable[[PredictError.Response], None]
     ) -> None:
-        response = self._answer(request)
+        response = self.answer(request)
         reply(response)
-        if response.success:
-            self._publish(response)
+        self.publish(response)
 
-    def answer(self, request: PredictError.Request) -> PredictError.Response:
-        """The answer to a question of another thread of this process."""
-        response = self._answer(request)
-        if response.success:
-            self._asked.submit(partial(self._publish, response))
-        return response
-
-    def _publish(self, response: PredictError.Response) -> None:
+    def publish(self, response: PredictError.Response) -> None:
+        """Publish the error that was predicted, if one was."""
+        if not response.success:
+            return
         message = Vector3Stamped(vector=response.error)
         message.header.stamp = self.get_clock().now().to_msg()
         message.header.frame_id = self._base_frame
         self._errors.publish(message)
 
-    def _answer(self, request: PredictError.Request) -> PredictError.Response:
+    def answer(self, request: PredictError.Request) -> PredictError.Response:
+        """The answer to a question; from any thread of this process."""
         response = PredictError.Response(sigma=math.nan, error=vector_message([math.nan] * 3))
         loaded = self._loaded
         try:

@@ -158,9 +158,9 @@ class FollowServer:
 
 
 def _deadline(asked: Any) -> float:
-    """Monotonic seconds at which the goal is late; never where no tolerance is given."""
+    """Monotonic seconds at which the goal is late; never where no tolerance is given (0, -1 s)."""
     tolerance, points = seconds(asked.goal_time_tolerance), asked.trajectory.points
-    if not tolerance or not points:
+    if tolerance <= 0.0 or not points:
         return math.inf
     return time.monotonic() + seconds(points[-1].time_from_start) + tolerance
 

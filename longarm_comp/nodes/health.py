@@ -25,10 +25,8 @@ OK, WARN, ERROR, STALE = (
     DiagnosticStatus.STALE,
 )
 
-
 _FRESH_S = 60.0
 """For so long a fault is an error on /diagnostics, unless it is known to be mended."""
-
 
 INSTANCE = "instance"
 """Value of the part `process`: which process reports, as a restarted one has the same name."""

@@ -37,15 +37,15 @@ def _sample(k: int) -> Callable[[Grey], Grey]:
     return lambda numbers: numbers[:, :, k]
 
 
-def _coloured(code: int) -> Callable[[Grey], Grey]:
+def _converted(code: int) -> Callable[[Grey], Grey]:
     return lambda numbers: np.asarray(cv2.cvtColor(numbers, code), dtype=np.uint8)
 
 
 _BAYER = {
-    "rggb": _coloured(cv2.COLOR_BayerRGGB2GRAY),
-    "bggr": _coloured(cv2.COLOR_BayerBGGR2GRAY),
-    "gbrg": _coloured(cv2.COLOR_BayerGBRG2GRAY),
-    "grbg": _coloured(cv2.COLOR_BayerGRBG2GRAY),
+    "rggb": _converted(cv2.COLOR_BayerRGGB2GRAY),
+    "bggr": _converted(cv2.COLOR_BayerBGGR2GRAY),
+    "gbrg": _converted(cv2.COLOR_BayerGBRG2GRAY),
+    "grbg": _converted(cv2.COLOR_BayerGRBG2GRAY),
 }
 
 # Names of sensor_msgs/image_encodings.hpp. Of YUV the brightness Y is every second byte.
@@ -53,9 +53,9 @@ ENCODINGS: dict[str, Encoding] = {
     **dict.fromkeys(("mono8", "8UC1"), Encoding(1, _sample(0))),
     **dict.fromkeys(("mono16", "16UC1"), Encoding(1, _sample(0), wide=True)),
     **dict.fromkeys(("bgr8", "8UC3"), Encoding(3, lambda numbers: numbers)),
-    "rgb8": Encoding(3, _coloured(cv2.COLOR_RGB2BGR)),
-    **dict.fromkeys(("bgra8", "8UC4"), Encoding(4, _coloured(cv2.COLOR_BGRA2BGR))),
-    "rgba8": Encoding(4, _coloured(cv2.COLOR_RGBA2BGR)),
+    "rgb8": Encoding(3, _converted(cv2.COLOR_RGB2BGR)),
+    **dict.fromkeys(("bgra8", "8UC4"), Encoding(4, _converted(cv2.COLOR_BGRA2BGR))),
+    "rgba8": Encoding(4, _converted(cv2.COLOR_RGBA2BGR)),
     **dict.fromkeys(("yuv422", "uyvy"), Encoding(2, _sample(1))),
     **dict.fromkeys(("yuv422_yuy2", "yuyv"), Encoding(2, _sample(0))),
     **{f"bayer_{order}8": Encoding(1, convert) for order, convert in _BAYER.items()},
@@ -134,7 +134,7 @@ def info_message(info: CameraInfoLike, ns: int, frame: str) -> CameraInfo:
     return message
 
 
-def same_camera(a: CameraInfo, b: CameraInfo) -> bool:
-    """Whether two messages hold the same calibration."""
+def same_camera(a: CameraInfoLike, b: CameraInfoLike) -> bool:
+    """Whether two messages or files hold the same calibration."""
     keys = ("width", "height", "distortion_model", "d", "k", "r", "p")
     return all(np.array_equal(getattr(a, key), getattr(b, key)) for key in keys)

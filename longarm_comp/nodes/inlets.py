@@ -16,6 +16,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from longarm_comp.nodes.interfaces import Service, Topic
+from longarm_comp.nodes.loss import QueueWatch
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.rclpy_inside import DirectInlets, missing
 
@@ -86,24 +87,33 @@ class PlainInlets:
         self._node, self._group = node, ReentrantCallbackGroup()
         self._got: deque[Callable[[], None]] = deque()
         self._bell = threading.Event()
-        self.lost = self.unfit = 0
+        self._losses: list[tuple[_Told, QueueWatch]] = []
+        self._unfit: list[_Told] = []
+
+    @property
+    def lost(self) -> int:
+        """Messages that were lost, at least; as `DirectInlets.lost`."""
+        return sum(max(told.count, watch.lost) for told, watch in self._losses)
+
+    @property
+    def unfit(self) -> int:
+        """Publishers that were not heard, as their QoS does not fit."""
+        return sum(told.count for told in self._unfit)
 
     def hear(self, topic: Topic, callback: Callable[[Any], None]) -> None:
         """Subscribe to a topic."""
+        lost, unfit, watch = _Told(), _Told(), QueueWatch(topic.depth)
+        self._losses.append((lost, watch))
+        self._unfit.append(unfit)
+
+        def took(message: Any, info: Any) -> None:
+            watch.took(info["publication_sequence_number"] or 0, info["received_timestamp"])
+            self._enter(partial(callback, message))
+
         told = SubscriptionEventCallbacks(
-            message_lost=self._on_lost, incompatible_qos=self._on_unfit,
-            use_default_callbacks=False,
-        )  # fmt: skip
-        topic.subscription(
-            self._node, lambda message: self._enter(partial(callback, message)), self._group,
-            events=told,
-        )  # fmt: skip
-
-    def _on_lost(self, told: Any) -> None:
-        self.lost = int(told.total_count)
-
-    def _on_unfit(self, told: Any) -> None:
-        self.unfit = int(told.total_count)
+            message_lost=lost, incompatible_qos=unfit, use_default_callbacks=False
+        )
+        topic.subscription(self._node, took, self._group, events=told)
 
     def serve(self, service: Service, callback: Callable[[Any, Any], None]) -> None:
         """Offer a service."""
@@ -145,6 +155,15 @@ class PlainInlets:
     def _enter(self, job: Callable[[], None]) -> None:
         self._got.append(job)
         self._bell.set()
+
+
+class _Told:
+    """The last count that an event of the middleware told."""
+
+    count = 0
+
+    def __call__(self, event: Any) -> None:
+        self.count = int(event.total_count)
 
 
 class _PlainCaller:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -65,15 +66,19 @@ PARAMS = (
 )
 
 
+Asked = Callable[[Worker], Caller]
+
+
 class Kinematics(Node):
     """Computes one target after another on a worker thread, so that the executor stays free.
 
     Args:
         executor: that the node will be in.
-        predictor: asked for the learned error; the service on the graph where it is not given.
+        predictor: makes what the worker asks for the learned error; the service on the graph
+            where it is not given.
     """
 
-    def __init__(self, executor: SingleThreadedExecutor, predictor: Caller | None = None) -> None:
+    def __init__(self, executor: SingleThreadedExecutor, predictor: Asked | None = None) -> None:
         super().__init__("kinematics", automatically_declare_parameters_from_overrides=True)
         p = declare(self, PARAMS)
         for path in filter(None, p["effects"].split(os.pathsep)):
@@ -85,7 +90,7 @@ class Kinematics(Node):
         tally = Tally(self)
         self._worker = Worker(self, executor, p["queue"], self.survived, direct=p[DIRECT.name])
         inlets = self._worker.inlets
-        caller = predictor or inlets.caller(graph.PREDICT_ERROR)
+        caller = predictor(self._worker) if predictor else inlets.caller(graph.PREDICT_ERROR)
         self._predictor = PredictorClient(caller, self._arm, p["predictor_timeout_s"])
         self._monitor = TipMonitor(
             self._predictor, p["monitor.settle_s"], p["monitor.sightings"], p["monitor.sigma_m"],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -102,7 +103,7 @@ class PredictorClient:
             self.probe()
             raise NoAnswer("error_predictor does not answer, physics only until it does")
         answer = self._caller.answer(self._caller.send(request), self._timeout_s)
-        self._is(answers=answer is not None, silent=answer is None)
+        self._note(answers=answer is not None, silent=answer is None)
         if answer is None:
             raise NoAnswer(f"error_predictor did not answer within {self._timeout_s:g} s")
         return answer
@@ -122,13 +123,13 @@ class PredictorClient:
     def _look(self) -> bool:
         """Whether a predictor is on the graph, after a look for the answer to a probe."""
         if not self.present:
-            self._is(answers=False, silent=False)
+            self._note(answers=False, silent=False)
             return False
         if self._probe is not None and self._caller.answer(self._probe, 0.0) is not None:
-            self._is(answers=True, silent=False)
+            self._note(answers=True, silent=False)
         return True
 
-    def _is(self, *, answers: bool, silent: bool) -> None:
+    def _note(self, *, answers: bool, silent: bool) -> None:
         self.answers, self._silent = answers, silent
         self._probe, self._patience_s = None, _PROBE_S[0]
 
@@ -138,16 +139,23 @@ class LocalCaller:
 
     Args:
         serve: the response to a request; from any thread.
+        published: called with every response, later.
+        later: takes a job, to be run when the target is answered: until then it would only wait.
     """
 
     present = True
 
-    def __init__(self, serve: Callable[[Any], Any]) -> None:
-        self._serve, self._number, self._response = serve, 0, None
+    def __init__(
+        self, serve: Callable[[Any], Any], published: Callable[[Any], None],
+        later: Callable[[Callable[[], None]], None],
+    ) -> None:  # fmt: skip
+        self._serve, self._published, self._later = serve, published, later
+        self._number, self._response = 0, None
 
     def send(self, request: Any) -> int:
         """Compute the response."""
         self._number, self._response = self._number + 1, self._serve(request)
+        self._later(partial(self._published, self._response))
         return self._number
 
     def answer(self, number: int, within_s: float) -> Any:

@@ -66,9 +66,9 @@ class Readiness:
             if needed != self._prepared and self._compiled:
                 self._compute.rehearse()
         finally:
-            self._busy = False
-            if needed != self._prepared:  # also after a fault, which every target would repeat
-                self._prepared = needed
+            fresh, self._prepared = needed != self._prepared, needed
+            self._busy = False  # last: the next look would prepare the same again
+            if fresh:  # also after a fault, which every target would repeat
                 self._node.get_logger().info(f"ready: {Compiled.programs} programs compiled")
 
     def report(self) -> Report:

@@ -24,7 +24,7 @@ from trajectory_msgs.msg import JointTrajectory
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.keep_out import entered
+from longarm_comp.core.model.keep_out import entered_at
 from longarm_comp.devices.servo_arm import Cycle, JointReading, ServoArm
 from longarm_comp.devices.servo_bus import BusUnplugged, IncompleteReply
 from longarm_comp.devices.servo_config import BusConfig, FollowerConfig, ServoConfig
@@ -67,7 +67,7 @@ class ServoDriver(LifecycleNode):
         super().__init__("servo_driver", automatically_declare_parameters_from_overrides=True)
         p = declare(self, PARAMS, sections=tuple(SECTIONS))
         self._config = self._servo_config()
-        self._keeps_out: KeepsOut = lambda path: ""
+        self._keeps_out: KeepsOut | None = None
         if p["arm"]:
             self._keeps_out = self._rules_of(Arm.load(p["arm"]), p["arm"])
         self._autostart, self._period_s = p["autostart"], 1.0 / p["rate_hz"]
@@ -116,21 +116,21 @@ class ServoDriver(LifecycleNode):
             )
         return ServoConfig.parse(nested(given), "parameters of servo_driver")
 
-    def _rules_of(self, arm: Arm, file: str) -> KeepsOut:
-        """Check the declared steps; how moves are kept out of the declared boxes.
+    def _rules_of(self, arm: Arm, file: str) -> KeepsOut | None:
+        """Check the declared steps; how moves are kept out of the declared boxes, if there are any.
 
         Raises:
             InputError: a step that the servo does not have; boxes, and a joint without a servo.
         """
         self._config.check_steps(dict(zip(arm.joint_names, arm.steps.tolist(), strict=True)), file)
         if not arm.keep_out:
-            return lambda path: ""
+            return None
         names, model = list(self._config.joints), declared_model(arm)
         for name in arm.joint_names:
             if name not in names:
                 raise InputError(file, f"servo of {name}", "missing", ", ".join(names))
         order = [names.index(name) for name in arm.joint_names]
-        return lambda path: entered(model, path[:, order])
+        return lambda q: entered_at(model, q[:, order])
 
     # ------------------------------------------------------------------ lifecycle
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Mapping
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +19,7 @@ from longarm_comp.core.arm import quaternion
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.link_frames import Placed
 from longarm_comp.devices.stereo import (
-    CharucoTarget,
+    CameraInfoLike,
     Limits,
     Pair,
     Side,
@@ -26,9 +28,9 @@ from longarm_comp.devices.stereo import (
     StereoRefusal,
     StereoRig,
     StereoSighting,
-    TagBoard,
-    Target,
 )
+from longarm_comp.devices.stereo.camera_file import read_camera
+from longarm_comp.devices.stereo.marker import marker_of
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.frames import FrameTeller, prefix_of
 from longarm_comp.nodes.health import OK, PERIOD, STALE, WARN, Health, Report
@@ -46,12 +48,16 @@ _TRANSPORTS = {
     "compressed": ((graph.LEFT_COMPRESSED, graph.RIGHT_COMPRESSED), decoded),
 }
 
+MARKER_LOST = "marker lost: "
+"""What the report of the part `stereo` begins with while no tip is measured."""
+
 _ADAPT_S = 0.5
 """Pause between two looks at who publishes images."""
 
 PARAMS = (
     Param("base_frame", "base", "frame that the tip is reported in"),
     Param("rectified", False, "images are rectified (only P of camera_info holds)"),
+    Param("cameras", "", "folder of left.yaml and right.yaml; empty: camera_info holds"),
     Param("image_transport", "raw", "which images are heard", choices=tuple(_TRANSPORTS)),
     Param("reliable_images", True, "no image is lost, if the cameras publish so; one machine"),
     Param("slop_ms", 5.0, "left and right stamps within it make a pair", 0.0, 1000.0),
@@ -81,14 +87,13 @@ PARAMS = (
 )
 
 
-def target_of(p: dict[str, Any]) -> Target:
-    """The printed marker that the parameters describe."""
-    columns, rows, family = p["marker.columns"], p["marker.rows"], p["marker.dictionary"]
-    if p["marker.kind"] == "charuco":
-        return CharucoTarget(p["marker.square_m"], p["marker.tag_m"], columns, rows, family)
-    return TagBoard(
-        p["marker.tag_m"], p["marker.gap_m"], columns, rows, family, p["marker.first_id"]
-    )
+def _file(folder: str, side: Side) -> CameraInfoLike:
+    return read_camera(Path(folder) / f"{side.name.lower()}.yaml")
+
+
+def _other(info: CameraInfo, file: CameraInfoLike) -> bool:
+    """Whether a message holds a calibration, and not that of the file."""
+    return bool(info.k[0]) and not same_camera(info, file)
 
 
 class StereoBridge(Node):
@@ -100,7 +105,7 @@ class StereoBridge(Node):
         self._prefix, self._publish_lost = prefix_of(self), p["publish_lost"]
         self._base_frame, self._frames = self._prefix + p["base_frame"], FrameTeller(self)
         self._rectified = p["rectified"]
-        self._target = target_of(p)
+        self._target = marker_of(p)
         turn = np.array(p["hand_eye.quaternion"])
         if not quaternion.is_unit(turn):
             where = "parameters of stereo_bridge"
@@ -114,11 +119,17 @@ class StereoBridge(Node):
         )
         self._pairer: StereoPairer[Any] = StereoPairer(round(p["slop_ms"] * 1e6), p["queue"])
         self._infos: dict[Side, CameraInfo] = {}
+        self._files = {s: _file(p["cameras"], s) for s in Side} if p["cameras"] else {}
         self._eye: StereoEye | None = None
         self._sightings = 0
         self._refusals: dict[str, int] = {}
         self._last = "no pair of images yet"
         self._lost = True
+        if self._files:
+            try:
+                self._calibrate(self._files)
+            except LongarmError as error:
+                raise InputError(p["cameras"], "cameras", error, "a calibrated pair") from error
         self._worker = Worker(self, executor, 2, self.survived)
         self._worker.start()
         self._tips = graph.TIP_MEASURED.publisher(self)
@@ -149,25 +160,33 @@ class StereoBridge(Node):
         if known is not None and same_camera(known, message):
             return
         self._infos[side] = message
+        if self._files:  # the message names the camera's frame
+            self._calibrate(self._files)
+            return
         self._eye = None
         if len(self._infos) < 2:
             return
         try:
-            rig = StereoRig.from_camera_info(
-                self._infos[Side.LEFT], self._infos[Side.RIGHT], rectified=self._rectified
-            )
+            self._calibrate(self._infos)
         except LongarmError as error:
             self._refuse(error, None)
-            return
+
+    def _calibrate(self, cameras: Mapping[Side, CameraInfoLike]) -> None:
+        """Measure with this calibration from now on.
+
+        Raises:
+            StereoRefusal, InputError: it is none.
+        """
+        rig = StereoRig.from_camera_info(
+            cameras[Side.LEFT], cameras[Side.RIGHT], rectified=self._rectified
+        )
         self._eye = StereoEye(rig, self._target, self._hand_eye, self._tip_in_marker, self._limits)
         self._tell_cameras(self._eye.cameras)
 
     def _tell_cameras(self, poses: tuple[np.ndarray, np.ndarray]) -> None:
         """Say where the cameras are, by the names that they give their frames."""
-        names = [
-            self._infos[side].header.frame_id or f"{self._prefix}{side.name.lower()}_optical"
-            for side in (Side.LEFT, Side.RIGHT)
-        ]
+        told = {side: info.header.frame_id for side, info in self._infos.items()}
+        names = [told.get(s) or f"{self._prefix}{s.name.lower()}_optical" for s in Side]
         frames = [Placed.at(self._base_frame, *camera) for camera in zip(names, poses, strict=True)]
         self._frames.tell_static(frames)
 
@@ -218,6 +237,13 @@ class StereoBridge(Node):
         message.pose.pose.position = Point(x=math.nan, y=math.nan, z=math.nan)
         self._tips.publish(message)
 
+    def _calibration(self) -> str:
+        """Where the calibration is from, and whether the cameras tell another one."""
+        if not self._files:
+            return "camera_info"
+        told = [info for side, info in self._infos.items() if _other(info, self._files[side])]
+        return "files; camera_info tells another one" if told else "files"
+
     def _report(self) -> Report:
         facts: dict[str, object] = {
             "sightings": self._sightings,
@@ -225,12 +251,13 @@ class StereoBridge(Node):
             **{f"refused: {why}": n for why, n in sorted(self._refusals.items())},
             **{f"dropped: {why}": n for why, n in self._pairer.drops.items()},
             **{f"lost on the way: {s.name.lower()}": i.lost for s, i in self._inlets.items()},
+            "calibration": self._calibration(),
             **{f"images {s.name.lower()}": i.reliability for s, i in self._inlets.items()},
         }
         if not self._pairer.pairs:
             return Report(STALE, self._last, facts)
         if self._lost:
-            return Report(WARN, f"marker lost: {self._last}", facts)
+            return Report(WARN, MARKER_LOST + self._last, facts)
         return Report(OK, f"tip measured: {self._last}", facts)
 
 

@@ -152,6 +152,7 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding, real: Practical) -> dic
         "reading": "; ".join(dict.fromkeys(t.reading for t in found.terms if t.reading)),
         "set": list(found.names),
         "untold": list(found.untold),
+        "unnamed": found.unnamed,
         "where": list(found.where),
         "called": {p: w for p, w in called.items() if p in found.where},
         "log_bayes_factor": found.log_bayes_factor,
@@ -239,11 +240,11 @@ def _error_row(
 
 
 def _outliers(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    fit = diagnosis.fit
-    rows = []
+    fit, rows = diagnosis.fit, []
+    noise = fit.uneven(fit.session)[:, None] * fit.sigma
     for row in fit.outliers:
         length = float(np.linalg.norm(fit.residual[row] * fit.metres))
-        ratio = float(np.max(np.abs(fit.residual[row]) / fit.sigma))
+        ratio = float(np.max(np.abs(fit.residual[row]) / noise[row]))
         why = f"{1e3 * length:.1f} mm off, {ratio:.0f} standard deviations on its worst axis"
         rows.append({"index": int(fit.session.index[row]), "why": why})
     return rows

@@ -178,6 +178,8 @@ def _sure(finding: ReportFinding) -> tuple[str, str]:
         said.append(f"Next best: {finding.runner_up.effect}, odds of {odds(margin)} for the name")
     if finding.untold:
         said.append(f"What runs together with its input may drive it: {listed(finding.untold)}")
+    if finding.unnamed:
+        said.append(f"It may be a cause without a name: {finding.unnamed}")
     sure = _word(there)
     if finding.open:
         sure += "; the name is open"

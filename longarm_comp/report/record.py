@@ -56,6 +56,7 @@ class ReportFinding(_Record):
 
     `called` says which joint a row of arm.yaml is, where its number or name is another.
     `untold` is what runs together with the recorded column that drives it.
+    `unnamed` is why a cause without a name may be there instead.
     `seen_mm` and `commanded_mm` are mean held-out errors without it, the rest fitted again, and
     with it: as measured, and as a command would have it.
     """
@@ -65,6 +66,7 @@ class ReportFinding(_Record):
     reading: str = ""
     set: list[str]
     untold: list[str] = []
+    unnamed: str = ""
     where: list[str]
     called: dict[str, str] = {}
     log_bayes_factor: float
@@ -81,7 +83,7 @@ class ReportFinding(_Record):
     @property
     def open(self) -> bool:
         """Whether it may as well be something else."""
-        return len(self.set) > 1 or bool(self.untold)
+        return len(self.set) > 1 or bool(self.untold) or bool(self.unnamed)
 
 
 class ReportCandidate(_Record):

@@ -13,6 +13,8 @@ TIP_REST_M = 3e-3
 """Largest distance (m) of a settled sighting from the final position of the sightings."""
 REST_S = 0.1
 """Shortest rest (s) of the measured joints; a shorter one is only a passage."""
+AFTER_S = 0.05
+"""The tip comes to rest this long (s) after the last change of the measured joints, at most."""
 _LAST = 5
 
 
@@ -40,7 +42,9 @@ def settled(
     """The mean of the settled sightings between a command at `begin` (s) and the next one.
 
     The arm is at rest once the measured joints stay at their final values (`JOINT_REST`) and the
-    sightings at their final position (`TIP_REST_M` about the median of the last five).
+    sightings at their final position (`TIP_REST_M` about the median of the last five).  Where there
+    are sightings of the time after the joints stood still (`_still`), only these count: within
+    `JOINT_REST` of its end a joint that still moves is millimetres off at the tip.
 
     Args:
         sightings: in the order of time.
@@ -63,7 +67,9 @@ def settled(
         rest = float(times[moving[-1]]) if len(moving) else begin
         if max(times[-1], sightings[-1].t) - rest < REST_S:
             return None
-        seen = [s for s in seen if s.t >= rest]
+        still = _still(times, joints)
+        since = ([s for s in seen if s.t >= t] for t in (still + AFTER_S, still, rest))
+        seen = next(filter(None, since), [])
         if not seen:  # it was seen on the way only
             nowhere, untold = np.full(3, np.nan), np.full(4, np.nan)
             return sightings[-1]._replace(xyz=nowhere, quaternion=untold)
@@ -83,6 +89,18 @@ def settled(
         _mean_turn([s.quaternion for s in kept]),
         sum(s.turn_variance for s in kept) / n**2,
     )
+
+
+def _still(times: np.ndarray, joints: np.ndarray) -> float:
+    """Time (s) from which on the measured joints change no more than in the last `REST_S`.
+
+    Encoders that flicker by a tick do so to the end.
+    """
+    last = joints[times >= times[-1] - REST_S]
+    low, high = last.min(axis=0), last.max(axis=0)
+    flicker = high - low
+    moving = ((joints < low - flicker) | (joints > high + flicker)).any(axis=1)
+    return float(times[np.flatnonzero(moving)[-1] + 1] if moving.any() else times[0])
 
 
 def _mean_turn(quaternions: Sequence[np.ndarray]) -> np.ndarray:

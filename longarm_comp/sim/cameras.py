@@ -2,8 +2,8 @@
 
 Geometry is exact: every image pixel is a grid of finer ones, each traced back through the lens
 onto the marker's plane, so edges fall where they belong to a few thousandths of a pixel. Then come
-defocus, motion blur, exposure, shot and read noise, and 8 bits. Nothing here is shared with the
-measuring side (`devices/stereo`), so that each checks the other.
+defocus, motion blur, exposure, shot and read noise, and 8 bits. No geometry here is shared with
+the measuring side (`devices/stereo`), so that each checks the other.
 
 Optical frames: x right, y down, z forward. Marker frame: x right, y up, z towards the viewer,
 origin in the middle of the plate. ``a_T_b`` takes points of b to a; metres.
@@ -18,10 +18,10 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from longarm_comp.devices.camera_info import CameraInfo
 from longarm_comp.sim.marker_images import Plate, charuco_plate, tag_plate
 
 __all__ = [
-    "CameraInfo",
     "CameraPair",
     "Conditions",
     "Plate",
@@ -34,19 +34,6 @@ Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 _FINE = 6  # fine pixels along the side of an image pixel
 _BACK_GREY = 90.0  # the plate's unprinted side, and what covers it
-
-
-@dataclass(frozen=True)
-class CameraInfo:
-    """The fields of a sensor_msgs/CameraInfo that a stereo pair needs."""
-
-    width: int
-    height: int
-    distortion_model: str
-    d: tuple[float, ...]
-    k: tuple[float, ...]
-    r: tuple[float, ...]
-    p: tuple[float, ...]
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,8 @@ Kind = Literal["grid", "sobol", "i-optimal", "d-optimal"]
 _FILLING = {"grid": (grid, lambda arm: len(paper_grid(arm))), "sobol": (sobol, lambda arm: 2**20)}
 """Makes a plan; says how many poses there are."""
 _OPTIMAL = ("i-optimal", "d-optimal")
+_GIVEN = "--keep-out"
+"""Name of a box that is not of arm.yaml, with its number."""
 NOISE = (3e-4, 1e-3)
 """Noise of a length (m) and an angle (rad) where nothing was measured yet."""
 
@@ -123,8 +125,8 @@ def plan(
 
 
 def bounded(arm: Arm, keep_out: Sequence[Sequence[float]], floor: float | None) -> Arm:
-    """The arm with further boxes and a floor."""
-    boxes = {f"box {k}": _box(given) for k, given in enumerate(keep_out, 1)}
+    """The arm with further boxes and a floor. Boxes of its own stay."""
+    boxes = {f"{_GIVEN} {k}": _box(given) for k, given in enumerate(keep_out, 1)}
     arm = arm.model_copy(update={"keep_out": {**arm.keep_out, **boxes}})
     return arm if floor is None else above(arm, floor)
 

@@ -116,18 +116,33 @@ class MeasuredRows:
         return None if self.plain else self.measured
 
     @cached_property
-    def claimed(self) -> np.ndarray | None:
-        """(d,) medians of the standard deviations that the rows state; None where none does."""
+    def stated(self) -> np.ndarray:
+        """(N, d) standard deviations that the rows state, m or rad; NaN where none."""
         made = []
         for block in self.blocks:
-            if block.kind == "position":
-                stated = None if self.sigma is None else np.median(self.sigma, axis=0)
-            else:
-                held = self.sigmas.get(block.kind)
-                stated = None if held is None else np.nanmedian(held)
-            made.append(np.broadcast_to(0.0 if stated is None else stated, len(block.channels)))
-        whole = np.concatenate(made)
-        return whole if whole.any() else None
+            own = self.sigmas.get(block.kind)
+            given = self.sigma if block.kind == "position" else own if own is None else own[:, None]
+            shape = len(self.xyz), len(block.channels)
+            made.append(np.broadcast_to(np.nan if given is None else given, shape))
+        whole = np.concatenate(made, axis=1)
+        told = self.measured & np.isfinite(whole) & (whole > 0)
+        return np.where(told, whole, np.nan)
+
+    @cached_property
+    def claimed(self) -> dict[str, float]:
+        """Median of `stated` by channel, of those in which a row states any."""
+        held = ((k, v[np.isfinite(v)]) for k, v in zip(self.channels, self.stated.T, strict=True))
+        return {name: float(np.median(values)) for name, values in held if len(values)}
+
+    def uneven(self, usual: Mapping[str, float]) -> np.ndarray:
+        """(N,) noise that each row states over the usual one by channel; 1 where it states none.
+
+        The geometric mean over its channels.
+        """
+        share = self.stated / np.array([usual.get(name, np.nan) for name in self.channels])
+        known = np.isfinite(share)
+        logs = np.log(share, where=known, out=np.zeros(share.shape))
+        return np.asarray(np.exp(logs.sum(axis=1) / np.maximum(known.sum(axis=1), 1)))
 
     def reading(self, kind: Kind) -> np.ndarray:
         """(N, c) readings of one kind, NaN where not measured."""

@@ -28,8 +28,10 @@ from longarm_comp.core.identify.evidence import (
     score,
 )
 from longarm_comp.core.identify.minor import share, worth
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.search import SearchResult
 from longarm_comp.core.identify.search_state import ODDS
+from longarm_comp.core.model.model import slots_of
 
 FEW = 3
 """On so few levels of a joint, any function of it is an offset and two numbers."""
@@ -77,6 +79,7 @@ class EffectFinding:
         share: what it takes of the mean squared error that the fitted rows would have without it.
         partial_aliases: effects that could stand for a part of it, best first.
         untold: what runs together with the recorded column that drives it.
+        unnamed: why a cause without a name may be there instead; empty where it may not.
     """
 
     name: str
@@ -89,11 +92,12 @@ class EffectFinding:
     share: float
     partial_aliases: tuple[PartialAlias, ...] = ()
     untold: tuple[str, ...] = ()
+    unnamed: str = ""
 
     @property
     def open(self) -> bool:
         """Whether it may as well be something else."""
-        return bool(self.alternatives or self.untold)
+        return bool(self.alternatives or self.untold or self.unnamed)
 
     @property
     def where(self) -> tuple[str, ...]:
@@ -134,6 +138,7 @@ def findings(
                 result, candidates, columns, f.terms, chosen.union(f.names)
             ),
             untold=untold(result.fit.session, result.fit.model.arm, f.terms),
+            unnamed=_incredible(result.fit, f.terms),
         )
         for f in found
     )
@@ -164,6 +169,17 @@ def on_few_levels(
         scores = [score(result.fit, marginal, c, columns) for c in options]
         added += sorted(scores, key=lambda s: -s.log_bayes_factor)[:1]
     return dataclasses.replace(found, alternatives=(*found.alternatives, *added))
+
+
+def _incredible(fit: ModelFit, terms: Sequence[Term]) -> str:
+    """Which parameter is of a size that nobody believes; empty where none is."""
+    sizes = {
+        f"{s.owner.where} {s.parameter.name}": abs(getattr(s.owner, s.parameter.name))
+        / s.parameter.prior
+        for s in slots_of(fit.model.arm, terms)
+    }
+    most = max(sizes, key=lambda label: sizes[label], default="")
+    return f"{most} is implausibly large" if most and sizes[most] > IMPLAUSIBLE else ""
 
 
 def _levels(q: np.ndarray) -> np.ndarray:

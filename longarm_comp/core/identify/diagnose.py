@@ -25,6 +25,7 @@ from longarm_comp.core.identify.outcome import (
     look_further,
     with_discovery,
     with_network,
+    with_rival,
 )
 from longarm_comp.core.identify.plausible import check_fits, check_noise, check_sizes, check_worth
 from longarm_comp.core.identify.proof import prove
@@ -100,6 +101,8 @@ def diagnose(
     structure = all_signs(outcome.structure, identified.search, outcome.proof)
     discovery = look_further(identified, outcome, structure.flag, sealed, rng, say, seed)
     added = discovery if discovery is not None and discovery.kept else None
+    if discovery is not None:
+        outcome = with_rival(outcome, discovery)
     if added is not None:
         outcome = with_discovery(outcome, added)
         structure = at_least(structure, added)

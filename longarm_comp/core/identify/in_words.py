@@ -49,6 +49,8 @@ def sentence(finding: EffectFinding, fit: ModelFit, confirmed: Confirmed) -> str
     if finding.untold:
         read = " and ".join(dict.fromkeys(n for t in finding.terms for n in t.inputs))
         remark += f"; {' and '.join(finding.untold)} ran together with {read}: either may drive it"
+    if finding.unnamed:
+        remark += "; or a cause without a name"
     return f"{names}: {said}{other}{remark}"
 
 

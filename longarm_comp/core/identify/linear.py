@@ -170,7 +170,7 @@ def whiten(
 
     Args:
         columns: of d channels.
-        weights: (N,).
+        weights: (N,), 0 or how much a row counts.
         sigma: (d,) noise of the channels.
         rho: correlation of successive rows.
         measured: (N, d) which channels a row holds; all where None.
@@ -185,6 +185,29 @@ def whiten(
             free = np.where(both, free, rows[1:])
         rows = np.concatenate([rows[:1], free])
     return rows.reshape(columns.shape[1] * len(rows), columns.shape[-1])
+
+
+def believed(
+    residual: np.ndarray, uneven: np.ndarray, measured: np.ndarray | None = None
+) -> np.ndarray:
+    """(N,) how much each row counts: by the noise that it states, or all alike.
+
+    What rows state counts where it makes the residual more probable: by Laplace's law, whose scale
+    in each channel is estimated, so that outliers, and a factor that all share, do not matter.
+
+    Args:
+        residual: (N, d).
+        uneven: (N,) stated noise of each row over the usual one.
+        measured: (N, d) which channels a row holds; all where None.
+    """
+    alike = np.ones(len(residual))
+    if (uneven == 1.0).all():
+        return alike
+    held = np.ones(residual.shape, bool) if measured is None else measured
+    size = np.maximum(np.abs(residual), 1e-12) * held
+    ratio = np.maximum(size.sum(0), 1e-12) / np.maximum((size / uneven[:, None]).sum(0), 1e-12)
+    worth = held.sum(0) @ np.log(ratio) - held.sum(1) @ np.log(uneven)
+    return uneven**-2.0 if worth > 0 else alike
 
 
 def inliers(
@@ -222,7 +245,7 @@ def spread(
 def freedom(
     weights: np.ndarray, effective: float, measured: np.ndarray | None = None, least: float = 1.0
 ) -> np.ndarray | float:
-    """Degrees of freedom of each channel: its rows less its share of the fitted parameters.
+    """Degrees of freedom of each channel: its inliers less its share of the fitted parameters.
 
     One number where every row holds all of three channels, else (d,).
 
@@ -233,8 +256,8 @@ def freedom(
         least: lower limit.
     """
     if measured is None:
-        return max(weights.sum() - effective / 3, least)
-    count = (weights[:, None] * measured).sum(0)
+        return max((weights > 0).sum() - effective / 3, least)
+    count = measured[weights > 0].sum(0)
     share = count / max(count.sum(), 1.0)
     return np.maximum(count - effective * share, np.minimum(least, np.maximum(count, 1e-12)))
 

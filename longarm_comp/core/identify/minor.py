@@ -6,6 +6,7 @@ not named: it is taken out of the model again and listed.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -41,17 +42,22 @@ class Minor:
         where: places, in order.
         worth_m: RMS length at the tip that only they explain, m.
         why: in words.
+        most_m: RMS length by which the rows may err more without them, m.
     """
 
     name: str
     where: tuple[str, ...]
     worth_m: float
     why: str
+    most_m: float = math.inf
 
     @classmethod
-    def of(cls, terms: tuple[Term, ...], worth_m: float, why: str) -> Minor:
+    def of(
+        cls, terms: tuple[Term, ...], worth_m: float, why: str, most_m: float = math.inf
+    ) -> Minor:
         """Of terms of one effect."""
-        return cls(terms[0].name, tuple(dict.fromkeys(t.where for t in terms)), worth_m, why)
+        where = tuple(dict.fromkeys(t.where for t in terms))
+        return cls(terms[0].name, where, worth_m, why, most_m)
 
 
 def worth(fit: ModelFit, columns: CandidateColumns, terms: Sequence[Term]) -> float:
@@ -67,7 +73,7 @@ def worth(fit: ModelFit, columns: CandidateColumns, terms: Sequence[Term]) -> fl
     moved = shift_of(fit, columns, terms)
     marginal = marginal_without(fit, columns, {key(t) for t in terms})
     alone = marginal.project(fit.whitened(moved[..., None])[:, 0])
-    return float(np.sqrt(((alone.reshape(-1, fit.width) * _unit(fit)) ** 2).sum(1).mean()))
+    return float(np.sqrt((fit.lengths(alone) ** 2).sum(1).mean()))
 
 
 def share(fit: ModelFit, worth_m: float) -> float:
@@ -89,7 +95,7 @@ def smallest(fit: ModelFit) -> float:
 
 def noise_length(fit: ModelFit) -> float:
     """The noise of a row as a length at the tip, m."""
-    return float(np.linalg.norm(_unit(fit)))
+    return float(np.linalg.norm(fit.noise_m))
 
 
 def settled(
@@ -107,7 +113,9 @@ def taken_out(
 ) -> tuple[SearchResult, tuple[Minor, ...]]:
     """The search's result without doubtful terms, the rest fitted again, and what was taken out.
 
-    Terms stay where the rest could not do without them but with sizes that nobody believes.
+    Terms stay where the rest could not do without them but with sizes that nobody believes, or
+    where the refit shows that they were worth more than the linear estimate said: the rest may be
+    held back by its bounds.
 
     Args:
         result: the search.
@@ -122,7 +130,8 @@ def taken_out(
             if places in needed:
                 continue
             lighter = result.without(set(places))
-            if _incredible(lighter) <= _incredible(result):
+            cheap = _cost(result.fit, lighter.fit) <= minor.most_m
+            if cheap and _incredible(lighter) <= _incredible(result):
                 say(f"without {minor.name} ({', '.join(minor.where)}): {minor.why}")
                 gone.append(minor)
                 result = lighter
@@ -130,6 +139,13 @@ def taken_out(
             needed.add(places)
         else:
             return result, tuple(gone)
+
+
+def _cost(fit: ModelFit, lighter: ModelFit) -> float:
+    """RMS length (m) by which the inliers err more in another fit."""
+    inside = fit.weights > 0
+    mine, theirs = (((f.residual[inside] * f.metres) ** 2).sum(1).mean() for f in (fit, lighter))
+    return float(np.sqrt(max(theirs - mine, 0.0)))
 
 
 def _incredible(result: SearchResult) -> set[tuple[object, ...]]:
@@ -169,11 +185,12 @@ def _doubtful(result: SearchResult) -> Iterator[tuple[tuple[Term, ...], Minor]]:
     ]
     for terms, mates in options:
         length = worth(fit, columns, terms)
-        why = _impossible(fit, terms[0]) if len(terms) == 1 else ""
+        why, most = _impossible(fit, terms[0]) if len(terms) == 1 else "", math.inf
         if length < limit / np.sqrt(mates):
             why = f"worth {1e3 * length:.2g} mm at the tip, too small to matter"
+            most = limit / np.sqrt(mates)
         if why:
-            yield terms, Minor.of(terms, length, why)
+            yield terms, Minor.of(terms, length, why, most)
 
 
 def _impossible(fit: ModelFit, term: Term) -> str:
@@ -183,8 +200,3 @@ def _impossible(fit: ModelFit, term: Term) -> str:
         if any(bound and abs(value - bound) < AT_BOUND * p.prior for bound in (p.lower, p.upper)):
             return f"{p.name} {value:.3g} {p.unit} is the limit of what is possible"
     return ""
-
-
-def _unit(fit: ModelFit) -> np.ndarray:
-    """(d,) noise of the channels as lengths at the tip, m; 0 where one is none."""
-    return np.where(np.isfinite(fit.sigma), fit.sigma, 0.0) * fit.metres

@@ -25,8 +25,9 @@ class ModelFit:
             a row does not hold a channel.
         columns: (N, d, p) design at the solution.
         covariance: (p, p) of the parameters, Laplace approximation.
-        weights: (N,) 1 or 0 (outlier).
-        sigma: (d,) noise per channel, m or rad; infinite where nothing was measured.
+        weights: (N,) 0 (outlier), or how much a row counts (`linear.believed`): mostly 1.
+        sigma: (d,) noise per channel, m or rad; infinite where nothing was measured. Where the
+            weights of inliers differ, that of a weight of 1.
         effective: number of parameters that the data determine.
         iterations: Gauss-Newton steps taken.
         converged: whether the last step was small enough.
@@ -64,6 +65,11 @@ class ModelFit:
         """(N, d, k) columns per unit -> (dM, k) of the M inliers, in units of the noise."""
         return whiten(columns, self.weights, self.sigma, self.rho, self.session.mask)
 
+    def uneven(self, rows: Session) -> np.ndarray:
+        """(M,) stated noise of rows over the usual one; 1 where the fit did not believe it."""
+        believed = not np.isin(self.weights, (0.0, 1.0)).all()
+        return rows.uneven(self.session.claimed) if believed else np.ones(len(rows))
+
     @property
     def width(self) -> int:
         """Number d of channels."""
@@ -78,6 +84,16 @@ class ModelFit:
     def metres(self) -> np.ndarray:
         """(d,) length (m) that a unit of each channel stands for; 0 where it is none."""
         return metres(self.model, self.session)
+
+    @cached_property
+    def noise_m(self) -> np.ndarray:
+        """(d,) noise of the channels as lengths at the tip, m; 0 where one is none."""
+        return np.where(np.isfinite(self.sigma), self.sigma, 0.0) * self.metres
+
+    def lengths(self, white: np.ndarray) -> np.ndarray:
+        """(dM,) of the M inliers in units of the noise -> (M, d) lengths at the tip, m."""
+        count = self.weights[self.weights > 0][:, None]
+        return white.reshape(-1, self.width) * self.noise_m / np.sqrt(count)
 
     @cached_property
     def design(self) -> np.ndarray:

@@ -124,34 +124,36 @@ def from_residual(
     """
     columns = np.concatenate([fit.columns * priors(fit.slots), extra], axis=-1)
     y = (fit.residual + fit.columns @ fit.model.values)[..., None]
-    weights = fit.weights
+    weights, uneven = fit.weights, fit.session.uneven(fit.session.claimed)
     sigma = fit.sigma.copy()
     rho = 0.0
-    residual = fit.residual
+    even = fit.residual
     held = fit.session.mask
     degrees: np.ndarray | float = 1.0
     for _ in range(steps):
         white = whiten(np.concatenate([columns, y], -1), weights, sigma, 0.0, held)
         posterior = linear.solve(white[:, :-1], white[:, -1])
         residual = (y - columns @ posterior.u[:, None])[..., 0]
-        kept = residual if held is None else np.where(held, residual, np.nan)
+        count = linear.believed(residual, uneven, held)
+        even = residual * np.sqrt(count)[:, None]
+        kept = even if held is None else np.where(held, even, np.nan)
         robust = MAD * median(np.abs(kept[weights > 0]))
-        least = weights.sum() / 10
-        degrees = freedom(weights, posterior.effective, held, least)
-        inflate = np.sqrt((weights.sum() if held is None else held[weights > 0].sum(0)) / degrees)
+        rows = (weights > 0).sum()
+        degrees = freedom(weights, posterior.effective, held, rows / 10)
+        inflate = np.sqrt((rows if held is None else held[weights > 0].sum(0)) / degrees)
         worst = np.abs(kept) / np.maximum(robust * inflate, 1e-9)
-        weights = (np.nan_to_num(worst).max(axis=1) <= OUTLIER).astype(float)
-        new = np.sqrt((residual[weights > 0] ** 2).sum(0) / degrees)
+        weights = count * (np.nan_to_num(worst).max(axis=1) <= OUTLIER)
+        new = np.sqrt((even[weights > 0] ** 2).sum(0) / degrees)
         if held is not None:
             new = np.where(held[weights > 0].any(0), new, np.inf)
         done = np.all((new == sigma) | (np.abs(new - sigma) < 0.01 * sigma))
         sigma = np.maximum(new, 1e-7)
         if done:
             break
-    claimed = fit.session.claimed
-    if claimed is not None and columns.shape[-1] > weights.sum():
-        sigma = np.maximum(sigma, claimed)
-    rho = lag_correlation(residual / sigma, weights, held)
+    if columns.shape[-1] > (weights > 0).sum():
+        claimed = fit.session.claimed
+        sigma = np.maximum(sigma, [claimed.get(name, 0.0) for name in fit.session.channels])
+    rho = lag_correlation(even / sigma, weights, held)
     return NoiseEstimate(sigma, "residual", rho, float(np.max(degrees))), weights
 
 

@@ -106,6 +106,16 @@ def look_further(
     return look(named, plain, count, unseal, known, rng, say, seed)
 
 
+def with_rival(outcome: Judged, found: Discovery) -> Judged:
+    """The outcome, its findings with the cause without a name that they are not told from."""
+    mine = found.without if found.rival else ()
+    findings = tuple(
+        dataclasses.replace(f, unnamed=found.formulas) if f.name in mine else f
+        for f in outcome.findings
+    )
+    return dataclasses.replace(outcome, findings=findings)
+
+
 def at_least(structure: Structure, found: Discovery) -> Structure:
     """The structure with what was found of it, where no test showed any."""
     if structure.flag:

@@ -206,7 +206,8 @@ class _Unseen:
             "nip,pq,niq->ni", found.columns, fitted.covariance, found.columns, optimize=True
         )
         held = rows.measured & np.isfinite(sigma)
-        spread = np.sqrt(np.where(np.isfinite(sigma), sigma, 1.0) ** 2 + own)
+        noise = np.where(np.isfinite(sigma), sigma, 1.0) * fitted.uneven(rows)[:, None]
+        spread = np.sqrt(noise**2 + own)
         return cls(found.residual * held, spread, held, metres(fitted.model, rows))
 
     def take(self, rows: np.ndarray) -> _Unseen:

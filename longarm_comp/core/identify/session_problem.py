@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from longarm_comp.core.arm.spatial import Scalar
 from longarm_comp.core.data.measurement import equations
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.core.identify.linear import inliers, spread, whiten
+from longarm_comp.core.identify.linear import believed, inliers, spread, whiten
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.model.model import Model, unstack
 
@@ -121,9 +122,16 @@ class SessionProblem:
         """Outliers and noise for the residual as it is now."""
         if self.robust and self.fixed is None:
             known = self.noise if settled else None
-            self.weights = inliers(self.residual, known, self.seen.mask)
+            count = believed(self.residual, self.uneven, self.seen.mask)
+            even = self.residual * np.sqrt(count)[:, None]
+            self.weights = count * inliers(even, known, self.seen.mask)
         if self.sigma is None:
             self.noise = self._common(self.spread())
+
+    @cached_property
+    def uneven(self) -> np.ndarray:
+        """(N,) stated noise of the rows over the usual one."""
+        return self.seen.uneven(self.seen.claimed)
 
     def spread(self) -> np.ndarray:
         """(d,) noise of every channel in the residual as it is now."""

@@ -139,7 +139,7 @@ def _tested(fit: ModelFit, base: ModelFit, rng: np.random.Generator) -> Structur
     order = sorted(range(len(statistics)), key=lambda k: -statistics[k][1])
     strong = [k for k in order if statistics[k][1] > limit][:MOST_GROUPS]
     sizes, rss_rich = _smooth(fit, marginal, [smooth[k] for k in strong])
-    size, noise = float(np.linalg.norm(sizes)), _noise_m(fit)
+    size, noise = float(np.linalg.norm(sizes)), fit.noise_m
     worth = size > WORTH * float(np.linalg.norm(noise))
     worth = worth or bool((sizes > WORTH * np.sqrt(3.0) * noise)[noise > 0].any())
     said = [statistics[k][0] for k in strong if statistics[k][1] > top / 3]
@@ -169,9 +169,8 @@ def _smooth(fit: ModelFit, marginal: Marginal, bases: list[np.ndarray]) -> tuple
     b = np.concatenate(bases, axis=1)
     added = marginal.added(b)
     part = marginal.project(b) @ added.mean
-    rows = (part.reshape(-1, fit.width) * _noise_m(fit)) ** 2
     left = residual - part
-    return np.sqrt(rows.mean(0)), float(left @ left)
+    return np.sqrt((fit.lengths(part) ** 2).mean(0)), float(left @ left)
 
 
 @dataclass(frozen=True)
@@ -291,11 +290,6 @@ def _alone(columns: np.ndarray) -> list[np.ndarray]:
     width = columns.shape[1]
     parts = np.split(columns, width, axis=2)
     return [part for part in parts if part.any()] if width > 1 else []
-
-
-def _noise_m(fit: ModelFit) -> np.ndarray:
-    """(d,) noise of the channels as lengths at the tip, m; 0 where one is none."""
-    return np.where(np.isfinite(fit.sigma), fit.sigma, 0.0) * fit.metres
 
 
 def _shuffled(rows: np.ndarray, fit: ModelFit, rng: np.random.Generator) -> np.ndarray:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -63,25 +63,23 @@ def train(
 ) -> Predictor:
     """Train the paper's SSA-BP on residuals.
 
-    Parameters
-    ----------
-    q: (N, n) commanded joints, rad and m.
-    residual: (N, 3) measured - predicted, m.
-    context: circumstances of the rows, as `Session.context` gives them.
-    inputs: ``context`` or ``joints`` (the paper's).
-    init: ``ssa`` or ``xavier`` (the control).
-    seed: the same seed gives the same predictor on the same machine.
-    population, iterations: of the sparrow search.
-    hidden: hidden units; ``None`` tries several sizes and keeps the likeliest members of any.
-    ensemble: members, each from its own start.
-    weights: (N,) precision factors of the samples; 0 leaves one out.
-    progress: called with (networks trained, largest number of networks).
-    provenance: arm, session and model of the predictor; the settings are added.
-    device: torch device of the sparrow's population (``cuda``); None is numpy.
+    Args:
+        q: (N, n) commanded joints, rad and m.
+        residual: (N, 3) measured - predicted, m.
+        context: circumstances of the rows, as `Session.context` gives them.
+        inputs: ``context`` or ``joints`` (the paper's).
+        init: ``ssa`` or ``xavier`` (the control).
+        seed: the same seed gives the same predictor on the same machine.
+        population, iterations: of the sparrow search.
+        hidden: hidden units; ``None`` tries several sizes and keeps the likeliest members of any.
+        ensemble: members, each from its own start.
+        weights: (N,) precision factors of the samples; 0 leaves one out.
+        progress: called with (networks trained, largest number of networks).
+        provenance: arm, session and model of the predictor; the settings are added.
+        device: torch device of the sparrow's population (``cuda``); None is numpy.
 
-    Raises
-    ------
-    InputError: wrong shapes, values not finite, fewer than 20 samples, all rows one pose.
+    Raises:
+        InputError: wrong shapes, values not finite, fewer than 20 samples, all rows one pose.
     """
     q, known = check_rows("train", q, context)
     y, weights = _checked_targets(q, residual, weights)
@@ -98,40 +96,15 @@ def train(
     offset = np.median(y[weights > 0], axis=0)
     scale = float(np.sqrt(np.mean(np.median(np.abs(y - offset)[weights > 0], axis=0) ** 2)))
     scale = max(1.4826 * scale, 1e-9)
-    target = (y - offset) / scale
-
-    def fit(units: int, start: int, rows: NDArray[np.bool_] | slice = slice(None)) -> Fit:
-        shape, rng = Shape(x.shape[1], units, 3), np.random.default_rng([seed, units, start])
-        fitness = fitness_on(device, shape, x[rows], target[rows])
-        begun = INITS[init](shape, fitness, rng, search)
-        return back_propagate(shape, begun, x[rows], target[rows], weights[rows])
-
+    rows = _Rows(x, (y - offset) / scale, weights, init, seed, search, device)
     sizes = HIDDEN_CHOICES if hidden is None else (hidden,)
     starts = ensemble if hidden is not None else (ensemble + 1) // 2
-    most = len(sizes) * starts + FOLDS
 
-    def fitted(wanted: list[tuple[int, int, NDArray[np.bool_] | slice]], done: int) -> list[Fit]:
-        """Networks of some units, starts and rows, on all cores: each is one's own."""
-        made: list[Fit] = []
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            for one in pool.map(lambda each: fit(*each), wanted):
-                if progress is not None:
-                    progress(done + len(made), most)
-                made.append(one)
-        return made
+    def tell(networks: int) -> None:
+        if progress is not None:
+            progress(networks, len(sizes) * starts + FOLDS)
 
-    fits: list[Fit] = []
-    for turn, units in enumerate(sizes):
-        if turn and Shape(x.shape[1], units, 3).size > 1.5 * (weights > 0).sum():
-            break
-        networks = fitted([(units, start, slice(None)) for start in range(starts)], turn * starts)
-        fits += networks
-        if (
-            max(each.evidence for each in networks)
-            < max(each.evidence for each in fits) - _UNLIKELY
-        ):
-            break
-    fits = sorted(fits, key=lambda each: -each.evidence)[:ensemble]
+    fits = rows.likeliest(sizes, starts, tell)[:ensemble]
     shape = Shape(x.shape[1], max(each.shape.hidden for each in fits), 3)
     probe = _probe(x, encoding, np.random.default_rng([seed]))
     settings = {
@@ -159,12 +132,63 @@ def train(
         ),
     )  # fmt: skip
     left, folds = y.copy(), _folds(q, np.random.default_rng([seed, FOLDS]))
-    without = fitted([(fits[0].shape.hidden, 0, ~out) for out in folds], most - FOLDS)
-    for one, out in zip(without, folds, strict=True):
+    without = rows.each([(fits[0].shape.hidden, 0, ~out) for out in folds])
+    for k, (out, one) in enumerate(zip(folds, without, strict=True)):
+        tell(len(sizes) * starts + k)
         left[out] -= forward(one.shape, one.weights, with_ones(x[out])) * scale + offset
-    if progress is not None:
-        progress(most, most)
+    tell(len(sizes) * starts + FOLDS)
     return _calibrated(draft, y, left, x, weights, probe)
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """What networks are trained on, and how.
+
+    Attributes:
+        x, target: (N, d) inputs and (N, 3) residual, standardised.
+        weights: (N,) precision factors.
+        init, seed, search, device: as `train` has them.
+    """
+
+    x: Array
+    target: Array
+    weights: Array
+    init: str
+    seed: int
+    search: SparrowSearch
+    device: str | None
+
+    def fit(self, units: int, start: int, rows: NDArray[np.bool_] | slice = slice(None)) -> Fit:
+        """One network of so many hidden units, from start number ``start``."""
+        shape = Shape(self.x.shape[1], units, 3)
+        rng = np.random.default_rng([self.seed, units, start])
+        x, target = self.x[rows], self.target[rows]
+        begun = INITS[self.init](shape, fitness_on(self.device, shape, x, target), rng, self.search)
+        return back_propagate(shape, begun, x, target, self.weights[rows])
+
+    def each(self, wanted: Sequence[tuple[int, int, NDArray[np.bool_] | slice]]) -> Iterator[Fit]:
+        """`fit` with each of some arguments, in their order; the networks are trained side by
+        side on all cores."""
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            yield from pool.map(lambda arguments: self.fit(*arguments), wanted)
+
+    def likeliest(
+        self, sizes: Sequence[int], starts: int, tell: Callable[[int], None]
+    ) -> list[Fit]:
+        """Networks of rising size until the evidence falls, the likeliest first."""
+        fits: list[Fit] = []
+        for turn, units in enumerate(sizes):
+            if turn and Shape(self.x.shape[1], units, 3).size > 1.5 * (self.weights > 0).sum():
+                break
+            networks: list[Fit] = []
+            for one in self.each([(units, start, slice(None)) for start in range(starts)]):
+                tell(turn * starts + len(networks))
+                networks.append(one)
+            fits += networks
+            best = max(each.evidence for each in fits)
+            if max(each.evidence for each in networks) < best - _UNLIKELY:
+                break
+        return sorted(fits, key=lambda each: -each.evidence)
 
 
 def _folds(q: Array, rng: np.random.Generator) -> list[NDArray[np.bool_]]:

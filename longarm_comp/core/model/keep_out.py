@@ -26,12 +26,17 @@ def entered(model: Model, path: np.ndarray) -> str:
     boxes = model.arm.keep_out
     shares = np.linspace(0.0, 1.0, _STEPS + 1)[1:, None]
     for start, end in pairwise(path) if boxes else ():
-        q = start + shares * (end - start)
-        found = boxes_entered(model, q)
-        if any(found):
-            k = next(k for k, text in enumerate(found) if text)
-            at = ", ".join(f"{number:.3g}" for number in q[k])
-            return f"keep_out {found[k]}, at joints {at}"
+        if found := entered_at(model, start + shares * (end - start)):
+            return found
+    return ""
+
+
+def entered_at(model: Model, q: np.ndarray) -> str:
+    """As `entered`, for postures (M, n) on the way."""
+    for joints, found in zip(q.tolist(), boxes_entered(model, q), strict=True):
+        if found:
+            at = ", ".join(f"{number:.3g}" for number in joints)
+            return f"keep_out {found}, at joints {at}"
     return ""
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,32 +12,20 @@ import yaml
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_text
 from longarm_comp.core.strict_yaml import read_yaml
+from longarm_comp.devices.camera_info import CameraInfo
 from longarm_comp.devices.stereo.camera import Camera, StereoRig
 
-_SHAPES = {
-    "camera_matrix": (3, 3),
-    "distortion_coefficients": (1, 5),
-    "rectification_matrix": (3, 3),
-    "projection_matrix": (3, 4),
+_MATRICES = {
+    "camera_matrix": ("k", 3, 3),
+    "distortion_coefficients": ("d", 1, 5),
+    "rectification_matrix": ("r", 3, 3),
+    "projection_matrix": ("p", 3, 4),
 }
-_FIELDS = dict(zip(_SHAPES, "kdrp", strict=True))
+"""By key in the file: field of `CameraInfo`, rows and columns."""
 
 
-@dataclass(frozen=True)
-class CameraFile:
-    """Contents of one camera's file, with the fields of a sensor_msgs/CameraInfo."""
-
-    width: int
-    height: int
-    distortion_model: str
-    d: tuple[float, ...]
-    k: tuple[float, ...]
-    r: tuple[float, ...]
-    p: tuple[float, ...]
-
-
-def calibration_files(rig: StereoRig) -> tuple[CameraFile, CameraFile]:
-    """Left and right file of a rig in the raw left frame, with the rectification of both."""
+def calibration_of(rig: StereoRig) -> tuple[CameraInfo, CameraInfo]:
+    """Left and right camera of a rig in the raw left frame, with the rectification of both."""
     left, right = rig.left, rig.right
     turns_and_projections = cv2.stereoRectify(
         left.k, left.d[:5], right.k, right.d[:5], left.size, right.rotation,
@@ -46,28 +33,27 @@ def calibration_files(rig: StereoRig) -> tuple[CameraFile, CameraFile]:
     )[:4]  # fmt: skip
     r_left, r_right, p_left, p_right = turns_and_projections
 
-    def of(camera: Camera, r: Any, p: Any) -> CameraFile:
+    def of(camera: Camera, r: Any, p: Any) -> CameraInfo:
         d, k, r, p = (tuple(np.ravel(a).tolist()) for a in (camera.d[:5], camera.k, r, p))
         width, height = camera.size
-        return CameraFile(width, height, "plumb_bob", d, k, r, p)
+        return CameraInfo(width, height, "plumb_bob", d, k, r, p)
 
     return of(left, r_left, p_left), of(right, r_right, p_right)
 
 
-def write_camera(path: Path, name: str, camera: CameraFile, head: str) -> None:
+def write_camera(path: Path, name: str, camera: CameraInfo, head: str) -> None:
     """Write a camera's file; ``head``: comment on top."""
     data: dict[str, Any] = {
         "image_width": camera.width, "image_height": camera.height, "camera_name": name,
         "distortion_model": camera.distortion_model,
     }  # fmt: skip
-    for key, (rows, columns) in _SHAPES.items():
-        values = list(getattr(camera, _FIELDS[key]))
-        data[key] = {"rows": rows, "cols": columns, "data": values}
+    for key, (field, rows, columns) in _MATRICES.items():
+        data[key] = {"rows": rows, "cols": columns, "data": list(getattr(camera, field))}
     comment = "".join(f"# {line}\n" for line in head.splitlines())
     write_text(path, comment + yaml.safe_dump(data, sort_keys=False, default_flow_style=None))
 
 
-def read_camera(path: Path) -> CameraFile:
+def read_camera(path: Path) -> CameraInfo:
     """A camera's file.
 
     Raises:
@@ -75,18 +61,18 @@ def read_camera(path: Path) -> CameraFile:
     """
     data = read_yaml(path)
     values: dict[str, tuple[float, ...]] = {}
-    for key, (rows, columns) in _SHAPES.items():
+    for key, (field, rows, columns) in _MATRICES.items():
         try:
             numbers = tuple(float(v) for v in data[key]["data"])
         except (KeyError, TypeError, ValueError):
             numbers = ()
         if len(numbers) != rows * columns or not np.isfinite(numbers).all():
             raise InputError(path, f"{key}.data", len(numbers), f"{rows * columns} numbers")
-        values[_FIELDS[key]] = numbers
+        values[field] = numbers
     try:
         width, height = int(data["image_width"]), int(data["image_height"])
         model = str(data["distortion_model"])
     except (KeyError, TypeError, ValueError) as error:
         allowed = "image_width, image_height, distortion_model"
         raise InputError(path, "camera", f"no {error.args[0]}", allowed) from error
-    return CameraFile(width, height, model, **values)
+    return CameraInfo(width, height, model, **values)

@@ -14,8 +14,9 @@ _SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}
 
 
 def pair_files(folder: Path) -> list[tuple[Path, Path]]:
-    """Left and right files of a folder, for instance ``left/3.png`` and ``right/3.png``, or
-    ``left3.png`` and ``right3.png``, in the order of their names.
+    """Left and right files of a folder, in the order of their names.
+
+    For instance ``left/3.png`` and ``right/3.png``, or ``left3.png`` and ``right3.png``.
 
     Raises:
         InputError: no such folder, no pair in it, or an image without its partner.
@@ -26,12 +27,13 @@ def pair_files(folder: Path) -> list[tuple[Path, Path]]:
     images = [p for p in sorted(folder.rglob("*")) if p.suffix.lower() in _SUFFIXES]
     names = {p.relative_to(folder).as_posix(): p for p in images}
     pairs = []
-    for name, left in names.items():
+    for name, path in names.items():
+        for side, other in (("left", "right"), ("right", "left")):
+            partner = name.replace(side, other)
+            if side in name and partner not in names:
+                raise InputError(folder, name, f"no {other} image", partner)
         if "left" in name:
-            right = names.get(name.replace("left", "right"))
-            if right is None:
-                raise InputError(folder, name, "no right image", name.replace("left", "right"))
-            pairs.append((left, right))
+            pairs.append((path, names[name.replace("left", "right")]))
     if not pairs:
         raise InputError(folder, "images", f"{len(images)} without a pair", allowed)
     return pairs

@@ -13,8 +13,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.client import GraphClient
 from longarm_comp.nodes import interfaces as graph
-
-_LOST = "marker lost: "
+from longarm_comp.nodes.stereo_bridge import MARKER_LOST
 
 
 class Causes:
@@ -51,16 +50,12 @@ class Causes:
         self._infos[side] = message
         if self._view is None or len(self._infos) < 2:
             return
-        p, across = self._infos["left"].p, self._infos["right"].p
-        if not p[0] > 0.0 or not across[0] > 0.0:
-            return
-        size = (int(self._infos["left"].width), int(self._infos["left"].height))
-        lens = Lens(float(p[0]), (float(p[2]), float(p[6])), size, -float(across[3] / across[0]))
-        self._view = replace(self._view, lens=lens)
+        lens = Lens.of(self._infos["left"], self._infos["right"])
+        self._view = self._view if lens is None else replace(self._view, lens=lens)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             if status.name == f"{self._bridge}: stereo":
-                lost = status.message.startswith(_LOST)
-                why = status.message.removeprefix(_LOST).partition(" (")[0]
+                lost = status.message.startswith(MARKER_LOST)
+                why = status.message.removeprefix(MARKER_LOST).partition(" (")[0]
                 self._said = why if lost else ""

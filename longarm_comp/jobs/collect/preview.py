@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +22,9 @@ from longarm_comp.jobs.measurement_schedule import Visit
 
 _SLACK = 1e-6
 """Printed digits of a joint that stands on its limit, rad or m."""
+
+
+_OVER_FLOOR, _SEEN = "over the floor", "seen by both cameras"
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,7 @@ class Preview:
         arm: as declared, with its boxes.
         visits: in the order to drive them.
         checks: questions that could be asked.
-        unasked: questions that could not be asked, and why.
+        unasked: why the other questions could not be asked, by question.
         lines: (N, k, 3) m, the arm at each visit from the foot to the tip.
         view: the cameras, where their files are there.
         seconds: the way at the servos' speeds, the run-ups and the rests; None: speeds unknown.
@@ -66,7 +69,7 @@ class Preview:
     arm: Arm
     visits: tuple[Visit, ...]
     checks: tuple[PlanCheck, ...]
-    unasked: tuple[str, ...]
+    unasked: Mapping[str, str]
     lines: np.ndarray
     view: View | None
     seconds: float | None
@@ -113,7 +116,7 @@ def preview(
     q = np.array([visit.q for visit in visits])
     tips = model.pose(q)
     checks = [PlanCheck("inside the limits of arm.yaml", _limits(arm, visits), True)]
-    unasked = []
+    unasked = {}
     if servos is not None:
         checks.append(PlanCheck("inside the servos' limits", _servo_limits(arm, servos, q), True))
     if arm.keep_out:
@@ -122,16 +125,14 @@ def preview(
             PlanCheck("way there is free", _ways(model, visits), False),
         ]
     if FLOOR not in arm.keep_out:
-        unasked.append("over the floor: give --floor, or a keep_out box named floor in arm.yaml")
+        unasked[_OVER_FLOOR] = "give --floor, or a keep_out box named floor in arm.yaml"
     if view is None:
-        unasked.append(
-            "seen by both cameras: no stereo_bridge.yaml and simulated_arm.yaml beside arm.yaml"
-        )
+        unasked[_SEEN] = "no stereo_bridge.yaml and simulated_arm.yaml beside arm.yaml"
     else:
-        checks.append(PlanCheck("seen by both cameras", tuple(view.unseen(tips)), False))
+        checks.append(PlanCheck(_SEEN, tuple(view.unseen(tips)), False))
     seconds = None if servos is None else _seconds(arm, servos, visits, rest_s)
     lines = outline(model, q)
-    return Preview(arm, tuple(visits), tuple(checks), tuple(unasked), lines, view, seconds)
+    return Preview(arm, tuple(visits), tuple(checks), unasked, lines, view, seconds)
 
 
 def servos_beside(arm: Path, names: Sequence[str]) -> ServoConfig | None:
@@ -195,7 +196,7 @@ def _boxes(model: Model, visits: Sequence[Visit]) -> list[PlanCheck]:
     for k, text in zip(owner, boxes_entered(model, stops), strict=True):
         side = found[text.startswith(f"{FLOOR}:")]
         side[k] = side[k] or text
-    asked = {"over the floor": True, "outside the keep-out boxes": False}
+    asked = {_OVER_FLOOR: True, "outside the keep-out boxes": False}
     names = {True: FLOOR in model.arm.keep_out, False: set(model.arm.keep_out) - {FLOOR}}
     return [PlanCheck(text, tuple(found[low]), True) for text, low in asked.items() if names[low]]
 

@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rclpy.serialization import serialize_message
@@ -20,25 +19,20 @@ from std_msgs.msg import Float64, String
 from std_srvs.srv import SetBool
 
 from longarm_comp.arm_folder.visible import View
-from longarm_comp.core.arm.history import SAME_POSE
-from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.keep_out import entered
 from longarm_comp.jobs.client import ArmClient, DriverStopped
 from longarm_comp.jobs.collect.causes import Causes
 from longarm_comp.jobs.collect.progress import Progress
-from longarm_comp.jobs.collect.told import progress_message
+from longarm_comp.jobs.collect.progress_message import progress_message
+from longarm_comp.jobs.collect.resume import ROW_TOPIC, ROW_TYPE, visited
 from longarm_comp.jobs.measurement_schedule import Visit
 from longarm_comp.jobs.pace import Pace
 from longarm_comp.jobs.recorder import Recorder
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.sessions.bag import open_bag
 from longarm_comp.sessions.bag_segments import SegmentedBag
-from longarm_comp.sessions.message_types import message_types
 
-ROW_TOPIC, ROW_TYPE = "session_row", "std_msgs/msg/String"
-COMMAND_TOPIC = "joint_trajectory"
-_READ = {ROW_TOPIC: ROW_TYPE, COMMAND_TOPIC: "trajectory_msgs/msg/JointTrajectory"}
 _FRESH_S = 0.05  # a sighting shall be taken this long after the joints came to rest
 
 _CIRCUMSTANCES_S = 5.0
@@ -102,7 +96,11 @@ def collect(
         Interrupted: the client was stopped; the bag holds every complete visit.
     """
     pause = pause or threading.Event()
-    done = visited(path, todo, client) if resume and (path / "metadata.yaml").is_file() else set()
+    done = (
+        visited(path, todo, client.arm.n)
+        if resume and (path / "metadata.yaml").is_file()
+        else set()
+    )
     with SegmentedBag(path, resume=resume) as bag:
         run = _Run(client, Recorder(client.node, bag), pace or Pace(), pause, progress,
                    Causes(client, client.arm, view), len(done), len(todo))  # fmt: skip
@@ -275,34 +273,3 @@ def _tell_visit(client: ArmClient, recorder: Recorder, visit: Visit) -> None:
     row = {"index": visit.index, "repeat_id": visit.repeat_id}
     topic = client.node.resolve_topic_name(ROW_TOPIC)
     recorder.put(topic, ROW_TYPE, serialize_message(String(data=json.dumps(row))))
-
-
-def visited(path: Path, todo: Sequence[Visit], client: ArmClient) -> set[int]:
-    """Indices of the visits that a bag holds.
-
-    Raises:
-        InputError: its poses, or the sides they were approached from, are not those of these
-            visits.
-    """
-    planned = {visit.index: visit.path for visit in todo}
-    done: set[int] = set()
-    command = np.zeros((0, client.arm.n))
-    with open_bag(path) as reader:
-        kept = [c for c in reader.connections if _last_name(c.topic) in _READ]
-        for connection, _, raw in reader.messages(connections=kept) if kept else ():
-            name = _last_name(connection.topic)
-            message: Any = message_types().deserialize_cdr(raw, _READ[name])
-            if name == COMMAND_TOPIC:
-                command = np.array([point.positions for point in message.points])
-                continue
-            index = int(json.loads(message.data)["index"])
-            way = planned.get(index)
-            if way is None or command.shape != way.shape or np.abs(command - way).max() > SAME_POSE:
-                allowed = "the plan, seed and options that it was begun with"
-                raise InputError(path, f"visit {index}", command.tolist(), allowed)
-            done.add(index)
-    return done
-
-
-def _last_name(topic: str) -> str:
-    return topic.rpartition("/")[2]

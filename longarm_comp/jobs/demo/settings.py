@@ -41,7 +41,7 @@ class DemoSettings:
     hidden: str = "joint_compliance=8.0 backlash=3.0"
     speed: float = 20.0
     seed: int = 1
-    arm: Path = field(default_factory=lambda: folder("config") / "arm_demo.yaml")
+    arm: Path = field(default_factory=lambda: folder("config") / "arm_demo_steps.yaml")
     parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
     more_play: str = ""
 

@@ -102,13 +102,10 @@ class Freeze:
         finally:
             os.kill(pid, signal.SIGCONT)
         reset = graph.RESET.client(scene.client.node, of="servo_driver")
-        done: list[bool] = []
-
-        def again() -> bool:
-            done[:] = [scene.client.call(reset, Trigger.Request(), again=True).success]
-            return done[0]
-
-        scene.client.until(again, scene.setting.patience_s, "the driver's fault cannot be reset")
+        scene.client.until(
+            lambda: scene.client.call(reset, Trigger.Request(), again=True).success,
+            scene.setting.patience_s, "the driver's fault cannot be reset",
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,8 @@ SIMPLER = 3.0
 """Log odds that effects of the library beside what was found must bring to stay."""
 CLEAR = math.log(1000.0)
 """Log odds for one term instead of names of the library, where these leave no structure."""
+AS_LIKELY = -3.0
+"""Log odds from which such a term is as likely as the names: their cause is open."""
 
 Term = Effect | Bias
 
@@ -91,6 +93,8 @@ class Discovery:
         noise: as judged with it.
         found: its causes, largest first.
         kept: whether the hold-out shows a gain beyond chance.
+        rival: whether it may be the cause instead of the names in `without`: it explains the
+            fitted rows as well, and the hold-out does not decide.
         without: names of effects of the library that it makes superfluous.
         proof: hold-out without (`calibrated`) and with it (`with_effects`).
         structure: what is left.
@@ -102,6 +106,7 @@ class Discovery:
     noise: NoiseEstimate
     found: tuple[Cause, ...]
     kept: bool
+    rival: bool
     without: tuple[str, ...]
     proof: Proof
     structure: Structure
@@ -114,10 +119,18 @@ class Discovery:
         return tuple(dict.fromkeys(name for f in self.found for name in f.inputs))
 
     @property
+    def formulas(self) -> str:
+        """What was found, in short."""
+        return "; and ".join(cause.formula for cause in self.found)
+
+    @property
     def sentence(self) -> str:
         """What was found, and the hold-out with it."""
         before, after = (self.proof.rows[k].rms for k in ("calibrated", "with_effects"))
         gain = f"held-out rms error {1e3 * before:.2f} -> {1e3 * after:.2f} mm"
+        if self.rival:
+            text = f"The fitted poses do not tell {' and '.join(self.without)} from a cause"
+            return f"{text} without a name: {self.formulas}, nor do the held-out ones ({gain})"
         if not self.kept:
             text = "Functions without a name were found but the hold-out does not bear them out"
             return f"{text} ({gain})"
@@ -170,22 +183,24 @@ def contest(
     say: Callable[[str], None] = lambda _: None,
     seed: int = 0,
 ) -> Discovery | None:
-    """Whether one term explains clearly better what named effects explain together.
+    """Whether one term explains as well, or clearly better, what named effects explain together.
 
     Names that only imitate a cause may leave no structure to look into.  The cause itself leaves
-    less than they do, with no more parameters.
+    less than they do.  Where it is clearly better with no more parameters it may take their place;
+    otherwise it is their rival.
 
     Args:
         less: fit without the names in question; all else as `discover`.
     """
     say("functions without a name instead of names")
     one = first(less, known, say)
-    if one is None or len(one.fit.slots) > len(base.slots):
+    odds = -math.inf if one is None else _advantage(one, None, base, less, count)
+    if one is None or odds < AS_LIKELY:
         return None
-    if _advantage(one, None, base, less, count) < CLEAR:
-        return None
-    best = search(less, known, say) or one
-    return _proven(best, base, less, unseal(), rng, seed)
+    if odds < CLEAR or len(one.fit.slots) > len(base.slots):
+        return replace(_proven(one, base, less, unseal(), rng, seed), kept=False, rival=True)
+    found = _proven(search(less, known, say) or one, base, less, unseal(), rng, seed)
+    return replace(found, rival=not found.kept and not worse(found.proof))
 
 
 def _proven(
@@ -211,6 +226,7 @@ def _proven(
         best.noise,
         _found(best),
         kept,
+        False,
         gone,
         proof,
         structure,
@@ -226,6 +242,11 @@ def helps_between(proof: Proof) -> bool:
         np.linalg.norm(proof.errors[k][off], axis=1) for k in ("calibrated", "with_effects")
     )
     return len(after) < ENOUGH_OFF or bool(after.mean() < before.mean())
+
+
+def worse(proof: Proof) -> bool:
+    """Whether unseen poses show it to be worse, beyond chance."""
+    return Gain.of(proof.errors["calibrated"], proof.errors["with_effects"]).ci95[1] < 0
 
 
 def _near(fit: ModelFit, base: ModelFit) -> bool:
