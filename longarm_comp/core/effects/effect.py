@@ -168,6 +168,7 @@ class _Term:
             other effects.
         displaces_joint: its only parameter displaces one joint. Its column is then the effect of
             any displacement of that joint at the tip, and remaining structure is sought in it.
+        stepped: has steps of a size that a scan finds (`of_step`).
         bounded: holds within the data that it was found in only (`Effect.outside`).
     """
 
@@ -184,6 +185,7 @@ class _Term:
     limit_aliases: ClassVar[tuple[str, ...]] = ()
     free_levels: ClassVar[int] = 0
     displaces_joint: ClassVar[bool] = False
+    stepped: ClassVar[bool] = False
     bounded: ClassVar[bool] = False
 
     @classmethod
@@ -290,6 +292,15 @@ class _Term:
             for term in group:
                 seen.setdefault(tuple(map(repr, term.placement.items())), term)
         return tuple(seen.values())
+
+    @classmethod
+    def of_step(cls, arm: Arm, row: int, step: float) -> Self:
+        """The instance at a joint with steps of a size (rad or m); of a `stepped` effect."""
+        raise NotImplementedError(cls.name)
+
+    def price(self, arm: Arm) -> float:
+        """Log of the number of forms that this one was chosen among, beside `candidates`."""
+        return 0.0
 
     @property
     def inputs(self) -> tuple[str, ...]:

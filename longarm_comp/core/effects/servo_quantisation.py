@@ -30,7 +30,9 @@ class ServoQuantisation(JointTerm):
     coarse pose grid lets it imitate any function of the joint, and it then errs off the grid.)
 
     Attributes:
-        steps_per_turn: steps of the servo in one turn; 0: as `step_deg` or `step_m` declares.
+        steps_per_turn: steps of the servo in one turn; 0: as `step_deg` or `step_m` declares. A
+            listed number of steps (`STEPS_PER_TURN`), or what a scan found (`step_scan`).
+        step_m: step of a slide that declares none, m.
     """
 
     name: ClassVar[str] = "servo_quantisation"
@@ -39,14 +41,37 @@ class ServoQuantisation(JointTerm):
         "Nothing to repair: declare the steps in arm.yaml; finer ones need another servo."
     )
     continuous: ClassVar[bool] = False
+    stepped: ClassVar[bool] = True
     free_levels: ClassVar[int] = 3  # of steps of an unknown size
 
-    steps_per_turn: int = form(1000)
+    steps_per_turn: float = form(1000)
+    step_m: float = form(0.0)
 
     @classmethod
     def fits(cls, arm: Arm, row: int) -> bool:
-        """Revolute joints, and slides that declare a step."""
-        return super().fits(arm, row) or arm.joints[row - 1].step > 0
+        """Every commanded joint may have steps."""
+        return True
+
+    @classmethod
+    def of_step(cls, arm: Arm, row: int, step: float) -> Self:
+        """Of a step (rad or m) that nobody declared."""
+        if arm.joints[row - 1].type == "prismatic":
+            return cls(row, steps_per_turn=0, step_m=step)
+        return cls(row, steps_per_turn=2 * math.pi / step)
+
+    def price(self, arm: Arm) -> float:
+        """A step that is neither declared nor listed is one of many: a quarter of a step at the
+        end of the range sets two of them apart."""
+        if not self.step_m and self.steps_per_turn in (0, *STEPS_PER_TURN):
+            return 0.0
+        number = arm.commanded.index(self.joint)
+        return math.log(4.0 * float(arm.upper[number] - arm.lower[number]) / self._step(arm))
+
+    def _step(self, arm: Arm) -> float:
+        """The step, rad or m; 0 where there is none."""
+        if self.steps_per_turn:
+            return 2 * math.pi / self.steps_per_turn
+        return self.step_m or arm.joints[self.joint - 1].step
 
     @classmethod
     def as_declared(cls, arm: Arm) -> tuple[Self, ...]:
@@ -71,14 +96,15 @@ class ServoQuantisation(JointTerm):
     @property
     def reading(self) -> str:
         """Its steps."""
+        if self.step_m:
+            return f"steps of {1e3 * self.step_m:.4g} mm"
         if not self.steps_per_turn:
             return "in the steps that the arm declares"
-        return f"{self.steps_per_turn} steps a turn, {360 / self.steps_per_turn:.3g}° each"
+        return f"{self.steps_per_turn:.6g} steps a turn, {360 / self.steps_per_turn:.3g}° each"
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """The rounding error."""
-        declared = posture.arm.joints[self.joint - 1].step
-        step = 2 * math.pi / self.steps_per_turn if self.steps_per_turn else declared
+        step = self._step(posture.arm)
         if not step:
             return {}
         q = posture.q[posture.arm.commanded.index(self.joint)]

@@ -29,10 +29,12 @@ class Candidate:
     Attributes:
         name: canonical name of the effect.
         terms: the instances, fitted together.
+        scanned: its form was found by looking at the residual, not listed by its class.
     """
 
     name: str
     terms: tuple[Term, ...]
+    scanned: bool = False
 
     @property
     def where(self) -> tuple[str, ...]:
@@ -62,10 +64,12 @@ class Library:
     Attributes:
         testable: hypotheses whose inputs were recorded and varied.
         not_testable: (effect, why).
+        stepped: effects whose steps may be scanned.
     """
 
     testable: tuple[Candidate, ...]
     not_testable: tuple[tuple[str, str], ...]
+    stepped: tuple[type[Effect], ...] = ()
 
 
 def library(
@@ -87,7 +91,8 @@ def library(
     held = {(t.name, t.where) for t in declared}
     testable: list[Candidate] = []
     missing: list[tuple[str, str]] = []
-    for kind in searched() if kinds is None else kinds:
+    tried = searched() if kinds is None else kinds
+    for kind in tried:
         groups = kind.candidates(arm)
         if not groups:
             missing.append((kind.name, NO_PLACE))
@@ -108,7 +113,8 @@ def library(
         if not usable:
             missing.append((kind.name, why))
         testable += usable + _families(usable)
-    return Library(tuple(testable), tuple(missing))
+    stepped = tuple(kind for kind in tried if issubclass(kind, Effect) and kind.stepped)
+    return Library(tuple(testable), tuple(missing), stepped)
 
 
 def distinct(

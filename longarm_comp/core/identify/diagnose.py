@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -10,10 +10,11 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.holdout import Sealed, blocked_split, spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.identify.aliasing import on_few_levels
+from longarm_comp.core.identify.aliasing import EffectFinding, on_few_levels
 from longarm_comp.core.identify.calibrate import declared_model, stages
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnosis import DISCOVERED, Diagnosis
+from longarm_comp.core.identify.evidence import key
 from longarm_comp.core.identify.identified import Progress, identify
 from longarm_comp.core.identify.next_poses import next_poses
 from longarm_comp.core.identify.outcome import (
@@ -29,6 +30,7 @@ from longarm_comp.core.identify.outcome import (
 )
 from longarm_comp.core.identify.plausible import check_fits, check_noise, check_sizes, check_worth
 from longarm_comp.core.identify.proof import prove
+from longarm_comp.core.identify.search import SearchResult
 from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.identify.wind_up import as_fitted, with_run_ups
 from longarm_comp.core.model.model import Model
@@ -82,7 +84,13 @@ def diagnose(
     calibrated = staged["geometry"].model
     candidates = library(arm, train.context(), kinds, calibrated.terms)
     identified = identify(
-        calibrated, train, lambda run_up: rows(run_up)[0], candidates.testable, rng, say
+        calibrated,
+        train,
+        lambda run_up: rows(run_up)[0],
+        candidates.testable,
+        rng,
+        say,
+        candidates.stepped,
     )
     memory = identified.memory
     train, rest = (train, rest) if memory is None else rows(memory.run_up)
@@ -129,7 +137,7 @@ def diagnose(
             for f in found
             if f.alternatives
         ),
-        not_testable=candidates.not_testable,
+        not_testable=(*candidates.not_testable, *_unknown_steps(identified.search, found)),
         minor=identified.minor,
         train=train,
         held_out=held_out,
@@ -139,6 +147,14 @@ def diagnose(
     )
     _check(diagnosis)
     return diagnosis
+
+
+def _unknown_steps(
+    result: SearchResult, found: Sequence[EffectFinding]
+) -> Iterator[tuple[str, str]]:
+    """(effect, why) where steps show, but not their size, and nothing of the kind was named."""
+    named = {key(term) for finding in found for term in finding.terms}
+    return ((u.name, u.why) for u in result.unknown_steps if (u.name, u.where) not in named)
 
 
 def _check(found: Diagnosis) -> None:

@@ -238,7 +238,8 @@ def _fixed(
     white = fitted.whitened(shift[..., None])[:, 0]
     projected = marginal.project(white)
     gain = float(projected @ marginal.y - 0.5 * projected @ white)
-    return Score(candidate, gain, gain, np.zeros(0))
+    paid = sum(term.price(fitted.model.arm) for term in candidate.terms)
+    return Score(candidate, gain - paid, gain, np.zeros(0))
 
 
 def _rms(fitted: ModelFit, shift: np.ndarray) -> float:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.identify.aliasing import EffectFinding, findings
 from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.identify.confirm import Confirmed, confirm
@@ -57,18 +58,25 @@ def identify(
     candidates: tuple[Candidate, ...],
     rng: np.random.Generator,
     say: Progress,
+    stepped: Sequence[type[Effect]] = (),
 ) -> Identified:
     """Memory of the joints, search, look-alikes, structure left, confirmation.
 
     Args:
         rows: the training rows with unrecorded run-ups taken to be so long (rad).
+        stepped: effects whose steps are scanned.
     """
     say("memory of the joints")
     memory = wind_up(start, rows, candidates)
     if memory is not None:
         candidates, train = memory.candidates(candidates), rows(memory.run_up)
     searched = search(
-        start, train, candidates, known_noise=from_repeats(start, train), progress=say
+        start,
+        train,
+        candidates,
+        known_noise=from_repeats(start, train),
+        stepped=stepped,
+        progress=say,
     )
     if memory is not None:
         searched, memory = refined(searched, memory, rows)

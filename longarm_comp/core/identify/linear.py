@@ -55,10 +55,19 @@ def solve(
         y: (m,) whitened data.
         lower, upper: (p,) bounds of u; none by default.
     """
-    p = a.shape[1]
-    gram = a.T @ a
+    return solved(a.T @ a, a.T @ y, lower, upper)
+
+
+def solved(
+    gram: np.ndarray,
+    moment: np.ndarray,
+    lower: np.ndarray | None = None,
+    upper: np.ndarray | None = None,
+) -> Posterior:
+    """`solve` of the products ``A'A`` (p, p) and ``A'y`` (p,)."""
+    p = len(gram)
     factor = np.linalg.cholesky(gram + np.eye(p))
-    right = solve_triangular(factor, a.T @ y, lower=True)
+    right = solve_triangular(factor, moment, lower=True)
     u = solve_triangular(factor.T, right, lower=False)
     if lower is not None and upper is not None and ((u < lower) | (u > upper)).any():
         u = lsq_linear(factor.T, right, bounds=(lower, upper), method="bvls").x
@@ -243,23 +252,23 @@ def spread(
 
 
 def freedom(
-    weights: np.ndarray, effective: float, measured: np.ndarray | None = None, least: float = 1.0
+    weights: np.ndarray, effective: float, measured: np.ndarray | None = None
 ) -> np.ndarray | float:
     """Degrees of freedom of each channel: its inliers less its share of the fitted parameters.
 
-    One number where every row holds all of three channels, else (d,).
+    At least 1, where there are so many rows.  One number where every row holds all of three
+    channels, else (d,).
 
     Args:
         weights: (N,).
         effective: number of parameters that the data determine.
         measured: (N, d); None stands for all of three channels.
-        least: lower limit.
     """
     if measured is None:
-        return max((weights > 0).sum() - effective / 3, least)
+        return max((weights > 0).sum() - effective / 3, 1.0)
     count = measured[weights > 0].sum(0)
     share = count / max(count.sum(), 1.0)
-    return np.maximum(count - effective * share, np.minimum(least, np.maximum(count, 1e-12)))
+    return np.maximum(count - effective * share, np.clip(count, 1e-12, 1.0))
 
 
 def median(values: np.ndarray) -> np.ndarray:

@@ -15,12 +15,14 @@ from dataclasses import dataclass
 from itertools import combinations
 
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.identify.candidates import Candidate, Term
 from longarm_comp.core.identify.evidence import FitMarginal, Score, columns_at, key, reshaped, score
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
 from longarm_comp.core.identify.search_state import SearchState
+from longarm_comp.core.identify.step_scan import UnknownStep
 from longarm_comp.core.model.model import Model
 
 ROUNDS = 4
@@ -38,6 +40,7 @@ class SearchResult:
         last: every candidate's score on top of what was added.
         threshold: log Bayes factor that a candidate had to reach.
         exhausted: the residual asked for more effects than were allowed: it is something else.
+        unknown_steps: where steps show, but not their size.
     """
 
     fit: ModelFit
@@ -47,6 +50,7 @@ class SearchResult:
     last: tuple[Score, ...]
     threshold: float
     exhausted: bool = False
+    unknown_steps: tuple[UnknownStep, ...] = ()
 
     def without(self, places: set[tuple[str, str]]) -> SearchResult:
         """The same search with some of the found terms taken out again, the rest refitted.
@@ -73,6 +77,7 @@ def search(
     candidates: Sequence[Candidate],
     *,
     known_noise: NoiseEstimate | None = None,
+    stepped: Sequence[type[Effect]] = (),
     progress: Callable[[str], None] | None = None,
 ) -> SearchResult:
     """Find what the model lacks.
@@ -82,18 +87,22 @@ def search(
         session: training rows.
         candidates: hypotheses.
         known_noise: from repeats; judged from the residual otherwise.
+        stepped: effects whose steps are scanned.
         progress: told what is going on.
 
     Raises:
         InputError, JobError: as `fit`.
     """
     say = progress or (lambda _: None)
-    state = SearchState(base, session, candidates, known_noise)
+    state = SearchState(base, session, candidates, known_noise, stepped)
     say("geometry")
     state.refit()
+    state.scan_steps()
     first = state.scores()
     for _ in range(ROUNDS):
         state.grow(say)
+        if state.chosen and not state.exhausted and state.scan_steps():
+            state.grow(say)
         if state.exhausted:
             state.prune()
             break
@@ -109,6 +118,7 @@ def search(
         state.scores(),
         state.threshold,
         state.exhausted,
+        tuple(state.unknown_steps.values()),
     )
 
 

@@ -27,6 +27,7 @@ from longarm_comp.core.identify.evidence import (
 )
 from longarm_comp.core.identify.fit import fit, unfitted
 from longarm_comp.core.identify.noise import NoiseEstimate
+from longarm_comp.core.identify.step_scan import UnknownStep, scan
 from longarm_comp.core.model.model import Model, slots_of
 
 ODDS = math.log(20.0)
@@ -51,12 +52,15 @@ class SearchState:
         session: Session,
         candidates: Sequence[Candidate],
         known: NoiseEstimate | None,
+        stepped: Sequence[type[Effect]] = (),
     ) -> None:
         self.base, self.session, self.candidates = base, session, candidates
         self.known = known
         self.chosen: dict[tuple[str, str], Term] = {}
         self.threshold = math.log(max(len(candidates), 1)) + ODDS
         self._start = base
+        self.stepped = stepped
+        self.unknown_steps: dict[str, UnknownStep] = {}
         self.refused: set[str] = set()
         self.accepted = 0
         self.refinements: Counter[tuple[str, str]] = Counter()
@@ -138,6 +142,14 @@ class SearchState:
             if enough and len(self.chosen) < MOST_TERMS:
                 return found
         return None
+
+    def scan_steps(self) -> bool:
+        """Take the steps that the residual shows among the candidates; whether there are any."""
+        scans = [scan(self.fit, self.columns, kind, self.threshold) for kind in self.stepped]
+        found = [candidate for each in scans for candidate in each.found]
+        self.candidates = [*(c for c in self.candidates if not c.scanned), *found]
+        self.unknown_steps |= {each.where: each for made in scans for each in made.unknown}
+        return bool(found)
 
     def grow(self, say: Callable[[str], None]) -> None:
         """Add effects until none pays; one that did not last is not tried again."""

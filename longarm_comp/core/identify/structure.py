@@ -19,6 +19,7 @@ from longarm_comp.core.arm.history import play
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.drivers import Driver, drivers
 from longarm_comp.core.identify.linear import Marginal
+from longarm_comp.core.identify.minor import smallest
 from longarm_comp.core.identify.model_fit import ModelFit
 
 PERMUTATIONS = 400
@@ -26,7 +27,8 @@ SIGNIFICANT = 0.005
 MOST_GROUPS = 40
 """Groups that count as the structure, at most; those above a third of the strongest are named."""
 WORTH = 0.25
-"""Structure below this share of the noise is not worth a verdict."""
+"""Structure below this share of the noise is not worth a verdict; nor is less than an effect must
+be worth to be named (`minor.smallest`)."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +146,7 @@ def _tested(fit: ModelFit, base: ModelFit, rng: np.random.Generator) -> Structur
     worth = worth or bool((sizes > WORTH * np.sqrt(3.0) * noise)[noise > 0].any())
     said = [statistics[k][0] for k in strong if statistics[k][1] > top / 3]
     inputs = tuple(dict.fromkeys(name for group in said for name in group.inputs))
-    flag = p < SIGNIFICANT and worth
+    flag = p < SIGNIFICANT and worth and size > smallest(fit)
     rss_named = float(residual @ residual)
     white_base = fit.whitened(base.residual[..., None])[:, 0]
     rss_base = float(white_base @ white_base)

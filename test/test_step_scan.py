@@ -1,0 +1,136 @@
+"""Servo steps of a size that nobody declared: found, paid for, or said to be unknown."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hidden_arm import SIGMA, at, session, tip
+from small_arm import ARM
+
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.catalogue import searched
+from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
+from longarm_comp.core.identify.calibrate import declared_model
+from longarm_comp.core.identify.candidates import Candidate, library
+from longarm_comp.core.identify.diagnose import diagnose
+from longarm_comp.core.identify.diagnosis import Diagnosis
+from longarm_comp.core.identify.evidence import FitMarginal, columns_at, score
+from longarm_comp.core.identify.search_state import SearchState
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model_file import load_model, save_model, store
+from longarm_comp.sim.hidden import drives
+from longarm_comp.sim.hidden.base import HiddenEffect
+
+STEP, SLIDE = math.radians(0.37), 1.3e-3
+STEPS = drives.ServoQuantisation(at(2, STEP) + at(3, SLIDE))
+
+
+def looked(rows: Session) -> SearchState:
+    """The first look at a session, with the declared geometry."""
+    base = declared_model(ARM)
+    tried = library(ARM, rows.context(), (JointGain, ServoQuantisation))
+    state = SearchState(base, rows, tried.testable, None, tried.stepped)
+    state.refit()
+    state.scan_steps()
+    return state
+
+
+def scanned(state: SearchState) -> list[Candidate]:
+    return [c for c in state.candidates if c.scanned]
+
+
+@pytest.fixture(scope="module")
+def found() -> Diagnosis:
+    kinds = (JointGain, ServoQuantisation)
+    return diagnose(ARM, session([STEPS], n=200, seed=3), kinds=kinds)
+
+
+def test_undeclared_steps_are_named_with_their_size(found: Diagnosis) -> None:
+    assert (found.verdict, [f.name for f in found.findings]) == ("named", ["servo_quantisation"])
+    terms = {t.joint: t for t in found.findings[0].terms}
+    assert set(terms) == {2, 3}
+    assert 2 * math.pi / terms[2].steps_per_turn == pytest.approx(STEP, rel=1e-3)
+    assert terms[3].step_m == pytest.approx(SLIDE, rel=1e-3)
+    assert "0.37° each" in terms[2].reading
+    assert terms[3].reading == "steps of 1.3 mm"
+
+
+def test_the_tip_stands_where_the_found_steps_say(found: Diagnosis, tmp_path: Path) -> None:
+    """At poses that no row had: without the steps it is 1.4 mm off."""
+    save_model(tmp_path / "model.yaml", store(found.model))
+    model = load_model(tmp_path / "model.yaml", ARM)
+    q = np.random.default_rng(9).uniform(ARM.lower, ARM.upper, (200, ARM.n))
+    true = tip([STEPS], q, np.zeros(len(q)))
+    error = np.linalg.norm(model.tip(q) - true, axis=1)
+    assert np.median(error) < SIGMA / 2
+    before = found.models["calibrated"]
+    assert np.median(error) < 0.1 * np.median(np.linalg.norm(before.tip(q) - true, axis=1))
+
+
+@pytest.mark.parametrize("levels", [0, 30, 4])
+def test_nothing_hidden_shows_no_step(levels: int) -> None:
+    for seed in range(6):
+        state = looked(session(n=150, seed=seed, levels=levels))
+        assert not scanned(state)
+        assert not state.unknown_steps
+
+
+def test_on_few_levels_a_step_is_unknown_and_never_added() -> None:
+    hidden = drives.ServoQuantisation(at(2, math.radians(0.77)))
+    rows = session([hidden], n=200, seed=3, levels=5)
+    state = looked(rows)
+    assert not scanned(state)
+    assert list(state.unknown_steps) == ["joint 2"]
+    why = state.unknown_steps["joint 2"].why
+    assert why.startswith("step unknown at joint 2, which stood at 5 positions only: ")
+    assert [c.terms[0].joint for c in scanned(looked(session([hidden], n=200, seed=3)))] == [2]
+
+
+@pytest.mark.parametrize(
+    "hidden",
+    [drives.CoggingBump(1, 0.6, 0.1, 0.01), drives.CableDrag(1, (0, 3), 0.01)],
+    ids=["bump", "drag"],
+)
+def test_what_is_no_step_is_not_taken_for_one(hidden: HiddenEffect) -> None:
+    state = looked(session([hidden], n=200, seed=3))
+    assert not scanned(state)
+    assert not state.unknown_steps
+
+
+def test_a_step_that_was_looked_for_pays_for_the_looking() -> None:
+    odd = ServoQuantisation.of_step(ARM, 2, STEP)
+    listed = ServoQuantisation(2, steps_per_turn=1000)
+    declared = ServoQuantisation(2, steps_per_turn=0)
+    wide = float(ARM.upper[1] - ARM.lower[1])
+    assert odd.price(ARM) == pytest.approx(math.log(4 * wide / STEP))
+    assert listed.price(ARM) == declared.price(ARM) == 0.0
+    fitted = looked(session(n=60)).fit
+    marginal, columns = FitMarginal(fitted), columns_at(fitted)
+    scores = score(fitted, marginal, Candidate(odd.name, (odd,)), columns)
+    assert scores.log_bayes_factor == pytest.approx(scores.fit_gain - odd.price(ARM))
+
+
+def test_a_joint_that_declares_its_step_is_not_scanned() -> None:
+    joints = list(ARM.joints)
+    joints[1] = joints[1].model_copy(update={"step_deg": 0.5})
+    arm = ARM.model_copy(update={"joints": tuple(joints)})
+    rows = session([STEPS], n=120, seed=3)
+    base = Model(arm, declared_model(arm).effects)
+    tried = library(arm, rows.context(), (ServoQuantisation,), base.terms)
+    state = SearchState(base, rows, tried.testable, None, tried.stepped)
+    state.refit()
+    state.scan_steps()
+    assert all(c.terms[0].joint != 2 for c in scanned(state))
+    assert dataclasses.replace(state.fit).model.effects == base.effects
+
+
+def test_effects_that_were_not_asked_for_are_not_scanned() -> None:
+    rows = session([STEPS], n=120, seed=3)
+    assert library(ARM, rows.context(), (JointGain,)).stepped == ()
+    assert library(ARM, rows.context()).stepped == (ServoQuantisation,)
+    assert ServoQuantisation in searched()
