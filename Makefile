@@ -22,12 +22,7 @@ $(STAMPS)/python:
 	$(INSTALL) --upgrade pip 'setuptools>=68,<80' wheel
 	@mkdir -p $(STAMPS) && touch $@
 
-# torch comes first and alone. Its CPU build is enough: TORCH_ARGS='--index-url ...' chooses another.
-$(STAMPS)/torch: requirements/torch.txt | $(STAMPS)/python
-	$(INSTALL) $(TORCH_ARGS) -r $<
-	@touch $@
-
-$(STAMPS)/ros: requirements/ros.txt | $(STAMPS)/torch
+$(STAMPS)/ros: requirements/ros.txt | $(STAMPS)/python
 	$(INSTALL) -r $<
 	@touch $@
 
@@ -38,7 +33,7 @@ $(STAMPS)/interfaces: $(INTERFACES) $(STAMPS)/ros
 
 # What runs, without the peers of benchmarks and tests.
 PROGRAMS := longarm composed error_predictor kinematics servo_driver simulated_arm stereo_bridge
-$(STAMPS)/package: setup.py setup.cfg pyproject.toml package.xml $(STAMPS)/interfaces $(STAMPS)/torch
+$(STAMPS)/package: setup.py setup.cfg pyproject.toml package.xml $(STAMPS)/interfaces
 	$(INSTALL) --no-build-isolation --editable .
 	@# An editable installation holds no files but Python's: these are what `ros2` looks for.
 	@mkdir -p $(VENV)/share/ament_index/resource_index/packages $(VENV)/share/longarm_comp $(VENV)/lib/longarm_comp
@@ -53,7 +48,12 @@ $(STAMPS)/stand_ins: $(STAND_INS) $(STAMPS)/interfaces
 	$(INSTALL) --no-build-isolation ./test/stand_ins
 	@touch $@
 
-$(STAMPS)/dev: $(STAMPS)/package $(STAMPS)/stand_ins
+# torch comes alone. Its CPU build is enough: TORCH_ARGS='--index-url ...' chooses another.
+$(STAMPS)/torch: requirements/torch.txt | $(STAMPS)/python
+	$(INSTALL) $(TORCH_ARGS) -r $<
+	@touch $@
+
+$(STAMPS)/dev: $(STAMPS)/package $(STAMPS)/stand_ins $(STAMPS)/torch
 	$(INSTALL) --no-build-isolation --editable '.[dev]'
 	@touch $@
 

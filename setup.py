@@ -33,23 +33,25 @@ RUNTIME = [
     "rich>=13.7",
     "rosbags>=0.10",
     "scipy>=1.12",
-    "torch>=2.2",
     "typing-extensions>=4.6",
     "urdf-parser-py>=0.0.4",
 ]
 
 STUDIES = ["joblib>=1.4", "scikit-learn>=1.4"]
+DEVICE = ["torch>=2.2"]
 CLUSTER = ["dask[distributed]>=2024.1"]
 DOCS = ["furo>=2024.8", "myst-nb>=1.1", "pillow>=10.1", "sphinx>=7.4"]
 VIEW = ["viser==1.1.1", "websockets>=14"]  # pinned: longarm_comp/view/server.py wraps how it serves
 
 EXTRAS = {
     "test": ["pytest"],  # by this name colcon test finds that pytest runs the tests
+    "device": DEVICE,  # longarm train --device
     "studies": STUDIES,  # longarm study table1, study loop
     "cluster": [*STUDIES, *CLUSTER],  # study loop --dask
     "docs": DOCS,  # make docs
     "view": VIEW,  # longarm view
     "dev": [
+        *DEVICE,
         *STUDIES,
         *CLUSTER,
         *DOCS,

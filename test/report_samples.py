@@ -229,6 +229,7 @@ def named(rng: np.random.Generator) -> Diagnosis:
                 "reading": "",
                 "set": ["backlash"],
                 "untold": [],
+                "unnamed": "",
                 "where": ["joint 2"],
                 "called": {},
                 "log_bayes_factor": 214.6,

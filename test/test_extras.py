@@ -59,6 +59,8 @@ def found(names: str) -> list[Effect]:
 def test_nothing_is_named_beside_what_is_hidden(names: str) -> None:
     made = found(names)
     assert sorted({term.name for term in made}) == names.split(", ")
-    for guide in (t for t in made if isinstance(t, TelescopeClearance) and t.joint == 3):
+    guides = [t for t in made if isinstance(t, TelescopeClearance) and t.joint == 3]
+    assert len(guides) == (names == "telescope_clearance")
+    for guide in guides:
         assert guide.clearance == pytest.approx(CLEARANCE, rel=0.2)
         assert guide.give == pytest.approx(PADS, rel=0.2)

@@ -56,6 +56,7 @@ def test_a_move_through_a_box_is_found_on_its_way(demo_arm_path: Path) -> None:
     model = declared_model(boxed(demo_arm_path, tip))
     assert "lamp" in entered(model, np.array([start, end]))
     assert "lamp" in entered(model, np.array([start, plain.mid]))
+    assert "lamp" in entered(model, np.array([start, start, end]))
     assert not entered(model, np.array([end, end]))
     assert not entered(declared_model(plain), np.array([start, end]))
 

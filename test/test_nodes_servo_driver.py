@@ -57,7 +57,7 @@ def test_follows_reports_and_lets_go_through_its_life(rig: Rig) -> None:
     assert rig.free()
     rig.process.send_signal(signal.SIGINT)
     assert rig.process.wait(timeout=10) == 0
-    assert "ended" in rig.is_in(DriverState.UNCONFIGURED).message
+    rig.stage.spin(lambda: "ended" in rig.is_in(DriverState.UNCONFIGURED).message)
 
 
 def test_bad_trajectories_move_nothing_and_are_counted(rig: Rig) -> None:

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from longarm_comp.core.errors import JobError
 from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
+from longarm_comp.devices.servo_arm import Cycle, ServoArm
 from longarm_comp.devices.servo_bus import BusUnplugged, IncompleteReply, SerialServoBus, ServoState
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_follower import FollowerState, Step, TrajectoryFollower
@@ -177,3 +179,55 @@ def test_an_unplugged_bus_is_a_fault_and_the_arm_goes_on_after_reset(loop: Loop)
     assert loop.until(_holding(loop))
     loop.until(lambda: abs(loop.joints()["shoulder"] - 0.4) < 6e-4)
     assert loop.joints()["shoulder"] == pytest.approx(0.4, abs=6e-4)
+
+
+def test_torque_is_on_only_where_that_was_asked_for_and_nothing_speaks_against_it(
+    loop: Loop,
+) -> None:
+    assert loop.bus is not None
+    loop.bus.close()
+    loop.bus = None
+    arm, emulator = ServoArm(loop.config), loop.emulator
+
+    def until(done: Callable[[Cycle], object]) -> None:
+        while not done(arm.cycle(time.monotonic())):
+            time.sleep(0.005)
+
+    def driven() -> set[bool]:
+        return set(emulator.torques_on().values())
+
+    arm.power(False)
+    until(lambda cycle: cycle.joints)
+    there = JointTrajectory(("boom",), (TrajectoryPoint(0.0, (0.05,)),))
+    with pytest.raises(JobError, match="torque is off"):
+        arm.accept(there, time.monotonic())
+    arm.power(True)
+    arm.accept(there, time.monotonic())
+    arm.estop()
+    assert driven() == {False}
+    for hot, why in ((67.0, "overheated"), (90.0, "OVERHEAT")):  # ours; the servo's own
+        emulator.heat(2, hot)
+        until(lambda cycle, hot=hot: cycle.joints and cycle.states[2].temperature_c > hot - 2.0)
+        with pytest.raises(JobError, match=why):
+            arm.release(time.monotonic())
+        assert driven() == {False} and not arm.powered
+    emulator.heat(2, 30.0)
+    emulator.power_cycle(2)  # clears its alarm
+    until(lambda cycle: cycle.joints and not cycle.states[2].error_flags)
+    arm.release(time.monotonic())
+    assert driven() == {True} and arm.powered
+    arm.accept(there, time.monotonic())
+    emulator.heat(2, 67.0)
+    until(lambda cycle: cycle.step.state is FollowerState.FAULT)
+    with pytest.raises(JobError, match="overheated"):
+        arm.release(time.monotonic())
+    assert driven() == {True} and arm.powered  # a heavy arm would drop
+    emulator.unplug()
+    until(lambda cycle: arm.bus is None)
+    with pytest.raises(BusUnplugged):
+        arm.power(False)
+    assert driven() == {True}  # nobody can reach them
+    emulator.replug()
+    until(lambda cycle: arm.bus is not None)
+    assert driven() == {False}
+    arm.close()

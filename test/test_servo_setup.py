@@ -213,6 +213,9 @@ def test_what_nobody_is_there_to_answer_names_its_flag(shell: Shell) -> None:
         assert "an id that no other joint has" in untouched(mine, shell, *wrong, code=2)
         half = [word.replace("joint1=2", "joint1=2.5") for word in words]
         assert "--id: '2.5'; allowed: JOINT=ID, a whole" in untouched(mine, shell, *half, code=2)
+        for flag in ("--nudge", "--sweep-s"):
+            for size in ("nan", "inf", "0"):
+                assert f"{flag}: " in untouched(mine, shell, *words, flag, size, code=2)
         lost = [word.replace("joint1=2", "joint1=9") for word in words]
         assert "servo 9 of joint1 is not on the bus" in untouched(mine, shell, *lost)
         assert shell("servo", "setup", mine, *words) == 0

@@ -12,8 +12,10 @@ from numpy.polynomial.legendre import Legendre
 from small_arm import ARM, measured
 
 from longarm_comp.core.identify.calibrate import declared_model, stages
+from longarm_comp.core.identify.minor import SMALLEST_M
 from longarm_comp.core.identify.outcome import all_signs
 from longarm_comp.core.identify.structure import Structure, examine
+from longarm_comp.core.model.model import Model
 
 SIGMA = 1e-4
 """Noise of `measured`, m."""
@@ -22,15 +24,22 @@ SIZE = 0.75 * SIGMA
 AXIS = np.array([1.0, 0.0, 0.0])
 
 
-def left(seed: int, size: float) -> Structure:
-    """Of 120 poses whose x is off by a function of the first joint, no geometry error's."""
+def left(seed: int, size: float, noise: float = 1.0, least: float = 0.0) -> Structure:
+    """Of 120 poses whose x is off by a function of the first joint, no geometry error's.
+
+    Args:
+        noise: in that of `measured`.
+        least: as of `examine`.
+    """
     rows = measured(120, np.random.default_rng(seed))
+    tips = Model(ARM).tip(rows.q)
+    rows = dataclasses.replace(rows, xyz=tips + noise * (rows.xyz - tips))
     share = (rows.q[:, 0] - ARM.lower[0]) / (ARM.upper[0] - ARM.lower[0])
     wave = Legendre.basis(5)(2.0 * share - 1.0)
     wave *= size / np.sqrt((wave**2).mean())
     off = dataclasses.replace(rows, xyz=rows.xyz + np.outer(wave, AXIS))
     *_, (_, fitted) = stages(declared_model(ARM), off)
-    return examine(fitted, fitted, np.random.default_rng(0))
+    return examine(fitted, fitted, np.random.default_rng(0), least)
 
 
 @pytest.mark.parametrize("seed", [1, 3, 5])
@@ -44,6 +53,13 @@ def test_what_moves_one_axis_shows_beside_the_noise_of_the_others(seed: int) -> 
 @pytest.mark.parametrize("seed", [1, 3, 5])
 def test_noise_leaves_none(seed: int) -> None:
     assert not left(seed, 0.0).flag
+
+
+@pytest.mark.parametrize(("size", "shows"), [(0.5, False), (2.0, True)])
+def test_what_is_left_counts_from_a_size_on(size: float, shows: bool) -> None:
+    """However small the noise: where nothing is named, that from which on something would be."""
+    assert left(1, size * SMALLEST_M, noise=0.05).flag
+    assert left(1, size * SMALLEST_M, noise=0.05, least=SMALLEST_M).flag is shows
 
 
 @pytest.mark.parametrize(("of_noise", "shows"), [(0.5, False), (3.0, True)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -92,8 +93,9 @@ class Answers:
             {n: _sign(v) for n, v in named("--direction", direction).items()},
             nudge,
         )  # fmt: skip
-        if nudge <= 0.0:
-            raise InputError(_COMMAND, "--nudge", nudge, "more than 0")
+        for flag, size in (("--nudge", nudge), ("--sweep-s", sweep_s)):
+            if size is not None and not 0.0 < size < math.inf:
+                raise InputError(_COMMAND, flag, size, "a finite number above 0")
         if no_sweep and zero == "sweep":
             raise InputError(_COMMAND, "--zero", zero, "pose, where there is no sweep")
         made._check_complete(yes)

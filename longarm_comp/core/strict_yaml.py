@@ -81,13 +81,15 @@ def read_yaml(path: str | Path) -> Any:
         with open(path, "rb") as file:
             raw = file.read(MOST_BYTES + 1)
     except (OSError, ValueError) as error:
-        raise InputError(where, "file", type(error).__name__, "a readable file") from error
+        said = getattr(error, "strerror", None) or str(error)
+        raise InputError(where, "file", said, "a readable file") from error
     if len(raw) > MOST_BYTES:
         raise InputError(where, "file", f"more than {MOST_BYTES} bytes", "a smaller file")
     try:
         text = raw.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise InputError(where, "file", type(error).__name__, "text in UTF-8") from error
+        said = f"byte {error.start} is no text"
+        raise InputError(where, "file", said, "text in UTF-8") from error
     return parse_yaml(text, where)
 
 

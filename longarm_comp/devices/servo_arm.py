@@ -102,15 +102,24 @@ class ServoArm:
     def power(self, on: bool) -> None:
         """Switch the torque. With an unplugged bus, off is sent when the bus comes back.
 
+        Where not every servo can be switched on, none of them is left so that was off before.
+
         Raises:
             BusUnplugged, IncompleteReply, ServoFault: it could not be switched (on), or was not
                 confirmed (off).
         """
+        before = self._powered
         self._powered = self._powered and on
         self._owing_off = not on
         if self.bus is None:
             raise BusUnplugged(self.config.bus.port, "the port is gone")
-        self.bus.torque(self._ids, on)
+        try:
+            self.bus.torque(self._ids, on)
+        except ServoBusError:
+            if on and not before:
+                with contextlib.suppress(ServoBusError):
+                    self.power(False)
+            raise
         self._powered, self._owing_off = on, False
 
     def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
@@ -132,16 +141,19 @@ class ServoArm:
         """Leave a fault or an emergency stop, with torque on.
 
         Raises:
-            JobError: its cause persists; the torque stays off.
+            JobError: its cause persists; the torque stays as it was: on after a fault, so that a
+                heavy arm does not drop, and off after an emergency stop.
         """
         if not on:
             self.follower.reset(now)
             return
+        before = self._powered
         self.power(True)
         try:
             self.follower.reset(now)
         except JobError:
-            self.power(False)
+            if not before:
+                self.power(False)
             raise
 
     def cycle(self, now: float) -> Cycle:

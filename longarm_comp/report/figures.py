@@ -12,7 +12,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import atomic_path
 from longarm_comp.report.style import BLUE, GREEN, INK, LOOKS, ORANGE, rc, save
 
 _FORMATS = {".png", ".svg", ".pdf"}
@@ -186,6 +185,5 @@ def _saved(drawn: Figure, path: str | os.PathLike[str]) -> Path:
     target = Path(path)
     if target.suffix not in _FORMATS:
         raise InputError(target, "ending", target.suffix, ", ".join(sorted(_FORMATS)))
-    with atomic_path(target) as partial:
-        save(drawn, partial)
+    save(drawn, target)
     return target

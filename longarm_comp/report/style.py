@@ -11,6 +11,8 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from longarm_comp.core.files import atomic_path
+
 INK = "#1a1a1a"
 GRID = "#d9d9d9"
 BLUE, ORANGE, GREEN, VERMILLION, PURPLE, SKY = (
@@ -81,5 +83,7 @@ def svg(drawn: Figure) -> bytes:
 
 
 def save(drawn: Figure, path: Path) -> None:
-    """The figure as a file by its ending; the same figure gives the same bytes."""
-    drawn.savefig(path, dpi=150, metadata=_UNDATED[path.suffix.removeprefix(".")])
+    """The figure as a file by its ending, whole or not at all; the same figure, the same bytes."""
+    kind = path.suffix.removeprefix(".").lower()
+    with atomic_path(path) as partial:
+        drawn.savefig(partial, format=kind, dpi=150, metadata=_UNDATED[kind])

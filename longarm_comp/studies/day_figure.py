@@ -10,7 +10,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from longarm_comp.core.files import atomic_path
 from longarm_comp.report.style import BLUE, GREEN, INK, ORANGE, PURPLE, VERMILLION, rc, save
 from longarm_comp.studies.day import WAYS, DayOutcome
 
@@ -29,8 +28,7 @@ def day_figure(found: Sequence[DayOutcome], path: str | os.PathLike[str]) -> Pat
         upper, *lower = drawn.subplots(4, 1, sharex=True, height_ratios=(4.6, 1, 1, 1))
         _errors(upper, found)
         _circumstances(lower, found)
-        with atomic_path(Path(path)) as partial:
-            save(drawn, partial)
+        save(drawn, Path(path))
     return Path(path)
 
 

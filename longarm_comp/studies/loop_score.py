@@ -50,7 +50,7 @@ def score(setting: LoopSetting, found: Diagnosis) -> dict[str, Any]:
     covered = all(any(t in n for n in said) for t in true)
     sets = [f for f in found.findings if f.alternatives]
     meant = true.union(*(family for family in TWINS if family & true))
-    named_wrong = [f.name for f in found.findings if not f.alternatives and f.name not in meant]
+    named_wrong = [f.name for f in found.findings if not f.open and f.name not in meant]
     scores: dict[str, Any] = {
         "verdict": found.verdict,
         "visible": [round(v, 3) for v in setting.visible],

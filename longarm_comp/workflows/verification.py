@@ -11,7 +11,6 @@ import numpy as np
 from scipy.stats import bootstrap
 
 from longarm_comp.core.errors import JobError
-from longarm_comp.core.files import atomic_path
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.report.at_the_tip import at_the_tip
 from longarm_comp.report.style import rc, save
@@ -71,8 +70,8 @@ class Verification:
         Raises:
             InputError: the folder cannot be written.
         """
-        with rc(), atomic_path(path) as partial:
-            save(at_the_tip(self.runs), partial)
+        with rc():
+            save(at_the_tip(self.runs), path)
 
 
 def verification(

@@ -269,7 +269,14 @@ def turned(a: Frame, b: Frame) -> Vec:
 
 def add_twists(a: Twist, b: Twist) -> Twist:
     """Sum of two small twists in one frame."""
-    return tuple(x + y for x, y in zip(a, b, strict=True))  # type: ignore[return-value]
+    return tuple([_plus(x, y) for x, y in zip(a, b, strict=True)])  # type: ignore[return-value]
+
+
+def _plus(x: Scalar, y: Scalar) -> Scalar:
+    """x + y; an array is not copied for nothing."""
+    if type(y) is float and y == 0.0:
+        return x
+    return y if type(x) is float and x == 0.0 else x + y
 
 
 def shift_twist(twist: Twist, to: Vec) -> Twist:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from longarm_comp.core.arm.posture import Element, Posture, abs_
-from longarm_comp.core.arm.spatial import Scalar, Twist, Vec, cross
+from longarm_comp.core.arm.spatial import Scalar, Twist, Vec
 from longarm_comp.core.effects.effect import Effect
 
 
@@ -67,8 +67,8 @@ def cantilever(posture: Posture, element: Element) -> Twist:
 
 
 def _cantilever(posture: Posture, element: Element) -> Twist:
-    station, axis = element.station, element.axis
-    length, axis_u, inverse = _beam(posture, element)
+    station = element.station
+    length, sign, inverse = _beam(posture, element)
     force, moment = posture.force(station), posture.moment(station)
     gravity = posture.gravity_in(station)
 
@@ -88,23 +88,19 @@ def _cantilever(posture: Posture, element: Element) -> Twist:
             - h * (length * length - h * h) / 4
         )
 
-    uw = cross(axis_u, gravity)
-    slope, sag = _end_loaded(length, axis_u, force, moment)
-    theta = [(slope[k] + slope_w * uw[k]) * inverse[k] for k in range(3)]
-    bend = [(sag[k] + sag_w * uw[k]) * inverse[k] for k in range(3)]
-    bend[axis] = 0.0
-    d = cross((bend[0], bend[1], bend[2]), axis_u)
-    half = (0.5 * theta[0], 0.5 * theta[1], 0.5 * theta[2])
-    turned_d, turned_w = list(cross(half, d)), cross(half, (theta[0], theta[1], theta[2]))
-    turned_d[axis] = -0.2 * turned_d[axis]
-    return (
-        d[0] + turned_d[0],
-        d[1] + turned_d[1],
-        d[2] + turned_d[2],
-        theta[0] + turned_w[0],
-        theta[1] + turned_w[1],
-        theta[2] + turned_w[2],
-    )
+    uw = _across(element.axis, sign, gravity)
+    slope, sag = _end_loaded(length, element.axis, sign, force, moment)
+    for k, w in uw.items():
+        slope[k] = slope[k] + slope_w * w
+        sag[k] = sag[k] + sag_w * w
+    d, theta = _bend(element.axis, sign, slope, sag, inverse)
+    i, j, k = _axes(element.axis)
+    half = [0.5 * t for t in theta]
+    turned = list(d)
+    turned[i] = -0.2 * (half[j] * d[k] - half[k] * d[j])
+    turned[j] = d[j] - half[i] * d[k]
+    turned[k] = d[k] + half[i] * d[j]
+    return (*turned, *theta)  # type: ignore[return-value]
 
 
 def bent(posture: Posture, element: Element, force: Vec, moment: Vec) -> Twist:
@@ -112,31 +108,55 @@ def bent(posture: Posture, element: Element, force: Vec, moment: Vec) -> Twist:
 
     Both in the axes of the element's end.
     """
-    length, axis_u, inverse = _beam(posture, element)
-    slope, sag = _end_loaded(length, axis_u, force, moment)
-    theta = [slope[k] * inverse[k] for k in range(3)]
-    bend = [sag[k] * inverse[k] for k in range(3)]
-    bend[element.axis] = 0.0
-    d = cross((bend[0], bend[1], bend[2]), axis_u)
-    return (d[0], d[1], d[2], theta[0], theta[1], theta[2])
+    length, sign, inverse = _beam(posture, element)
+    slope, sag = _end_loaded(length, element.axis, sign, force, moment)
+    d, theta = _bend(element.axis, sign, slope, sag, inverse)
+    return (*d, *theta)
 
 
-def _beam(posture: Posture, element: Element) -> tuple[Scalar, Vec, tuple[float, float, float]]:
-    """Length (m), direction and compliances about x, y, z (1/(N m^2)) of a beam element."""
+def _beam(posture: Posture, element: Element) -> tuple[Scalar, float, tuple[float, float, float]]:
+    """Length (m), sign along its axis and compliances about x, y, z (1/(N m^2)) of an element."""
     signed = posture.lengths[element.station]
     length = abs_(signed)
-    u = [0.0, 0.0, 0.0]
-    u[element.axis] = -1.0 if signed is not length and signed != length else 1.0
+    sign = -1.0 if signed is not length and signed != length else 1.0
     first, second, torsion = element.beam.stiffness
-    return length, (u[0], u[1], u[2]), _by_axis(element.axis, 1 / first, 1 / second, 1 / torsion)
+    return length, sign, _by_axis(element.axis, 1 / first, 1 / second, 1 / torsion)
 
 
-def _end_loaded(length: Scalar, u: Vec, force: Vec, moment: Vec) -> tuple[list[Scalar], ...]:
-    """Integrals over the length of the bending moment ``M(s)`` and of ``M(s) (l - s)``."""
-    uf = cross(u, force)
+def _axes(axis: int) -> tuple[int, int, int]:
+    """The axis along the beam and the two across it."""
+    return axis, (axis + 1) % 3, (axis + 2) % 3
+
+
+def _across(axis: int, sign: float, v: Vec) -> dict[int, Scalar]:
+    """``u x v`` of the beam's direction u: its two components across the beam, by axis."""
+    _, j, k = _axes(axis)
+    return {j: -v[k], k: v[j]} if sign > 0 else {j: v[k], k: -v[j]}
+
+
+def _end_loaded(
+    length: Scalar, axis: int, sign: float, force: Vec, moment: Vec
+) -> tuple[list[Scalar], list[Scalar]]:
+    """Integrals over the length of the bending moment ``M(s)`` and of ``M(s) (l - s)``.
+
+    The second is 0 along the beam: torsion bends nothing.
+    """
     l1, l2, l3 = length, 0.5 * length * length, length * length * length / 3
-    slope = [l1 * moment[k] + l2 * uf[k] for k in range(3)]
-    return slope, [l2 * moment[k] + l3 * uf[k] for k in range(3)]
+    slope: list[Scalar] = [l1 * m for m in moment]
+    sag: list[Scalar] = [0.0, 0.0, 0.0]
+    for k, pushed in _across(axis, sign, force).items():
+        slope[k] = slope[k] + l2 * pushed
+        sag[k] = l2 * moment[k] + l3 * pushed
+    return slope, sag
+
+
+def _bend(
+    axis: int, sign: float, slope: list[Scalar], sag: list[Scalar], inverse: Vec
+) -> tuple[Vec, Vec]:
+    """Displacement and turn of a beam's end from these integrals."""
+    bend = (sag[0] * inverse[0], sag[1] * inverse[1], sag[2] * inverse[2])
+    d = {axis: 0.0, **_across(axis, -sign, bend)}
+    return (d[0], d[1], d[2]), (slope[0] * inverse[0], slope[1] * inverse[1], slope[2] * inverse[2])
 
 
 def _by_axis(axis: int, first: float, second: float, along: float) -> tuple[float, float, float]:

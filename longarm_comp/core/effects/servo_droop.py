@@ -42,6 +42,7 @@ class ServoDroop(JointTerm):
     )
     loaded: ClassVar[bool] = True
     aliases: ClassVar[tuple[str, ...]] = ("joint_compliance",)  # a sag is a compliance
+    limit_aliases: ClassVar[tuple[str, ...]] = ("backlash",)  # without sag
 
     gate: float = form(0.0, lower=0.0, upper=1.0)
     blend: float = form(BLEND, lower=0.01, upper=0.5)

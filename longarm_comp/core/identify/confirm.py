@@ -14,6 +14,7 @@ from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
 from longarm_comp.core.identify.confounded import confounded
 from longarm_comp.core.identify.evidence import columns_at, key, neighbours
+from longarm_comp.core.identify.linear import Posterior
 from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.identify.search import SearchResult
 
@@ -24,7 +25,7 @@ LOOSE = 3.0
 TOUCHES = 0.05
 """Share of an interval within which a value is at its bound."""
 HOLDS = 3.0
-"""Log Bayes factor above which the evidence of a resample holds."""
+"""Log Bayes factor above which evidence holds, of a resample or under other assumptions."""
 SHARED = 0.5
 """Two findings that lose more of their evidence beside each other than this overlap."""
 
@@ -143,9 +144,9 @@ def _stability(
     whole = {f.name: _block_gains(fit, f) for f in found if not len(index[f.name])}
     tests: dict[str, list[float]] = {f.name: [] for f in found}
     for count in counts:
-        g, r = np.tensordot(count, gram, axes=1), count @ right
+        solved = Posterior.of(np.tensordot(count, gram, axes=1), count @ right)
         for name, own in index.items():
-            tests[name].append(_evidence(g, r, own) if len(own) else float(count @ whole[name]))
+            tests[name].append(solved.evidence(own) if len(own) else float(count @ whole[name]))
     return {name: float((np.array(values) > HOLDS).mean()) for name, values in tests.items()}
 
 
@@ -164,15 +165,15 @@ def _wider(fit: ModelFit, found: Sequence[EffectFinding]) -> np.ndarray:
 
 def _overlaps(fit: ModelFit, index: dict[str, np.ndarray]) -> tuple[Overlap, ...]:
     """Pairs whose evidence beside each other is less than `SHARED` of what each has alone."""
-    gram, right = fit.design.T @ fit.design, fit.design.T @ fit.data
-    made = []
+    gram, right = fit.gram, fit.design.T @ fit.data
+    whole, made = Posterior.of(gram, right), []
     for one, two in combinations([name for name, own in index.items() if len(own)], 2):
         shares = []
         for name, other in ((one, two), (two, one)):
             kept = np.setdiff1d(np.arange(len(right)), index[other])
             own = np.searchsorted(kept, index[name])
-            alone = _evidence(gram[np.ix_(kept, kept)], right[kept], own)
-            shares.append(1.0 - _evidence(gram, right, index[name]) / max(alone, 1e-9))
+            alone = Posterior.of(gram[np.ix_(kept, kept)], right[kept]).evidence(own)
+            shares.append(1.0 - whole.evidence(index[name]) / max(alone, 1e-9))
         if min(shares) > SHARED:
             made.append(Overlap((one, two), (shares[0], shares[1])))
     return tuple(made)
@@ -199,19 +200,6 @@ def _block_rows(equations: int, width: int) -> list[slice]:
     return [slice(lo, hi) for lo, hi in pairwise(cuts)]
 
 
-def _evidence(gram: np.ndarray, right: np.ndarray, own: np.ndarray) -> float:
-    """Log Bayes factor of some columns on top of the others, from the normal equations."""
-    rest = np.setdiff1d(np.arange(len(right)), own)
-    g = np.eye(len(rest)) + gram[np.ix_(rest, rest)]
-    cross = gram[np.ix_(rest, own)]
-    solved = np.linalg.solve(g, np.column_stack([cross, right[rest]]))
-    s = gram[np.ix_(own, own)] - cross.T @ solved[:, :-1]
-    t = right[own] - cross.T @ solved[:, -1]
-    m = np.eye(len(own)) + (s + s.T) / 2
-    _, log_det = np.linalg.slogdet(m)
-    return float(t @ np.linalg.solve(m, t) / 2 - log_det / 2)
-
-
 def _doubts(fit: ModelFit, found: EffectFinding, own: np.ndarray, stable: float) -> tuple[str, ...]:
     """What a sceptic would say."""
     said = [f"{part.name} could stand for its {part.part}" for part in found.partial_aliases]
@@ -220,14 +208,14 @@ def _doubts(fit: ModelFit, found: EffectFinding, own: np.ndarray, stable: float)
         said.append(f"its evidence holds in {100 * stable:.0f} % of resampled sessions only")
     if not len(own):
         return tuple(said)
-    gram, right = fit.design.T @ fit.design, fit.design.T @ fit.data
-    for factor, words in ((1 / 2.25, "1.5 times the noise"),):
-        if _evidence(gram * factor, right * factor, own) < 3.0:
-            said.append(f"it would not be found with {words}")
+    gram, right = fit.gram, fit.design.T @ fit.data
+    louder = 1.5
+    if Posterior.of(gram / louder**2, right / louder**2).evidence(own) < HOLDS:
+        said.append(f"it would not be found with {louder} times the noise")
     for factor, words in ((25.0, "five times wider"), (1 / 25.0, "five times narrower")):
         scale = np.ones(len(right))
         scale[own] = np.sqrt(factor)
-        if _evidence(gram * np.outer(scale, scale), right * scale, own) < 3.0:
+        if Posterior.of(gram * np.outer(scale, scale), right * scale).evidence(own) < HOLDS:
             said.append(f"it would not be found with priors {words}")
     for k in own:
         value, p = fit.model.values[k], fit.slots[k].parameter

@@ -53,7 +53,8 @@ def fit(
         weights: (N of seen rows,) fixed weights instead.
         max_iterations: bound on the Gauss-Newton steps.
         close: the last step must be below so many standard errors.
-        begun: what `unfitted` returned of the same model and session, if it is known.
+        begun: a fit of the same model to the same session, if there is one: residual and design
+            are taken from it.
 
     Raises:
         InputError: fewer than four seen rows, or an input that a term needs is missing.

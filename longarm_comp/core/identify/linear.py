@@ -28,6 +28,22 @@ class Posterior:
     covariance: np.ndarray
     effective: float
 
+    @classmethod
+    def of(cls, gram: np.ndarray, right: np.ndarray) -> Posterior:
+        """From the normal equations A'A (p, p) and A'y (p,), without bounds."""
+        one = np.eye(len(right))
+        covariance = cho_solve((np.linalg.cholesky(gram + one), True), one)
+        return cls(covariance @ right, covariance, float(len(right) - np.trace(covariance)))
+
+    def evidence(self, own: np.ndarray) -> float:
+        """Log Bayes factor of the columns at some positions on top of the others.
+
+        In the terms of `Marginal` their block of the covariance is ``(I+S)^-1`` and their mean
+        ``(I+S)^-1 t``.
+        """
+        mean, block = self.u[own], self.covariance[np.ix_(own, own)]
+        return float(mean @ np.linalg.solve(block, mean) + np.linalg.slogdet(block)[1]) / 2
+
 
 def solve(
     a: np.ndarray, y: np.ndarray, lower: np.ndarray | None = None, upper: np.ndarray | None = None
@@ -39,10 +55,19 @@ def solve(
         y: (m,) whitened data.
         lower, upper: (p,) bounds of u; none by default.
     """
-    p = a.shape[1]
-    gram = a.T @ a
+    return solved(a.T @ a, a.T @ y, lower, upper)
+
+
+def solved(
+    gram: np.ndarray,
+    moment: np.ndarray,
+    lower: np.ndarray | None = None,
+    upper: np.ndarray | None = None,
+) -> Posterior:
+    """`solve` of the products ``A'A`` (p, p) and ``A'y`` (p,)."""
+    p = len(gram)
     factor = np.linalg.cholesky(gram + np.eye(p))
-    right = solve_triangular(factor, a.T @ y, lower=True)
+    right = solve_triangular(factor, moment, lower=True)
     u = solve_triangular(factor.T, right, lower=False)
     if lower is not None and upper is not None and ((u < lower) | (u > upper)).any():
         u = lsq_linear(factor.T, right, bounds=(lower, upper), method="bvls").x
@@ -227,23 +252,23 @@ def spread(
 
 
 def freedom(
-    weights: np.ndarray, effective: float, measured: np.ndarray | None = None, least: float = 1.0
+    weights: np.ndarray, effective: float, measured: np.ndarray | None = None
 ) -> np.ndarray | float:
     """Degrees of freedom of each channel: its inliers less its share of the fitted parameters.
 
-    One number where every row holds all of three channels, else (d,).
+    At least 1, where there are so many rows.  One number where every row holds all of three
+    channels, else (d,).
 
     Args:
         weights: (N,).
         effective: number of parameters that the data determine.
         measured: (N, d); None stands for all of three channels.
-        least: lower limit.
     """
     if measured is None:
-        return max((weights > 0).sum() - effective / 3, least)
+        return max((weights > 0).sum() - effective / 3, 1.0)
     count = measured[weights > 0].sum(0)
     share = count / max(count.sum(), 1.0)
-    return np.maximum(count - effective * share, np.minimum(least, np.maximum(count, 1e-12)))
+    return np.maximum(count - effective * share, np.clip(count, 1e-12, 1.0))
 
 
 def median(values: np.ndarray) -> np.ndarray:

@@ -12,12 +12,16 @@ from scipy.special import fdtri
 from longarm_comp.core.data.measurement import equations, posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify import linear
-from longarm_comp.core.identify.linear import MAD, OUTLIER, freedom, mean, median, whiten
+from longarm_comp.core.identify.linear import MAD, OUTLIER, mean, median
 from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.model.model import Model
 
 ENOUGH_REPEATS = 15
 """Degrees of freedom that repeats must have to be trusted."""
+ALIKE = 4.0
+"""Degrees of freedom, beside an axis's own, that say that it is as noisy as the others."""
+MOST_STEPS = 60
+"""Of the noise and the size of the library's effects together."""
 PLACES = ("group", "marker", "sensor", "anchor")
 """Text columns that say what is measured, and from where."""
 
@@ -112,8 +116,12 @@ def from_residual(
 ) -> tuple[NoiseEstimate, np.ndarray]:
     """Noise as what is left when everything in the library is fitted at once.
 
-    With more columns than rows that may be nothing at all; the noise is then no smaller than the
-    sightings' own standard deviation, where the session has one.
+    It is where the evidence is highest: each channel counts its rows less what the fit takes of
+    them (trace of the hat matrix; MacKay 1992, Neural Comput. 4).  Channels of one sensor are held
+    together, or one of them could be fitted exactly and count for ever more.  With more columns
+    than equations all of them could, so the size of the library's effects is estimated too; and
+    with more columns than rows the noise is no smaller than the sightings' own standard deviation,
+    where the session has one.
 
     Args:
         fit: the model so far.
@@ -124,37 +132,59 @@ def from_residual(
     """
     columns = np.concatenate([fit.columns * priors(fit.slots), extra], axis=-1)
     y = (fit.residual + fit.columns @ fit.model.values)[..., None]
-    weights, uneven = fit.weights, fit.session.uneven(fit.session.claimed)
-    sigma = fit.sigma.copy()
-    rho = 0.0
-    even = fit.residual
+    channels = np.ascontiguousarray(np.moveaxis(np.concatenate([columns, y], -1), 1, 0))
+    weights, used = np.ones(len(fit.weights)), np.zeros(0)
+    uneven = fit.session.uneven(fit.session.claimed)
+    sigma, size = fit.sigma.copy(), 1.0
     held = fit.session.mask
-    degrees: np.ndarray | float = 1.0
-    for _ in range(steps):
-        white = whiten(np.concatenate([columns, y], -1), weights, sigma, 0.0, held)
-        posterior = linear.solve(white[:, :-1], white[:, -1])
-        residual = (y - columns @ posterior.u[:, None])[..., 0]
+    added = np.arange(columns.shape[-1]) >= fit.columns.shape[-1]
+    few = len(added) > (weights > 0).sum() * len(sigma)
+    for _ in range(MOST_STEPS if few else steps):
+        if not np.array_equal(weights, used):
+            rows = channels[:, weights > 0] * np.sqrt(weights[weights > 0])[:, None]
+            products, used = rows.transpose(0, 2, 1) @ rows, weights
+        scale = np.where(added, size, 1.0)
+        white = products / sigma[:, None, None] ** 2
+        gram = white[:, :-1, :-1] * np.outer(scale, scale)
+        posterior = linear.solved(gram.sum(0), scale * white[:, :-1, -1].sum(0))
+        residual = (y - columns @ (scale * posterior.u)[:, None])[..., 0]
         count = linear.believed(residual, uneven, held)
         even = residual * np.sqrt(count)[:, None]
         kept = even if held is None else np.where(held, even, np.nan)
         robust = MAD * median(np.abs(kept[weights > 0]))
-        rows = (weights > 0).sum()
-        degrees = freedom(weights, posterior.effective, held, rows / 10)
-        inflate = np.sqrt((rows if held is None else held[weights > 0].sum(0)) / degrees)
-        worst = np.abs(kept) / np.maximum(robust * inflate, 1e-9)
+        taken = (gram * posterior.covariance).sum(axis=(1, 2))
+        rows_held = (weights > 0).sum() if held is None else held[weights > 0].sum(0)
+        degrees = np.maximum(rows_held - taken, 1e-9)
+        worst = np.abs(kept) / np.maximum(robust * np.sqrt(rows_held / degrees), 1e-9)
         weights = count * (np.nan_to_num(worst).max(axis=1) <= OUTLIER)
-        new = np.sqrt((even[weights > 0] ** 2).sum(0) / degrees)
+        square = (even[weights > 0] ** 2).sum(0)
+        alike = _usual(fit, square / degrees)
+        new = np.sqrt((square + ALIKE * alike) / (degrees + ALIKE))
         if held is not None:
             new = np.where(held[weights > 0].any(0), new, np.inf)
+        shrunk = _shrunk(posterior, added) if few else 1.0
         done = np.all((new == sigma) | (np.abs(new - sigma) < 0.01 * sigma))
-        sigma = np.maximum(new, 1e-7)
-        if done:
+        sigma, size = np.maximum(new, 1e-7), float(np.clip(size * shrunk, 1e-4, 1.0))
+        if done and abs(shrunk - 1.0) < 0.05:
             break
     if columns.shape[-1] > (weights > 0).sum():
         claimed = fit.session.claimed
         sigma = np.maximum(sigma, [claimed.get(name, 0.0) for name in fit.session.channels])
     rho = lag_correlation(even / sigma, weights, held)
     return NoiseEstimate(sigma, "residual", rho, float(np.max(degrees))), weights
+
+
+def _usual(fit: ModelFit, variance: np.ndarray) -> np.ndarray:
+    """(d,) medians of a (d,) variance over the channels of one kind and sensor."""
+    sizes = [len(block.channels) for block in fit.session.blocks]
+    parts = np.split(variance, np.cumsum(sizes)[:-1])
+    return np.concatenate([np.full(len(part), np.median(part)) for part in parts])
+
+
+def _shrunk(posterior: linear.Posterior, which: np.ndarray) -> float:
+    """Size of some parameters in their prior's standard deviation, by the evidence."""
+    determined = which.sum() - np.trace(posterior.covariance[np.ix_(which, which)])
+    return float(np.sqrt((posterior.u[which] ** 2).sum() / max(determined, 1e-9)))
 
 
 def agreed(repeats: NoiseEstimate, residual: NoiseEstimate) -> NoiseEstimate:

@@ -14,7 +14,7 @@ from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.diagnosis import DISCOVERED
 from longarm_comp.core.identify.discover.discovery import Discovery, contest, discover
 from longarm_comp.core.identify.identified import Identified, Progress
-from longarm_comp.core.identify.minor import noise_length
+from longarm_comp.core.identify.minor import noise_length, smallest
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import from_repeats
 from longarm_comp.core.identify.proof import LearnedCorrection, Proof
@@ -184,7 +184,12 @@ def all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Struc
             "one axis",
             f"shows as noise of one axis, {uneven:.0f} times that of another",
         ),
-        (proof.off, proof.excess_m, "unseen poses", "shows in the held-out poses"),
+        (
+            proof.off and proof.excess_m > smallest(result.fit),
+            proof.excess_m,
+            "unseen poses",
+            "shows in the held-out poses",
+        ),
         (
             result.exhausted,
             proof.excess_m,

@@ -197,10 +197,12 @@ class _Evidence:
         return best
 
     def _columns(self, run_up: float) -> CandidateColumns:
+        """With the arm where it was fitted: run-ups change what joints remember, hardly more."""
         if run_up not in self.known:
             session = self.rows(run_up)
-            seen = dataclasses.replace(self.fitted, session=session.take(session.seen))
-            self.known[run_up] = columns_at(seen)
+            seen = session.take(session.seen)
+            at = dataclasses.replace(self.fitted.posture, context=seen.context(), _cache={})
+            self.known[run_up] = CandidateColumns(self.fitted.model, at, seen)
         return self.known[run_up]
 
     def _at(self, near: float, far: float, run_up: float, columns: CandidateColumns) -> WindUp:

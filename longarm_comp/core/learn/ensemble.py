@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -129,10 +131,10 @@ def train(
             {**origin.settings, **settings},
         ),
     )  # fmt: skip
-    left = y.copy()
-    for k, out in enumerate(_folds(q, np.random.default_rng([seed, FOLDS]))):
-        tell(len(sizes) * starts + k)
-        one = rows.fit(fits[0].shape.hidden, 0, ~out)
+    left, folds = y.copy(), _folds(q, np.random.default_rng([seed, FOLDS]))
+    without = [(fits[0].shape.hidden, 0, ~out) for out in folds]
+    networks = rows.fits(without, tell, len(sizes) * starts)
+    for one, out in zip(networks, folds, strict=True):
         left[out] -= forward(one.shape, one.weights, with_ones(x[out])) * scale + offset
     tell(len(sizes) * starts + FOLDS)
     return _calibrated(draft, y, left, x, weights, probe)
@@ -156,7 +158,21 @@ class _Rows:
     search: SparrowSearch
     device: str | None
 
-    def fit(self, units: int, start: int, rows: NDArray[np.bool_] | slice = slice(None)) -> Fit:
+    def fits(
+        self,
+        wanted: Sequence[tuple[int, int, NDArray[np.bool_] | slice]],
+        tell: Callable[[int], None],
+        done: int,
+    ) -> list[Fit]:
+        """Networks of some units, starts and rows, on all cores; ``done``: those before them."""
+        made: list[Fit] = []
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            for one in pool.map(lambda each: self.fit(*each), wanted):
+                made.append(one)
+                tell(done + len(made))
+        return made
+
+    def fit(self, units: int, start: int, rows: NDArray[np.bool_] | slice) -> Fit:
         """One network of so many hidden units, from start number ``start``."""
         shape = Shape(self.x.shape[1], units, 3)
         rng = np.random.default_rng([self.seed, units, start])
@@ -172,10 +188,8 @@ class _Rows:
         for turn, units in enumerate(sizes):
             if turn and Shape(self.x.shape[1], units, 3).size > 1.5 * (self.weights > 0).sum():
                 break
-            networks = []
-            for start in range(starts):
-                tell(turn * starts + start)
-                networks.append(self.fit(units, start))
+            wanted = [(units, start, slice(None)) for start in range(starts)]
+            networks = self.fits(wanted, tell, turn * starts)
             fits += networks
             best = max(each.evidence for each in fits)
             if max(each.evidence for each in networks) < best - _UNLIKELY:

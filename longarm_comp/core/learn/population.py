@@ -61,5 +61,6 @@ def _torch() -> Any:
     try:
         import torch
     except ImportError as error:
-        raise InputError("train", "device", "torch is not installed", "no device") from error
+        allowed = "no device; pip install 'longarm_comp[device]' brings torch"
+        raise InputError("train", "device", "torch is not installed", allowed) from error
     return torch

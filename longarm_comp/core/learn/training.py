@@ -15,7 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.linalg import cho_factor, cho_solve, cholesky
+from scipy.linalg.lapack import dtrtri
 from scipy.special import gammaln
 
 from longarm_comp.core.learn.network import Shape, forward, normal_equations, with_ones
@@ -111,7 +112,7 @@ def _determined(
 ) -> Array:
     """gamma per group: number of its weights that the data determine."""
     factor = cholesky(beta * matrix + np.diag(alpha[group]), lower=True, check_finite=False)
-    inverse = solve_triangular(factor, np.eye(len(group)), lower=True, check_finite=False)
+    inverse = dtrtri(factor, lower=1)[0]
     variance = np.einsum("ij,ij->j", inverse, inverse)
     left = members - alpha * np.bincount(group, variance)
     gamma: Array = np.clip(left, 1e-3, members)
@@ -148,7 +149,7 @@ def _finished(
 ) -> Fit:
     prior = alpha[shape.groups()]
     factor = cholesky(beta * matrix + np.diag(prior), lower=True, check_finite=False)
-    inverse = solve_triangular(factor, np.eye(len(prior)), lower=True, check_finite=False)
+    inverse = dtrtri(factor, lower=1)[0]
     k = shape.outputs
     square = beta * count * np.sum(residual**2, axis=1)
     used = count > 0

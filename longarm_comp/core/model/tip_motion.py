@@ -38,6 +38,9 @@ class Moved:
     turn: Vec
 
 
+STILL = Moved(spatial.ZERO, spatial.ZERO)
+
+
 @dataclass(frozen=True)
 class Reseen:
     """A change of the camera side: ``per`` times the difference of two sensors' reports."""
@@ -141,7 +144,7 @@ def moved(
     twist, as of a displaced base. The frames after it are kept.  Many changes at a station are
     computed at once, as arrays (k, N).
     """
-    made = [Moved(spatial.ZERO, spatial.ZERO)] * len(ends)
+    made = [STILL] * len(ends)
     at: dict[int, dict[int, Twist]] = {}
     for k, e in enumerate(ends):
         for station in {*e.raised, *e.lowered}:
@@ -156,11 +159,16 @@ def moved(
         for some in (keys[n : n + count] for n in range(0, len(keys), count)):
             together = _stacked([changes[k] for k in some])
             now = total.get(station, spatial.ZERO_TWIST)
+            per = np.array([[ends[k].per] for k in some])
             shift, turn = _carried(posture, tip, station, now, together, turns)
+            shift, turn = spatial.scale(per, shift), spatial.scale(per, turn) if turns else turn
             for row, k in enumerate(some):
-                here = spatial.scale(ends[k].per, _row(shift, row))
-                spun = spatial.scale(ends[k].per, _row(turn, row)) if turns else spatial.ZERO
-                made[k] = Moved(spatial.add(made[k].shift, here), spatial.add(made[k].turn, spun))
+                here, spun = _row(shift, row), _row(turn, row)
+                if made[k] is STILL:
+                    made[k] = Moved(here, spun)
+                else:
+                    held = made[k]
+                    made[k] = Moved(spatial.add(held.shift, here), spatial.add(held.turn, spun))
     return made
 
 
@@ -197,7 +205,7 @@ def _stacked(twists: Sequence[Twist]) -> Twist:
 def _row(v: Vec, row: int) -> Vec:
     """One of k vectors: of components (k, N) or (k, 1), or of such that are the same for all."""
     return tuple(  # type: ignore[return-value]
-        (c[row] if c.shape[1] > 1 else c[row, 0]) if np.ndim(c) == 2 else c for c in v
+        c if type(c) is float else c[row] if c.shape[1] > 1 else c[row, 0] for c in v
     )
 
 
@@ -208,8 +216,9 @@ def stack(v: Vec) -> np.ndarray:
 
 def _together(point: Vec, blocks: Sequence[Vec]) -> tuple[np.ndarray, np.ndarray]:
     """The point, (N, 3), and the blocks in its shape, (N, 3, p)."""
-    if not blocks:
-        return stack(point), np.zeros((*np.shape(stack(point)), 0))
-    shape = np.broadcast_shapes(*(np.shape(c) for c in point))
-    columns = [np.stack([np.broadcast_to(c, shape) for c in v], -1) for v in blocks]
-    return stack(point), np.stack(columns, axis=-1)
+    whole = stack(point)
+    columns = np.empty((*whole.shape, len(blocks)))
+    for k, block in enumerate(blocks):
+        for axis, component in enumerate(block):
+            columns[..., axis, k] = component
+    return whole, columns

@@ -17,6 +17,7 @@ from longarm_comp.core.identify.discover.propose import doubts, proposed
 from longarm_comp.core.identify.discover.search import SearchedFunctions, first, search
 from longarm_comp.core.identify.discover.terms import key_of, terms_of
 from longarm_comp.core.identify.linear import Marginal
+from longarm_comp.core.identify.minor import smallest
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
 from longarm_comp.core.identify.practical import Gain
@@ -150,7 +151,7 @@ def discover(
     say: Callable[[str], None] = lambda _: None,
     seed: int = 0,
 ) -> Discovery | None:
-    """Look for causes without a name in what a fit leaves; None where there are none.
+    """Look for causes without a name in what a fit leaves; None where none matters (`smallest`).
 
     Args:
         base: fit of everything that has a name.
@@ -170,7 +171,9 @@ def discover(
         alone = search(plain, known, say, lambda fit: _near(fit, base))
         if alone is not None and _advantage(alone, best, base, plain, count) > -SIMPLER:
             best, start = alone, plain
-    return None if best is None else _proven(best, base, start, unseal(), rng, seed)
+    if best is None or _worth(best.fit, base) < smallest(base):
+        return None
+    return _proven(best, base, start, unseal(), rng, seed)
 
 
 def contest(
@@ -233,6 +236,13 @@ def _proven(
         doubts(best.fit, hypotheses),
         proposed(best.fit, hypotheses, seed),
     )
+
+
+def _worth(found: ModelFit, base: ModelFit) -> float:
+    """RMS length (m) that a fit explains of what another leaves of the rows that count for both."""
+    both = (found.weights > 0) & (base.weights > 0)
+    square = [((f.residual[both] * f.metres) ** 2).sum(1).mean() for f in (base, found)]
+    return float(np.sqrt(max(square[0] - square[1], 0.0)))
 
 
 def helps_between(proof: Proof) -> bool:

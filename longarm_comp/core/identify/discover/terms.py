@@ -68,6 +68,7 @@ def refitted(
         rho=judged.rho,
         weights=weights,
         max_iterations=STEPS,
+        begun=first,
     )
     return again, judged
 
