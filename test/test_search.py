@@ -18,6 +18,7 @@ from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.joint_term import reach, typical_loads
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.link_stiffness import LinkStiffness
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
@@ -30,6 +31,7 @@ from longarm_comp.core.identify.search import SearchResult, search
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import loads
+from longarm_comp.studies.real_sessions import declared
 
 KINDS = (JointCompliance, JointGain, GearEccentricity, ThermalGrowth)
 
@@ -159,6 +161,14 @@ HEAVY_BASE = Arm.parse(
 """Its servos stand in the base: its joints carry the tube alone."""
 
 
+def test_loads_are_known_where_a_mass_is_where_a_column_says() -> None:
+    """No column is at hand when they are asked for."""
+    declared = HEAVY_BASE.model_dump(mode="json", exclude_none=True)
+    trolley = {"name": "t", "frame": 2, "mass_kg": 0.7, "position_columns": ["mx", "my", "mz"]}
+    placed = Arm.parse({**declared, "point_masses": [trolley]}, "trolley")
+    assert typical_loads(placed)[1] > 0.0
+
+
 @pytest.mark.parametrize(("compliance", "unnamed"), [(2.2, ""), (20.0, "joint 2 compliance")])
 def test_a_heavy_base_makes_no_soft_joint_implausible(compliance: float, unnamed: str) -> None:
     """It was said to be 14 priors large, and gave way to an eccentric gear with a gain."""
@@ -173,3 +183,10 @@ def test_a_heavy_base_makes_no_soft_joint_implausible(compliance: float, unnamed
     _, found = findings(search(base, rows, candidates), candidates)
     assert ("joint_compliance", ("joint 2",)) in [(f.name, f.where) for f in found]
     assert found[0].unnamed.removesuffix(" is implausibly large") == unnamed
+
+
+def test_a_mass_at_a_recorded_place_has_a_typical_load() -> None:
+    """Where it sits is known with a row only, so the moment that a bearing carries is not."""
+    arm = declared("justin_right")
+    force, torque = typical_loads(arm)
+    assert torque == pytest.approx(force * reach(arm) / 4)

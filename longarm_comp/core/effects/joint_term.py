@@ -17,7 +17,7 @@ from longarm_comp.core.arm.posture import Chain, Posture
 from longarm_comp.core.arm.spatial import Scalar, Twist
 from longarm_comp.core.effects.effect import Effect, Parameter, moving_joints, place
 
-GATES = (0.0, 0.03, 0.075, 0.15, 0.3)
+GATES = (0.0, 0.03, 0.075, 0.15, 0.3, 0.75)
 """Loads below which friction may hold a joint (`JointTerm.side`), of the arm's typical ones."""
 BLEND = 1 / 6
 """Share of such a load over which friction and load change over, where it is not known."""
@@ -156,13 +156,16 @@ def typical_loads(arm: Arm) -> tuple[float, float]:
     """Size of an arm's loads: its weight (N) and a torque (N m).
 
     The torque is a quarter of weight times reach, or the RMS moment about the bearing that carries
-    most, over poses between the limits, where that is less: a heavy base loads no joint.
+    most, over poses between the limits, where that is less: a heavy base loads no joint. Where
+    the place of a mass is recorded (`position_columns`), it is the quarter.
     """
     if arm.hash not in _loads_of:
         mass = sum(b.mass_kg for b in arm.links) + sum(m.mass_kg for m in arm.point_masses)
         mass += arm.payload.mass_kg if arm.payload else 0.0
         force = mass * float(np.linalg.norm(arm.gravity_mps2))
-        torque = min(force * reach(arm) / 4, _largest_moment(arm))
+        torque = force * reach(arm) / 4
+        if not any(m.position_columns for m in arm.point_masses):
+            torque = min(torque, _largest_moment(arm))
         _loads_of[arm.hash] = max(force, 1e-9), max(torque, 1e-9)
     return _loads_of[arm.hash]
 

@@ -25,7 +25,7 @@ LOOSE = 3.0
 TOUCHES = 0.05
 """Share of an interval within which a value is at its bound."""
 HOLDS = 3.0
-"""Log Bayes factor above which the evidence of a resample holds."""
+"""Log Bayes factor above which evidence holds, of a resample or under other assumptions."""
 SHARED = 0.5
 """Two findings that lose more of their evidence beside each other than this overlap."""
 
@@ -209,13 +209,13 @@ def _doubts(fit: ModelFit, found: EffectFinding, own: np.ndarray, stable: float)
     if not len(own):
         return tuple(said)
     gram, right = fit.gram, fit.design.T @ fit.data
-    for factor, words in ((1 / 2.25, "1.5 times the noise"),):
-        if Posterior.of(gram * factor, right * factor).evidence(own) < 3.0:
-            said.append(f"it would not be found with {words}")
+    louder = 1.5
+    if Posterior.of(gram / louder**2, right / louder**2).evidence(own) < HOLDS:
+        said.append(f"it would not be found with {louder} times the noise")
     for factor, words in ((25.0, "five times wider"), (1 / 25.0, "five times narrower")):
         scale = np.ones(len(right))
         scale[own] = np.sqrt(factor)
-        if Posterior.of(gram * np.outer(scale, scale), right * scale).evidence(own) < 3.0:
+        if Posterior.of(gram * np.outer(scale, scale), right * scale).evidence(own) < HOLDS:
             said.append(f"it would not be found with priors {words}")
     for k in own:
         value, p = fit.model.values[k], fit.slots[k].parameter

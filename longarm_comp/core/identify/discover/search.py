@@ -42,10 +42,13 @@ SHARP = 3.0
 SWAP = 2.0
 """A term must be this much better than the one whose place it takes."""
 MOST = 6
-ROUNDS = 3
 """Terms at most."""
+ROUNDS = 3
+"""Of growing, then swapping and joining, at most."""
 SCREENED = 12
+"""Candidates of a bank that are scored exactly."""
 DENSE = 8
+"""Of these, how many are refined."""
 NEARBY = (1.0, 0.08)
 """Reach of the looks around a threshold or frequency, in steps between those tried."""
 LOOKS = math.log(4.0)
