@@ -12,7 +12,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.boxes import Box
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.keep_out import entered
+from longarm_comp.core.model.keep_out import entered, keeper
 from longarm_comp.core.model.outline import outline
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
@@ -59,6 +59,23 @@ def test_a_move_through_a_box_is_found_on_its_way(demo_arm_path: Path) -> None:
     assert "lamp" in entered(model, np.array([start, start, end]))
     assert not entered(model, np.array([end, end]))
     assert not entered(declared_model(plain), np.array([start, end]))
+
+
+def test_joints_in_the_order_of_the_servos_are_kept_out_too(demo_arm_path: Path) -> None:
+    plain = declared_model(Arm.load(demo_arm_path))
+    mid, names = plain.arm.mid, [*plain.arm.joint_names, "gripper"]
+    assert keeper(plain, names, "arm.yaml") is None
+    model = declared_model(boxed(demo_arm_path, outline(plain, mid)[-1]))
+    away = mid.copy()
+    away[0] = plain.arm.lower[0]
+    for turn in (names, names[::-1]):
+        keeps_out = keeper(model, turn, "arm.yaml")
+        assert keeps_out is not None
+        at, beside = (np.append(q, 9.9)[[names.index(name) for name in turn]] for q in (mid, away))
+        assert "lamp" in keeps_out(np.array([beside, at]))
+        assert not keeps_out(beside[None])
+    with pytest.raises(InputError, match=f"servo of {names[1]}"):
+        keeper(model, names[:1], "arm.yaml")
 
 
 def test_a_box_is_declared_from_its_least_to_its_largest_corner(demo_arm_path: Path) -> None:

@@ -22,9 +22,9 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.core.errors import LongarmError
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.keep_out import entered_at
+from longarm_comp.core.model.keep_out import keeper
 from longarm_comp.devices.servo_arm import Cycle, JointReading, ServoArm
 from longarm_comp.devices.servo_bus import BusUnplugged, IncompleteReply
 from longarm_comp.devices.servo_config import BusConfig, FollowerConfig, ServoConfig
@@ -123,14 +123,7 @@ class ServoDriver(LifecycleNode):
             InputError: a step that the servo does not have; boxes, and a joint without a servo.
         """
         self._config.check_steps(dict(zip(arm.joint_names, arm.steps.tolist(), strict=True)), file)
-        if not arm.keep_out:
-            return None
-        names, model = list(self._config.joints), declared_model(arm)
-        for name in arm.joint_names:
-            if name not in names:
-                raise InputError(file, f"servo of {name}", "missing", ", ".join(names))
-        order = [names.index(name) for name in arm.joint_names]
-        return lambda q: entered_at(model, q[:, order])
+        return keeper(declared_model(arm), list(self._config.joints), file)
 
     # ------------------------------------------------------------------ lifecycle
 

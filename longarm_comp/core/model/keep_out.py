@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
 
+from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.outline import outline
 
@@ -38,6 +40,22 @@ def entered_at(model: Model, q: np.ndarray) -> str:
             at = ", ".join(f"{number:.3g}" for number in joints)
             return f"keep_out {found}, at joints {at}"
     return ""
+
+
+def keeper(model: Model, names: list[str], where: str) -> Callable[[np.ndarray], str] | None:
+    """`entered_at` for joints (M, n) in the order of their names; None where there are no boxes.
+
+    Raises:
+        InputError: names ``where``: a joint of the arm is not among the names.
+    """
+    arm = model.arm
+    if not arm.keep_out:
+        return None
+    for name in arm.joint_names:
+        if name not in names:
+            raise InputError(where, f"servo of {name}", "missing", ", ".join(names))
+    order = [names.index(name) for name in arm.joint_names]
+    return lambda q: entered_at(model, q[:, order])
 
 
 def boxes_entered(model: Model, q: np.ndarray) -> list[str]:
