@@ -109,6 +109,18 @@ def test_a_recorded_column_that_drives_the_error_is_found_on_its_axis() -> None:
     assert "something that the recorded column drives" in cause.reading
 
 
+def test_what_no_command_is_told_does_not_shift_commands() -> None:
+    """A sway of 1.4 to 4.4 mm with the pressure: without the pressure its mean stays known."""
+    made = found("small", PumpShake(sway=9e-3, waves=0.2))
+    assert made is not None
+    assert made.kept
+    before, after = (
+        np.linalg.norm(made.proof.commanded[k], axis=1).mean()
+        for k in ("calibrated", "with_effects")
+    )
+    assert after < 1.1 * before
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_where_nothing_is_hidden_nothing_is_found(seed: int) -> None:
     made = found("small", seed=seed)

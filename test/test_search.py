@@ -18,6 +18,7 @@ from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.joint_term import typical_loads
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.link_stiffness import LinkStiffness
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
@@ -157,6 +158,14 @@ HEAVY_BASE = Arm.parse(
     "printed arm",
 )  # fmt: skip
 """Its servos stand in the base: its joints carry the tube alone."""
+
+
+def test_loads_are_known_where_a_mass_is_where_a_column_says() -> None:
+    """No column is at hand when they are asked for."""
+    declared = HEAVY_BASE.model_dump(mode="json", exclude_none=True)
+    trolley = {"name": "t", "frame": 2, "mass_kg": 0.7, "position_columns": ["mx", "my", "mz"]}
+    placed = Arm.parse({**declared, "point_masses": [trolley]}, "trolley")
+    assert typical_loads(placed)[1] > 0.0
 
 
 @pytest.mark.parametrize(("compliance", "unnamed"), [(2.2, ""), (20.0, "joint 2 compliance")])

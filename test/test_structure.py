@@ -24,11 +24,12 @@ SIZE = 0.75 * SIGMA
 AXIS = np.array([1.0, 0.0, 0.0])
 
 
-def left(seed: int, size: float, noise: float = 1.0) -> Structure:
+def left(seed: int, size: float, noise: float = 1.0, least: float = 0.0) -> Structure:
     """Of 120 poses whose x is off by a function of the first joint, no geometry error's.
 
     Args:
         noise: in that of `measured`.
+        least: as of `examine`.
     """
     rows = measured(120, np.random.default_rng(seed))
     tips = Model(ARM).tip(rows.q)
@@ -38,7 +39,7 @@ def left(seed: int, size: float, noise: float = 1.0) -> Structure:
     wave *= size / np.sqrt((wave**2).mean())
     off = dataclasses.replace(rows, xyz=rows.xyz + np.outer(wave, AXIS))
     *_, (_, fitted) = stages(declared_model(ARM), off)
-    return examine(fitted, fitted, np.random.default_rng(0))
+    return examine(fitted, fitted, np.random.default_rng(0), least)
 
 
 @pytest.mark.parametrize("seed", [1, 3, 5])
@@ -55,9 +56,10 @@ def test_noise_leaves_none(seed: int) -> None:
 
 
 @pytest.mark.parametrize(("size", "shows"), [(0.5, False), (2.0, True)])
-def test_what_would_not_be_named_is_no_structure(size: float, shows: bool) -> None:
-    """However small the noise, what is left counts from the size on that an effect must have."""
-    assert left(1, size * SMALLEST_M, noise=0.05).flag is shows
+def test_what_is_left_counts_from_a_size_on(size: float, shows: bool) -> None:
+    """However small the noise: where nothing is named, that from which on something would be."""
+    assert left(1, size * SMALLEST_M, noise=0.05).flag
+    assert left(1, size * SMALLEST_M, noise=0.05, least=SMALLEST_M).flag is shows
 
 
 @pytest.mark.parametrize(("of_noise", "shows"), [(0.5, False), (3.0, True)])

@@ -43,8 +43,13 @@ def as_commanded(model: Model) -> Model:
 
 def commandable(term: Effect | Bias) -> bool:
     """Whether a command can compensate it: on the arm's side, by what a command is told."""
-    known = (name in PER_JOINT or name in TOLD or INCLINATION.match(name) for name in term.inputs)
+    known = (name in PER_JOINT or is_told(name) for name in term.inputs)
     return isinstance(term, Effect) and all(known)
+
+
+def is_told(name: str) -> bool:
+    """Whether a command is told a circumstance."""
+    return name in TOLD or INCLINATION.match(name) is not None
 
 
 def own_way(session: Session) -> Session:

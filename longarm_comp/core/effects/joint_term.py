@@ -17,7 +17,7 @@ from longarm_comp.core.arm.posture import Chain, Posture
 from longarm_comp.core.arm.spatial import Scalar, Twist
 from longarm_comp.core.effects.effect import Effect, Parameter, moving_joints, place
 
-GATES = (0.0, 0.03, 0.075, 0.15, 0.3)
+GATES = (0.0, 0.03, 0.075, 0.15, 0.3, 0.75)
 """Loads below which friction may hold a joint (`JointTerm.side`), of the arm's typical ones."""
 BLEND = 1 / 6
 """Share of such a load over which friction and load change over, where it is not known."""
@@ -168,12 +168,17 @@ def typical_loads(arm: Arm) -> tuple[float, float]:
 
 
 def _largest_moment(arm: Arm) -> float:
-    """RMS over poses of the moment about the most loaded bearing, N m."""
+    """RMS over poses of the moment about the most loaded bearing, N m.
+
+    Masses whose place is recorded are taken to be at their frame.
+    """
     poses = np.random.default_rng(0).uniform(arm.lower, arm.upper, (POSES, arm.n))
     chain = Chain(arm, elements_per_beam=1)
     q = tuple(np.ascontiguousarray(poses.T))
     frames, lengths = chain.place(q, {})
-    posture = Posture(chain, q, Context.empty(), frames, lengths, arm.gravity_mps2)
+    places = {name: 0.0 for mass in arm.point_masses for name in mass.position_columns or ()}
+    context = Context(columns=places)
+    posture = Posture(chain, q, context, frames, lengths, arm.gravity_mps2)
     moments = [posture.moment(posture.bearing(row)) for row in arm.commanded]
     each = np.array([[np.broadcast_to(part, POSES) for part in moment] for moment in moments])
     return float(np.sqrt((each**2).sum(axis=1).mean(axis=1).max()))

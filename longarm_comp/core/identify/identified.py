@@ -14,7 +14,7 @@ from longarm_comp.core.identify.aliasing import EffectFinding, findings
 from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.identify.confirm import Confirmed, confirm
 from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.minor import Minor, settled
+from longarm_comp.core.identify.minor import Minor, settled, smallest
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import from_repeats
 from longarm_comp.core.identify.remainder import without_remainders
@@ -90,7 +90,8 @@ def identify(
     noise = result.noise
     weights = result.fit.weights
     calibrated = fit(start, train, sigma=noise.sigma, rho=noise.rho, weights=weights)
-    structure = examine(result.fit, calibrated, rng)
+    least = 0.0 if found else smallest(result.fit)  # what is too small to name is no structure
+    structure = examine(result.fit, calibrated, rng, least)
     parts = [driver.part for driver in structure.drivers]
     result = dataclasses.replace(result, noise=noise.without(result.fit, parts))
     confirmed = confirm(result, list(found), candidates, rng)

@@ -133,7 +133,8 @@ def from_residual(
     columns = np.concatenate([fit.columns * priors(fit.slots), extra], axis=-1)
     y = (fit.residual + fit.columns @ fit.model.values)[..., None]
     channels = np.ascontiguousarray(np.moveaxis(np.concatenate([columns, y], -1), 1, 0))
-    weights, used, uneven = fit.weights, np.zeros(0), fit.session.uneven(fit.session.claimed)
+    weights, used = np.ones(len(fit.weights)), np.zeros(0)
+    uneven = fit.session.uneven(fit.session.claimed)
     sigma, size = fit.sigma.copy(), 1.0
     held = fit.session.mask
     added = np.arange(columns.shape[-1]) >= fit.columns.shape[-1]

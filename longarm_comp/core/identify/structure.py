@@ -19,7 +19,6 @@ from longarm_comp.core.arm.history import play
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.drivers import Driver, drivers
 from longarm_comp.core.identify.linear import Marginal
-from longarm_comp.core.identify.minor import smallest
 from longarm_comp.core.identify.model_fit import ModelFit
 
 PERMUTATIONS = 400
@@ -27,8 +26,7 @@ SIGNIFICANT = 0.005
 MOST_GROUPS = 40
 """Groups that count as the structure, at most; those above a third of the strongest are named."""
 WORTH = 0.25
-"""Structure below this share of the noise is not worth a verdict; nor is less than an effect must
-be worth to be named (`minor.smallest`)."""
+"""Structure below this share of the noise is not worth a verdict."""
 
 
 @dataclass(frozen=True)
@@ -69,15 +67,18 @@ class Structure:
         )
 
 
-def examine(fit: ModelFit, base: ModelFit, rng: np.random.Generator) -> Structure:
+def examine(
+    fit: ModelFit, base: ModelFit, rng: np.random.Generator, least: float = 0.0
+) -> Structure:
     """Test what a fit leaves: as a function of every input, and against every recorded column.
 
     Args:
         fit: with everything that was named.
         base: the geometry alone, on the same rows and with the same noise.
         rng: for the permutations.
+        least: size (m) from which on what shows in the first test is structure.
     """
-    return _driven(fit, _tested(fit, base, rng))
+    return _driven(fit, _tested(fit, base, rng, least))
 
 
 def _driven(fit: ModelFit, tested: Structure) -> Structure:
@@ -106,7 +107,7 @@ def _driven(fit: ModelFit, tested: Structure) -> Structure:
     )
 
 
-def _tested(fit: ModelFit, base: ModelFit, rng: np.random.Generator) -> Structure:
+def _tested(fit: ModelFit, base: ModelFit, rng: np.random.Generator, least: float) -> Structure:
     """The score test of every group of inputs."""
     tested = groups(fit)
     marginal = Marginal(fit.design, fit.data)
@@ -146,7 +147,7 @@ def _tested(fit: ModelFit, base: ModelFit, rng: np.random.Generator) -> Structur
     worth = worth or bool((sizes > WORTH * np.sqrt(3.0) * noise)[noise > 0].any())
     said = [statistics[k][0] for k in strong if statistics[k][1] > top / 3]
     inputs = tuple(dict.fromkeys(name for group in said for name in group.inputs))
-    flag = p < SIGNIFICANT and worth and size > smallest(fit)
+    flag = p < SIGNIFICANT and worth and size > least
     rss_named = float(residual @ residual)
     white_base = fit.whitened(base.residual[..., None])[:, 0]
     rss_base = float(white_base @ white_base)

@@ -216,8 +216,11 @@ class Functions:
 
 
 def _linear(one: Argument) -> Shape:
-    """The input itself; about the middle of its range where that is far from zero."""
-    return legendre(one, 1) if one.far else Linear(one.name, one.low, one.high)
+    """The input itself; about the middle of its range where that is far from zero.
+
+    So is one that no command is told: what a command leaves out is then nothing on average.
+    """
+    return legendre(one, 1) if one.far or not one.told else Linear(one.name, one.low, one.high)
 
 
 def legendre(one: Argument, order: int) -> Legendre:

@@ -10,6 +10,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.data.commanded import is_told
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.quantities import (
     OfPosture,
@@ -46,6 +47,7 @@ class Argument:
         levels: number of distinct values, to a fiftieth of the range (a sagging arm blurs them).
         circular: an angle, of which harmonics are natural.
         smooth: a coordinate of what is seen: lenses bend it slowly, without waves or thresholds.
+        told: whether a command knows it.
     """
 
     name: str
@@ -53,6 +55,7 @@ class Argument:
     levels: int
     circular: bool = False
     smooth: bool = False
+    told: bool = True
 
     @cached_property
     def low(self) -> float:
@@ -170,7 +173,8 @@ def _add(made: list[Argument], name: str, values: np.ndarray, arm: Arm | None) -
     circular = arm is not None and found is not None and name.startswith("q")
     circular = circular and found is not None and arm is not None and found.unit(arm) == "rad"
     smooth = name.startswith(SEEN)
-    made.append(Argument(name, np.ascontiguousarray(values), levels, circular, smooth))
+    told = not is_column(name) or is_told(name)
+    made.append(Argument(name, np.ascontiguousarray(values), levels, circular, smooth, told))
 
 
 def levels_of(values: np.ndarray) -> int:
