@@ -23,6 +23,7 @@ from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
+from longarm_comp.core.identify.evidence import columns_at, shift_of
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.minor import Minor, taken_out
 from longarm_comp.core.model.model import Model
@@ -72,11 +73,13 @@ def test_a_place_that_brings_nothing_goes_and_the_others_stay() -> None:
 def test_the_worth_of_a_finding_leaves_out_what_the_geometry_takes_up() -> None:
     """A gain of 2 % turns joint 2 by 14 mrad on average, of which the joint's zero takes most."""
     whole = session([drives.JointGain(at(2, 0.02))], n=300)
-    found = diagnose(ARM, whole, kinds=(JointGain,)).findings[0]
+    diagnosed = diagnose(ARM, whole, kinds=(JointGain,))
+    found, fitted = diagnosed.findings[0], diagnosed.fit
     without = diagnose(ARM, whole, kinds=()).search.fit.residual
     noise = 3 * SIGMA**2
     assert found.worth_m**2 == pytest.approx((without**2).sum(1).mean() - noise, rel=0.1)
-    assert found.effect_m > 1.5 * found.worth_m
+    moved = shift_of(fitted, columns_at(fitted), found.terms)
+    assert np.sqrt((moved**2).sum(1).mean()) > 1.5 * found.worth_m
     assert found.share == pytest.approx(1 - noise / (without**2).sum(1).mean(), rel=0.05)
 
 

@@ -56,6 +56,8 @@ class Driver:
         self.got.append(message)
         if self.answers:
             self.tell(self.event, message.header.frame_id, message)
+        else:
+            self.tell(Motion.REFUSED, "a trajectory of another one")
 
     def tell(self, event: int, name: str, taken: JointTrajectory | None = None) -> None:
         motion = Motion(id=name, event=event, message="the fake says so")

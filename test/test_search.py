@@ -18,7 +18,7 @@ from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_gain import JointGain
-from longarm_comp.core.effects.joint_term import typical_loads
+from longarm_comp.core.effects.joint_term import reach, typical_loads
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.link_stiffness import LinkStiffness
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
@@ -31,6 +31,7 @@ from longarm_comp.core.identify.search import SearchResult, search
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import loads
+from longarm_comp.studies.real_sessions import declared
 
 KINDS = (JointCompliance, JointGain, GearEccentricity, ThermalGrowth)
 
@@ -182,3 +183,10 @@ def test_a_heavy_base_makes_no_soft_joint_implausible(compliance: float, unnamed
     _, found = findings(search(base, rows, candidates), candidates)
     assert ("joint_compliance", ("joint 2",)) in [(f.name, f.where) for f in found]
     assert found[0].unnamed.removesuffix(" is implausibly large") == unnamed
+
+
+def test_a_mass_at_a_recorded_place_has_a_typical_load() -> None:
+    """Where it sits is known with a row only, so the moment that a bearing carries is not."""
+    arm = declared("justin_right")
+    force, torque = typical_loads(arm)
+    assert torque == pytest.approx(force * reach(arm) / 4)

@@ -156,29 +156,27 @@ def typical_loads(arm: Arm) -> tuple[float, float]:
     """Size of an arm's loads: its weight (N) and a torque (N m).
 
     The torque is a quarter of weight times reach, or the RMS moment about the bearing that carries
-    most, over poses between the limits, where that is less: a heavy base loads no joint.
+    most, over poses between the limits, where that is less: a heavy base loads no joint. Where
+    the place of a mass is recorded (`position_columns`), it is the quarter.
     """
     if arm.hash not in _loads_of:
         mass = sum(b.mass_kg for b in arm.links) + sum(m.mass_kg for m in arm.point_masses)
         mass += arm.payload.mass_kg if arm.payload else 0.0
         force = mass * float(np.linalg.norm(arm.gravity_mps2))
-        torque = min(force * reach(arm) / 4, _largest_moment(arm))
+        torque = force * reach(arm) / 4
+        if not any(m.position_columns for m in arm.point_masses):
+            torque = min(torque, _largest_moment(arm))
         _loads_of[arm.hash] = max(force, 1e-9), max(torque, 1e-9)
     return _loads_of[arm.hash]
 
 
 def _largest_moment(arm: Arm) -> float:
-    """RMS over poses of the moment about the most loaded bearing, N m.
-
-    Masses whose place is recorded are taken to be at their frame.
-    """
+    """RMS over poses of the moment about the most loaded bearing, N m."""
     poses = np.random.default_rng(0).uniform(arm.lower, arm.upper, (POSES, arm.n))
     chain = Chain(arm, elements_per_beam=1)
     q = tuple(np.ascontiguousarray(poses.T))
     frames, lengths = chain.place(q, {})
-    places = {name: 0.0 for mass in arm.point_masses for name in mass.position_columns or ()}
-    context = Context(columns=places)
-    posture = Posture(chain, q, context, frames, lengths, arm.gravity_mps2)
+    posture = Posture(chain, q, Context.empty(), frames, lengths, arm.gravity_mps2)
     moments = [posture.moment(posture.bearing(row)) for row in arm.commanded]
     each = np.array([[np.broadcast_to(part, POSES) for part in moment] for moment in moments])
     return float(np.sqrt((each**2).sum(axis=1).mean(axis=1).max()))

@@ -74,7 +74,6 @@ class EffectFinding:
         log_bayes_factor: against leaving the effect out, geometry and rest marginalised.
         alternatives: other effects that explain the same, best first.
         runner_up: the best other effect, an alternative or not; None if there is none.
-        effect_m: RMS shift of the tip that it stands for, m.
         worth_m: the same without what geometry and other effects could take up, m.
         share: what it takes of the mean squared error that the fitted rows would have without it.
         partial_aliases: effects that could stand for a part of it, best first.
@@ -87,7 +86,6 @@ class EffectFinding:
     log_bayes_factor: float
     alternatives: tuple[Score, ...]
     runner_up: Score | None
-    effect_m: float
     worth_m: float
     share: float
     partial_aliases: tuple[PartialAlias, ...] = ()
@@ -243,7 +241,6 @@ def _finding(
         own.log_bayes_factor,
         tuple(alternatives),
         ranked[0] if ranked else None,
-        own.effect_m,
         value,
         share(result.fit, value),
     )

@@ -36,13 +36,11 @@ class Scaled(Products):
     Attributes:
         lower, upper: (k,) bounds of the parameters in prior standard deviations.
         widths: (k,) prior standard deviations.
-        lengths: (k, k) product of the columns as lengths at the tip, m^2, mean of the rows.
     """
 
     lower: np.ndarray
     upper: np.ndarray
     widths: np.ndarray
-    lengths: np.ndarray
 
 
 class FitColumns(CandidateColumns):
@@ -68,12 +66,8 @@ class FitColumns(CandidateColumns):
         widths = priors(slots)
         lower = np.array([s.parameter.lower for s in slots]) / widths
         upper = np.array([s.parameter.upper for s in slots]) / widths
-        moved = self.of(terms) * self._fitted.metres[:, None]
-        moved = moved.reshape(math.prod(self.shape), len(slots))
-        return Scaled(
-            b, b.T @ b, np.concatenate([cross for _, cross in parts], axis=1),
-            lower, upper, widths, moved.T @ moved / self.shape[0],
-        )  # fmt: skip
+        cross = np.concatenate([cross for _, cross in parts], axis=1)
+        return Scaled(b, b.T @ b, cross, lower, upper, widths)
 
     def _white(self, term: Term) -> tuple[np.ndarray, np.ndarray]:
         """Whitened columns of a term, and the design's product with them."""
@@ -127,14 +121,12 @@ class Score:
         log_bayes_factor: evidence gained, bounds of the parameters counted.
         fit_gain: gain in penalised log likelihood.
         mean: (k,) parameter estimates (SI).
-        effect_m: RMS tip shift that it stands for, m, as far as it was measured.
     """
 
     candidate: Candidate
     log_bayes_factor: float
     fit_gain: float
     mean: np.ndarray
-    effect_m: float
 
 
 def key(term: Term) -> tuple[str, str]:
@@ -178,7 +170,7 @@ def score(
         return _fixed(fitted, marginal, candidate, columns)
     if not np.isfinite(white.gram).all() or not white.gram.any():
         zero = np.zeros(len(white.widths))
-        return Score(candidate, 0.0, 0.0, zero, 0.0)
+        return Score(candidate, 0.0, 0.0, zero)
     added = Added.of(*marginal.of(white))
     mean = np.clip(added.mean, white.lower, white.upper)
     return Score(
@@ -186,7 +178,6 @@ def score(
         _bounded(added, white.lower, white.upper),
         added.fit_gain,
         mean * white.widths,
-        math.sqrt(max(float(mean @ white.lengths @ mean), 0.0)),
     )
 
 
@@ -248,7 +239,7 @@ def _fixed(
     projected = marginal.project(white)
     gain = float(projected @ marginal.y - 0.5 * projected @ white)
     paid = sum(term.price(fitted.model.arm) for term in candidate.terms)
-    return Score(candidate, gain - paid, gain, np.zeros(0), _rms(fitted, shift))
+    return Score(candidate, gain - paid, gain, np.zeros(0))
 
 
 def _rms(fitted: ModelFit, shift: np.ndarray) -> float:
