@@ -243,25 +243,28 @@ def test_a_true_name_is_not_contested() -> None:
     assert contest(named, plain, 100, sealed, None, np.random.default_rng(0)) is None
 
 
-@pytest.mark.parametrize(("unseen", "rival"), [("few", True), ("warm", False), ("cold", False)])
-def test_a_name_is_open_where_the_hold_out_does_not_decide(unseen: str, rival: bool) -> None:
+@pytest.mark.parametrize(
+    ("n", "by", "outcome"),
+    [(4, 1.0, "rival"), (3 * HELD_OUT, 1.0, "kept"), (HELD_OUT, -3.0, "refuted")],
+)
+def test_a_name_is_open_where_the_hold_out_does_not_decide(n: int, by: float, outcome: str) -> None:
     """The camera is said to drift; what it sees follows the temperature."""
 
     def warmed(n: int, seed: int, by: float) -> Session:
         rows = measured(SMALL, (), n, seed)
         warmth = rows.columns["temperature_c"] - SMALL.reference_temperature_c
-        return dataclasses.replace(
-            rows, xyz=rows.xyz + by * np.outer(warmth, [6e-5, -4e-5, 1.2e-4])
-        )
+        moved = by * np.outer(warmth, [6e-5, -4e-5, 1.2e-4])
+        return dataclasses.replace(rows, xyz=rows.xyz + moved)
 
     plain = calibrated(SMALL, warmed(ROWS, 3, 1.0))
     named = fit(plain.model.plus(CameraDrift()), plain.session)
-    held_out = {"few": (4, 8, 1.0), "warm": (3 * HELD_OUT, 8, 1.0), "cold": (HELD_OUT, 8, -3.0)}[
-        unseen
-    ]
-    found = contest(named, plain, 100, lambda: warmed(*held_out), None, np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    found = contest(named, plain, 100, lambda: warmed(n, 8, by), None, rng)
+    if outcome == "refuted":
+        assert found is None
+        return
     assert found is not None
-    assert (found.rival, found.kept) == (rival, unseen == "warm")
+    assert (found.rival, found.kept) == (outcome == "rival", outcome == "kept")
     assert found.without == ("camera_drift",)
 
 

@@ -190,7 +190,7 @@ def contest(
 
     Names that only imitate a cause may leave no structure to look into.  The cause itself leaves
     less than they do.  Where it is clearly better with no more parameters it may take their place;
-    otherwise it is their rival.
+    otherwise it is their rival.  None where unseen poses refute it.
 
     Args:
         less: fit without the names in question; all else as `discover`.
@@ -200,10 +200,13 @@ def contest(
     odds = -math.inf if one is None else _advantage(one, None, base, less, count)
     if one is None or odds < AS_LIKELY:
         return None
-    if odds < CLEAR or len(one.fit.slots) > len(base.slots):
-        return replace(_proven(one, base, less, unseal(), rng, seed), kept=False, rival=True)
-    found = _proven(search(less, known, say) or one, base, less, unseal(), rng, seed)
-    return replace(found, rival=not found.kept and not worse(found.proof))
+    clear = odds >= CLEAR and len(one.fit.slots) <= len(base.slots)
+    best = (search(less, known, say) or one) if clear else one
+    found = _proven(best, base, less, unseal(), rng, seed)
+    if worse(found.proof):
+        return None
+    kept = clear and found.kept
+    return replace(found, kept=kept, rival=not kept)
 
 
 def _proven(
