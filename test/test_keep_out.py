@@ -118,9 +118,10 @@ def test_the_way_that_is_judged_is_the_way_that_is_gone() -> None:
     gone = np.array([[row[name] for name in names] for row in rig.trace[before:]])
     assert gone[:25, 0].max() > here + 0.02  # it was under way
     assert np.ptp(gone[25:, 0]) > 0.1  # although every way-point has the same angle
-    for side in (gone[:25], gone[25:]):
-        far = np.abs(side[:, None] - asked[-1][None]).max(axis=2)
-        assert far.min(axis=1).max() < 0.02
+    for part, near in ((gone[:10], 0.005), (gone[25:], 0.02)):  # blended; then sampled coarser
+        far = np.abs(part[:, None] - asked[-1][None]).max(axis=2)
+        assert far.min(axis=1).max() < near
+    np.testing.assert_allclose(asked[-1][15], gone[9], atol=0.005)  # where the blend ends
     far = np.abs(asked[-1][:, None] - gone[None]).max(axis=2)
     assert far.min(axis=1).max() < 0.01
     rig.follower.halt(rig.now)
