@@ -36,7 +36,7 @@ class DemoSettings:
     """
 
     out: Path
-    poses: int = 150
+    poses: int = 170
     targets: int = 40
     hidden: str = "joint_compliance=8.0 backlash=3.0"
     speed: float = 20.0
