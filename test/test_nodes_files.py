@@ -114,6 +114,7 @@ def test_bring_up_scales_the_simulation_and_leaves_hardware_alone(tmp_path: Path
     assert scaled["joints.joint1.max_velocity"] == pytest.approx(1.6)
     assert scaled["bus.port"] == "/tmp/bus"
     assert scaled["follower.lost_error_ticks"] == pytest.approx(1600.0)
+    assert scaled["follower.max_step_s"] == pytest.approx(0.04)  # two cycles
     (tmp_path / "servo_driver.yaml").write_text("joints: {}\n")
     own = BringUp(arm=arm, sim=True, speed=4.0, config=tmp_path)
     assert own.file("kinematics") == folder("config") / "kinematics.yaml"

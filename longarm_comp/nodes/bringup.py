@@ -150,7 +150,8 @@ class BringUp:
         """Velocities of the servos and the driver's limits, scaled by the same factor.
 
         So is the error at which a joint counts as not following: a moving joint is behind by its
-        velocity times the driver's cycle.
+        velocity times the driver's cycle.  A late cycle must not pass over the turn of a run-up:
+        the step in time is shorter by the same factor, down to two cycles.
         """
         if node not in ("servo_driver", "simulated_arm", "kinematics"):
             return {}
@@ -158,8 +159,16 @@ class BringUp:
         if node == "kinematics":
             return {"joints_max_rate": self.speed * float(given.get("joints_max_rate", 5.0))}
         if node == "servo_driver":
-            behind = float(given.get("follower", {}).get("lost_error_ticks", 400.0))
-            return {"follower.lost_error_ticks": self.speed * behind} | {
+            follower = given.get("follower", {})
+            behind = float(follower.get("lost_error_ticks", 400.0))
+            longest, cycle = (
+                float(follower.get("max_step_s", 0.1)),
+                1.0 / given.get("rate_hz", 50.0),
+            )
+            return {
+                "follower.lost_error_ticks": self.speed * behind,
+                "follower.max_step_s": min(longest, max(longest / self.speed, 2 * cycle)),
+            } | {
                 f"joints.{name}.max_velocity": self.speed * float(joint["max_velocity"])
                 for name, joint in given.get("joints", {}).items()
             }
