@@ -141,6 +141,21 @@ def test_heat_and_alarms_are_faults_also_while_holding(
     assert rig.column("turn")[-1] == pytest.approx(0.1)
 
 
+def test_one_reply_alone_is_no_alarm(rig: Rig) -> None:
+    """One damaged reply in 256 passes its checksum; the arm waits until the next one."""
+    _moving(rig)
+    healthy = rig.states[9]
+    rig.states[9] = replace(healthy, error_flags=ServoAlarm.OVERLOAD)
+    step = rig.step()
+    assert (step.goals, kinds([step])) == (None, [EventKind.DOUBTFUL])
+    with pytest.raises(JobError, match="no fresh read-back"):
+        rig.send((0.5, {"turn": 0.3}))
+    rig.states[9] = healthy
+    assert rig.step().goals is not None
+    rig.run(5.0)
+    assert rig.column("turn")[-1] == pytest.approx(0.9)
+
+
 def test_a_read_back_that_jumps_is_not_believed(rig: Rig) -> None:
     _moving(rig)
     true = rig.states[5]

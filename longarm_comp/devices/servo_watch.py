@@ -36,6 +36,7 @@ class _Seen:
 
     state: ServoState | None = None
     said: int | None = None
+    ill: tuple[Finding, ...] = ()
     at: float = 0.0
     off_since: float | None = None
     lost_since: float | None = None
@@ -62,6 +63,9 @@ class ServoWatch:
     ) -> tuple[bool, list[Finding]]:
         """Process one read-back, by servo id, without servos that did not answer.
 
+        An alarm or a temperature that is too high is believed when the next read-back says so
+        too; until then the servo is doubtful: one damaged reply in 256 passes its checksum.
+
         Args:
             now: s, monotonic.
             goals: last goals, ticks by id; None if nothing was commanded.
@@ -80,20 +84,23 @@ class ServoWatch:
             if state is None or self._doubtful(seen, joint, state, now, goals is not None):
                 fresh = False
             else:
-                seen.state, seen.at = state, now
-                findings += self._health(name, state)
+                before, seen.ill = seen.ill, tuple(self._health(name, state))
+                if seen.ill and not before:
+                    fresh = False
+                else:
+                    seen.state, seen.at = state, now
+                    findings += seen.ill
             goal = None if goals is None else goals.get(joint.servo_id)
             findings += self._obedience(name, joint, seen, goal, now)
             findings += self._silence(name, seen, now)
         return fresh, findings
 
     def standing(self, now: float) -> list[Finding]:
-        """Faults that do not depend on a command."""
+        """Faults that do not depend on a command, also what one read-back alone says."""
         findings: list[Finding] = []
         for name, seen in self._seen.items():
             findings += self._silence(name, seen, now)
-            if seen.state is not None:
-                findings += self._health(name, seen.state)
+            findings += seen.ill
         return findings
 
     def state(self, joint: str) -> ServoState | None:
