@@ -67,7 +67,7 @@ def settled(
         rest = float(times[moving[-1]]) if len(moving) else begin
         if max(times[-1], sightings[-1].t) - rest < REST_S:
             return None
-        still = _still(times, joints)
+        still = _still(times, joints, rest)
         since = ([s for s in seen if s.t >= t] for t in (still + AFTER_S, still, rest))
         seen = next(filter(None, since), [])
         if not seen:  # it was seen on the way only
@@ -91,12 +91,12 @@ def settled(
     )
 
 
-def _still(times: np.ndarray, joints: np.ndarray) -> float:
-    """Time (s) from which on the measured joints change no more than in the last `REST_S`.
+def _still(times: np.ndarray, joints: np.ndarray, rest: float) -> float:
+    """Time (s) from which on the measured joints change no more than in the last half of the rest.
 
     Encoders that flicker by a tick do so to the end.
     """
-    last = joints[times >= times[-1] - REST_S]
+    last = joints[times >= min(times[-1] - REST_S, (rest + times[-1]) / 2)]
     low, high = last.min(axis=0), last.max(axis=0)
     flicker = high - low
     moving = ((joints < low - flicker) | (joints > high + flicker)).any(axis=1)

@@ -190,7 +190,8 @@ def contest(
 
     Names that only imitate a cause may leave no structure to look into.  The cause itself leaves
     less than they do.  Where it is clearly better with no more parameters it may take their place;
-    otherwise it is their rival.  None where unseen poses refute it.
+    otherwise it is their rival.  None where unseen poses refute it,
+    or where it says of them what the names say.
 
     Args:
         less: fit without the names in question; all else as `discover`.
@@ -203,7 +204,7 @@ def contest(
     clear = odds >= CLEAR and len(one.fit.slots) <= len(base.slots)
     best = (search(less, known, say) or one) if clear else one
     found = _proven(best, base, less, unseal(), rng, seed)
-    if worse(found.proof):
+    if worse(found.proof) or alike(found.proof, smallest(base)):
         return None
     kept = clear and found.kept
     return replace(found, kept=kept, rival=not kept)
@@ -260,6 +261,14 @@ def helps_between(proof: Proof) -> bool:
 def worse(proof: Proof) -> bool:
     """Whether unseen poses show it to be worse, beyond chance."""
     return Gain.of(proof.errors["calibrated"], proof.errors["with_effects"]).ci95[1] < 0
+
+
+def alike(proof: Proof, limit_m: float) -> bool:
+    """Whether both models say the same of unseen poses, as seen and as a command would have it."""
+    pairs = (
+        np.subtract(e["calibrated"], e["with_effects"]) for e in (proof.errors, proof.commanded)
+    )
+    return all(float(np.sqrt((gap**2).sum(axis=1).mean())) < limit_m for gap in pairs)
 
 
 def _near(fit: ModelFit, base: ModelFit) -> bool:
