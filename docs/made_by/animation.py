@@ -174,9 +174,9 @@ def _errors(axes: Axes, demo: Demonstration, scene: Scene) -> None:
         aside, side = _LABELS[run]
         said = f"{words}: mean {_short(missed.mean())} mm"
         axes.text(40, aside * missed.mean(), said, ha="right", va=side, fontsize=10)
-    axes.set(yscale="log", ylim=(0.01, 100), xlim=(0, 41), xlabel="target")
+    axes.set(yscale="log", ylim=(0.001, 100), xlim=(0, 41), xlabel="target")
     axes.set_xticks([1, 10, 20, 30, 40])
-    axes.set_yticks([0.01, 0.1, 1, 10, 100], ["0.01", "0.1", "1", "10", "100"])
+    axes.set_yticks([0.001, 0.01, 0.1, 1, 10, 100], ["0.001", "0.01", "0.1", "1", "10", "100"])
     axes.set_title("true error of the tip, mm", fontsize=11)
 
 

@@ -147,7 +147,7 @@ def ladder(demo: Demonstration) -> Callable[[Figure], None]:
             axes.plot([row["mean_mm"], row["max_mm"]], [k, k], color=INK, lw=1.5)
             axes.plot(row["max_mm"], k, "|", color=INK, ms=14, mew=2)
             axes.text(1.15 * row["max_mm"], k, f"{row['mean_mm']:.2f} mm", va="center")
-        axes.set(xscale="log", xlim=(0.03, 60), xlabel="error, mm: mean (bar), largest (line)",
+        axes.set(xscale="log", xlim=(0.01, 60), xlabel="error, mm: mean (bar), largest (line)",
                  title=f"Held-out errors of the demonstration, {report['n']} poses")  # fmt: skip
         axes.set_xticks([0.1, 1, 10], ["0.1", "1", "10"])
         axes.set_yticks(range(len(rows)), [RUNGS[row["model"]][0] for row in rows])
