@@ -23,8 +23,8 @@ from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.evidence import detectable
 from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.visible_size import detectable
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives, geometry
 

@@ -12,9 +12,10 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.evidence import Smallest, key
+from longarm_comp.core.identify.evidence import key
 from longarm_comp.core.identify.in_words import left_in_words
 from longarm_comp.core.identify.practical import Gain, Practical, practical
+from longarm_comp.core.identify.visible_size import Smallest
 from longarm_comp.report.candidate_states import candidate_rows, sizes
 from longarm_comp.report.detail import Detail
 from longarm_comp.report.discovered import KEY, discovered

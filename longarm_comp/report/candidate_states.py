@@ -11,15 +11,14 @@ from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.evidence import (
     IMPLAUSIBLE,
-    Smallest,
     columns_at,
-    detectable,
     key,
     marginal_without,
     score,
 )
 from longarm_comp.core.identify.minor import Minor
 from longarm_comp.core.identify.search_state import ODDS
+from longarm_comp.core.identify.visible_size import Smallest, detectable
 
 Label = tuple[str, str]
 

@@ -10,8 +10,9 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.candidates import Term
 from longarm_comp.core.identify.confirm import RESAMPLES
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.evidence import Smallest, key
+from longarm_comp.core.identify.evidence import key
 from longarm_comp.core.identify.next_poses import NextPoses
+from longarm_comp.core.identify.visible_size import Smallest
 from longarm_comp.core.model.outline import outline
 from longarm_comp.report.candidate_states import best_forms
 from longarm_comp.report.detail import (
