@@ -54,7 +54,7 @@ def test_a_name_of_undecided_rows_alone_goes_with_them(arm: Arm) -> None:
     rows = undecided(before.fit, columns_at(before.fit), [play])
     after, gone = without_undecided(before, lambda said: None)
     assert [m.name for m in gone] == ["gravity_direction"]
-    assert f"only {rows.sum()} rows speak for it" in gone[0].why
+    assert f"rests on {rows.sum()} rows" in gone[0].why
     assert np.array_equal(np.flatnonzero(rows), after.fit.outliers)
     assert [t.name for t in after.chosen] == ["backlash"]
     # they are the rows whose load is within a tenth of the threshold

@@ -40,7 +40,7 @@ SHARED = 0.5
 def without_undecided(
     result: SearchResult, say: Callable[[str], None]
 ) -> tuple[SearchResult, tuple[Minor, ...]]:
-    """The search's result without such names and rows, and the names."""
+    """The search's result without such names, and these."""
     before, columns = families(result), columns_at(result.fit)
     switched = [t for terms in before.values() for t in terms if t.scales()]
     rows = undecided(result.fit, columns, switched) & (result.fit.weights > 0)
@@ -60,7 +60,7 @@ def without_undecided(
         for name in sorted(resting & set(found), key=lambda each: evidence[each]):
             if evidence[name] < result.threshold:
                 length = worth(now.fit, columns_at(now.fit), found[name])
-                why = f"only {rows.sum()} rows speak for it in which a switch is undecided"
+                why = f"rests on {rows.sum()} rows whose load is close to a threshold; set aside"
                 yield found[name], Minor.of(found[name], length, why)
 
     lighter, gone = taken_out(aside, doubtful, say)
