@@ -24,6 +24,8 @@ CLOSE = 0.01
 """A fit has converged when its last step was below so many standard errors."""
 SHORTEST = 1e-3
 """Share of a Gauss-Newton step below which no shorter one is tried."""
+NEAR = 1.0
+"""After a step below so many standard errors the design is kept: it hardly changes."""
 WORSE = 0.1
 """Rise of the cost, as a share of it, from which a step is shortened.  Columns leave out how loads
 follow a change, so that close to the solution a good step may raise the cost a little."""
@@ -66,9 +68,16 @@ def fit(
     return _fit_parts([part], max_iterations, close)[0]
 
 
-def unfitted(model: Model, session: Session) -> ModelFit:
-    """A model held against a session as it is: residual and design, nothing fitted yet."""
+def unfitted(model: Model, session: Session, near: ModelFit | None = None) -> ModelFit:
+    """A model held against a session as it is: residual and design, nothing fitted yet.
+
+    Args:
+        model: as it is.
+        session: rows.
+        near: a fit of a similar model to the same session, if there is one.
+    """
     part = SessionProblem.of(model, session, None, None, False)
+    part.near = None if near is None else near.posture
     part.look()
     part.weigh(settled=False)
     return part.fitted(np.diag(priors(model.slots) ** 2))
@@ -137,11 +146,13 @@ def _fit_parts(
             text = f"{rows} rows do not determine the {len(scale)} parameters of the model"
             raise JobError(text, session=parts[0].seen.source) from None
         goal = centre + posterior.u * scale
-        small = np.abs(goal - now) <= close * np.sqrt(np.diag(posterior.covariance)) * scale
+        step_size = np.abs(goal - now) / (np.sqrt(np.diag(posterior.covariance)) * scale)
         now = _stepped(parts, maps, now, goal, centre, scale)
         for part in parts:
             part.effective = posterior.effective * len(part.seen) / sum(len(p.seen) for p in parts)
-        if small.all() and (step > 2 or not adapting):
+            if not (step_size <= NEAR).all():
+                part.differentiate()
+        if (step_size <= close).all() and (step > 2 or not adapting):
             converged = True
             break
     made = []

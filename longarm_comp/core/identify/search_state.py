@@ -71,7 +71,9 @@ class SearchState:
         The library's columns at the last fit will do for the noise.
         """
         first = (
-            unfitted(self._start, self.session) if self.chosen else fit(self._start, self.session)
+            unfitted(self._start, self.session, self.fit)
+            if self.chosen
+            else fit(self._start, self.session)
         )
         at: FitColumns = self.columns if self.chosen else columns_at(first)
         every = at.of(distinct(self.candidates, self.chosen))

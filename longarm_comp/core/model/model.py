@@ -127,11 +127,21 @@ class Model:
 
     # ------------------------------------------------------------------ predict
 
-    def posture(self, q: Sequence[Scalar], context: Context | None = None) -> Posture:
-        """The loaded, deflected arm at q (n scalars, each a float or (N,))."""
+    def posture(
+        self, q: Sequence[Scalar], context: Context | None = None, near: Posture | None = None
+    ) -> Posture:
+        """The loaded, deflected arm at q (n scalars, each a float or (N,)).
+
+        Args:
+            q: commanded joints.
+            context: circumstances.
+            near: of a similar model at the same q and context, if there is one: its loads save
+                the first pass.
+        """
         context = context or Context.empty()
-        posture = self.unsagged(q, context)
-        for _ in range(self.load_passes):
+        posture = near or self.unsagged(q, context)
+        passes = self.load_passes
+        for _ in range(passes if near is None else max(passes - 1, 1)):
             posture = self.loaded(q, context, self.twists(posture))
         return posture
 
@@ -255,7 +265,7 @@ class Model:
             turns: whether the turns of the tip's axes are wanted.
         """
         slots = self.slots if slots is None else slots
-        total = self._at_last(posture)
+        total = self._at_last(posture) if slots else {}
         ends: list[TwistChange | Reseen] = []
         for slot in slots:
             term, step = slot.owner, 0.01 * slot.parameter.prior
