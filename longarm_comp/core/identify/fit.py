@@ -147,10 +147,11 @@ def _fit_parts(
             raise JobError(text, session=parts[0].seen.source) from None
         goal = centre + posterior.u * scale
         step_size = np.abs(goal - now) / (np.sqrt(np.diag(posterior.covariance)) * scale)
-        now = _stepped(parts, maps, now, goal, centre, scale)
+        near = bool((step_size <= NEAR).all())
+        now = _stepped(parts, maps, now, goal, centre, scale, near)
         for part in parts:
             part.effective = posterior.effective * len(part.seen) / sum(len(p.seen) for p in parts)
-            if not (step_size <= NEAR).all():
+            if not near:
                 part.differentiate()
         if (step_size <= close).all() and (step > 2 or not adapting):
             converged = True
@@ -172,8 +173,11 @@ def _stepped(
     goal: np.ndarray,
     centre: np.ndarray,
     scale: np.ndarray,
+    near: bool,
 ) -> np.ndarray:
     """Go towards a goal, all the way or as far as does not raise the cost; the values reached.
+
+    Near ones need fewer load passes.
 
     Raises:
         JobError: the fit is not finite however short the step.
@@ -184,7 +188,7 @@ def _stepped(
 
     def move(values: np.ndarray) -> None:
         for part, mine in zip(parts, maps, strict=True):
-            part.moved(values[mine])
+            part.moved(values[mine], near)
 
     before, share, failed = cost(now), 1.0, None
     while share > SHORTEST:

@@ -80,9 +80,12 @@ class SessionProblem:
             self._predict()
             self.differentiate()
 
-    def _predict(self) -> None:
+    def _predict(self, close: bool = False) -> None:
         """Residual of the model as it is now."""
-        self.posture = self.model.posture(self.q, self.context, self.near)
+        if self.near is None:
+            self.posture = self.model.posture(self.q, self.context)
+        else:
+            self.posture = self.model.posture_near(self.near, close)
         self.residual = equations(self.model, self.seen, self.posture, ()).residual
         self._finite(self.residual)
         self.looked = self.model
@@ -124,10 +127,10 @@ class SessionProblem:
             found.__dict__["posture"] = self.posture
         return found
 
-    def moved(self, values: np.ndarray) -> None:
-        """Residual at other parameter values; the design stays."""
+    def moved(self, values: np.ndarray, close: bool) -> None:
+        """Residual at other parameter values, close to where the design is of; that stays."""
         self.model = self.model.with_values(values)
-        self._predict()
+        self._predict(close)
 
     def cost(self) -> float:
         """Squared residual of the inliers in units of the noise."""

@@ -170,7 +170,8 @@ def _units(posture: Posture, tip: Vec, station: int, total: Twists) -> tuple[lis
 def _add(total: list[Scalar], times: Scalar, v: Vec) -> None:
     for axis in range(3):
         if type(v[axis]) is not float or v[axis] != 0.0:
-            total[axis] = total[axis] + times * v[axis]
+            here, held = times * v[axis], total[axis]
+            total[axis] = here if type(held) is float and held == 0.0 else held + here
 
 
 def stack(v: Vec) -> np.ndarray:
