@@ -26,6 +26,11 @@ SHORTEST = 1e-3
 """Share of a Gauss-Newton step below which no shorter one is tried."""
 NEAR = 1.0
 """After a step below so many standard errors the design is kept: it hardly changes."""
+STALLED = 3
+"""Steps without gain after which a fit ends with the best values it had: where loads and what they
+bend are fitted together, steps may go around the solution for ever."""
+GAIN = 0.1
+"""Fall of the cost (minus twice the log posterior) that is a gain."""
 WORSE = 0.1
 """Rise of the cost, as a share of it, from which a step is shortened.  Columns leave out how loads
 follow a change, so that close to the solution a good step may raise the cost a little."""
@@ -132,6 +137,7 @@ def _fit_parts(
     for part in parts:
         part.look()
     posterior = linear.Posterior(np.zeros(0), np.zeros((0, 0)), 0.0)
+    best, least, stalled = now, np.inf, 0
     for step in range(1, max_iterations + 1):
         designs, data = [], []
         for part, mine in zip(parts, maps, strict=True):
@@ -148,7 +154,7 @@ def _fit_parts(
         goal = centre + posterior.u * scale
         step_size = np.abs(goal - now) / (np.sqrt(np.diag(posterior.covariance)) * scale)
         near = bool((step_size <= NEAR).all())
-        now = _stepped(parts, maps, now, goal, centre, scale, near)
+        now, cost = _stepped(parts, maps, now, goal, centre, scale, near)
         for part in parts:
             part.effective = posterior.effective * len(part.seen) / sum(len(p.seen) for p in parts)
             if not near:
@@ -156,6 +162,17 @@ def _fit_parts(
         if (step_size <= close).all() and (step > 2 or not adapting):
             converged = True
             break
+        if adapting:
+            continue
+        stalled = 0 if cost < least - GAIN else stalled + 1
+        if cost < least:
+            best, least = now, cost
+        if stalled == STALLED:
+            break
+    if not converged and np.isfinite(least) and best is not now:
+        for part, mine in zip(parts, maps, strict=True):
+            part.moved(best[mine], close=False)
+            part.differentiate()
     made = []
     for part, mine in zip(parts, maps, strict=True):
         if part.sigma is None:
@@ -174,10 +191,13 @@ def _stepped(
     centre: np.ndarray,
     scale: np.ndarray,
     near: bool,
-) -> np.ndarray:
-    """Go towards a goal, all the way or as far as does not raise the cost; the values reached.
+) -> tuple[np.ndarray, float]:
+    """Go towards a goal, all the way or as far as does not raise the cost.
 
     Near ones need fewer load passes.
+
+    Returns:
+        The values reached, and their cost.
 
     Raises:
         JobError: the fit is not finite however short the step.
@@ -195,15 +215,16 @@ def _stepped(
         values = now + share * (goal - now)
         try:
             move(values)
-            if cost(values) <= (1.0 + WORSE) * before + 1.0:
-                return values
+            after = cost(values)
+            if after <= (1.0 + WORSE) * before + 1.0:
+                return values, after
         except JobError as error:
             failed = error
         share *= 0.5
     if failed is not None:
         raise failed
     move(now)
-    return now
+    return now, before
 
 
 def _placed(columns: np.ndarray, places: np.ndarray, width: int) -> np.ndarray:
