@@ -47,6 +47,7 @@ def fit(
     max_iterations: int = 25,
     close: float = CLOSE,
     begun: ModelFit | None = None,
+    near: ModelFit | None = None,
 ) -> ModelFit:
     """Fit all free parameters of a model to one session.
 
@@ -62,6 +63,7 @@ def fit(
         close: the last step must be below so many standard errors.
         begun: a fit of the same model to the same session, if there is one: residual and design
             are taken from it.
+        near: a fit of a similar model to the same session; its loads save a load pass.
 
     Raises:
         InputError: fewer than four seen rows, or an input that a term needs is missing.
@@ -70,6 +72,8 @@ def fit(
     part = SessionProblem.of(model, session, sigma, weights, robust, rho)
     if begun is not None:
         part.took(begun)
+    elif near is not None:
+        part.near = near.posture
     return _fit_parts([part], max_iterations, close)[0]
 
 
