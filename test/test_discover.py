@@ -29,14 +29,14 @@ from longarm_comp.core.identify.discover.discovery import (
     Discovery,
     contest,
     discover,
-    helps_between,
 )
 from longarm_comp.core.identify.discover.functions import SWITCH, Functions, switch
+from longarm_comp.core.identify.discover.hold_out import borne_out, helps_between, shown
 from longarm_comp.core.identify.discover.inputs import Argument, Arguments, levels_of
 from longarm_comp.core.identify.discover.propose import POSES, doubts, proposed
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.model_fit import ModelFit
-from longarm_comp.core.identify.proof import Proof
+from longarm_comp.core.identify.proof import Proof, prove
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
 from longarm_comp.report.record import checked
@@ -97,6 +97,44 @@ def test_a_hose_is_a_force_at_its_place_with_its_size() -> None:
     assert cause.compensated
     rows = made.proof.rows
     assert rows["with_effects"].rms < 0.5 * rows["calibrated"].rms
+
+
+def test_a_few_poses_that_cannot_decide_do_not_overrule_the_fitted_ones() -> None:
+    """A weak hose, sure by the fitted rows; another arm's poses refute it all the same."""
+    rng = np.random.default_rng(0)
+    hose = (HosePull(row=5, first=1, second=4, pull=10.0),)
+    fitted = calibrated(DEMO, measured(DEMO, hose, 2 * ROWS, 1))
+    made = discover(fitted, None, 100, lambda: measured(DEMO, hose, 30, 503), None, rng)
+    assert made is not None
+    assert made.kept
+    assert not shown(made.proof)
+    assert "too few to show it" in made.sentence
+    assert made.found[0].terms[0].function == "linear(q2) * linear(q5)"
+    models = {"calibrated": fitted.model, "with_effects": made.fit.model}
+    other = prove(models, fitted, made.fit, measured(DEMO, (), 30, 501), rng)
+    assert not borne_out(other, made.found[0].log_evidence)
+
+
+@pytest.mark.parametrize(
+    ("evidence", "log_odds", "after", "rho", "kept"),
+    [
+        (80.0, 0.5, 0.9, 0.0, True),
+        (60.0, 0.5, 0.9, 0.0, False),
+        (60.0, 1.5, 0.9, 0.0, True),
+        (80.0, 0.5, 0.9, 0.3, False),
+        (80.0, 0.5, 1.1, 0.0, False),
+        (900.0, -2.5, 0.9, 0.0, True),
+        (900.0, -3.5, 0.9, 0.0, False),
+    ],
+)
+def test_strong_evidence_needs_a_hold_out_that_agrees(
+    evidence: float, log_odds: float, after: float, rho: float, kept: bool
+) -> None:
+    before = np.tile([1e-3, 0.0, 0.0], (8, 1))
+    errors = {"calibrated": before, "with_effects": after * before}
+    proof = Proof(errors, errors, {}, False, 1.0, 0.0, 1.0, log_odds=log_odds)
+    assert not shown(proof)
+    assert borne_out(proof, evidence, rho) is kept
 
 
 def test_a_recorded_column_that_drives_the_error_is_found_on_its_axis() -> None:

@@ -12,10 +12,12 @@ from small_arm import ARM
 from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.proof import (
+    AGAINST,
     DECIDES,
     NETWORK,
     Proof,
     _better,
+    _log_odds,
     _Unseen,
     off_levels,
 )
@@ -51,6 +53,16 @@ def test_a_large_hold_out_must_have_improved_beyond_chance(rng: np.random.Genera
     shuffled = before[rng.permutation(60)]
     assert (((before - shuffled) / SPREAD) ** 2).sum() > DECIDES
     assert not better(before, shuffled + 1e-12, rng)
+
+
+@pytest.mark.parametrize(("sigmas", "odds"), [(2.0, 2.0), (20.0, AGAINST), (-20.0, -200.0)])
+def test_no_single_row_makes_odds_for_an_effect(sigmas: float, odds: float) -> None:
+    held, spread = np.ones((5, 3), bool), np.full((5, 3), SPREAD)
+    none, one = np.zeros((5, 3)), np.zeros((5, 3))
+    one[2, 0] = sigmas * SPREAD
+    before, after = (one, none) if sigmas > 0 else (none, one)
+    pair = (_Unseen(error, spread, held, np.ones(3)) for error in (before, after))
+    assert _log_odds(*pair) == pytest.approx(odds)
 
 
 def missed(error: np.ndarray) -> np.ndarray:

@@ -71,6 +71,7 @@ class Proof:
         off_levels: (M,) rows off the levels that the fitted rows have (`off_levels`).
         set_aside: number of held-out rows that the models miss both with and without effects; they
             do not count for `better`.
+        log_odds: for the effects, by the rows that count; no row says more than `AGAINST` for them.
     """
 
     errors: Mapping[str, np.ndarray]
@@ -81,12 +82,18 @@ class Proof:
     excess_m: float
     share: float
     set_aside: int = 0
+    log_odds: float = 0.0
     off_levels: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(0, bool))
 
     @property
     def rows(self) -> dict[str, Errors]:
         """Figures of `errors` by model name."""
         return {name: Errors.of(error, self.turned[name]) for name, error in self.errors.items()}
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the hold-out does not speak against the effects by odds of 20."""
+        return bool(self.log_odds > -AGAINST)
 
     @property
     def off(self) -> bool:
@@ -146,7 +153,8 @@ def prove(
         "with_effects": _Unseen.of(with_effects, rows),
     }
     kept = ~(unseen["calibrated"].missed & unseen["with_effects"].missed)
-    better = _better(unseen["calibrated"].take(kept), unseen["with_effects"].take(kept), rng)
+    asked = unseen["calibrated"].take(kept), unseen["with_effects"].take(kept)
+    better = _better(*asked, rng)
     misfit = {name: _misfit(one) for name, one in unseen.items()}
     final = misfit["with_effects" if better else "calibrated"]
     share = 1.0 - (misfit["with_effects"][1] / max(misfit["calibrated"][1], 1e-12)) ** 2
@@ -158,6 +166,7 @@ def prove(
         *final,
         share,
         int((~kept).sum()),
+        _log_odds(*asked),
         off_levels(with_effects.session.q, rows.take(rows.placed).q),
     )
 
@@ -231,12 +240,22 @@ def _better(before: _Unseen, after: _Unseen, rng: np.random.Generator) -> bool:
     evidence of the fitted rows that counts, unless the hold-out speaks against the effects by odds
     of 20. The log odds are half the gain.
     """
-    spread = after.spread
-    gain = ((before.residual**2 - after.residual**2) / spread**2).sum(axis=1)
-    expected = float((((before.residual - after.residual) / spread) ** 2).sum())
+    gain = _gain(before, after)
+    expected = float((((before.residual - after.residual) / after.spread) ** 2).sum())
     if expected < DECIDES:
         return bool(gain.sum() / 2 > -AGAINST)
     return bool(np.percentile(block_means(gain, rng), 5.0) > 0)
+
+
+def _gain(before: _Unseen, after: _Unseen) -> np.ndarray:
+    """(N,) by how much each row's squared error fell, in units of the noise."""
+    gain = (before.residual**2 - after.residual**2) / after.spread**2
+    return np.asarray(gain.sum(axis=1))
+
+
+def _log_odds(before: _Unseen, after: _Unseen) -> float:
+    """For the effects: half the gain. One row may speak for them by odds of 20 at most."""
+    return float(np.minimum(_gain(before, after) / 2, AGAINST).sum())
 
 
 def _misfit(unseen: _Unseen) -> tuple[float, float]:

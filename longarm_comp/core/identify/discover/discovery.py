@@ -13,6 +13,7 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.discover import words
 from longarm_comp.core.identify.discover.bank import Weighed, weight
 from longarm_comp.core.identify.discover.banks import CAMERA
+from longarm_comp.core.identify.discover.hold_out import CLEAR, alike, borne_out, shown, worse
 from longarm_comp.core.identify.discover.propose import doubts, proposed
 from longarm_comp.core.identify.discover.search import SearchedFunctions, first, search
 from longarm_comp.core.identify.discover.terms import key_of, terms_of
@@ -20,18 +21,16 @@ from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.minor import smallest
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
-from longarm_comp.core.identify.practical import Gain
-from longarm_comp.core.identify.proof import ENOUGH_OFF, Proof, prove
+from longarm_comp.core.identify.proof import Proof, prove
 from longarm_comp.core.identify.structure import Structure, examine
 
 FAR = 2.0
 """Terms that leave this many times what the library's effects leave do not come to replace them."""
 SIMPLER = 3.0
 """Log odds that effects of the library beside what was found must bring to stay."""
-CLEAR = math.log(1000.0)
-"""Log odds for one term instead of names of the library, where these leave no structure."""
 AS_LIKELY = -3.0
 """Log odds from which such a term is as likely as the names: their cause is open."""
+TOO_FEW = "the held-out poses are too few to show it by themselves"
 
 Term = Effect | Bias
 
@@ -173,7 +172,8 @@ def discover(
             best, start = alone, plain
     if best is None or _worth(best.fit, base) < smallest(base):
         return None
-    return _proven(best, base, start, unseal(), rng, seed)
+    odds = _advantage(best, None, base, start, count)
+    return _proven(best, base, start, odds, unseal(), rng, seed)
 
 
 def contest(
@@ -203,7 +203,7 @@ def contest(
         return None
     clear = odds >= CLEAR and len(one.fit.slots) <= len(base.slots)
     best = (search(less, known, say) or one) if clear else one
-    found = _proven(best, base, less, unseal(), rng, seed)
+    found = _proven(best, base, less, odds, unseal(), rng, seed)
     if worse(found.proof) or alike(found.proof, smallest(base)):
         return None
     kept = clear and found.kept
@@ -214,30 +214,34 @@ def _proven(
     best: SearchedFunctions,
     base: ModelFit,
     start: ModelFit,
+    odds: float,
     held_out: Session,
     rng: np.random.Generator,
     seed: int,
 ) -> Discovery:
-    """What was found on top of `start`, and what unseen poses say of it against `base`."""
+    """What was found on top of `start`, and what unseen poses say of it against `base`.
+
+    Args:
+        odds: log odds for it against `base` by the fitted rows; all else as `discover`.
+    """
     proof = prove(
         {"calibrated": base.model, "with_effects": best.fit.model}, base, best.fit, held_out, rng
     )
-    gain = Gain.of(proof.errors["calibrated"], proof.errors["with_effects"])
-    kept = proof.better and gain.ci95[0] > 0 and helps_between(proof)
     held = {t.name for t in start.model.terms}
     gone = tuple(dict.fromkeys(t.name for t in base.model.terms if t.name not in held))
     structure = examine(best.fit, start, rng)
     hypotheses = [group.candidate for group in best.groups]
+    few = () if shown(proof) else (TOO_FEW,)
     return Discovery(
         best.fit,
         best.noise,
         _found(best),
-        kept,
+        borne_out(proof, odds, best.noise.rho),
         False,
         gone,
         proof,
         structure,
-        doubts(best.fit, hypotheses),
+        (*doubts(best.fit, hypotheses), *few),
         proposed(best.fit, hypotheses, seed),
     )
 
@@ -247,28 +251,6 @@ def _worth(found: ModelFit, base: ModelFit) -> float:
     both = (found.weights > 0) & (base.weights > 0)
     square = [((f.residual[both] * f.metres) ** 2).sum(1).mean() for f in (base, found)]
     return float(np.sqrt(max(square[0] - square[1], 0.0)))
-
-
-def helps_between(proof: Proof) -> bool:
-    """Whether rows off the levels of a grid, where there are some, are no worse for it."""
-    off = proof.off_levels
-    before, after = (
-        np.linalg.norm(proof.errors[k][off], axis=1) for k in ("calibrated", "with_effects")
-    )
-    return len(after) < ENOUGH_OFF or bool(after.mean() < before.mean())
-
-
-def worse(proof: Proof) -> bool:
-    """Whether unseen poses show it to be worse, beyond chance."""
-    return Gain.of(proof.errors["calibrated"], proof.errors["with_effects"]).ci95[1] < 0
-
-
-def alike(proof: Proof, limit_m: float) -> bool:
-    """Whether both models say the same of unseen poses, as seen and as a command would have it."""
-    pairs = (
-        np.subtract(e["calibrated"], e["with_effects"]) for e in (proof.errors, proof.commanded)
-    )
-    return all(float(np.sqrt((gap**2).sum(axis=1).mean())) < limit_m for gap in pairs)
 
 
 def _near(fit: ModelFit, base: ModelFit) -> bool:
