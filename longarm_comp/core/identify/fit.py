@@ -141,7 +141,7 @@ def _fit_parts(
     for part in parts:
         part.look()
     posterior = linear.Posterior(np.zeros(0), np.zeros((0, 0)), 0.0)
-    best, least, stalled = now, np.inf, 0
+    cost, best, least, stalled = np.inf, now, np.inf, 0
     for step in range(1, max_iterations + 1):
         designs, data = [], []
         for part, mine in zip(parts, maps, strict=True):
@@ -173,7 +173,7 @@ def _fit_parts(
             best, least = now, cost
         if stalled == STALLED:
             break
-    if not converged and np.isfinite(least) and best is not now:
+    if not converged and cost > least + GAIN:
         for part, mine in zip(parts, maps, strict=True):
             part.moved(best[mine], close=False)
             part.differentiate()
