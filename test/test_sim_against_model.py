@@ -32,6 +32,7 @@ from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.joint_term import typical_loads
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.link_mass import LinkMass
 from longarm_comp.core.effects.link_stiffness import LinkStiffness
 from longarm_comp.core.effects.measured_tilt import MeasuredTilt
 from longarm_comp.core.effects.prismatic_pitch import PrismaticPitch
@@ -126,6 +127,7 @@ SAME: dict[str, tuple[Callable[[Any], list[Any]], float]] = {
     "thermal_softening": (lambda e: [ThermalSoftening(softening=e.rate)], 0.02),
     "creep": (lambda e: [Creep(time=e.time_s, amount=e.more)], 0.02),
     "tip_payload": (lambda e: [TipPayload(mass=e.mass_kg)], 0.02),
+    "link_mass": (lambda e: [LinkMass(frame=e.row, mass=e.mass_kg)], 0.02),
     "measured_tilt": (lambda e: [MeasuredTilt(frame=e.row)], 0.01),
     "camera_scale": (lambda e: [CameraScale(scale=e.scale)], 0.01),
     "camera_radial": (lambda e: [CameraRadial(k1=e.k1)], 0.01),

@@ -27,7 +27,14 @@ from longarm_comp.sim.random_arms import Mix, paper_mix, random_arm
 G = 9.81
 LIBRARY = (
     *("joint_zero", "dh_error", "base_pose", "camera_pose"),
-    *("joint_compliance", "bearing_tilt", "link_stiffness", "tip_payload", "telescope_clearance"),
+    *(
+        "joint_compliance",
+        "bearing_tilt",
+        "link_stiffness",
+        "tip_payload",
+        "link_mass",
+        "telescope_clearance",
+    ),
     *("base_compliance", "measured_tilt", "gravity_direction", "backlash", "friction_hysteresis"),
     *("gear_eccentricity", "joint_gain", "prismatic_pitch", "servo_droop", "servo_quantisation"),
     *(

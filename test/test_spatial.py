@@ -90,6 +90,26 @@ def test_the_series_is_as_good_as_it_says(rng: np.random.Generator) -> None:
     assert 1e-6 < apart < 1e-2
 
 
+@pytest.mark.parametrize("large", [False, True])
+def test_tangent_is_the_derivative_of_the_matrix_exponential(
+    rng: np.random.Generator, large: bool
+) -> None:
+    """Of small twists, of such beside the change of formulas at 0.1 rad, of large ones, of none."""
+    sizes = (0.0, 0.1, 0.25, *((0.0999, 0.1001, 3.0) if large else ()))
+    for angle in sizes:
+        twist = np.array([0.4, -0.7, 0.2, *(angle * np.array([0.36, -0.48, 0.8]))])
+        at = rng.normal(size=3)
+        turns, shifts = spatial.tangent(floats(twist), tuple(map(float, at)), large)
+        here = np.linalg.inv(expm(hat(twist)))
+        for j, step in enumerate(1e-5 * np.eye(6)):
+            change = here @ (expm(hat(twist + step)) - expm(hat(twist - step))) / 2e-5
+            turn = np.zeros(3) if j < 3 else np.array(turns[j - 3])
+            shift = turns[j] if j < 3 else shifts[j - 3]
+            np.testing.assert_allclose(change @ (*at, 1.0), (*shift, 0.0), atol=2e-9)
+            np.testing.assert_allclose(change[:3, :3], hat(np.append(ZERO_TWIST[:3], turn))[:3, :3],
+                                       atol=2e-9)  # fmt: skip
+
+
 def test_composition_and_inverse_are_those_of_matrices(rng: np.random.Generator) -> None:
     for a, b in zip(frames(rng, 30), frames(rng, 30), strict=True):
         one, other = Frame.from_matrix(a), Frame.from_matrix(b)

@@ -9,6 +9,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.sim.hidden.catalogue import Hidden
+from longarm_comp.sim.hidden.loads import LinkMass
 
 Values = Mapping[tuple[str, str], float]
 """(where, parameter) -> true value (SI)."""
@@ -43,6 +44,11 @@ def _softness(effect: Hidden, arm: Arm) -> Values:
     return {(f"beam {name}", "softness"): dose * s for name, s in softer.items() if s != 0.0}
 
 
+def _mass(effect: Hidden, arm: Arm) -> Values:
+    assert isinstance(effect, LinkMass)
+    return {(f"frame {effect.row}", "mass"): effect.mass_kg}
+
+
 _READERS: dict[str, Callable[[Hidden, Arm], Values]] = {
     "joint_compliance": _joints("compliance", "compliance"),
     "bearing_tilt": _both(_joints("compliance", "about_x"), _joints("compliance", "about_y")),
@@ -53,6 +59,7 @@ _READERS: dict[str, Callable[[Hidden, Arm], Values]] = {
     "servo_droop": _both(_joints("yielding", "sag"), _joints("deadband", "deadband")),
     "link_stiffness": _softness,
     "tip_payload": _arm(mass="mass_kg"),
+    "link_mass": _mass,
     "base_compliance": lambda e, arm: {
         ("arm", f"about_{axis}"): float(c)
         for axis, c in zip("xy", e.compliance, strict=True)  # type: ignore[union-attr]
@@ -77,6 +84,8 @@ def places(effect: Hidden, arm: Arm) -> frozenset[str]:
         if np.ndim(value) and np.shape(value)[-1] == arm.n and field != "delta":
             some: np.ndarray = np.any(np.reshape(value, (-1, arm.n)), axis=0)
             found |= {f"joint {row}" for j, row in enumerate(arm.commanded) if some[j]}
+    if isinstance(effect, LinkMass):
+        found.add(f"frame {effect.row}")
     softer = getattr(effect, "softer", {})
     found |= {f"beam {name}" for name, s in softer.items() if s}
     return frozenset(found)

@@ -1,4 +1,7 @@
-"""Which poses to measure: held-out error of the true tip by grid, Sobol and I-optimal poses."""
+"""Which poses to measure: error of the true tip by grid, Sobol and I-optimal poses.
+
+Where the effect has to be found, the whole diagnosis is run, which holds back some of the poses.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +16,9 @@ from longarm_comp.core.data.plan import Plan, grid, random_joints, sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.identify.calibrate import stages
-from longarm_comp.core.identify.candidates import library
+from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.optimal_poses import Uncertainty, optimal_poses
-from longarm_comp.core.identify.search import search
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
@@ -83,19 +85,16 @@ def one_arm(
                 xyz = true.tip(plan.q, TrueContext())
                 xyz = xyz + SIGMA_M * noise.standard_normal(xyz.shape)
                 session = Session.record(plan.q, xyz, approach=plan.approach, source=way)
-                model = _identified(arm, session, known)
+                model = _known(arm, session) if known else diagnose(arm, session).model
                 error = np.linalg.norm(model.tip(fresh) - where, axis=1).mean()
                 expected = float(getattr(plan, "expected_m", np.nan))
                 yield PoseOutcome(way, n, known, float(error), expected)
 
 
-def _identified(arm: Arm, session: Session, known: bool) -> Model:
-    """The calibrated model with its effect: fitted where it is known, searched where it is not."""
+def _known(arm: Arm, session: Session) -> Model:
+    """The calibrated model with its effect, fitted to all rows."""
     base = dict(stages(declared_model(arm), session))["geometry"].model
-    if known:
-        return fit(base.plus(*JointCompliance.for_arm(arm)), session).model
-    candidates = library(arm, session.context(), None, base.terms)
-    return search(base, session, candidates.testable).fit.model
+    return fit(base.plus(*JointCompliance.for_arm(arm)), session).model
 
 
 def table(found: Sequence[PoseOutcome]) -> list[dict[str, Any]]:

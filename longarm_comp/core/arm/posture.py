@@ -98,6 +98,7 @@ class Chain:
         self.carriers = {self.spots[name]: self.frame_station(f) for name, f in carriers.items()}
         self.stations = count + len(carriers)
         self.mixing, self.offset = arm.mixing
+        self._coupled: dict[int, tuple[tuple[int, float], ...]] = {}
 
     def frame_station(self, row: int) -> int:
         """Station of row `row`'s frame; row 0 is the base."""
@@ -114,6 +115,16 @@ class Chain:
             values.append(value)
         return values
 
+    def coupled(self, joint: int) -> tuple[tuple[int, float], ...]:
+        """(row, how far it moves per unit of a joint's row), that row first."""
+        if joint not in self._coupled:
+            made = [(joint, 1.0)]
+            if joint in self.arm.commanded:
+                weights = self.mixing[:, self.arm.commanded.index(joint)]
+                made = [(row, float(w)) for row, w in enumerate(weights, 1) if w != 0.0]
+            self._coupled[joint] = tuple(made)
+        return self._coupled[joint]
+
     @cached_property
     def row_of_joint(self) -> tuple[int, ...]:
         """Row id of each commanded joint."""
@@ -129,10 +140,13 @@ class Chain:
         frames: list[Frame] = [IDENTITY] * self.stations
         lengths: list[Scalar] = [0.0] * self.stations
 
+        moved = spatial.exps({s: t for s, t in twists.items() if s != PLACEMENT})
+        if PLACEMENT in twists:
+            moved[PLACEMENT] = spatial.exp_large(twists[PLACEMENT])
+
         def deflect(frame: Frame, station: int) -> Frame:
-            twist = twists.get(station)
-            exp = spatial.exp_large if station == PLACEMENT else spatial.exp
-            frame = frame if twist is None else frame @ exp(twist)
+            if station in moved:
+                frame = frame @ moved[station]
             frames[station] = frame
             return frame
 
@@ -312,21 +326,18 @@ class Posture:
 
     def force(self, station: int) -> Vec:
         """Weight of all that is carried at a station, in its axes (N)."""
-        return self.once(
-            ("force", station),
-            lambda: spatial.scale(self.carried[0][station], self.gravity_in(station)),
-        )
+        return self._loads(station)[1]
 
     def moment(self, station: int) -> Vec:
         """Moment of all that is carried at a station, about its origin, in its axes (N m)."""
+        return self._loads(station)[2]
 
-        def make() -> Vec:
-            mass, first = self.carried[0][station], self.carried[1][station]
-            frame = self.frames[station]
-            lever = spatial.sub(first, spatial.scale(mass, frame.p))
-            return frame.unrotate(spatial.cross(lever, self.gravity))
-
-        return self.once(("moment", station), make)
+    def _loads(self, station: int) -> tuple[Vec, Vec, Vec]:
+        mass, first = self.carried
+        return self.once(
+            ("loads", station),
+            lambda: loads(self.frames[station], mass[station], first[station], self.gravity),
+        )
 
     def bearing(self, row: int) -> int:
         """Station of a row's bearing."""
@@ -339,6 +350,20 @@ class Posture:
     def spot(self, marker: str = "") -> int:
         """Station of the tip, or of a marker, on the frame that carries it; no mass hangs there."""
         return self.chain.spots[marker]
+
+
+def loads(frame: Frame, mass: Scalar, first: Vec, gravity: Vec) -> tuple[Vec, Vec, Vec]:
+    """Gravity, and weight and moment about the origin of what a frame carries, in its axes.
+
+    Args:
+        frame: of the base.
+        mass: carried (kg).
+        first: its first moment in the base frame (kg m).
+        gravity: in the base frame (m/s^2).
+    """
+    felt = frame.unrotate(gravity)
+    lever = spatial.sub(first, spatial.scale(mass, frame.p))
+    return felt, spatial.scale(mass, felt), frame.unrotate(spatial.cross(lever, gravity))
 
 
 def abs_(x: Scalar) -> Scalar:

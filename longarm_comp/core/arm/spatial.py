@@ -13,6 +13,7 @@ pose of frame *i* in the base frame, so ``p_base = frames[i].transform(p_i)``.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -218,22 +219,141 @@ def exp(twist: Twist) -> Frame:
     d, w = twist[:3], twist[3:]
     t = dot(w, w)
     a = 1.0 - t * (1 / 6 - t * (1 / 120 - t * (1 / 5040 - t / 362880)))
-    b = 0.5 - t * (1 / 24 - t * (1 / 720 - t * (1 / 40320 - t / 3628800)))
-    c = 1 / 6 - t * (1 / 120 - t * (1 / 5040 - t * (1 / 362880 - t / 39916800)))
-    return _exp(d, w, a, b, c, t)
+    return _exp(d, w, a, *_small(t), t)
 
 
 def exp_large(twist: Twist) -> Frame:
     """The finite motion exp(twist) of a twist of any size."""
     d, w = twist[:3], twist[3:]
     t = dot(w, w) + 1e-24
+    return _exp(d, w, *_any(t), t)
+
+
+_AT_ONCE = 32768
+"""Numbers in an array of several items: what a processor keeps near."""
+
+
+def alike(items: Mapping[Any, tuple[Scalar, ...]]) -> Iterator[tuple[list[Any], tuple]]:
+    """Items of the same kind, stacked, so that one computation serves all of them.
+
+    An item is some scalars.  Items of arrays (N,) come together where the same scalars are 0: every
+    scalar is then (k, N), (k, 1) or 0.  Others come alone, as they are.
+
+    Args:
+        items: scalars by key.
+
+    Yields:
+        The keys of some items, and their scalars.
+    """
+    kinds: dict[tuple[bool, ...], list[Any]] = {}
+    for key, item in items.items():
+        if any(isinstance(x, np.ndarray) and x.ndim == 1 for x in item):
+            zeros = tuple([type(x) is float and x == 0.0 for x in item])
+            kinds.setdefault(zeros, []).append(key)
+        else:
+            yield [key], item
+    for zeros, keys in kinds.items():
+        size = max(np.size(x) for x in items[keys[0]])
+        count = max(1, _AT_ONCE // size)
+        for some in (keys[n : n + count] for n in range(0, len(keys), count)):
+            rows = [items[key] for key in some]
+            yield (
+                some,
+                tuple(
+                    0.0 if zero else _stacked([row[k] for row in rows])
+                    for k, zero in enumerate(zeros)
+                ),
+            )
+
+
+def _stacked(scalars: Sequence[Scalar]) -> np.ndarray:
+    """(k, N) or (k, 1) of k floats or arrays (N,)."""
+    made = np.empty((len(scalars), max(np.size(x) for x in scalars)))
+    for row, x in zip(made, scalars, strict=True):
+        row[:] = x
+    return made
+
+
+def one_of(scalars: tuple[Scalar, ...], row: int) -> tuple[Scalar, ...]:
+    """The scalars of one of several items that `alike` stacked, or of one that came alone."""
+    return tuple(
+        [
+            x if not isinstance(x, np.ndarray) or x.ndim < 2 else x[row] if x.shape[1] > 1
+            else float(x[row, 0])
+            for x in scalars
+        ]
+    )  # fmt: skip
+
+
+def exps(twists: Mapping[int, Twist]) -> dict[int, Frame]:
+    """`exp` of many twists."""
+    made = {}
+    for keys, twist in alike(twists):
+        n, o, a, p = exp(twist)
+        for row, key in enumerate(keys):
+            x = one_of((*n, *o, *a, *p), row)
+            made[key] = Frame(x[:3], x[3:6], x[6:9], x[9:])  # type: ignore[arg-type]
+    return made
+
+
+def _small(t: Scalar) -> tuple[Scalar, Scalar]:
+    """``b = (1 - cos x) / x^2`` and ``c = (x - sin x) / x^3`` of a small angle, ``t = x^2``."""
+    b = 0.5 - t * (1 / 24 - t * (1 / 720 - t * (1 / 40320 - t / 3628800)))
+    c = 1 / 6 - t * (1 / 120 - t * (1 / 5040 - t * (1 / 362880 - t / 39916800)))
+    return b, c
+
+
+def _any(t: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """``a = sin x / x``, and b and c as in `_small`, of any angle but 0, ``t = x^2``."""
     angle = sqrt(t)
     a = sin(angle) / angle
     half = sin(0.5 * angle) / angle
-    b = 2.0 * half * half
-    small = t < 1e-4
     series = 1 / 6 - t * (1 / 120 - t * (1 / 5040))
-    return _exp(d, w, a, b, where(small, series, (1.0 - a) / t), t)
+    return a, 2.0 * half * half, where(t < 1e-4, series, (1.0 - a) / t)
+
+
+def tangent(twist: Twist, at: Vec, large: bool = False) -> tuple[list[Vec], list[Vec]]:
+    """How ``exp(twist)`` moves what it carries, per unit of each component of the twist.
+
+    This is the right Jacobian of the motion: ``exp(x + c) = exp(x) exp(J c)``.  With ``-x`` for
+    x its blocks are ``A = 1 + b w^ + c w^w^`` and the derivative of ``p = A d`` by w, less the
+    turn of p.
+
+    Args:
+        twist: x.
+        at: a point that is carried, in the frame after the motion (m).
+        large: whether x may be large (`exp_large`).
+
+    Returns:
+        Turn of what is carried by each rotation, which is also the shift by each translation;
+        shift of the point by each rotation.  All in the frame after the motion.
+    """
+    if all(type(x) is float and x == 0.0 for x in twist):
+        units = IDENTITY[:3]
+        return list(units), [cross(e, at) for e in units]
+    d, w = scale(-1.0, twist[:3]), scale(-1.0, twist[3:])
+    t = dot(w, w)
+    b, c = _any(t + 1e-24)[1:] if large else _small(t)
+    db = -1 / 24 + t * (1 / 360 - t * (1 / 13440 - t / 907200))
+    dc = -1 / 120 + t * (1 / 2520 - t * (1 / 120960 - t / 9979200))
+    if large:
+        far, safe = t > 1e-2, t + 1e-24
+        db = where(far, (1.0 - c * t - 2.0 * b) / (2.0 * safe), db)
+        dc = where(far, (b - 3.0 * c) / (2.0 * safe), dc)
+    wd, along = cross(w, d), dot(w, d)
+    p = add(d, add(scale(b, wd), scale(c, sub(scale(along, w), scale(t, d)))))
+    change = add(scale(2.0 * db, wd), scale(2.0 * dc, sub(scale(along, w), scale(t, d))))
+    arm = sub(at, p)
+    turns, shifts = [], []
+    for j, e in enumerate(IDENTITY[:3]):
+        turn = add(scale(b, cross(w, e)), scale(c * w[j], w))
+        turn = tuple(x + (1.0 - c * t) if i == j else x for i, x in enumerate(turn))
+        bent = add(scale(b, cross(e, d)), scale(w[j], sub(change, scale(2.0 * c, d))))
+        bent = add(bent, scale(c * d[j], w))
+        bent = tuple(x + c * along if i == j else x for i, x in enumerate(bent))
+        turns.append(turn)
+        shifts.append(add(bent, cross(turn, arm)))
+    return turns, shifts
 
 
 def _exp(d: Vec, w: Vec, a: Scalar, b: Scalar, c: Scalar, t: Scalar) -> Frame:

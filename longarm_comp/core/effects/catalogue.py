@@ -41,6 +41,7 @@ from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.link_mass import LinkMass
 from longarm_comp.core.effects.link_stiffness import LinkStiffness
 from longarm_comp.core.effects.measured_tilt import MeasuredTilt
 from longarm_comp.core.effects.prismatic_pitch import PrismaticPitch
@@ -76,6 +77,7 @@ _OURS: tuple[Kind, ...] = (
     BearingTilt,
     LinkStiffness,
     TipPayload,
+    LinkMass,
     TelescopeClearance,
     ColumnBending,
     SlidePlay,

@@ -62,7 +62,7 @@ class JointTerm(Effect):
         Passive joints coupled to it (mimic) follow.
         """
         twists: dict[int, Twist] = {}
-        for row, weight in _coupled(posture.arm, self.joint):
+        for row, weight in posture.chain.coupled(self.joint):
             moved = amount if weight == 1.0 else weight * amount
             if posture.arm.joints[row - 1].type == "prismatic":
                 twists[posture.bearing(row)] = (0.0, 0.0, moved, 0.0, 0.0, 0.0)
@@ -128,20 +128,12 @@ def joint_load(posture: Posture, joint: int) -> Scalar:
     By virtual work it includes the loads of passive joints coupled to it.
     """
     total: Scalar = 0.0
-    for row, weight in _coupled(posture.arm, joint):
+    for row, weight in posture.chain.coupled(joint):
         station = posture.bearing(row)
         sliding = posture.arm.joints[row - 1].type == "prismatic"
         share = posture.force(station)[2] if sliding else posture.moment(station)[2]
         total = total + (share if weight == 1.0 else weight * share)
     return total
-
-
-def _coupled(arm: Arm, joint: int) -> list[tuple[int, float]]:
-    """(row, how far it moves per unit of a joint), the joint's own row first."""
-    if joint not in arm.commanded:
-        return [(joint, 1.0)]
-    weights = arm.mixing[0][:, arm.commanded.index(joint)]
-    return [(row, float(w)) for row, w in enumerate(weights, 1) if w != 0.0]
 
 
 def with_prior(parameters: tuple[Parameter, ...], **changes: object) -> tuple[Parameter, ...]:

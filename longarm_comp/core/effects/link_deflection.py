@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from longarm_comp.core.arm.posture import Element, Posture, abs_
-from longarm_comp.core.arm.spatial import Scalar, Twist, Vec
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.posture import Element, Posture, abs_, loads
+from longarm_comp.core.arm.spatial import Frame, Scalar, Twist, Vec
 from longarm_comp.core.effects.effect import Effect
 
 
@@ -62,21 +63,57 @@ def cantilever(posture: Posture, element: Element) -> Twist:
     foreshortening, half the integral of the slope squared, is 0.4 of it under an end force
     (a third under an end moment, 0.43 under dead weight), so a tenth is given back.
     """
-    key = ("cantilever", element.station)
-    return posture.once(key, lambda: _cantilever(posture, element))
+    return posture.once(("cantilevers",), lambda: _cantilevers(posture))[element.station]
 
 
-def _cantilever(posture: Posture, element: Element) -> Twist:
-    station = element.station
-    length, sign, inverse = _beam(posture, element)
-    force, moment = posture.force(station), posture.moment(station)
-    gravity = posture.gravity_in(station)
+def _cantilevers(posture: Posture) -> dict[int, Twist]:
+    """Of all elements, by station; those of one kind at once."""
+    kinds: dict[tuple, dict[int, tuple[Scalar, ...]]] = {}
+    masses, firsts = posture.carried
+    for e in _elements(posture):
+        length, sign, inverse = _beam(posture, e)
+        spread = posture.line_loads[e.station]
+        frame, at = posture.frames[e.station], e.station
+        carried = (*frame.n, *frame.o, *frame.a, *frame.p, masses[at], *firsts[at])
+        kind = e.axis, sign, tuple(h is length for _, h in spread)
+        item = (length, *inverse, *carried, *(x for load in spread for x in load))
+        kinds.setdefault(kind, {})[at] = item
+    made = {}
+    for (axis, sign, whole), items in kinds.items():
+        for stations, x in spatial.alike(items):
+            frame = Frame(x[4:7], x[7:10], x[10:13], x[13:16])
+            felt = loads(frame, x[16], x[17:20], posture.gravity)
+            along = list(zip(x[20::2], x[21::2], whole, strict=True))
+            twist = _cantilever(axis, sign, x[0], x[1:4], felt, along)
+            for row, station in enumerate(stations):
+                made[station] = spatial.one_of(twist, row)
+    return made  # type: ignore[return-value]
+
+
+def _cantilever(
+    axis: int,
+    sign: float,
+    length: Scalar,
+    inverse: Vec,
+    felt: tuple[Vec, Vec, Vec],
+    spread: Sequence[tuple[Scalar, Scalar, bool]],
+) -> Twist:
+    """Twist at the end of an element, as `cantilever`.
+
+    Args:
+        axis: along the beam. sign: of its direction. length: of the element (m).
+        inverse: compliances about x, y, z (1/(N m^2)).
+        felt: gravity, force and moment at the end, in its axes.
+        spread: density (kg/m) and loaded length (m) of each mass along it, and whether that is
+            the element's whole length.
+    """
+    gravity, force, moment = felt
 
     # moments of w = 1 over the last h: integrals of M(s) and of M(s) (l - s)
     slope_w: Scalar = 0.0
     sag_w: Scalar = 0.0
-    for density, h in posture.line_loads[station]:
-        if h is length:
+    for density, h, whole in spread:
+        if whole:
             slope_w = slope_w + density * (length * length * length / 6)
             sag_w = sag_w + density * (length * length * length * length / 8)
             continue
@@ -88,13 +125,13 @@ def _cantilever(posture: Posture, element: Element) -> Twist:
             - h * (length * length - h * h) / 4
         )
 
-    uw = _across(element.axis, sign, gravity)
-    slope, sag = _end_loaded(length, element.axis, sign, force, moment)
+    uw = _across(axis, sign, gravity)
+    slope, sag = _end_loaded(length, axis, sign, force, moment)
     for k, w in uw.items():
         slope[k] = slope[k] + slope_w * w
         sag[k] = sag[k] + sag_w * w
-    d, theta = _bend(element.axis, sign, slope, sag, inverse)
-    i, j, k = _axes(element.axis)
+    d, theta = _bend(axis, sign, slope, sag, inverse)
+    i, j, k = _axes(axis)
     half = [0.5 * t for t in theta]
     turned = list(d)
     turned[i] = -0.2 * (half[j] * d[k] - half[k] * d[j])

@@ -26,6 +26,7 @@ from longarm_comp.core.identify.evidence import (
     pruned,
     reshaped,
     score,
+    scores,
 )
 from longarm_comp.core.identify.minor import share, worth
 from longarm_comp.core.identify.model_fit import ModelFit
@@ -118,7 +119,7 @@ def findings(
     result and stays in the residual, as structure.
     """
     columns = columns_at(result.fit)
-    columns.of(distinct(candidates))  # all at once: much faster
+    columns.prepare(distinct(candidates))
     found = []
     for name in dict.fromkeys(t.name for t in result.chosen):
         terms = tuple(_fitted(result, t) for t in result.chosen if t.name == name)
@@ -164,8 +165,8 @@ def on_few_levels(
         if name in found.names:
             continue
         options = [c for c in candidates if c.name == name]
-        scores = [score(result.fit, marginal, c, columns) for c in options]
-        added += sorted(scores, key=lambda s: -s.log_bayes_factor)[:1]
+        scored = scores(result.fit, marginal, options, columns)
+        added += sorted(scored, key=lambda s: -s.log_bayes_factor)[:1]
     return dataclasses.replace(found, alternatives=(*found.alternatives, *added))
 
 
@@ -211,27 +212,30 @@ def _finding(
     held = {key(t) for t in result.chosen}
     best: dict[str, Score] = {}
     close: dict[str, Score] = {}
-    for other in _others(candidates, name, terms):
-        new = tuple(t for t in other.terms if key(t) not in held)
-        if not new:
-            continue
-        option = Candidate(other.name, new)
-        scored = score(result.fit, marginal, option, columns)
+    left = (
+        Candidate(c.name, tuple(t for t in c.terms if key(t) not in held))
+        for c in _others(candidates, name, terms)
+    )
+    options = [option for option in left if option.terms]
+    for scored in scores(result.fit, marginal, options, columns):
+        option = scored.candidate
+        new = option.terms
         if len(new) > 1 and scored.fit_gain > own.log_bayes_factor - CLOSE:
             fewer = pruned(result.fit, marginal, option, columns)
             again = score(result.fit, marginal, fewer, columns)
             if again.log_bayes_factor > scored.log_bayes_factor:
                 option, scored = fewer, again
-        if other.name not in best or scored.log_bayes_factor > best[other.name].log_bayes_factor:
-            best[other.name] = scored
+        other = option.name
+        if other not in best or scored.log_bayes_factor > best[other].log_bayes_factor:
+            best[other] = scored
         alike = scored.log_bayes_factor > own.log_bayes_factor - CLOSE
         small = _size(result, option) <= _size(result, mine) + 1
         if not alike and small and _plausible(result, marginal, columns, option):
             alike = _likelihood(result, marginal, columns, option) > limit - CLOSE
         alias = are_aliases(terms[0], new[0])
-        known = close.get(other.name)
+        known = close.get(other)
         if (alike or alias) and (known is None or scored.log_bayes_factor > known.log_bayes_factor):
-            close[other.name] = scored
+            close[other] = scored
     ranked = sorted(best.values(), key=lambda s: -s.log_bayes_factor)
     value = worth(result.fit, columns, terms)
     alternatives = sorted(close.values(), key=lambda s: -s.log_bayes_factor)
@@ -271,7 +275,7 @@ def _plausible(
 
     Estimated with priors that are as wide as that, so that they hardly pull.
     """
-    s, t = marginal.of(columns.scaled(candidate.terms))
+    s, t = marginal.of([columns.scaled(candidate.terms)])[0]
     size = np.linalg.solve(s + np.eye(len(t)) / IMPLAUSIBLE**2, t)
     return bool((np.abs(size) <= IMPLAUSIBLE).all())
 
@@ -317,13 +321,13 @@ def _partial_aliases(
     for part, taken in _slots_of_parts(result, terms).items():
         rest = np.setdiff1d(np.arange(len(fit.slots)), taken)
         marginal = FitMarginal(fit, rest)
-        own = marginal.added(fit.design[:, taken]).log_bayes_factor
+        own = float(marginal.added(fit.design[:, taken]).log_bayes_factor)
         if own < result.threshold:
             continue
-        for other in (*others, *shaped):
-            if len(other.slots(fit.model.arm)) > len(taken) + 1:
-                continue
-            found = score(fit, marginal, other, columns)
+        arm, most = fit.model.arm, len(taken) + 1
+        small = [c for c in (*others, *shaped) if len(c.slots(arm)) <= most]
+        for found in scores(fit, marginal, small, columns):
+            other = found.candidate
             held = best.get(other.name)
             if found.log_bayes_factor > own - CLOSE and (
                 held is None or found.log_bayes_factor > held.score.log_bayes_factor

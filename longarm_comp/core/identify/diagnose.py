@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import cache
 
 import numpy as np
 
@@ -73,6 +74,7 @@ def diagnose(
     say = progress or (lambda _: None)
     rng = np.random.default_rng(seed)
 
+    @cache
     def rows(run_up: float) -> tuple[Session, Session]:
         """To fit and to hold out, with unrecorded run-ups taken to be so long (rad)."""
         held = None if test is None else with_run_ups(test, arm, run_up)

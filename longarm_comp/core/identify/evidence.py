@@ -8,12 +8,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import log_ndtr
 
-from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
+from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term, distinct
 from longarm_comp.core.identify.linear import Added, Marginal, Products
 from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.model.model import slots_of
@@ -23,8 +24,11 @@ LOCATED = 2.0
 
 
 def columns_at(fitted: ModelFit) -> FitColumns:
-    """Columns of any candidate at the rows and the solution of a fit."""
-    return FitColumns(fitted)
+    """Columns of any candidate at the rows and the solution of a fit; kept with it."""
+    held = fitted.__dict__.get("_candidates")
+    if held is None:
+        held = fitted.__dict__["_candidates"] = FitColumns(fitted)
+    return cast(FitColumns, held)
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,22 @@ class FitColumns(CandidateColumns):
         self._cross: dict[tuple[object, ...], tuple[np.ndarray, np.ndarray]] = {}
         self._scaled: dict[tuple[object, ...], Scaled] = {}
 
+    def prepare(self, terms: Sequence[Term]) -> None:
+        """All that is asked of some terms later, at once: much faster than one by one."""
+        fixed = [t for t in terms if not slots_of(self.model.arm, [t])]
+        if fixed:
+            self.shift(fixed)
+        new = [t for t in terms if t.variant not in self._cross]
+        if not new:
+            return
+        turned = np.ascontiguousarray(self._fitted.whitened(self.of(new)).T)
+        cross = self._fitted.design.T @ turned.T
+        start = 0
+        for term in new:
+            mine = slice(start, start + len(slots_of(self.model.arm, [term])))
+            start = mine.stop
+            self._cross[term.variant] = turned[mine].T, cross[:, mine]
+
     def scaled(self, terms: Sequence[Term]) -> Scaled:
         """Columns of some terms, fitted together."""
         known = tuple(term.variant for term in terms)
@@ -58,21 +78,15 @@ class FitColumns(CandidateColumns):
         return self._scaled[known]
 
     def _together(self, terms: Sequence[Term]) -> Scaled:
-        parts = [self._white(term) for term in terms]
-        b = np.concatenate([b for b, _ in parts], axis=1)
+        self.prepare(terms)
+        parts = [self._cross[term.variant] for term in terms]
+        b = np.concatenate([b.T for b, _ in parts]).T
         slots = slots_of(self.model.arm, terms)
         widths = priors(slots)
         lower = np.array([s.parameter.lower for s in slots]) / widths
         upper = np.array([s.parameter.upper for s in slots]) / widths
         cross = np.concatenate([cross for _, cross in parts], axis=1)
         return Scaled(b, b.T @ b, cross, lower, upper, widths)
-
-    def _white(self, term: Term) -> tuple[np.ndarray, np.ndarray]:
-        """Whitened columns of a term, and the design's product with them."""
-        if term.variant not in self._cross:
-            b = self._fitted.whitened(self.of([term]))
-            self._cross[term.variant] = b, self._fitted.design.T @ b
-        return self._cross[term.variant]
 
 
 class FitMarginal(Marginal):
@@ -102,12 +116,15 @@ class FitMarginal(Marginal):
             design = np.concatenate([design, beside], axis=1)
         super().__init__(design, fitted.data if data is None else data, gram)
 
-    def of(self, white: Products) -> tuple[np.ndarray, np.ndarray]:
-        """`normal` of columns whose products with the fit's whole design are known."""
+    def of(self, each: Sequence[Products]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """`normals` of columns whose products with the fit's whole design are known."""
+        return self.normals([Products(w.b, w.gram, self._crossed(w)) for w in each])
+
+    def _crossed(self, white: Products) -> np.ndarray:
         cross = white.cross[self._kept]
-        if self._beside is not None:
-            cross = np.concatenate([cross, self._beside.T @ white.b])
-        return self.normal(Products(white.b, white.gram, cross))
+        if self._beside is None:
+            return cross
+        return np.concatenate([cross, self._beside.T @ white.b])
 
 
 @dataclass(frozen=True)
@@ -163,20 +180,37 @@ def score(
     fitted: ModelFit, marginal: FitMarginal, candidate: Candidate, columns: FitColumns
 ) -> Score:
     """Evidence of a candidate on top of a marginal."""
-    white = columns.scaled(candidate.terms)
-    if not len(white.widths):
-        return _fixed(fitted, marginal, candidate, columns)
-    if not np.isfinite(white.gram).all() or not white.gram.any():
-        zero = np.zeros(len(white.widths))
-        return Score(candidate, 0.0, 0.0, zero)
-    added = Added.of(*marginal.of(white))
-    mean = np.clip(added.mean, white.lower, white.upper)
-    return Score(
-        candidate,
-        _bounded(added, white.lower, white.upper),
-        added.fit_gain,
-        mean * white.widths,
-    )
+    return scores(fitted, marginal, [candidate], columns)[0]
+
+
+def scores(
+    fitted: ModelFit, marginal: FitMarginal, candidates: Sequence[Candidate], columns: FitColumns
+) -> list[Score]:
+    """Evidence of each of many candidates on top of a marginal, those of one size at once."""
+    columns.prepare(distinct(candidates))
+    made: list[Score | None] = []
+    sized: dict[int, list[tuple[int, Scaled]]] = {}
+    for k, candidate in enumerate(candidates):
+        white = columns.scaled(candidate.terms)
+        size = len(white.widths)
+        if not size:
+            made.append(_fixed(fitted, marginal, candidate, columns))
+        elif not np.isfinite(white.gram).all() or not white.gram.any():
+            made.append(Score(candidate, 0.0, 0.0, np.zeros(size)))
+        else:
+            made.append(None)
+            sized.setdefault(size, []).append((k, white))
+    for group in sized.values():
+        whites = [white for _, white in group]
+        s, t = (np.stack(parts) for parts in zip(*marginal.of(whites), strict=True))
+        added = Added.of(s, t)
+        lower, upper = np.stack([w.lower for w in whites]), np.stack([w.upper for w in whites])
+        factor = _bounded(added, lower, upper)
+        mean = np.clip(added.mean, lower, upper) * np.stack([w.widths for w in whites])
+        for n, (k, _) in enumerate(group):
+            gain = float(added.fit_gain[n])
+            made[k] = Score(candidates[k], float(factor[n]), gain, mean[n])
+    return cast(list[Score], made)
 
 
 def pruned(
@@ -191,11 +225,12 @@ def pruned(
     if len(candidate.terms) < 2 or set(owner) != set(range(len(candidate.terms))):
         return candidate
     white = columns.scaled(candidate.terms)
-    s, t = marginal.of(white)
+    s, t = marginal.of([white])[0]
 
     def evidence(terms: Sequence[int]) -> float:
         own = np.flatnonzero(np.isin(owner, terms))
-        return _bounded(Added.of(s[np.ix_(own, own)], t[own]), white.lower[own], white.upper[own])
+        added = Added.of(s[np.ix_(own, own)], t[own])
+        return float(_bounded(added, white.lower[own], white.upper[own]))
 
     left = list(range(len(candidate.terms)))
     here = evidence(left)
@@ -209,15 +244,13 @@ def pruned(
     return Candidate(candidate.name, tuple(candidate.terms[k] for k in left))
 
 
-def _bounded(added: Added, lower: np.ndarray, upper: np.ndarray) -> float:
-    """Log Bayes factor, bounds of the parameters counted."""
-    ends = np.isfinite(lower) | np.isfinite(upper)
-    if not ends.any():
+def _bounded(added: Added, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """(...) log Bayes factors, bounds (..., k) of the parameters counted."""
+    if not (np.isfinite(lower) | np.isfinite(upper)).any():
         return added.log_bayes_factor
-    lower, upper, mean = lower[ends], upper[ends], added.mean[ends]
-    sd = np.sqrt(np.diag(added.covariance)[ends])
-    inside = _log_mass((lower - mean) / sd, (upper - mean) / sd)
-    return added.log_bayes_factor + float((inside - _log_mass(lower, upper)).sum())
+    sd = np.sqrt(np.diagonal(added.covariance, axis1=-2, axis2=-1))
+    inside = _log_mass((lower - added.mean) / sd, (upper - added.mean) / sd)
+    return np.asarray(added.log_bayes_factor + (inside - _log_mass(lower, upper)).sum(-1))
 
 
 def _log_mass(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -301,8 +334,7 @@ def refined(
     """
 
     def scored(terms: Sequence[Term]) -> list[Score]:
-        columns.of(terms)  # all at once: much faster
-        return [score(fit, marginal, Candidate(term.name, (t,)), columns) for t in terms]
+        return scores(fit, marginal, [Candidate(term.name, (t,)) for t in terms], columns)
 
     start = best = scored([term])[0]
     for _ in range(min(len(term.scales()), SWEEPS)):

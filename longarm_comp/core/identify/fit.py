@@ -24,6 +24,13 @@ CLOSE = 0.01
 """A fit has converged when its last step was below so many standard errors."""
 SHORTEST = 1e-3
 """Share of a Gauss-Newton step below which no shorter one is tried."""
+NEAR = 1.0
+"""After a step below so many standard errors the design is kept: it hardly changes."""
+STALLED = 3
+"""Steps without gain after which a fit ends with the best values it had: where loads and what they
+bend are fitted together, steps may go around the solution for ever."""
+GAIN = 0.1
+"""Fall of the cost (minus twice the log posterior) that is a gain."""
 WORSE = 0.1
 """Rise of the cost, as a share of it, from which a step is shortened.  Columns leave out how loads
 follow a change, so that close to the solution a good step may raise the cost a little."""
@@ -66,9 +73,16 @@ def fit(
     return _fit_parts([part], max_iterations, close)[0]
 
 
-def unfitted(model: Model, session: Session) -> ModelFit:
-    """A model held against a session as it is: residual and design, nothing fitted yet."""
+def unfitted(model: Model, session: Session, near: ModelFit | None = None) -> ModelFit:
+    """A model held against a session as it is: residual and design, nothing fitted yet.
+
+    Args:
+        model: as it is.
+        session: rows.
+        near: a fit of a similar model to the same session, if there is one.
+    """
     part = SessionProblem.of(model, session, None, None, False)
+    part.near = None if near is None else near.posture
     part.look()
     part.weigh(settled=False)
     return part.fitted(np.diag(priors(model.slots) ** 2))
@@ -123,6 +137,7 @@ def _fit_parts(
     for part in parts:
         part.look()
     posterior = linear.Posterior(np.zeros(0), np.zeros((0, 0)), 0.0)
+    best, least, stalled = now, np.inf, 0
     for step in range(1, max_iterations + 1):
         designs, data = [], []
         for part, mine in zip(parts, maps, strict=True):
@@ -137,13 +152,27 @@ def _fit_parts(
             text = f"{rows} rows do not determine the {len(scale)} parameters of the model"
             raise JobError(text, session=parts[0].seen.source) from None
         goal = centre + posterior.u * scale
-        small = np.abs(goal - now) <= close * np.sqrt(np.diag(posterior.covariance)) * scale
-        now = _stepped(parts, maps, now, goal, centre, scale)
+        step_size = np.abs(goal - now) / (np.sqrt(np.diag(posterior.covariance)) * scale)
+        near = bool((step_size <= NEAR).all())
+        now, cost = _stepped(parts, maps, now, goal, centre, scale, near)
         for part in parts:
             part.effective = posterior.effective * len(part.seen) / sum(len(p.seen) for p in parts)
-        if small.all() and (step > 2 or not adapting):
+            if not near:
+                part.differentiate()
+        if (step_size <= close).all() and (step > 2 or not adapting):
             converged = True
             break
+        if adapting:
+            continue
+        stalled = 0 if cost < least - GAIN else stalled + 1
+        if cost < least:
+            best, least = now, cost
+        if stalled == STALLED:
+            break
+    if not converged and np.isfinite(least) and best is not now:
+        for part, mine in zip(parts, maps, strict=True):
+            part.moved(best[mine], close=False)
+            part.differentiate()
     made = []
     for part, mine in zip(parts, maps, strict=True):
         if part.sigma is None:
@@ -161,8 +190,14 @@ def _stepped(
     goal: np.ndarray,
     centre: np.ndarray,
     scale: np.ndarray,
-) -> np.ndarray:
-    """Go towards a goal, all the way or as far as does not raise the cost; the values reached.
+    near: bool,
+) -> tuple[np.ndarray, float]:
+    """Go towards a goal, all the way or as far as does not raise the cost.
+
+    Near ones need fewer load passes.
+
+    Returns:
+        The values reached, and their cost.
 
     Raises:
         JobError: the fit is not finite however short the step.
@@ -173,22 +208,23 @@ def _stepped(
 
     def move(values: np.ndarray) -> None:
         for part, mine in zip(parts, maps, strict=True):
-            part.moved(values[mine])
+            part.moved(values[mine], near)
 
     before, share, failed = cost(now), 1.0, None
     while share > SHORTEST:
         values = now + share * (goal - now)
         try:
             move(values)
-            if cost(values) <= (1.0 + WORSE) * before + 1.0:
-                return values
+            after = cost(values)
+            if after <= (1.0 + WORSE) * before + 1.0:
+                return values, after
         except JobError as error:
             failed = error
         share *= 0.5
     if failed is not None:
         raise failed
     move(now)
-    return now
+    return now, before
 
 
 def _placed(columns: np.ndarray, places: np.ndarray, width: int) -> np.ndarray:

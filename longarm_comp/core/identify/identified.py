@@ -20,6 +20,7 @@ from longarm_comp.core.identify.noise import from_repeats
 from longarm_comp.core.identify.remainder import without_remainders
 from longarm_comp.core.identify.search import SearchResult, search
 from longarm_comp.core.identify.structure import Structure, examine
+from longarm_comp.core.identify.undecided import without_undecided
 from longarm_comp.core.identify.wind_up import WindUp, refined, wind_up
 from longarm_comp.core.model.model import Model
 
@@ -82,8 +83,9 @@ def identify(
         searched, memory = refined(searched, memory, rows)
         candidates, train = memory.candidates(candidates), rows(memory.run_up)
     searched, minor = settled(searched, say)
-    searched, remainders = without_remainders(searched, say)
-    minor += remainders
+    for step in (without_undecided, without_remainders):
+        searched, withdrawn = step(searched, say)
+        minor += withdrawn
     say("look-alikes")
     result, found = findings(searched, candidates)
     say("structure")

@@ -6,6 +6,7 @@ deviations, so that the prior is the unit normal.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -109,8 +110,19 @@ class Marginal:
 
     def normal(self, of: Products) -> tuple[np.ndarray, np.ndarray]:
         """``S`` (k, k) and ``t`` (k,) of columns whose products are known."""
-        s = of.gram - of.cross.T @ self._solved(of.cross)
-        return (s + s.T) / 2, of.b.T @ self.y - of.cross.T @ self._coefficients
+        return self.normals([of])[0]
+
+    def normals(self, each: Sequence[Products]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """`normal` of many: one solution for all of them."""
+        cross = np.concatenate([of.cross for of in each], axis=1)
+        solved, taken = self._solved(cross), cross.T @ self._coefficients
+        made, start = [], 0
+        for of in each:
+            mine = slice(start, start + len(of.gram))
+            start = mine.stop
+            s = of.gram - of.cross.T @ solved[:, mine]
+            made.append(((s + s.T) / 2, of.b.T @ self.y - taken[mine]))
+        return made
 
     def _solved(self, right: np.ndarray) -> np.ndarray:
         return np.asarray(cho_solve(self._factor, right, check_finite=False))
@@ -133,30 +145,30 @@ class Products:
 
 @dataclass(frozen=True)
 class Added:
-    """What further columns would bring.
+    """What further columns would bring; of many candidates of one size, arrays (..., ) of it.
 
     Attributes:
-        log_bayes_factor: against leaving them out.
-        fit_gain: gain in penalised log likelihood alone.
-        mean: (k,) scaled parameters.
-        covariance: (k, k) of them.
+        log_bayes_factor: (...) against leaving them out.
+        fit_gain: (...) gain in penalised log likelihood alone.
+        mean: (..., k) scaled parameters.
+        covariance: (..., k, k) of them.
     """
 
-    log_bayes_factor: float
-    fit_gain: float
+    log_bayes_factor: np.ndarray
+    fit_gain: np.ndarray
     mean: np.ndarray
     covariance: np.ndarray
 
     @classmethod
     def of(cls, s: np.ndarray, t: np.ndarray) -> Added:
-        """From the normal equations (`Marginal.normal`)."""
-        k = len(t)
-        factor = np.linalg.cholesky(np.eye(k) + s)
+        """From the normal equations (`Marginal.normal`), (..., k, k) and (..., k)."""
+        factor = np.linalg.cholesky(np.eye(t.shape[-1]) + s)
         inverse = np.linalg.inv(factor)
-        z = inverse @ t
-        half_log_det = float(np.log(np.diag(factor)).sum())
-        gain = float(z @ z) / 2
-        return cls(gain - half_log_det, gain, inverse.T @ z, inverse.T @ inverse)
+        back = np.swapaxes(inverse, -1, -2)
+        z = (inverse @ t[..., None])[..., 0]
+        half_log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
+        gain = (z * z).sum(-1) / 2
+        return cls(gain - half_log_det, gain, (back @ z[..., None])[..., 0], back @ inverse)
 
 
 OUTLIER = 4.2

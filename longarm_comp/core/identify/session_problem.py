@@ -37,6 +37,7 @@ class SessionProblem:
     effective: float = 0.0
     rho: float = 0.0
     posture: Posture | None = None
+    near: Posture | None = None
     looked: Model | None = None
 
     @classmethod
@@ -75,17 +76,35 @@ class SessionProblem:
 
     def look(self) -> None:
         """Residual and design of the model as it is now."""
-        if self.looked is self.model:
-            return
-        self.posture = self.model.posture(self.q, self.context)
-        found = equations(self.model, self.seen, self.posture)
-        self.residual, self.columns, self.looked = found.residual, found.columns, self.model
-        if not (np.isfinite(self.residual).all() and np.isfinite(self.columns).all()):
+        if self.looked is not self.model:
+            self._predict()
+            self.differentiate()
+
+    def _predict(self, close: bool = False) -> None:
+        """Residual of the model as it is now."""
+        if self.near is None:
+            self.posture = self.model.posture(self.q, self.context)
+        else:
+            self.posture = self.model.posture_near(self.near, close)
+        self.residual = equations(self.model, self.seen, self.posture, ()).residual
+        self._finite(self.residual)
+        self.looked = self.model
+
+    def differentiate(self) -> None:
+        """Design of the model as it is now; where it is next is taken to be near."""
+        assert self.posture is not None
+        self.columns = equations(self.model, self.seen, self.posture).columns
+        self._finite(self.columns)
+        self.near = self.posture
+
+    def _finite(self, values: np.ndarray) -> None:
+        if not np.isfinite(values).all():
             raise JobError("the fit did not stay finite", session=self.seen.source)
 
     def took(self, begun: ModelFit) -> None:
         """Residual and design as they were found before."""
         self.residual, self.columns, self.looked = begun.residual, begun.columns, self.model
+        self.posture = self.near = begun.posture
 
     def fitted(
         self, covariance: np.ndarray, iterations: int = 0, converged: bool = False
@@ -108,10 +127,10 @@ class SessionProblem:
             found.__dict__["posture"] = self.posture
         return found
 
-    def moved(self, values: np.ndarray) -> None:
-        """Take other parameter values."""
+    def moved(self, values: np.ndarray, close: bool) -> None:
+        """Residual at other parameter values, close to where the design is of; that stays."""
         self.model = self.model.with_values(values)
-        self.look()
+        self._predict(close)
 
     def cost(self) -> float:
         """Squared residual of the inliers in units of the noise."""

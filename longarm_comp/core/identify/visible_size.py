@@ -86,5 +86,5 @@ def detectable(
 ) -> tuple[Smallest, ...]:
     """`smallest` of candidates on top of everything that was fitted, in the order given."""
     columns, marginal = columns_at(fit), FitMarginal(fit)
-    columns.of(distinct(candidates))  # all at once: much faster
+    columns.prepare(distinct(candidates))
     return tuple(smallest(fit, marginal, columns, c, threshold) for c in candidates)

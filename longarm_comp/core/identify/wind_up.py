@@ -166,7 +166,7 @@ class _Evidence:
         design = np.concatenate([fitted.design, fitted.whitened(beside)], axis=1)
         marginal = Marginal(design, fitted.data)
         widths = mine[..., :: len(terms[0].declared())]
-        side_alone = marginal.added(fitted.whitened(widths)).log_bayes_factor
+        side_alone = float(marginal.added(fitted.whitened(widths)).log_bayes_factor)
         return cls(fitted, marginal, rows, terms, side_alone)
 
     def searched(self) -> WindUp:
@@ -208,7 +208,8 @@ class _Evidence:
     def _at(self, near: float, far: float, run_up: float, columns: CandidateColumns) -> WindUp:
         shape = WindUp(near, far, run_up)
         found = self.marginal.added(self.fitted.whitened(columns.of(shape.terms(self.terms))))
-        return dataclasses.replace(shape, log_bayes_factor=found.log_bayes_factor - self.side_alone)
+        evidence = float(found.log_bayes_factor) - self.side_alone
+        return dataclasses.replace(shape, log_bayes_factor=evidence)
 
 
 def _evidence(found: WindUp) -> float:

@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -130,9 +131,20 @@ class Model:
     def posture(self, q: Sequence[Scalar], context: Context | None = None) -> Posture:
         """The loaded, deflected arm at q (n scalars, each a float or (N,))."""
         context = context or Context.empty()
-        posture = self.unsagged(q, context)
-        for _ in range(self.load_passes):
-            posture = self.loaded(q, context, self.twists(posture))
+        return self._passed(self.unsagged(q, context), self.load_passes)
+
+    def posture_near(self, known: Posture, close: bool = False) -> Posture:
+        """`posture` at the joints and circumstances of a known one, in fewer load passes.
+
+        Args:
+            known: of a similar model; its loads save a pass.
+            close: whether its loads differ so little that one pass will do.
+        """
+        return self._passed(known, 1 if close else max(self.load_passes - 1, 1))
+
+    def _passed(self, posture: Posture, passes: int) -> Posture:
+        for _ in range(passes):
+            posture = self.loaded(posture.q, posture.context, self.twists(posture))
         return posture
 
     @property
@@ -147,13 +159,7 @@ class Model:
     def _standing(self, context: Context) -> Twists:
         """Twists of the placement alone."""
         bare = Posture(self.chain, (), context, [], [], self.arm.gravity_mps2)
-        total: dict[int, spatial.Twist] = {}
-        for effect in self.effects:
-            if effect.seen_only:
-                for station, twist in effect.twists(bare).items():
-                    held = total.get(station)
-                    total[station] = twist if held is None else spatial.add_twists(held, twist)
-        return total
+        return summed(effect.twists(bare) for effect in self.effects if effect.seen_only)
 
     def loaded(self, q: Sequence[Scalar], context: Context, twists: Twists) -> Posture:
         """The arm at q with given twists (by station), and its loads."""
@@ -180,12 +186,7 @@ class Model:
 
     def twists(self, posture: Posture) -> Twists:
         """Sum of all effects' twists, by station."""
-        total: dict[int, spatial.Twist] = {}
-        for effect in self.effects:
-            for station, twist in effect.twists(posture).items():
-                held = total.get(station)
-                total[station] = twist if held is None else spatial.add_twists(held, twist)
-        return total
+        return summed(effect.twists(posture) for effect in self.effects)
 
     def tip_frame(self, posture: Posture) -> Frame:
         """Pose of the tip (of the marker that the context names) in the base frame."""
@@ -255,7 +256,7 @@ class Model:
             turns: whether the turns of the tip's axes are wanted.
         """
         slots = self.slots if slots is None else slots
-        total = self._at_last(posture)
+        total = self._at_last(posture) if slots else {}
         ends: list[TwistChange | Reseen] = []
         for slot in slots:
             term, step = slot.owner, 0.01 * slot.parameter.prior
@@ -263,7 +264,10 @@ class Model:
                 raised, lowered = (self._reseen(slot, by) for by in (step, -step))
                 ends.append(Reseen(raised, lowered, 0.5 / step, term.sees))
                 continue
-            up, down = (self._twists_at(slot, by, posture, total) for by in (step, -step))
+            if term.changes_loads:
+                ends.append(self._reloaded(slot, step, posture))
+                continue
+            up, down = (self._moved(slot, by).twists(posture) for by in (step, -step))
             ends.append(TwistChange(up, down, 0.5 / step))
         return self._motion(posture, total, ends, turns)
 
@@ -298,15 +302,13 @@ class Model:
         changes = [next(shifts) if isinstance(e, TwistChange) else e for e in ends]
         return TipMotion(self, tip, posture.context, changes)
 
-    def _moved(self, slot: Slot, by: float) -> Effect | Bias:
+    def _moved(self, slot: Slot, by: float) -> Any:
         name = slot.parameter.name
         return slot.owner.with_values({name: getattr(slot.owner, name) + by})
 
-    def _twists_at(self, slot: Slot, by: float, posture: Posture, total: Twists) -> Twists:
-        changed = self._moved(slot, by)
-        assert isinstance(changed, Effect)
-        if not changed.changes_loads:
-            return changed.twists(posture)
+    def _reloaded(self, slot: Slot, step: float, posture: Posture) -> TwistChange:
+        """Change of the twists that depend on the loads, with a parameter that changes these."""
+        changed = self._moved(slot, step)
         terms = list(self.terms)
         if slot.term < len(terms) and terms[slot.term] is slot.owner:
             terms[slot.term] = changed
@@ -319,19 +321,33 @@ class Model:
         extra: tuple[Lumped, ...] = ()
         for effect in model.effects:
             extra += effect.masses(bare)
-        return model.twists(dataclasses.replace(bare, extra=extra, _cache={}))
+        loaded = dataclasses.replace(bare, extra=extra, _cache={})
+        return TwistChange(model._under_load(loaded), self._under_load(posture), 1.0 / step)
+
+    def _under_load(self, posture: Posture) -> Twists:
+        """Sum of the twists that depend on the loads, by station."""
+        return summed(e.twists(posture) for e in self.effects if e.loaded or e.changes_loads)
 
     def _reseen(self, slot: Slot, by: float) -> Model:
         """The model with a parameter of the camera side moved."""
         position = slot.term - len(self.effects)
         biases = list(self.biases)
         changed = self._moved(slot, by)
-        assert isinstance(changed, Bias)
         if 0 <= position < len(biases) and biases[position] is slot.owner:
             biases[position] = changed
         else:
             biases.append(changed)
         return dataclasses.replace(self, biases=tuple(biases))
+
+
+def summed(parts: Iterable[Twists]) -> Twists:
+    """Sum of twists by station."""
+    total: dict[int, spatial.Twist] = {}
+    for part in parts:
+        for station, twist in part.items():
+            held = total.get(station)
+            total[station] = twist if held is None else spatial.add_twists(held, twist)
+    return total
 
 
 def slots_of(arm: Arm, terms: Sequence[Effect | Bias]) -> tuple[Slot, ...]:

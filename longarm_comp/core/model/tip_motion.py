@@ -16,7 +16,7 @@ import numpy as np
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import PLACEMENT, Posture, Twists
-from longarm_comp.core.arm.spatial import IDENTITY, Frame, Scalar, Twist, Vec
+from longarm_comp.core.arm.spatial import IDENTITY, Frame, Scalar, Vec
 
 _H = 1e-3
 """Step (of a unit parameter, of a rad) of differences through the camera side."""
@@ -122,10 +122,6 @@ class TipMotion:
         return spatial.scale(change.per, spatial.turned(ends[0], ends[1]))
 
 
-_AT_ONCE = 32768
-"""Numbers in an array of several changes: what a processor keeps near."""
-
-
 class TwistChange(NamedTuple):
     """A change of twists: ``per`` times the difference of two."""
 
@@ -141,72 +137,41 @@ def moved(
 
     Its point moves by ``sum_i R_i (d_i + delta_i x p_i)``, its axes by ``sum_i R_i delta_i``.
     A change is taken about the present twist of the station. This is exact also for a large
-    twist, as of a displaced base. The frames after it are kept.  Many changes at a station are
-    computed at once, as arrays (k, N).
+    twist, as of a displaced base. The frames after it are kept.
     """
-    made = [STILL] * len(ends)
-    at: dict[int, dict[int, Twist]] = {}
-    for k, e in enumerate(ends):
-        for station in {*e.raised, *e.lowered}:
+    at: dict[int, tuple[list[Vec], list[Vec]]] = {}
+    made = []
+    for e in ends:
+        shift, turn = [0.0] * 3, [0.0] * 3
+        for station in sorted({*e.raised, *e.lowered}):
             up = e.raised.get(station, spatial.ZERO_TWIST)
             down = e.lowered.get(station, spatial.ZERO_TWIST)
-            change = tuple([0.5 * (a - b) for a, b in zip(up, down, strict=True)])
-            if any(type(c) is not float or c != 0.0 for c in change):
-                at.setdefault(station, {})[k] = change  # type: ignore[assignment]
-    for station, changes in sorted(at.items()):
-        count = max(1, _AT_ONCE // max(np.size(c) for t in [tip, *changes.values()] for c in t))
-        keys = list(changes)
-        for some in (keys[n : n + count] for n in range(0, len(keys), count)):
-            together = _stacked([changes[k] for k in some])
-            now = total.get(station, spatial.ZERO_TWIST)
-            per = np.array([[ends[k].per] for k in some])
-            shift, turn = _carried(posture, tip, station, now, together, turns)
-            shift, turn = spatial.scale(per, shift), spatial.scale(per, turn) if turns else turn
-            for row, k in enumerate(some):
-                here, spun = _row(shift, row), _row(turn, row)
-                if made[k] is STILL:
-                    made[k] = Moved(here, spun)
-                else:
-                    held = made[k]
-                    made[k] = Moved(spatial.add(held.shift, here), spatial.add(held.turn, spun))
+            for k, (a, b) in enumerate(zip(up, down, strict=True)):
+                if a is b or (type(a) is float and type(b) is float and a == b):
+                    continue
+                if station not in at:
+                    at[station] = _units(posture, tip, station, total)
+                per, (turned, shifted) = e.per * (a - b), at[station]
+                _add(shift, per, turned[k] if k < 3 else shifted[k - 3])
+                if turns and k >= 3:
+                    _add(turn, per, turned[k - 3])
+        made.append(Moved(tuple(shift), tuple(turn)))  # type: ignore[arg-type]
     return made
 
 
-def _carried(
-    posture: Posture, tip: Vec, station: int, now: Twist, change: Twist, turns: bool
-) -> tuple[Vec, Vec]:
-    """Twice the shift of the tip and the turn of its axes by a change of one station's twist."""
-    exp = spatial.exp_large if station == PLACEMENT else spatial.exp
-    frame, back = posture.frames[station], exp(now)
+def _units(posture: Posture, tip: Vec, station: int, total: Twists) -> tuple[list[Vec], list[Vec]]:
+    """Turn of the tip's axes by each rotation of a station's twist, and shift of the tip by it."""
+    frame, now = posture.frames[station], total.get(station, spatial.ZERO_TWIST)
     here = frame.unrotate(spatial.sub(tip, frame.p))
-    high = exp(spatial.add_twists(now, change))
-    low = exp(tuple(n - c for n, c in zip(now, change, strict=True)))  # type: ignore[arg-type]
-    moved = spatial.sub(high.transform(here), low.transform(here))
-    shift = frame.rotate(back.unrotate(moved))
-    if not turns:
-        return shift, spatial.ZERO
-    return shift, frame.rotate(back.unrotate(spatial.turned(high, low)))
+    turned, shifted = spatial.tangent(now, here, large=station == PLACEMENT)
+    return [frame.rotate(v) for v in turned], [frame.rotate(v) for v in shifted]
 
 
-def _stacked(twists: Sequence[Twist]) -> Twist:
-    """k twists in one: every component (k, N), (k, 1), or 0."""
-    made: list[Scalar] = []
-    for component in zip(*twists, strict=True):
-        if all(type(c) is float and c == 0.0 for c in component):
-            made.append(0.0)
-            continue
-        rows = np.empty((len(twists), max(np.size(c) for c in component)))
-        for row, c in zip(rows, component, strict=True):
-            row[:] = c
-        made.append(rows)
-    return tuple(made)  # type: ignore[return-value]
-
-
-def _row(v: Vec, row: int) -> Vec:
-    """One of k vectors: of components (k, N) or (k, 1), or of such that are the same for all."""
-    return tuple(  # type: ignore[return-value]
-        c if type(c) is float else c[row] if c.shape[1] > 1 else c[row, 0] for c in v
-    )
+def _add(total: list[Scalar], times: Scalar, v: Vec) -> None:
+    for axis in range(3):
+        if type(v[axis]) is not float or v[axis] != 0.0:
+            here, held = times * v[axis], total[axis]
+            total[axis] = here if type(held) is float and held == 0.0 else held + here
 
 
 def stack(v: Vec) -> np.ndarray:
@@ -217,8 +182,8 @@ def stack(v: Vec) -> np.ndarray:
 def _together(point: Vec, blocks: Sequence[Vec]) -> tuple[np.ndarray, np.ndarray]:
     """The point, (N, 3), and the blocks in its shape, (N, 3, p)."""
     whole = stack(point)
-    columns = np.empty((*whole.shape, len(blocks)))
-    for k, block in enumerate(blocks):
+    columns = np.empty((len(blocks), 3, *whole.shape[:-1]))
+    for column, block in zip(columns, blocks, strict=True):
         for axis, component in enumerate(block):
-            columns[..., axis, k] = component
-    return whole, columns
+            column[axis] = component
+    return whole, np.ascontiguousarray(columns.T)

@@ -100,6 +100,11 @@ def _link_stiffness(arm: Arm, rng: np.random.Generator) -> Hidden:
     return loads.LinkStiffness({b.name: common * rng.uniform(0.7, 1.3) for b in arm.links})
 
 
+def _link_mass(arm: Arm, rng: np.random.Generator) -> Hidden:
+    middle = [row.id for row in arm.joints][2:-1]
+    return loads.LinkMass(int(rng.choice(middle)), rng.uniform(0.1, 0.3))
+
+
 def _measured_tilt(arm: Arm, rng: np.random.Generator) -> Hidden:
     return loads.MeasuredTilt(
         0, rng.uniform(1e-3, 3e-3, 2), rng.uniform(1500, 4000), rng.uniform(-3e-3, 3e-3, 2)
@@ -141,6 +146,7 @@ HIDDEN: dict[str, Maker] = {
     "link_stiffness": _link_stiffness,
     "creep": lambda arm, rng: loads.Creep(rng.uniform(0.1, 0.3), rng.uniform(1500, 6000)),
     "tip_payload": lambda arm, rng: loads.TipPayload(rng.uniform(0.05, 0.15)),
+    "link_mass": _link_mass,
     "measured_tilt": _measured_tilt,
     "cogging_bump": _cogging,
     "cable_drag": _cable,

@@ -185,6 +185,19 @@ class TipPayload(HiddenEffect):
 
 
 @dataclass(frozen=True)
+class LinkMass(HiddenEffect):
+    """An undeclared mass (kg) in the origin of the frame of row `row`."""
+
+    name: ClassVar[str] = "link_mass"
+    doses: ClassVar[tuple[str, ...]] = ("mass_kg",)
+    row: int
+    mass_kg: float
+
+    def masses(self, state: State) -> list[tuple[int, Array | float, tuple[float, float, float]]]:
+        return [(self.row, self.mass_kg, (0.0, 0.0, 0.0))]
+
+
+@dataclass(frozen=True)
 class MeasuredTilt(HiddenEffect):
     """The structure at frame `row` tilts, and an inclinometer there measures the tilt.
 
