@@ -35,7 +35,6 @@ from longarm_comp.core.identify.discover.functions import SWITCH, Functions, swi
 from longarm_comp.core.identify.discover.hold_out import borne_out, helps_between, shown
 from longarm_comp.core.identify.discover.inputs import Argument, Arguments, levels_of
 from longarm_comp.core.identify.discover.propose import POSES, doubts, proposed
-from longarm_comp.core.identify.discover.search import search
 from longarm_comp.core.identify.discover.set_aside import shared
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.model_fit import ModelFit
@@ -189,20 +188,6 @@ def test_seats_that_flip_in_few_rows_are_no_outliers() -> None:
     assert "joint 7, turn y" in cause.where
     np.testing.assert_array_equal(made.fit.weights == 0, bad)
     assert not shown(made.proof)
-
-
-def test_rows_set_aside_at_random_that_share_one_displacement_are_told() -> None:
-    """Nothing tells them from the others: they are a group, but no switch of anything."""
-    rows, bad = spoilt(measured(SMALL, (), ROWS, 3), 5, 0.05)
-    group = np.zeros(ROWS, bool)
-    group[np.flatnonzero(~bad)[5::18]] = True
-    shifted = dataclasses.replace(rows, xyz=rows.xyz + np.outer(group, [1e-3, -2e-3, 2e-3]))
-    fitted = calibrated(SMALL, shifted)
-    shares = shared(fitted, sides(fitted))
-    assert shares is not None
-    np.testing.assert_array_equal(shares.rows, group)
-    assert shares.length_m == pytest.approx(3e-3, rel=0.1)
-    assert search(fitted, None) is None
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -372,6 +357,7 @@ def test_poses_between_the_levels_of_a_grid_must_not_be_worse(
     errors = {"calibrated": before, "with_effects": after}
     proof = Proof(errors, errors, {}, True, 1.0, 0.0, 1.0, off_levels=between)
     assert helps_between(proof) == kept
+    assert borne_out(proof, 0.0) == kept
 
 
 # ------------------------------------------------------------------ what the data cannot tell
