@@ -82,13 +82,14 @@ def test_rows_that_the_fit_knows_less_of_may_differ_more(rng: np.random.Generato
     assert found.rows.sum() == 12
 
 
-def test_errors_along_one_sight_are_outliers(rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("rows", [8, 24])
+def test_errors_along_one_sight_are_outliers(rows: int, rng: np.random.Generator) -> None:
     """Depth that is wrong by 1.5 to 6 mm, whatever the row."""
     moves = [Spot("base", f"move {axis}") for axis in "xyz"]
     units = np.broadcast_to(np.eye(3), (ROWS, 3, 3))
     for _ in range(60):
-        size = rng.uniform(1.5e-3, 6e-3, (8, 1)) * rng.choice([-1.0, 1.0], (8, 1))
-        errors = size * [0.3, 0.94, 0.16] + SIGMA * rng.standard_normal((8, 3))
+        size = rng.uniform(1.5e-3, 6e-3, (rows, 1)) * rng.choice([-1.0, 1.0], (rows, 1))
+        errors = size * [0.3, 0.94, 0.16] + SIGMA * rng.standard_normal((rows, 3))
         assert shared(left(errors), [(moves, units)]) is None
 
 
