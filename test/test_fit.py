@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
+from scipy.stats import f, multivariate_normal
 from small_arm import ARM as SMALL
 
 from longarm_comp.core.arm.arm import Arm
@@ -26,7 +26,12 @@ from longarm_comp.core.identify import linear
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.fit import fit, fit_together
 from longarm_comp.core.identify.linear import whiten
-from longarm_comp.core.identify.noise import from_repeats, lag_correlation
+from longarm_comp.core.identify.noise import (
+    NoiseEstimate,
+    agreed,
+    from_repeats,
+    lag_correlation,
+)
 from longarm_comp.core.identify.placement import placed
 from longarm_comp.core.identify.standing import frames
 from longarm_comp.core.model.model import Model
@@ -290,6 +295,19 @@ def test_noise_of_repeats_leaves_out_the_side(rng: np.random.Generator) -> None:
     assert (
         from_repeats(Model(SMALL), Session.record(q[:6], xyz[:6], approach=side[:6])) is None
     )  # too few
+
+
+def test_noise_is_no_more_than_the_repeats_allow_at_one_in_a_thousand() -> None:
+    """18 repeats that scatter half as much by chance do not halve the noise."""
+    repeats = NoiseEstimate(np.array([0.6, 0.45, 0.1, 2.0, 0.45]), "repeats", 0.0, 18.0)
+    residual = NoiseEstimate(np.ones(5), "residual", 0.2, 270.0)
+    found = agreed(repeats, residual)
+    most = repeats.sigma / np.sqrt(f.ppf(1e-3, 18, 270))
+    np.testing.assert_allclose(found.sigma, [1.0, most[1], most[2], 1.0, most[4]], rtol=1e-6)
+    assert 0.8 < most[1] < 0.95
+    assert (found.source, found.rho, found.degrees) == ("repeats", 0.2, 270.0)
+    sure = agreed(dataclasses.replace(repeats, degrees=1000.0), residual)
+    assert sure.sigma[1] == pytest.approx(0.45, rel=0.2)
 
 
 def test_rows_count_by_the_noise_that_they_state_where_that_is_true(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from small_arm import ARM
 
 from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.identify.diagnose import diagnose
+from longarm_comp.core.identify.discover.hold_out import together
 from longarm_comp.core.identify.proof import (
     AGAINST,
     DECIDES,
@@ -20,6 +22,7 @@ from longarm_comp.core.identify.proof import (
     _log_odds,
     _Unseen,
     off_levels,
+    prove,
 )
 from longarm_comp.sim.hidden import drives
 
@@ -95,6 +98,44 @@ def test_outliers_of_the_hold_out_withdraw_no_true_effect() -> None:
     assert [f.name for f in spoilt.findings] == ["joint_gain"]
     assert spoilt.proof.set_aside == 2
     assert "2 of 60 rows set aside" in spoilt.summary
+
+
+@pytest.mark.parametrize(
+    ("log_odds", "kept"), [(2.0, True), (-0.9 * AGAINST, True), (-1.1 * AGAINST, False)]
+)
+def test_strong_evidence_needs_a_hold_out_that_agrees(
+    log_odds: float, kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The bootstrap of the held-out poses touches 0."""
+
+    def undecided(*args: Any) -> Proof:
+        return dataclasses.replace(prove(*args), better=False, log_odds=log_odds)
+
+    monkeypatch.setattr("longarm_comp.core.identify.diagnose.prove", undecided)
+    gain = (drives.JointGain(at(2, 0.02)),)
+    found = diagnose(ARM, session(gain), test=session(gain, n=60, seed=9), kinds=(JointGain,))
+    assert found.search.chosen
+    assert found.rolled_back is not kept
+
+
+@pytest.mark.parametrize(
+    ("evidence", "log_odds", "after", "borne"),
+    [
+        (30.0, 4.5, 0.9, True),
+        (30.0, 3.5, 0.9, False),
+        (300.0, -2.0, 0.9, True),
+        (300.0, -3.2, 0.9, False),
+        (300.0, 9.0, 1.1, False),
+    ],
+)
+def test_both_kinds_of_poses_together(
+    evidence: float, log_odds: float, after: float, borne: bool
+) -> None:
+    before = np.full((40, 3), 1e-3)
+    left = {"calibrated": before, "with_effects": after * before}
+    proof = Proof(left, {}, {}, False, 1.0, 0.0, 1.0, log_odds=log_odds)
+    assert together(proof, evidence) is borne
+    assert not together(proof, evidence, rho=0.95)
 
 
 # ------------------------------------------------------------------ a network off the grid's levels

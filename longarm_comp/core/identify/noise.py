@@ -20,6 +20,8 @@ ENOUGH_REPEATS = 15
 """Degrees of freedom that repeats must have to be trusted."""
 ALIKE = 4.0
 """Degrees of freedom, beside an axis's own, that say that it is as noisy as the others."""
+ALLOWED = 1e-3
+"""Chance of an axis, one of several in every session, to be noisier than its repeats allow."""
 MOST_STEPS = 60
 """Of the noise and the size of the library's effects together."""
 PLACES = ("group", "marker", "sensor", "anchor")
@@ -188,16 +190,17 @@ def _shrunk(posterior: linear.Posterior, which: np.ndarray) -> float:
 
 
 def agreed(repeats: NoiseEstimate, residual: NoiseEstimate) -> NoiseEstimate:
-    """The residual's figure, but the repeats' on axes where they are significantly smaller.
+    """The residual's figure, but no more than the repeats allow.
 
     A few dozen repeats give sigma to a factor of 1.5 only, too rough to weigh evidence with;
-    the rich fit knows it to a few percent, unless it lacks something: then it is too large,
-    which the F test shows (1 %).  Repeats that scatter more (temperature, time) count for
-    nothing.
+    the rich fit knows it to a few percent, unless it lacks something: then it is more than the
+    repeats allow (F distribution, `ALLOWED`), and the most that they allow is taken.  Repeats that
+    scatter more (temperature, time) count for nothing.
     """
-    limit = np.sqrt(fdtri(repeats.degrees, max(residual.degrees, 1.0), 0.01))
-    lack = repeats.sigma < limit * residual.sigma
-    sigma = np.where(lack, repeats.sigma, residual.sigma)
+    limit = np.sqrt(fdtri(repeats.degrees, max(residual.degrees, 1.0), ALLOWED))
+    most = repeats.sigma / limit
+    lack = most < residual.sigma
+    sigma = np.where(lack, most, residual.sigma)
     source = "repeats" if lack.any() else "residual"
     return NoiseEstimate(sigma, source, residual.rho, residual.degrees)
 

@@ -13,6 +13,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.diagnosis import DISCOVERED
 from longarm_comp.core.identify.discover.discovery import Discovery, contest, discover
+from longarm_comp.core.identify.discover.hold_out import together
 from longarm_comp.core.identify.discover.set_aside import SharedDisplacement
 from longarm_comp.core.identify.identified import Identified, Progress
 from longarm_comp.core.identify.minor import noise_length, smallest
@@ -64,16 +65,18 @@ class Judged:
 def judge(
     identified: Identified, calibrated: Model, proof: Proof, rng: np.random.Generator
 ) -> Judged:
-    """Effects that do not help unseen poses are taken back, whatever the fitted rows say.
+    """Effects that unseen poses do not bear out are taken back.
 
     So are those that took less than half of what is wrong, where structure is left.
     """
+    found, rho = identified.findings, identified.search.fit.rho
     minor = (identified.structure.flag or proof.off) and proof.share < LEAST_SHARE
-    if identified.findings and (minor or not proof.better):
+    evidence = max((f.log_bayes_factor for f in found), default=0.0)
+    if found and (minor or not (proof.better or together(proof, evidence, rho))):
         left = examine(identified.calibrated, identified.calibrated, rng)
         return Judged(calibrated, (), left, None, proof, True)
     model = identified.search.fit.model
-    return Judged(model, identified.findings, identified.structure, None, proof, False)
+    return Judged(model, found, identified.structure, None, proof, False)
 
 
 def look_further(

@@ -281,9 +281,8 @@ def _advantage(
     weights = np.minimum(alone.fit.weights, full.weights)
     names = {t.name for t in base.model.terms} - {t.name for t in less.model.terms}
     chosen = [g.candidate.log_prior for g in (beside.groups if beside is not None else ())]
-    theirs = (
-        _log_evidence(full, sigma, weights) + sum(chosen) - len(names) * math.log(max(count, 1))
-    )
+    theirs = _log_evidence(full, sigma, weights) + sum(chosen)
+    theirs -= len(names) * math.log(max(count, 1))
     mine = _log_evidence(alone.fit, sigma, weights)
     mine += sum(g.candidate.log_prior for g in alone.groups)
     return float(mine - theirs) + alone.back_evidence - (beside.back_evidence if beside else 0.0)

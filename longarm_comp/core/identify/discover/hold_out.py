@@ -22,21 +22,24 @@ def shown(proof: Proof) -> bool:
 
 
 def borne_out(proof: Proof, log_evidence: float, rho: float = 0.0) -> bool:
-    """Whether unseen poses bear it out: they show it alone, or with the fitted ones.
+    """Whether unseen poses bear it out: they show it alone, or with the fitted ones."""
+    return helps_between(proof) and (shown(proof) or together(proof, log_evidence, rho))
 
-    A few poses that cannot decide do not overrule strong evidence of the fitted ones, as long as
-    their error is smaller with it.  The log odds of both are then added.
+
+def together(proof: Proof, log_evidence: float, rho: float = 0.0) -> bool:
+    """Whether unseen poses and fitted ones show it together.
+
+    Poses that cannot decide do not overrule strong evidence of the fitted ones, as long as their
+    error is smaller with it.  The log odds of both are added.
 
     Args:
         proof: with (`with_effects`) and without it (`calibrated`).
         log_evidence: of the fitted rows, the choice paid for.
         rho: correlation of successive rows' noise, by which they count less.
     """
-    if not helps_between(proof):
-        return False
     gain = _gain(proof)
     odds = (log_evidence / SCEPTIC + proof.log_odds) * (1.0 - abs(rho)) / (1.0 + abs(rho))
-    return shown(proof) or (gain.after < gain.before and proof.agrees and odds > CLEAR)
+    return gain.after < gain.before and proof.agrees and odds > CLEAR
 
 
 def helps_between(proof: Proof) -> bool:
