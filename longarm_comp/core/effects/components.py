@@ -1,4 +1,7 @@
-"""Where a discovered effect acts and what it does there: a twist, or a wrench on the beams."""
+"""Where a discovered effect acts and what it does there: a twist, or a wrench on the beams.
+
+Besides the unit twists and wrenches: something that gives under the load, and a weight.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
+
+import numpy as np
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
@@ -60,30 +65,29 @@ class Acting:
 
 @dataclass(frozen=True)
 class Component(ABC):
-    """One of the six unit twists, or of the six unit wrenches, at a place.
+    """What acts at a place.
 
     Attributes:
-        axis: 0, 1, 2.
+        axis: 0, 1, 2; None where the posture says which way.
     """
 
     word: ClassVar[str]
     unit: ClassVar[str]
 
-    axis: int
+    axis: int | None = None
 
     @property
     def name(self) -> str:
-        """As it is stored: ``force y``."""
-        return f"{self.word} {AXES[self.axis]}"
+        """As it is stored: ``force y``, ``weight``."""
+        return self.word if self.axis is None else f"{self.word} {AXES[self.axis]}"
 
     @abstractmethod
     def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Mapping[int, Twist]:
         """Twists by station of `amount` of it."""
 
     def _along(self, amount: Scalar) -> Vec:
-        made: list[Scalar] = [0.0, 0.0, 0.0]
-        made[self.axis] = amount
-        return (made[0], made[1], made[2])
+        x, y, z = (amount if k == self.axis else 0.0 for k in range(3))
+        return (x, y, z)
 
 
 @dataclass(frozen=True)
@@ -109,16 +113,28 @@ class Turn(Component):
 
 
 @dataclass(frozen=True)
+class Give(Component):
+    """A rotation under the moment that is carried there, across the place's z axis."""
+
+    word: ClassVar[str] = "give"
+    unit: ClassVar[str] = "rad/(N m)"
+
+    def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Mapping[int, Twist]:
+        x, y, _ = posture.moment(at.station)
+        return {at.station: (*ZERO, amount * x, amount * y, 0.0)}
+
+
+@dataclass(frozen=True)
 class Wrench(Component):
     """A load: it bends the declared beams between the base and the place."""
 
     @abstractmethod
-    def loads(self, amount: Scalar) -> tuple[Vec, Vec]:
-        """Force (N) and moment (N m) in the place's axes."""
+    def loads(self, posture: Posture, at: Acting, amount: Scalar) -> tuple[Vec, Vec]:
+        """Force (N) and moment (N m) in the base's axes."""
 
     def twists(self, posture: Posture, at: Acting, amount: Scalar) -> Mapping[int, Twist]:
         """To first order, every element as a cantilever under what the load makes of its end."""
-        pushed, turned = (at.frame.rotate(v) for v in self.loads(amount))
+        pushed, turned = self.loads(posture, at, amount)
         made: dict[int, Twist] = {}
         for row in posture.chain.rows:
             for element in row.elements_a + row.elements_d:
@@ -140,8 +156,8 @@ class Force(Wrench):
     word: ClassVar[str] = "force"
     unit: ClassVar[str] = "N"
 
-    def loads(self, amount: Scalar) -> tuple[Vec, Vec]:
-        return self._along(amount), ZERO
+    def loads(self, posture: Posture, at: Acting, amount: Scalar) -> tuple[Vec, Vec]:
+        return at.frame.rotate(self._along(amount)), ZERO
 
 
 @dataclass(frozen=True)
@@ -151,13 +167,29 @@ class Moment(Wrench):
     word: ClassVar[str] = "moment"
     unit: ClassVar[str] = "N m"
 
-    def loads(self, amount: Scalar) -> tuple[Vec, Vec]:
-        return ZERO, self._along(amount)
+    def loads(self, posture: Posture, at: Acting, amount: Scalar) -> tuple[Vec, Vec]:
+        return ZERO, at.frame.rotate(self._along(amount))
+
+
+@dataclass(frozen=True)
+class Weight(Wrench):
+    """A force at the place, the way that gravity pulls."""
+
+    word: ClassVar[str] = "weight"
+    unit: ClassVar[str] = "N"
+
+    def loads(self, posture: Posture, at: Acting, amount: Scalar) -> tuple[Vec, Vec]:
+        size = float(np.linalg.norm(posture.arm.gravity_mps2))
+        return spatial.scale(amount * (1.0 / max(size, 1e-9)), posture.gravity), ZERO
 
 
 COMPONENTS: dict[str, Component] = {
     component.name: component
-    for component in (kind(axis) for kind in (Move, Turn, Force, Moment) for axis in range(3))
+    for component in (
+        *(kind(axis) for kind in (Move, Turn, Force, Moment) for axis in range(3)),
+        Give(),
+        Weight(),
+    )
 }
 """Components by the name that stands for them in a model file."""
 

@@ -70,9 +70,10 @@ def judge(
     So are those that took less than half of what is wrong, where structure is left.
     """
     found, rho = identified.findings, identified.search.fit.rho
-    minor = (identified.structure.flag or proof.off) and proof.share < LEAST_SHARE
+    more = identified.structure.flag or proof.off
     evidence = max((f.log_bayes_factor for f in found), default=0.0)
-    if found and (minor or not (proof.better or together(proof, evidence, rho))):
+    helped = proof.better or (not more and together(proof, evidence, rho))
+    if found and (not helped or (more and proof.share < LEAST_SHARE)):
         left = examine(identified.calibrated, identified.calibrated, rng)
         return Judged(calibrated, (), left, None, proof, True)
     model = identified.search.fit.model

@@ -6,7 +6,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import floor, log10
 
-from longarm_comp.core.effects.components import BASE_PLACE, COMPONENTS, Force, Move, Turn, Wrench
+from longarm_comp.core.effects.components import (
+    BASE_PLACE,
+    COMPONENTS,
+    Force,
+    Give,
+    Move,
+    Turn,
+    Weight,
+    Wrench,
+)
 from longarm_comp.core.effects.function import Function
 from longarm_comp.core.effects.quantities import (
     Gravity,
@@ -99,6 +108,12 @@ READINGS = (
     Likeness("something thermal", lambda t: t.quantity(Warmth)),
     Likeness("drift", lambda t: TIME in t.columns),
     Likeness("something that the recorded column drives", lambda t: bool(t.columns)),
+    Likeness(
+        "a hose, chain or cable that is lifted",
+        lambda t: t.acts(Weight) and t.quantity(JointPosition),
+    ),
+    Likeness("a mass that is not declared", lambda t: t.acts(Weight)),
+    Likeness("something that gives under load", lambda t: t.acts(Give)),
     Likeness(
         "a hose or cable that pulls",
         lambda t: t.acts(Wrench) and t.quantity(JointPosition),
