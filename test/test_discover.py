@@ -25,6 +25,7 @@ from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.calibrate import declared_model, stages
 from longarm_comp.core.identify.discover.bank import Hypothesis, Spot
+from longarm_comp.core.identify.discover.banks import sides
 from longarm_comp.core.identify.discover.discovery import (
     Discovery,
     contest,
@@ -34,6 +35,7 @@ from longarm_comp.core.identify.discover.functions import SWITCH, Functions, swi
 from longarm_comp.core.identify.discover.hold_out import borne_out, helps_between, shown
 from longarm_comp.core.identify.discover.inputs import Argument, Arguments, levels_of
 from longarm_comp.core.identify.discover.propose import POSES, doubts, proposed
+from longarm_comp.core.identify.discover.set_aside import shared
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.proof import Proof, prove
@@ -44,7 +46,7 @@ from longarm_comp.share import folder
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State, TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
-from longarm_comp.sim.hidden.outside import HosePull, PumpShake, RubberStop
+from longarm_comp.sim.hidden.outside import HosePull, PumpShake, RubberStop, TwoSeats
 from longarm_comp.studies.discover import set_up
 from longarm_comp.workflows.diagnose import DiagnosisResult
 from longarm_comp.workflows.diagnosis_files import write_model
@@ -157,6 +159,42 @@ def test_what_no_command_is_told_does_not_shift_commands() -> None:
         for k in ("calibrated", "with_effects")
     )
     assert after < 1.1 * before
+
+
+# ------------------------------------------------------------------ rows set aside
+
+
+def spoilt(rows: Session, seed: int, share: float = 0.02) -> tuple[Session, np.ndarray]:
+    """With gross errors of 3 to 15 mm in some rows, and which these are."""
+    rng = np.random.default_rng(seed)
+    bad = rng.random(len(rows)) < share
+    way = rng.standard_normal((len(rows), 3))
+    way *= rng.uniform(3e-3, 15e-3, (len(rows), 1)) / np.linalg.norm(way, axis=1, keepdims=True)
+    return dataclasses.replace(rows, xyz=rows.xyz + bad[:, None] * way), bad
+
+
+def test_seats_that_flip_in_few_rows_are_no_outliers() -> None:
+    """In 7 of 240, beside 7 true outliers; 80 poses to hold out do not show it alone."""
+    seats = (TwoSeats(row=7, axis=1, angle=4e-3, flips_at=-1.085),)
+    rows, bad = spoilt(measured(DEMO, seats, 2 * ROWS, 3), 903)
+    held_out, _ = spoilt(measured(DEMO, seats, 80, 103), 1003)
+    fitted = calibrated(DEMO, rows)
+    assert (fitted.weights == 0).sum() == bad.sum() + 7
+    made = discover(fitted, None, 100, lambda: held_out, None, np.random.default_rng(0))
+    assert made is not None
+    assert made.kept
+    (cause,) = made.found
+    assert "sign(load_6 - -1.1" in cause.formula
+    assert "joint 7, turn y" in cause.where
+    np.testing.assert_array_equal(made.fit.weights == 0, bad)
+    assert not shown(made.proof)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("share", [0.02, 0.12])
+def test_outliers_share_no_displacement(seed: int, share: float) -> None:
+    fitted = calibrated(SMALL, spoilt(measured(SMALL, (), ROWS, 3), seed, share)[0])
+    assert shared(fitted, sides(fitted)) is None
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -319,6 +357,7 @@ def test_poses_between_the_levels_of_a_grid_must_not_be_worse(
     errors = {"calibrated": before, "with_effects": after}
     proof = Proof(errors, errors, {}, True, 1.0, 0.0, 1.0, off_levels=between)
     assert helps_between(proof) == kept
+    assert borne_out(proof, 900.0) == kept
 
 
 # ------------------------------------------------------------------ what the data cannot tell

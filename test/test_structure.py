@@ -12,6 +12,7 @@ from numpy.polynomial.legendre import Legendre
 from small_arm import ARM, measured
 
 from longarm_comp.core.identify.calibrate import declared_model, stages
+from longarm_comp.core.identify.discover.set_aside import SharedDisplacement
 from longarm_comp.core.identify.minor import SMALLEST_M
 from longarm_comp.core.identify.outcome import all_signs
 from longarm_comp.core.identify.structure import Structure, examine
@@ -62,23 +63,35 @@ def test_what_is_left_counts_from_a_size_on(size: float, shows: bool) -> None:
     assert left(1, size * SMALLEST_M, noise=0.05, least=SMALLEST_M).flag is shows
 
 
-@pytest.mark.parametrize(("of_noise", "shows"), [(0.5, False), (3.0, True)])
-def test_rows_left_out_are_a_sign_only_where_they_hold_more_than_the_noise(
-    of_noise: float, shows: bool
+@pytest.mark.parametrize(
+    ("every", "of_noise", "alike", "shows"),
+    [
+        (5, 0.5, False, ""),
+        (5, 3.0, False, "shows in the rows left out"),
+        (20, 3.0, False, ""),
+        (20, 3.0, True, "shows in rows left out: 5 of 100 share one displacement (0.46 mm)"),
+        (20, 0.5, True, ""),
+    ],
+)
+def test_rows_left_out_are_a_sign_only_where_they_matter_and_are_many_or_alike(
+    every: int, of_noise: float, alike: bool, shows: str
 ) -> None:
-    """A fifth of the rows is left out; their errors, over all rows, are a share of the noise."""
-    weights = (np.arange(100) % 5 > 0).astype(float)
+    """Some rows are left out; their errors, over all rows, are a share of the noise."""
+    weights = (np.arange(100) % every > 0).astype(float)
     sigma = np.full(3, 2e-5)
-    length = of_noise * np.linalg.norm(sigma) * np.sqrt(5.0)
+    length = of_noise * np.linalg.norm(sigma) * np.sqrt(every)
     residual = np.where(weights[:, None] > 0, 0.0, length / np.sqrt(3.0)) * np.ones(3)
     fit = SimpleNamespace(
         weights=weights, residual=residual, metres=np.ones(3), noise_m=sigma,
-        session=SimpleNamespace(blocks=[SimpleNamespace(kind="position")]),
+        session=SimpleNamespace(
+            blocks=[SimpleNamespace(kind="position")], take=lambda _: [], located=True
+        ),
     )  # fmt: skip
     noise = SimpleNamespace(unevenness=1.0, sigma=sigma)
     result: Any = SimpleNamespace(fit=fit, noise=noise, exhausted=False)
     proof: Any = SimpleNamespace(off=False, excess_m=0.0)
     nothing = Structure(False, 1.0, (), 0.0, 1.0, ())
-    found = all_signs(nothing, result, proof)
-    assert found.flag == shows
+    group = SharedDisplacement(weights == 0, length, 20.0)
+    found = all_signs(nothing, result, proof, group if alike else None)
+    assert (found.flag, found.sign) == (bool(shows), shows)
     assert found.inputs == (("outliers",) if shows else ())

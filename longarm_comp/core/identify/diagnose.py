@@ -15,6 +15,8 @@ from longarm_comp.core.identify.aliasing import EffectFinding, on_few_levels
 from longarm_comp.core.identify.calibrate import declared_model, stages
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnosis import DISCOVERED, Diagnosis
+from longarm_comp.core.identify.discover.banks import sides
+from longarm_comp.core.identify.discover.set_aside import shared
 from longarm_comp.core.identify.evidence import key
 from longarm_comp.core.identify.identified import Progress, identify
 from longarm_comp.core.identify.next_poses import next_poses
@@ -108,7 +110,8 @@ def diagnose(
     }
     proof = prove(models, identified.calibrated, identified.search.fit, held_out, rng)
     outcome = judge(identified, calibrated, proof, rng)
-    structure = all_signs(outcome.structure, identified.search, outcome.proof)
+    group = shared(identified.search.fit, sides(identified.search.fit))
+    structure = all_signs(outcome.structure, identified.search, outcome.proof, group)
     discovery = look_further(identified, outcome, structure.flag, sealed, rng, say, seed)
     added = discovery if discovery is not None and discovery.kept else None
     if discovery is not None:

@@ -14,6 +14,7 @@ from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.diagnosis import DISCOVERED
 from longarm_comp.core.identify.discover.discovery import Discovery, contest, discover
 from longarm_comp.core.identify.discover.hold_out import together
+from longarm_comp.core.identify.discover.set_aside import SharedDisplacement
 from longarm_comp.core.identify.identified import Identified, Progress
 from longarm_comp.core.identify.minor import noise_length, smallest
 from longarm_comp.core.identify.model_fit import ModelFit
@@ -163,11 +164,23 @@ def with_network(
     return dataclasses.replace(outcome, network=kept, proof=tested)
 
 
-def all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Structure:
+def all_signs(
+    structure: Structure,
+    result: SearchResult,
+    proof: Proof,
+    group: SharedDisplacement | None = None,
+) -> Structure:
     """The structure, also where other signs than the test of the fitted rows show some.
 
     Many rows that are left out are one, where they hold more than the noise does: cameras err by
-    more than a normal law has it, and that is no structure.
+    more than a normal law has it, and that is no structure.  Few that share one displacement are
+    another.
+
+    Args:
+        structure: as tested in the fitted rows.
+        result: the search.
+        proof: the hold-out.
+        group: rows left out that share a displacement.
     """
     out = result.fit.weights == 0
     lengths = result.fit.residual * result.fit.metres
@@ -180,6 +193,12 @@ def all_signs(structure: Structure, result: SearchResult, proof: Proof) -> Struc
             rejected,
             "outliers",
             "shows in the rows left out",
+        ),
+        (
+            group is not None and rejected > smallest(result.fit),
+            rejected,
+            "outliers",
+            "" if group is None else f"shows in rows left out: {group.sentence}",
         ),
         (
             uneven > MOST_UNEVEN,

@@ -108,7 +108,8 @@ def search(
         if state.exhausted:
             state.prune()
             break
-        changed = state.refine_forms(say) | merge(state, say) | swap(state, say) | state.prune()
+        changed = state.refine_forms(say) | state.retune(say)
+        changed |= merge(state, say) | swap(state, say) | state.prune()
         if not (changed or split(state, say)):
             break
     state.settle()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
@@ -25,19 +27,25 @@ def banks(fit: ModelFit) -> tuple[Bank, ...]:
     """Candidates of the arm's side and, where positions are seen, of the camera's."""
     arm, rows = fit.model.arm, fit.session
     at = posture(fit.model, rows)
+    (spots, units), *views = sides(fit)
     functions = Functions(arm_inputs(arm, at, rows))
-    places = [Spot(place, name) for place in _distinct(arm) for name in components(arm)]
-    units, moving = _units(fit, [term_of(p, "1", "", 1e-3) for p in places])
-    kept = [p for p, moves in zip(places, moving, strict=True) if moves]
-    axes = _axes(arm, kept)
-    made = [Bank(kept, units, functions, axes)]
-    if rows.plain:
+    made = [Bank(spots, units, functions, _axes(arm, spots))]
+    for spots, units in views:
         points = fit.model.measured(rows.q, rows.context())
         seen = Functions(camera_inputs(points, rows), SeenCoordinate)
-        views = [Spot(CAMERA, axis) for axis in AXES]
-        units, _ = _units(fit, [term_of(p, "1", "", 1e-3) for p in views])
-        made.append(Bank(views, units, seen))
+        made.append(Bank(spots, units, seen))
     return tuple(made)
+
+
+def sides(fit: ModelFit) -> Iterator[tuple[list[Spot], np.ndarray]]:
+    """Components of the arm and, where positions are seen, of the camera; (N, d, K) by a unit."""
+    arm = fit.model.arm
+    spots = [Spot(place, name) for place in _distinct(arm) for name in components(arm)]
+    units, moving = _units(fit, [term_of(p, "1", "", 1e-3) for p in spots])
+    yield [p for p, moves in zip(spots, moving, strict=True) if moves], units
+    if fit.session.plain:
+        views = [Spot(CAMERA, axis) for axis in AXES]
+        yield views, _units(fit, [term_of(p, "1", "", 1e-3) for p in views])[0]
 
 
 def term_of(

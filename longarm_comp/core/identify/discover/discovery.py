@@ -170,7 +170,7 @@ def discover(
         alone = search(plain, known, say, lambda fit: _near(fit, base))
         if alone is not None and _advantage(alone, best, base, plain, count) > -SIMPLER:
             best, start = alone, plain
-    if best is None or _worth(best.fit, base) < smallest(base):
+    if best is None or _worth(best, base) < smallest(base):
         return None
     odds = _advantage(best, None, base, start, count)
     return _proven(best, base, start, odds, unseal(), rng, seed)
@@ -246,10 +246,13 @@ def _proven(
     )
 
 
-def _worth(found: ModelFit, base: ModelFit) -> float:
-    """RMS length (m) that a fit explains of what another leaves of the rows that count for both."""
-    both = (found.weights > 0) & (base.weights > 0)
-    square = [((f.residual[both] * f.metres) ** 2).sum(1).mean() for f in (base, found)]
+def _worth(found: SearchedFunctions, base: ModelFit) -> float:
+    """RMS length (m) that is explained of what a fit leaves of the rows that count for both.
+
+    Rows set aside that were brought back count too.
+    """
+    both = (found.fit.weights > 0) & (base.weights > 0) | found.back
+    square = [((f.residual[both] * f.metres) ** 2).sum(1).mean() for f in (base, found.fit)]
     return float(np.sqrt(max(square[0] - square[1], 0.0)))
 
 
@@ -278,10 +281,11 @@ def _advantage(
     weights = np.minimum(alone.fit.weights, full.weights)
     names = {t.name for t in base.model.terms} - {t.name for t in less.model.terms}
     chosen = [g.candidate.log_prior for g in (beside.groups if beside is not None else ())]
-    theirs = _log_evidence(full, sigma, weights) + sum(chosen) - len(names) * np.log(max(count, 1))
+    theirs = _log_evidence(full, sigma, weights) + sum(chosen)
+    theirs -= len(names) * math.log(max(count, 1))
     mine = _log_evidence(alone.fit, sigma, weights)
     mine += sum(g.candidate.log_prior for g in alone.groups)
-    return float(mine - theirs)
+    return float(mine - theirs) + alone.back_evidence - (beside.back_evidence if beside else 0.0)
 
 
 def _log_evidence(fit: ModelFit, sigma: np.ndarray, weights: np.ndarray) -> float:

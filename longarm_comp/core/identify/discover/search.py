@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -23,6 +24,11 @@ from longarm_comp.core.identify.discover.bank import (
 from longarm_comp.core.identify.discover.banks import banks
 from longarm_comp.core.identify.discover.functions import nearby
 from longarm_comp.core.identify.discover.screening import Screening
+from longarm_comp.core.identify.discover.set_aside import (
+    given_back,
+    shared,
+    switches,
+)
 from longarm_comp.core.identify.discover.terms import (
     key_of,
     part,
@@ -53,6 +59,8 @@ NEARBY = (1.0, 0.08)
 """Reach of the looks around a threshold or frequency, in steps between those tried."""
 LOOKS = math.log(4.0)
 """Paid for them, log odds."""
+BACK = 0.75
+"""Share of a group of rows set aside that a switch must bring back."""
 
 
 @dataclass(frozen=True)
@@ -64,12 +72,16 @@ class SearchedFunctions:
         groups: what was added, in the order of finding, with its evidence on top of the rest.
         noise: as judged with the terms.
         alternatives: by group, others that explain as much but for the odds of `PLACES`.
+        back: (N,) rows that were set aside and that a switch brought back.
+        back_evidence: log odds of the switches against as many outliers, in just these rows.
     """
 
     fit: ModelFit
     groups: tuple[Weighed, ...]
     noise: NoiseEstimate
     alternatives: tuple[tuple[Weighed, ...], ...]
+    back: np.ndarray
+    back_evidence: float = 0.0
 
 
 PLACES = 3.0
@@ -94,6 +106,8 @@ def search(
     state = _State(base, known)
     for _ in range(ROUNDS):
         grown = state.grow(say)
+        while state.give_back(say):
+            grown = state.grow(say) or True
         if not promising(state.fit):
             return None
         if not grown or not (state.swap(say) | state.join(say)):
@@ -102,7 +116,7 @@ def search(
         return None
     groups = tuple(state.evidence(k) for k in range(len(state.groups)))
     others = tuple(state.others(k, groups[k]) for k in range(len(groups)))
-    return SearchedFunctions(state.fit, groups, state.noise, others)
+    return state.found(groups, others)
 
 
 def first(
@@ -121,7 +135,7 @@ def first(
         state.take((best,))
     except JobError:
         return None
-    return SearchedFunctions(state.fit, state.groups, state.noise, ((),) * len(state.groups))
+    return state.found(state.groups, ((),) * len(state.groups))
 
 
 class _State:
@@ -130,8 +144,17 @@ class _State:
         self.groups: tuple[Weighed, ...] = ()
         self.fit, self.noise = refitted(base.model, base, known)
         self.banks = banks(self.fit)
+        self.back, self.back_evidence = np.zeros(len(self.fit.weights), bool), 0.0
         self._screened_for: ModelFit | None = None
         self._screened: tuple[Screening, ...] = ()
+
+    def found(
+        self, groups: tuple[Weighed, ...], others: tuple[tuple[Weighed, ...], ...]
+    ) -> SearchedFunctions:
+        """The outcome."""
+        back = self.back & (self.fit.weights > 0)
+        paid = self.back_evidence if back.any() else 0.0
+        return SearchedFunctions(self.fit, groups, self.noise, others, back, paid)
 
     # ------------------------------------------------------------------ scoring
 
@@ -248,6 +271,33 @@ class _State:
                 break
             grown = True
         return grown
+
+    def give_back(self, say: Callable[[str], None]) -> bool:
+        """Add a switch that explains rows set aside as a group; whether there is one."""
+        group = shared(self.fit, ((bank.places, bank.units) for bank in self.banks))
+        if group is None or len(self.groups) >= MOST:
+            return False
+        before = self.groups, self.fit, self.noise
+        self.fit = given_back(self.fit, group.rows)
+        marginal, _ = self._marginal(self._kept(()))
+        tried = [
+            bank.score(marginal, self.fit, c)
+            for bank in self.banks
+            for c in switches(bank, self.fit, group.rows)
+            if not self._held(c, ())
+        ]
+        best = max(tried, key=lambda s: s.log_evidence, default=None)
+        if best is not None and best.log_evidence >= ENOUGH:
+            say(f"{_label(best.candidate)}: {group.rows.sum()} rows that were set aside")
+            with suppress(JobError):
+                self.take((*before[0], best))
+                inside = self.fit.weights > 0
+                if inside.sum() - (before[1].weights > 0).sum() >= BACK * group.rows.sum():
+                    self.back |= group.rows
+                    self.back_evidence += group.log_evidence + group.log_choices
+                    return True
+        self.groups, self.fit, self.noise = before
+        return False
 
     def take(self, groups: Sequence[Weighed]) -> None:
         """Fit with some groups, judge the noise again, drop what no longer pays."""
