@@ -100,3 +100,19 @@ def test_every_effect_moves_the_tip(arm):
         if not np.abs(columns).max(axis=(0, 1)).any():
             still.append(f"{term.name} {term.where}")
     assert set(still) <= {"joint_compliance joint 1", "servo_droop joint 1", "backlash joint 1"}
+
+
+@pytest.mark.parametrize("name", ["tip_payload", "gravity_direction", "joint_compliance"])
+def test_a_known_posture_leads_to_that_of_a_similar_model(arm, name):
+    """Also where what changed acts through the loads alone, in the one pass of a small step."""
+    q, context = situation(arm)
+    model = Model(arm, (LinkDeflection(),)).plus(*BUILT_IN[name].for_arm(arm))
+    known = model.posture(unstack(q), context)
+    priors = np.array([slot.parameter.prior for slot in model.slots])
+    moved = model.with_values(model.values + 0.1 * priors)
+    want = moved.tip(q, context)
+    change = np.abs(want - model.tip(q, context)).max()
+    assert change > 1e-5
+    for close, share in ((True, 0.03), (False, 1e-3)):
+        left = np.abs(moved.measured_at(moved.posture_near(known, close)) - want).max()
+        assert left < share * change

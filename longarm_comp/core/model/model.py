@@ -140,7 +140,18 @@ class Model:
             known: of a similar model; its loads save a pass.
             close: whether its loads differ so little that one pass will do.
         """
+        if any(e.changes_loads for e in self.effects):
+            known = self._weighed(known)
         return self._passed(known, 1 if close else max(self.load_passes - 1, 1))
+
+    def _weighed(self, posture: Posture) -> Posture:
+        """A posture's frames under this model's gravity and masses."""
+        gravity = self._gravity(posture.context)
+        bare = dataclasses.replace(posture, gravity=gravity, extra=(), _cache={})
+        extra: tuple[Lumped, ...] = ()
+        for effect in self.effects:
+            extra += effect.masses(bare)
+        return dataclasses.replace(bare, extra=extra, _cache={})
 
     def _passed(self, posture: Posture, passes: int) -> Posture:
         for _ in range(passes):
@@ -318,13 +329,8 @@ class Model:
         else:
             model = self.plus(changed)
             model.__dict__["chain"] = self.chain
-        gravity = model._gravity(posture.context)
-        bare = dataclasses.replace(posture, gravity=gravity, extra=(), _cache={})
-        extra: tuple[Lumped, ...] = ()
-        for effect in model.effects:
-            extra += effect.masses(bare)
-        loaded = dataclasses.replace(bare, extra=extra, _cache={})
-        return TwistChange(model._under_load(loaded), self._under_load(posture), 1.0 / step)
+        raised = model._under_load(model._weighed(posture))
+        return TwistChange(raised, self._under_load(posture), 1.0 / step)
 
     def _under_load(self, posture: Posture) -> Twists:
         """Sum of the twists that depend on the loads, by station."""
