@@ -78,6 +78,7 @@ def rc() -> AbstractContextManager[None]:
 def svg(drawn: Figure) -> bytes:
     """The figure as SVG; the same figure gives the same bytes."""
     held = io.BytesIO()
+    _lay_out(drawn)
     drawn.savefig(held, format="svg", dpi=150, metadata=_UNDATED["svg"])
     return held.getvalue()
 
@@ -85,5 +86,14 @@ def svg(drawn: Figure) -> bytes:
 def save(drawn: Figure, path: Path) -> None:
     """The figure as a file by its ending, whole or not at all; the same figure, the same bytes."""
     kind = path.suffix.removeprefix(".").lower()
+    _lay_out(drawn)
     with atomic_path(path) as partial:
         drawn.savefig(partial, format=kind, dpi=150, metadata=_UNDATED[kind])
+
+
+def _lay_out(drawn: Figure) -> None:
+    """Place the axes once; to save a figure with a layout engine would draw it twice."""
+    engine = drawn.get_layout_engine()
+    if engine is not None:
+        engine.execute(drawn)
+        drawn.set_layout_engine(None)

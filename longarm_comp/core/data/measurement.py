@@ -60,18 +60,24 @@ def metres(model: Model, session: Session) -> np.ndarray:
     return made
 
 
-def errors(model: Model, session: Session) -> np.ndarray:
+def errors(model: Model, session: Session, near: Posture | None = None) -> np.ndarray:
     """(M, 3) measured - predicted of the M rows that say where the tip is, m.
 
     Where fewer than three coordinates were measured it is the smallest displacement of the tip
     that explains the row: along a measured axis, along the line to an anchor.
+
+    Args:
+        model: predicts.
+        session: N rows.
+        near: a similar model's `posture` at the M rows, which saves time.
     """
     placed = session.take(session.placed)
+    at = posture(model, placed) if near is None else model.posture_near(near)
+    positions = np.asarray(placed.xyz - model.measured_at(at))
     if placed.plain or not len(placed):
-        return np.asarray(placed.xyz - model.measured(placed.q, placed.context()))
-    found = equations(model, placed, posture(model, placed), ())
+        return positions
+    found = equations(model, placed, at, ())
     moved = np.linalg.pinv(found.pull, rcond=1e-6) @ found.residual[..., None]
-    positions = placed.xyz - model.measured(placed.q, placed.context())
     return np.where(placed.located[:, None], positions, moved[..., 0])
 
 

@@ -47,6 +47,7 @@ def fit(
     max_iterations: int = 25,
     close: float = CLOSE,
     begun: ModelFit | None = None,
+    near: ModelFit | None = None,
 ) -> ModelFit:
     """Fit all free parameters of a model to one session.
 
@@ -62,6 +63,7 @@ def fit(
         close: the last step must be below so many standard errors.
         begun: a fit of the same model to the same session, if there is one: residual and design
             are taken from it.
+        near: a fit of a similar model to the same session; its loads save a load pass.
 
     Raises:
         InputError: fewer than four seen rows, or an input that a term needs is missing.
@@ -70,6 +72,8 @@ def fit(
     part = SessionProblem.of(model, session, sigma, weights, robust, rho)
     if begun is not None:
         part.took(begun)
+    elif near is not None:
+        part.near = near.posture
     return _fit_parts([part], max_iterations, close)[0]
 
 
@@ -137,7 +141,7 @@ def _fit_parts(
     for part in parts:
         part.look()
     posterior = linear.Posterior(np.zeros(0), np.zeros((0, 0)), 0.0)
-    best, least, stalled = now, np.inf, 0
+    cost, best, least, stalled = np.inf, now, np.inf, 0
     for step in range(1, max_iterations + 1):
         designs, data = [], []
         for part, mine in zip(parts, maps, strict=True):
@@ -169,7 +173,7 @@ def _fit_parts(
             best, least = now, cost
         if stalled == STALLED:
             break
-    if not converged and np.isfinite(least) and best is not now:
+    if not converged and cost > least + GAIN:
         for part, mine in zip(parts, maps, strict=True):
             part.moved(best[mine], close=False)
             part.differentiate()

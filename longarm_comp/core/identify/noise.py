@@ -144,7 +144,7 @@ def from_residual(
     for _ in range(MOST_STEPS if few else steps):
         if not np.array_equal(weights, used):
             rows = channels[:, weights > 0] * np.sqrt(weights[weights > 0])[:, None]
-            products, used = rows.transpose(0, 2, 1) @ rows, weights
+            products, used = np.stack([part.T @ part for part in rows]), weights
         scale = np.where(added, size, 1.0)
         white = products / sigma[:, None, None] ** 2
         gram = white[:, :-1, :-1] * np.outer(scale, scale)

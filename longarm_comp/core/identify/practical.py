@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longarm_comp.core.data.commanded import commanded_errors
-from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.data.commanded import as_commanded, own_way
+from longarm_comp.core.data.measurement import errors, posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify import linear
@@ -77,20 +77,23 @@ def practical(
     """
     if not findings:
         return []
-    model, rows = fitted.model, fitted.session
-    context = rows.context()
-    tips = model.measured(rows.q, context)
-    after = errors(model, held_out), commanded_errors(model, held_out)
+    model = fitted.model
+    tips = model.measured_at(fitted.posture)
+    told, placed = as_commanded(model), held_out.take(held_out.placed)
+    own = own_way(placed)
+    at = posture(model, placed), posture(told, own)
+    after = errors(model, placed, at[0]), errors(told, own, at[1])
     made = []
     for terms in findings:
         places = {key(t) for t in terms}
         less = refitted_without(fitted, places)
-        still = _without(model, places).measured(rows.q, context)
+        without = _without(model, places)
+        still = without.measured_at(without.posture_near(fitted.posture))
         made.append(
             Practical(
                 np.linalg.norm(tips - still, axis=1),
-                Gain.of(errors(less, held_out), after[0]),
-                Gain.of(commanded_errors(less, held_out), after[1]),
+                Gain.of(errors(less, placed, at[0]), after[0]),
+                Gain.of(errors(as_commanded(less), own, at[1]), after[1]),
             )
         )
     return made

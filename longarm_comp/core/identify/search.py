@@ -63,7 +63,9 @@ class SearchResult:
             effects=tuple(t for t in was.model.effects if key(t) not in places),
             biases=tuple(t for t in was.model.biases if key(t) not in places),
         )
-        refitted = fit(model, was.session, sigma=was.sigma, rho=was.rho, weights=was.weights)
+        refitted = fit(
+            model, was.session, sigma=was.sigma, rho=was.rho, weights=was.weights, near=was
+        )
         chosen = tuple(t for t in self.chosen if key(t) not in places)
         columns, marginal = columns_at(refitted), FitMarginal(refitted)
         gone = [Candidate(t.name, (t,)) for t in self.chosen if key(t) in places]
@@ -106,7 +108,8 @@ def search(
         if state.exhausted:
             state.prune()
             break
-        changed = state.refine_forms(say) | merge(state, say) | swap(state, say) | state.prune()
+        changed = state.refine_forms(say) | state.retune(say)
+        changed |= merge(state, say) | swap(state, say) | state.prune()
         if not (changed or split(state, say)):
             break
     state.settle()

@@ -30,6 +30,7 @@ from longarm_comp.core.identify.fit import fit, unfitted
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
 from longarm_comp.core.identify.step_scan import UnknownStep, scan
+from longarm_comp.core.identify.thresholds import retuned
 from longarm_comp.core.model.model import Model, slots_of
 
 ODDS = math.log(20.0)
@@ -240,6 +241,20 @@ class SearchState:
         if better:
             self._rebuild()
         return bool(better)
+
+    def retune(self, say: Callable[[str], None]) -> bool:
+        """Move thresholds to where most rows agree, outliers too; whether any moved."""
+        moved = False
+        for place, term in self.chosen.items():
+            fitted = next(t for t in self.fit.model.terms if key(t) == place)
+            better = retuned(self.fit, self.columns, fitted)
+            if better is not fitted:
+                self.chosen[place] = better
+                say(Candidate(term.name, (better,)).label)
+                moved = True
+        if moved:
+            self._rebuild()
+        return moved
 
     def best_form(self, term: Term, without: Sequence[tuple[str, str]]) -> Score:
         marginal = self.marginal(without)

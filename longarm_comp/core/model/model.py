@@ -225,9 +225,11 @@ class Model:
 
     def measured(self, q: np.ndarray, context: Context | None = None) -> np.ndarray:
         """Predicted measurement of the camera, q (..., n) -> (..., 3) in m."""
-        context = context or Context.empty()
-        posture = self.posture(unstack(q), context)
-        return stack(self.seen(self.tip_frame(posture).p, context))
+        return self.measured_at(self.posture(unstack(q), context))
+
+    def measured_at(self, posture: Posture) -> np.ndarray:
+        """`measured` at a posture of this model."""
+        return stack(self.seen(self.tip_frame(posture).p, posture.context))
 
     # ------------------------------------------------------------------ explain
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -65,6 +65,10 @@ class Screening:
         self.raw = (self.white**2).sum(axis=2) @ self.values**2
         self.taken = self._squares(self.turned)
         self.size2 = np.maximum(self.raw / len(rows), 1e-30)
+        self.singles = [g for g in bank.functions.groups if len(g.functions) == 1]
+        self.chosen = np.array([g.functions[0] for g in self.singles], dtype=int)
+        self.prior = np.array([bank.prior(g) for g in self.singles])
+        self.sharp = np.array([g.family.sharp for g in self.singles], dtype=bool)
         self.several = [g for g in bank.functions.groups if len(g.functions) > 1]
         self.members = np.full(
             (len(self.several), max((len(g.functions) for g in self.several), default=0)), -1
@@ -131,16 +135,18 @@ class _Screen:
         yield from self._full(self._joints(), count)
 
     def _singles(self, count: int) -> Iterator[Hypothesis]:
-        groups = [g for g in self.bank.functions.groups if len(g.functions) == 1]
-        chosen = np.array([g.functions[0] for g in groups], dtype=int)
-        prior = np.array([self.bank.prior(g) for g in groups])
-        evidence = rank_one(self.t[:, chosen], self.s[:, chosen], self.of.size2[:, chosen])
-        table = np.where(self.usable[:, chosen], evidence + prior, -np.inf)
-        sharp = np.array([g.family.sharp for g in groups])
-        for wanted in (sharp, ~sharp):
-            for k, j in _top(np.where(wanted, table, -np.inf), count):
-                member = (self.bank.places[k], self.bank.functions.listed[chosen[j]])
-                yield Hypothesis((member,), (1.0,), groups[j].family, float(prior[j]))
+        of = self.of
+        t, s, size2 = (part[:, of.chosen] for part in (self.t, self.s, of.size2))
+        most = np.where(self.usable[:, of.chosen], t**2 / (2.0 * s) + of.prior, -np.inf)
+
+        def exact(k: np.ndarray, j: np.ndarray) -> np.ndarray:
+            return rank_one(t[k, j], s[k, j], size2[k, j]) + of.prior[j]
+
+        for wanted in (of.sharp, ~of.sharp):
+            for k, j in _best(np.where(wanted, most, -np.inf), count, exact):
+                group = of.singles[j]
+                member = (self.bank.places[k], self.bank.functions.listed[of.chosen[j]])
+                yield Hypothesis((member,), (1.0,), group.family, float(of.prior[j]))
 
     def _groups(self) -> Iterator[_Group]:
         """Groups of functions at one component."""
@@ -158,7 +164,7 @@ class _Screen:
         vectors = self.bank.vectors
         if not vectors:
             return
-        singles = {g.functions[0]: g for g in self.bank.functions.groups if len(g.functions) == 1}
+        singles = {g.functions[0]: g for g in self.of.singles}
         for v, f in _top(np.stack([self.alone[ks].sum(0) for ks in vectors]), FULL):
             if f in singles:
                 g, members = singles[f], tuple((k, f) for k in vectors[v])
@@ -218,6 +224,26 @@ class _Screen:
 
 def _outer(rows: np.ndarray) -> np.ndarray:
     return np.asarray(rows @ np.swapaxes(rows, 1, 2))
+
+
+def _best(
+    most: np.ndarray, count: int, exact: Callable[[np.ndarray, np.ndarray], np.ndarray]
+) -> list[tuple[int, int]]:
+    """Places of the largest entries of a table that is dear, best first.
+
+    Args:
+        most: what each entry is at most; minus infinity where it is none.
+        count: how many.
+        exact: the entries at some rows and columns.
+    """
+    flat = most.ravel()
+    first = np.array(_top(most, 4 * count), dtype=int).reshape(-1, 2)
+    least = np.sort(exact(first[:, 0], first[:, 1]))[-min(count, len(first)) :][:1]
+    rows, columns = np.divmod(np.flatnonzero(flat >= (least[0] if len(least) else np.inf)),
+                              most.shape[1])  # fmt: skip
+    values = exact(rows, columns)
+    order = np.argsort(-values, kind="stable")[:count]
+    return [(int(rows[i]), int(columns[i])) for i in order]
 
 
 def _top(table: np.ndarray, count: int) -> list[tuple[int, int]]:

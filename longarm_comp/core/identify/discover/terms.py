@@ -16,6 +16,8 @@ from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
 from longarm_comp.core.model.model import Model
 
+NEAR = 0.3
+"""The last step of a fit that only the noise is judged by, in standard errors."""
 STEPS = 6
 """Gauss-Newton steps of each fit."""
 
@@ -55,7 +57,14 @@ def refitted(
     """Fit, noise and inliers judged by what it leaves, and fit again."""
     session = last.session
     first = fit(
-        model, session, sigma=last.sigma, rho=last.rho, weights=last.weights, max_iterations=STEPS
+        model,
+        session,
+        sigma=last.sigma,
+        rho=last.rho,
+        weights=last.weights,
+        max_iterations=STEPS,
+        close=NEAR,
+        near=last,
     )
     nothing = np.zeros((*first.residual.shape, 0))
     judged, weights = noise_step.from_residual(first, nothing)

@@ -1,0 +1,95 @@
+"""Thresholds by all rows: those on the wrong side are no outliers."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.backlash import Backlash
+from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.identify.calibrate import geometry
+from longarm_comp.core.identify.candidates import library
+from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.linear import OUTLIER
+from longarm_comp.core.identify.model_fit import ModelFit
+from longarm_comp.core.identify.search import search
+from longarm_comp.core.identify.thresholds import retuned
+from longarm_comp.core.model.model import Model
+
+PLAY = Backlash(6, gate=0.1, blend=0.01, width=0.03)
+SIGMA = np.full(3, 4e-4)
+
+
+@pytest.fixture(scope="module")
+def arm(demo_arm_path: Path) -> Arm:
+    return Arm.load(demo_arm_path)
+
+
+def session_of(arm: Arm, seed: int, play: Backlash) -> Session:
+    """Poses that the joints reach from either side, of an arm with play; 0.4 mm of noise."""
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(arm.lower, arm.upper, (120, arm.n))
+    side = rng.choice([-1, 1], q.shape)
+    truth = Model(arm, (LinkDeflection(), play))
+    known = Session.record(q, np.zeros((120, 3)), approach=side).context()
+    xyz = truth.tip(q, known) + 4e-4 * rng.standard_normal((120, 3))
+    return Session.record(q, xyz, approach=side)
+
+
+@pytest.fixture(scope="module")
+def rows(arm: Arm) -> Session:
+    return session_of(arm, 1, PLAY)
+
+
+def fitted(arm: Arm, rows: Session, start: Backlash, *others: JointCompliance) -> ModelFit:
+    """A robust fit with a threshold that is taken for granted."""
+    model = Model(arm, (LinkDeflection(), *geometry(arm, rows), start, *others))
+    return fit(model, rows, sigma=SIGMA)
+
+
+def play_of(found: ModelFit) -> Backlash:
+    term = next(t for t in found.model.terms if t.name == "backlash")
+    assert isinstance(term, Backlash)
+    return term
+
+
+@pytest.mark.parametrize(("gate", "blend"), [(0.14, 0.01), (0.07, 0.1)])
+def test_rows_set_aside_on_the_wrong_side_move_the_threshold(
+    arm: Arm, rows: Session, gate: float, blend: float
+) -> None:
+    found = fitted(arm, rows, dataclasses.replace(PLAY, gate=gate, blend=blend))
+    assert len(found.outliers) > 1
+    moved = retuned(found, columns_at(found), play_of(found))
+    assert isinstance(moved, Backlash)
+    assert moved.gate == pytest.approx(0.1, abs=0.01)
+    assert moved.blend < 0.03
+    assert moved.width == play_of(found).width
+
+
+def test_a_threshold_that_rows_agree_on_stays(arm: Arm, rows: Session) -> None:
+    """Also beside outliers that no threshold explains, and without any."""
+    xyz = rows.xyz.copy()
+    xyz[[3, 40, 71]] += 0.02
+    for session in (rows, dataclasses.replace(rows, xyz=xyz)):
+        found = fitted(arm, session, PLAY, JointCompliance(2))
+        columns = columns_at(found)
+        for term in found.model.effects[-2:]:
+            assert retuned(found, columns, term) is term
+    assert (np.abs(found.residual[[3, 40, 71]]) > OUTLIER * SIGMA).any(axis=1).all()
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_the_search_ends_at_a_threshold_between_two_that_are_tried(arm: Arm, seed: int) -> None:
+    """By the believed rows alone it ended at 0.75, with six and ten flipped rows set aside."""
+    rows = session_of(arm, seed, dataclasses.replace(PLAY, gate=0.2))
+    base = Model(arm, (LinkDeflection(), *geometry(arm, rows)))
+    found = search(base, rows, library(arm, rows.context(), (Backlash,), base.terms).testable)
+    assert play_of(found.fit).gate == pytest.approx(0.2, abs=0.005)
+    assert len(found.fit.outliers) <= 1
