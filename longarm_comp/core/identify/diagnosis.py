@@ -18,6 +18,7 @@ from longarm_comp.core.identify.in_words import improvement, left_in_words, sent
 from longarm_comp.core.identify.minor import Minor
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.next_poses import NextPoses
+from longarm_comp.core.identify.plausible import incredible
 from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.proof import NETWORK, LearnedCorrection, Proof
 from longarm_comp.core.identify.search import SearchResult
@@ -168,9 +169,11 @@ def _named(found: Diagnosis) -> str:
     added = found.compared[1] != "calibrated"
     besides = f" {gain}." if added else ""
     if found.rolled_back:
+        size = incredible(found.search.fit.model)
         small = found.proof.better
         why = "is less than half of what is wrong" if small else "is not beyond chance"
-        text = f"Effects were found in the fitted poses but their gain on the held-out ones {why}"
+        text = "Effects were found in the fitted poses but "
+        text += size or f"their gain on the held-out ones {why}"
         return f"{text}; the model was left as it was.{unnamed}{besides}"
     if found.verdict == "noise":
         text = "After calibration nothing but noise is left; no effect was added."

@@ -19,6 +19,7 @@ from longarm_comp.core.identify.identified import Identified, Progress
 from longarm_comp.core.identify.minor import noise_length, smallest
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import from_repeats
+from longarm_comp.core.identify.plausible import incredible
 from longarm_comp.core.identify.proof import LearnedCorrection, Proof
 from longarm_comp.core.identify.search import SearchResult
 from longarm_comp.core.identify.structure import Structure, examine
@@ -67,16 +68,18 @@ def judge(
 ) -> Judged:
     """Effects that unseen poses do not bear out are taken back.
 
-    So are those that took less than half of what is wrong, where structure is left.
+    So are those that took less than half of what is wrong, where structure is left, and all where
+    one is of a size that no arm has: they stand in for something else.
     """
+    model = identified.search.fit.model
     found, rho = identified.findings, identified.search.fit.rho
     more = identified.structure.flag or proof.off
     evidence = max((f.log_bayes_factor for f in found), default=0.0)
     helped = proof.better or (not more and together(proof, evidence, rho))
-    if found and (not helped or (more and proof.share < LEAST_SHARE)):
+    small = more and proof.share < LEAST_SHARE
+    if found and (not helped or small or incredible(model)):
         left = examine(identified.calibrated, identified.calibrated, rng)
         return Judged(calibrated, (), left, None, proof, True)
-    model = identified.search.fit.model
     return Judged(model, found, identified.structure, None, proof, False)
 
 

@@ -141,21 +141,28 @@ def check_noise(sigma: np.ndarray, session: Session) -> None:
         )
 
 
+def incredible(model: Model) -> str:
+    """An effect of a size that no arm has (a tip mass of 89 kg), in words; empty where none is."""
+    for slot in model.slots:
+        value, p = getattr(slot.owner, slot.parameter.name), slot.parameter
+        if not slot.owner.geometry and abs(value) > INCREDIBLE * p.prior:
+            return (
+                f"{slot.owner.name} at {slot.owner.where}: {p.name} {value:.3g} {p.unit} is not "
+                f"credible (typical {p.prior:.2g})"
+            )
+    return ""
+
+
 def check_sizes(model: Model, source: str) -> None:
-    """No effect may be of a size that no arm has (a tip mass of 89 kg).
+    """No effect may be of a size that no arm has.
 
     Raises:
         JobError: one is.
     """
-    for slot in model.slots:
-        value, p = getattr(slot.owner, slot.parameter.name), slot.parameter
-        if not slot.owner.geometry and abs(value) > INCREDIBLE * p.prior:
-            raise JobError(
-                f"{slot.owner.name} at {slot.owner.where}: {p.name} {value:.3g} {p.unit} is not "
-                f"credible (typical {p.prior:.2g}); the rows do not belong to this arm, or "
-                "something else is missing",
-                session=source,
-            )
+    why = incredible(model)
+    if why:
+        left = "the rows do not belong to this arm, or something else is missing"
+        raise JobError(f"{why}; {left}", session=source)
 
 
 def _median(error: np.ndarray) -> float:

@@ -191,7 +191,7 @@ def contest(
     Names that only imitate a cause may leave no structure to look into.  The cause itself leaves
     less than they do.  Where it is clearly better with no more parameters it may take their place;
     otherwise it is their rival.  None where unseen poses refute it,
-    or where it says of them what the names say.
+    or where it says of them what the names say and acts at the same part of the arm.
 
     Args:
         less: fit without the names in question; all else as `discover`.
@@ -204,10 +204,21 @@ def contest(
     clear = odds >= CLEAR and len(one.fit.slots) <= len(base.slots)
     best = (search(less, known, say) or one) if clear else one
     found = _proven(best, base, less, odds, unseal(), rng, seed)
-    if worse(found.proof) or alike(found.proof, smallest(base)):
+    same = alike(found.proof, smallest(base)) and not _elsewhere(best, base, less)
+    if worse(found.proof) or same:
         return None
     kept = clear and found.kept
     return replace(found, kept=kept, rival=not kept)
+
+
+def _elsewhere(found: SearchedFunctions, base: ModelFit, less: ModelFit) -> bool:
+    """Whether it acts at other parts of the arm than the names in question: the repair differs."""
+    arm, held = base.model.arm, {t.key for t in less.model.terms}
+    beams = {f"beam {beam.name}": str(beam.row) for beam in arm.links}
+    named = {t.where.split(",")[0] for t in base.model.terms if t.key not in held}
+    rows = {beams.get(where, where.split(" ")[-1]) for where in named}
+    theirs = {p.at.split(" ")[-1] for g in found.groups for p, _ in g.candidate.members}
+    return "arm" not in rows and not rows & theirs
 
 
 def _proven(
