@@ -14,6 +14,7 @@ from small_arm import ARM as SMALL
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.base_compliance import BaseCompliance
 from longarm_comp.core.effects.bearing_tilt import BearingTilt
 from longarm_comp.core.effects.camera_drift import CameraDrift
 from longarm_comp.core.effects.catalogue import load_file
@@ -45,6 +46,7 @@ from longarm_comp.report.record import checked
 from longarm_comp.share import folder
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import State, TrueContext
+from longarm_comp.sim.hidden import loads
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.outside import HosePull, PumpShake, RubberStop, TwoSeats
 from longarm_comp.studies.discover import set_up
@@ -75,12 +77,14 @@ def calibrated(arm: Arm, session: Session) -> ModelFit:
     return fitted
 
 
-@cache
-def found(arm_name: str, *hidden: HiddenEffect, seed: int = 3) -> Discovery | None:
+def look(arm_name: str, *hidden: HiddenEffect, seed: int = 3) -> Discovery | None:
     arm = {"small": SMALL, "demo": DEMO}[arm_name]
     fitted = calibrated(arm, measured(arm, hidden, ROWS, seed))
     held_out = measured(arm, hidden, HELD_OUT, seed + 100)
     return discover(fitted, None, 100, lambda: held_out, None, np.random.default_rng(0))
+
+
+found = cache(look)
 
 
 def test_a_hose_is_a_force_at_its_place_with_its_size() -> None:
@@ -99,6 +103,44 @@ def test_a_hose_is_a_force_at_its_place_with_its_size() -> None:
     assert cause.compensated
     rows = made.proof.rows
     assert rows["with_effects"].rms < 0.5 * rows["calibrated"].rms
+
+
+@pytest.mark.parametrize(
+    ("hidden", "where", "size", "reading"),
+    [
+        (loads.LinkMass(row=6, mass_kg=0.5), "joint 6, weight", 4.9, "a mass that is not declared"),
+        (loads.BearingTilt(np.eye(7)[1] * 6e-3), "joint 2, give", 6e-3, "something that gives"),
+    ],
+)
+def test_a_weight_and_what_gives_are_one_number(
+    hidden: HiddenEffect, where: str, size: float, reading: str
+) -> None:
+    made = look("demo", hidden)
+    assert made is not None
+    assert made.kept
+    (cause,) = made.found
+    assert where in cause.where
+    assert cause.terms[0].function == "1"
+    assert cause.amounts[0].value == pytest.approx(size, rel=0.1)
+    assert f"behaves like {reading}" in cause.sentence
+
+
+def test_a_rival_at_another_part_of_the_arm_opens_a_name() -> None:
+    """A soft base and a soft bearing above it move the tip alike; the repair is another."""
+    hidden = (loads.BaseCompliance(np.array([6e-3, 6e-3])),)
+    plain = calibrated(DEMO, measured(DEMO, hidden, ROWS, 3))
+    held_out = measured(DEMO, hidden, HELD_OUT, 103)
+    rivals = {}
+    for name in (BearingTilt(joint=1), BaseCompliance()):
+        named = fit(plain.model.plus(name), plain.session)
+        rivals[name.name] = contest(
+            named, plain, 100, lambda: held_out, None, np.random.default_rng(0)
+        )
+    open_ = rivals["bearing_tilt"]
+    assert open_ is not None
+    assert open_.rival
+    assert open_.found[0].where[0] == "base, give"
+    assert rivals["base_compliance"] is None
 
 
 def test_a_few_poses_that_cannot_decide_do_not_overrule_the_fitted_ones() -> None:
