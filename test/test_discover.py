@@ -125,6 +125,25 @@ def test_a_weight_and_what_gives_are_one_number(
     assert f"behaves like {reading}" in cause.sentence
 
 
+def test_a_scale_of_the_camera_is_one_number() -> None:
+    """Slides with a wrong pitch move the tip alike; of what a command does they say otherwise."""
+    rows, held_out = (measured(DEMO, (), n, seed) for n, seed in ((ROWS, 3), (HELD_OUT, 103)))
+    assert DEMO.camera is not None
+    rows, held_out = (
+        dataclasses.replace(s, xyz=s.xyz + 0.004 * (s.xyz - DEMO.camera.position_m))
+        for s in (rows, held_out)
+    )
+    plain = calibrated(DEMO, rows)
+    made = discover(plain, None, 100, lambda: held_out, None, np.random.default_rng(0))
+    assert made is not None
+    (cause,) = made.found
+    assert cause.where[0] == "what the camera sees, distance"
+    assert not cause.compensated
+    assert cause.amounts[0].value == pytest.approx(0.004, rel=0.15)
+    assert cause.formula.startswith("what the camera sees, distance: (0.00")
+    assert cause.formula.endswith(")")
+
+
 def test_a_rival_at_another_part_of_the_arm_opens_a_name() -> None:
     """A soft base and a soft bearing above it move the tip alike; the repair is another."""
     hidden = (loads.BaseCompliance(np.array([6e-3, 6e-3])),)

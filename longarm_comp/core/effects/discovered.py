@@ -14,6 +14,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.arm.posture import Posture
@@ -32,6 +33,12 @@ from longarm_comp.core.effects.shapes import FunctionError
 from longarm_comp.core.errors import InputError
 
 LARGEST = 1e9
+DISTANCE = "distance"
+
+
+def views(arm: Arm) -> list[str]:
+    """Ways that what the camera sees may be displaced; a distance is from a declared camera."""
+    return [*AXES, *([DISTANCE] if arm.camera is not None else [])]
 
 
 @dataclass(frozen=True)
@@ -124,7 +131,8 @@ class DiscoveredView(Bias):
     """A camera-side cause without a name: the seen point is displaced by some function of it.
 
     Attributes:
-        axis: ``x``, ``y`` or ``z`` of the base frame.
+        axis: ``x``, ``y`` or ``z`` of the base frame; ``distance``: away from the camera, as a
+            share of the distance from it.
         function: of the seen point and recorded columns.
         domain, scale: as of `Discovered`.
     """
@@ -134,7 +142,7 @@ class DiscoveredView(Bias):
     action: ClassVar[str] = "Check mount, lenses and calibration of the camera."
     searched: ClassVar[bool] = False
 
-    axis: str = place(lambda arm: AXES, default="x")
+    axis: str = place(views, default="x")
     function: str = place(default="1")
     domain: str = place(default="")
     scale: float = form(1e-3)
@@ -156,8 +164,9 @@ class DiscoveredView(Bias):
         return f"{self.where}, {self.function}"
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """The amount, in m per unit of the function."""
-        return _amount(self.declared(), "m", self.of, self.scale, arm)
+        """The amount, in m, or as a share of the distance, per unit of the function."""
+        unit = "1" if self.axis == DISTANCE else "m"
+        return _amount(self.declared(), unit, self.of, self.scale, arm)
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -173,9 +182,12 @@ class DiscoveredView(Bias):
         _check(self.name, self, arm, where, SeenCoordinate)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """The point displaced along one axis."""
+        """The point displaced along one axis, or away from the camera."""
         at = SeenPoint(point, context)
         by: Scalar = self.amount * self.of.value(lambda q: q.read(at))  # type: ignore[attr-defined]
+        if self.axis == DISTANCE and arm.camera is not None:
+            ray = spatial.sub(point, arm.camera.position_m)
+            return spatial.add(point, spatial.scale(by, ray))
         moved = list(point)
         moved[AXES.index(self.axis)] = moved[AXES.index(self.axis)] + by
         return (moved[0], moved[1], moved[2])

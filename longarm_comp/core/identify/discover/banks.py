@@ -9,7 +9,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.measurement import equations, posture
 from longarm_comp.core.effects.components import components, stations
-from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
+from longarm_comp.core.effects.discovered import DISTANCE, Discovered, DiscoveredView, views
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.quantities import AXES, SeenCoordinate
 from longarm_comp.core.identify.discover.bank import Bank, Spot
@@ -27,12 +27,13 @@ def banks(fit: ModelFit) -> tuple[Bank, ...]:
     """Candidates of the arm's side and, where positions are seen, of the camera's."""
     arm, rows = fit.model.arm, fit.session
     at = posture(fit.model, rows)
-    (spots, units), *views = sides(fit)
+    (spots, units), *seen_sides = sides(fit)
     functions = Functions(arm_inputs(arm, at, rows))
     made = [Bank(spots, units, functions, _axes(arm, spots))]
-    for spots, units in views:
+    for spots, units in seen_sides:
         points = fit.model.measured(rows.q, rows.context())
-        seen = Functions(camera_inputs(points, rows), SeenCoordinate)
+        free = all(spot.component == DISTANCE for spot in spots)
+        seen = Functions(camera_inputs(points, rows), None if free else SeenCoordinate)
         made.append(Bank(spots, units, seen))
     return tuple(made)
 
@@ -44,8 +45,11 @@ def sides(fit: ModelFit) -> Iterator[tuple[list[Spot], np.ndarray]]:
     units, moving = _units(fit, [term_of(p, "1", "", 1e-3) for p in spots])
     yield [p for p, moves in zip(spots, moving, strict=True) if moves], units
     if fit.session.plain:
-        views = [Spot(CAMERA, axis) for axis in AXES]
-        yield views, _units(fit, [term_of(p, "1", "", 1e-3) for p in views])[0]
+        ways = views(arm)
+        for some in (AXES, [way for way in ways if way not in AXES]):
+            seen = [Spot(CAMERA, way) for way in some]
+            if seen:
+                yield seen, _units(fit, [term_of(p, "1", "", 1e-3) for p in seen])[0]
 
 
 def term_of(

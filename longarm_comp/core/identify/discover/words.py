@@ -178,7 +178,7 @@ def domain(candidate: Hypothesis) -> list[str]:
 
 
 def _part(function: Function, value: float, error: float, unit: str) -> str:
-    size = f"({_rounded(value, error)}) {unit}"
+    size = f"({_rounded(value, error)}) {unit}".removesuffix(" 1")
     return f"{size} x {function.formula}" if function.factors else size
 
 
