@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hidden_arm import SIGMA, session
 from scipy.special import logsumexp
-from scipy.stats import multivariate_normal, norm
+from scipy.stats import multivariate_t, norm
 from small_arm import ARM
 
 from longarm_comp.core.effects.shapes import Switch
@@ -18,7 +18,7 @@ from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.discover.bank import Spot
 from longarm_comp.core.identify.discover.inputs import Argument, Arguments
 from longarm_comp.core.identify.discover.search import _State
-from longarm_comp.core.identify.discover.set_aside import LINE, _separating, shared
+from longarm_comp.core.identify.discover.set_aside import LINE, TAILS, _separating, shared
 from longarm_comp.core.identify.model_fit import ModelFit
 
 ROWS = 120
@@ -63,7 +63,12 @@ def test_the_evidence_is_that_of_two_kinds_of_rows(rng: np.random.Generator) -> 
     np.testing.assert_array_equal(np.flatnonzero(found.rows), np.arange(8))
     white = errors / SIGMA
     wide = (white.T @ white + 3 * LINE**2 * np.eye(3)) / len(white)
-    out = multivariate_normal(np.zeros(3), wide).logpdf(white)
+    for _ in range(30):  # the most probable scale of Student's law
+        law = multivariate_t(np.zeros(3), wide, df=TAILS)
+        far = (white * np.linalg.solve(wide, white.T).T).sum(axis=1)
+        counted = white * ((TAILS + 3) / (TAILS + far))[:, None]
+        wide = (counted.T @ white + 3 * LINE**2 * np.eye(3)) / len(white)
+    out = law.logpdf(white)
     amounts = np.linspace(-4e-3, 4e-3, 4001)
     moved = amounts[:, None, None] * units[:14, :, 4] / SIGMA
     inside = norm.logpdf(white - moved).sum(axis=2)

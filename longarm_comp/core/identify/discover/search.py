@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -131,9 +130,7 @@ def first(
     if best is None or best.log_evidence < ENOUGH:
         return None
     say(_label(best.candidate))
-    try:
-        state.take((best,))
-    except JobError:
+    if not state.take((best,)):
         return None
     return state.found(state.groups, ((),) * len(state.groups))
 
@@ -262,12 +259,7 @@ class _State:
                 break
             say(_label(best.candidate))
             before = self.groups
-            try:
-                self.take((*before, best))
-            except JobError:
-                self.take(before)
-                break
-            if len(self.groups) <= len(before):
+            if not self.take((*before, best)) or len(self.groups) <= len(before):
                 break
             grown = True
         return grown
@@ -289,8 +281,7 @@ class _State:
         best = max(tried, key=lambda s: s.log_evidence, default=None)
         if best is not None and best.log_evidence >= ENOUGH:
             say(f"{_label(best.candidate)}: {group.rows.sum()} rows that were set aside")
-            with suppress(JobError):
-                self.take((*before[0], best))
+            if self.take((*before[0], best)):
                 inside = self.fit.weights > 0
                 if inside.sum() - (before[1].weights > 0).sum() >= BACK * group.rows.sum():
                     self.back |= group.rows
@@ -299,15 +290,23 @@ class _State:
         self.groups, self.fit, self.noise = before
         return False
 
-    def take(self, groups: Sequence[Weighed]) -> None:
-        """Fit with some groups, judge the noise again, drop what no longer pays."""
+    def take(self, groups: Sequence[Weighed]) -> bool:
+        """Fit with some groups, judge the noise again, drop what no longer pays.
+
+        Whether the fit stayed finite; else nothing is changed.
+        """
+        before = self.groups, self.fit, self.noise
         while True:
             self.groups = tuple(groups)
             model = with_terms(self.base.model, self.fit.model, self.groups)
-            self.fit, self.noise = refitted(model, self.fit, self.known)
+            try:
+                self.fit, self.noise = refitted(model, self.fit, self.known)
+            except JobError:
+                self.groups, self.fit, self.noise = before
+                return False
             groups = self._lasting()
             if same(groups, self.groups):
-                return
+                return True
 
     def _lasting(self) -> tuple[Weighed, ...]:
         """The groups without members that are less than their own uncertainty, and without
@@ -340,8 +339,7 @@ class _State:
             now, best = self.evidence(k), self.best([k])
             if best is not None and best.log_evidence > now.log_evidence + SWAP:
                 say(f"{_label(best.candidate)} instead")
-                self.take((*self.groups[:k], best, *self.groups[k + 1 :]))
-                changed = True
+                changed |= self.take((*self.groups[:k], best, *self.groups[k + 1 :]))
         return changed
 
     def join(self, say: Callable[[str], None]) -> bool:
@@ -354,8 +352,8 @@ class _State:
             if best is not None and best.log_evidence > now + SWAP:
                 say(f"{_label(best.candidate)} instead of two")
                 kept = [g for k, g in enumerate(self.groups) if k not in (i, j)]
-                self.take((*kept, best))
-                return True
+                if self.take((*kept, best)):
+                    return True
         return False
 
 

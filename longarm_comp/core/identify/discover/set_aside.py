@@ -17,7 +17,6 @@ from longarm_comp.core.effects.function import Function
 from longarm_comp.core.effects.shapes import Switch
 from longarm_comp.core.identify.discover.bank import Bank, Hypothesis, Spot
 from longarm_comp.core.identify.discover.functions import SWITCH, FunctionGroup, switch
-from longarm_comp.core.identify.discover.hold_out import CLEAR
 from longarm_comp.core.identify.discover.inputs import Arguments
 from longarm_comp.core.identify.model_fit import ModelFit
 
@@ -29,6 +28,10 @@ SEPARATING = 8
 """Switches that are tried, those that tell the group from the rest best."""
 LINE = 2.0
 """Noise across a line along which all outliers may lie, in units of the noise."""
+SURE = 12.0
+"""Log odds from which on it is believed: outliers follow no law exactly."""
+TAILS = 2.0
+"""Degrees of freedom of the law of outliers."""
 _STEPS = 5
 
 
@@ -79,8 +82,8 @@ def _of_one_side(
 ) -> SharedDisplacement | None:
     """The displacement that rows set aside share; None where they are outliers.
 
-    Every row is either an outlier, of a normal law with a covariance of its own (cameras err along
-    their sight), or displaced by the same amount of the same component, or by the same vector.
+    Every row is either an outlier, of a law with a covariance of its own (cameras err along their
+    sight), or displaced by the same amount of the same component, or by the same vector.
     """
     out = np.flatnonzero(fit.weights == 0)
     if not spots:
@@ -100,7 +103,7 @@ def _of_one_side(
     _, occam = np.linalg.slogdet(np.eye(len(ks)) + np.einsum("nda,ndb->ab", design, design))
     total = float(np.logaddexp(gain, 0.0).sum() - len(out) * math.log(2.0))
     evidence = total - math.log(len(groups)) - 0.5 * float(occam)
-    if evidence < CLEAR:
+    if evidence < SURE:
         return None
     rows = np.zeros(len(fit.weights), bool)
     rows[out[inside]] = True
@@ -118,11 +121,20 @@ def _groups(spots: Sequence[Spot]) -> list[list[int]]:
 
 
 def _outliers(r: np.ndarray) -> np.ndarray:
-    """(n,) log density of (n, d) whitened errors, the unit normal's constant left out."""
+    """(n,) log density of (n, d) whitened errors, the unit normal's constant left out.
+
+    Student's law with few degrees of freedom: most outliers are just beyond what is believed, some
+    are far off.
+    """
     n, d = r.shape
-    covariance = (r.T @ r + d * LINE**2 * np.eye(d)) / n
-    _, log_det = np.linalg.slogdet(covariance)
-    return np.asarray(-0.5 * (log_det + (r * np.linalg.solve(covariance, r.T).T).sum(axis=1)))
+    scale, share = r.T @ r / n, np.ones(n)
+    for _ in range(4 * _STEPS):
+        scale = ((r * share[:, None]).T @ r + d * LINE**2 * np.eye(d)) / n
+        far = (r * np.linalg.solve(scale, r.T).T).sum(axis=1)
+        share = (TAILS + d) / (TAILS + far)
+    _, log_det = np.linalg.slogdet(scale)
+    constant = math.lgamma((TAILS + d) / 2) - math.lgamma(TAILS / 2) + d / 2 * math.log(2 / TAILS)
+    return np.asarray(constant - 0.5 * (log_det + (TAILS + d) * np.log1p(far / TAILS)))
 
 
 def _commonest(
