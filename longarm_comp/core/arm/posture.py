@@ -18,7 +18,7 @@ from typing import TypeVar, cast
 
 import numpy as np
 
-from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm import spatial, stacked
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.beam import Beam
 from longarm_comp.core.arm.context import Context
@@ -140,7 +140,7 @@ class Chain:
         frames: list[Frame] = [IDENTITY] * self.stations
         lengths: list[Scalar] = [0.0] * self.stations
 
-        moved = spatial.exps({s: t for s, t in twists.items() if s != PLACEMENT})
+        moved = stacked.exps({s: t for s, t in twists.items() if s != PLACEMENT})
         if PLACEMENT in twists:
             moved[PLACEMENT] = spatial.exp_large(twists[PLACEMENT])
 

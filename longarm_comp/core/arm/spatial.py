@@ -13,7 +13,6 @@ pose of frame *i* in the base frame, so ``p_base = frames[i].transform(p_i)``.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -227,73 +226,6 @@ def exp_large(twist: Twist) -> Frame:
     d, w = twist[:3], twist[3:]
     t = dot(w, w) + 1e-24
     return _exp(d, w, *_any(t), t)
-
-
-_AT_ONCE = 32768
-"""Numbers in an array of several items: what a processor keeps near."""
-
-
-def alike(items: Mapping[Any, tuple[Scalar, ...]]) -> Iterator[tuple[list[Any], tuple]]:
-    """Items of the same kind, stacked, so that one computation serves all of them.
-
-    An item is some scalars.  Items of arrays (N,) come together where the same scalars are 0: every
-    scalar is then (k, N), (k, 1) or 0.  Others come alone, as they are.
-
-    Args:
-        items: scalars by key.
-
-    Yields:
-        The keys of some items, and their scalars.
-    """
-    kinds: dict[tuple[bool, ...], list[Any]] = {}
-    for key, item in items.items():
-        if any(isinstance(x, np.ndarray) and x.ndim == 1 for x in item):
-            zeros = tuple([type(x) is float and x == 0.0 for x in item])
-            kinds.setdefault(zeros, []).append(key)
-        else:
-            yield [key], item
-    for zeros, keys in kinds.items():
-        size = max(np.size(x) for x in items[keys[0]])
-        count = max(1, _AT_ONCE // size)
-        for some in (keys[n : n + count] for n in range(0, len(keys), count)):
-            rows = [items[key] for key in some]
-            yield (
-                some,
-                tuple(
-                    0.0 if zero else _stacked([row[k] for row in rows])
-                    for k, zero in enumerate(zeros)
-                ),
-            )
-
-
-def _stacked(scalars: Sequence[Scalar]) -> np.ndarray:
-    """(k, N) or (k, 1) of k floats or arrays (N,)."""
-    made = np.empty((len(scalars), max(np.size(x) for x in scalars)))
-    for row, x in zip(made, scalars, strict=True):
-        row[:] = x
-    return made
-
-
-def one_of(scalars: tuple[Scalar, ...], row: int) -> tuple[Scalar, ...]:
-    """The scalars of one of several items that `alike` stacked, or of one that came alone."""
-    return tuple(
-        [
-            x if not isinstance(x, np.ndarray) or x.ndim < 2 else x[row] if x.shape[1] > 1
-            else float(x[row, 0])
-            for x in scalars
-        ]
-    )  # fmt: skip
-
-
-def exps(twists: Mapping[int, Twist]) -> dict[int, Frame]:
-    """`exp` of many twists."""
-    made = {}
-    for keys, twist in alike(twists):
-        n, o, a, p = exp(twist)
-        for row, key in enumerate(keys):
-            x = one_of((*n, *o, *a, *p), row)
-            made[key] = Frame(x[:3], x[3:6], x[6:9], x[9:])  # type: ignore[arg-type]
-    return made
 
 
 def _small(t: Scalar) -> tuple[Scalar, Scalar]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm import stacked
 from longarm_comp.core.arm.posture import Element, Posture, abs_, loads
 from longarm_comp.core.arm.spatial import Frame, Scalar, Twist, Vec
 from longarm_comp.core.effects.effect import Effect
@@ -80,13 +80,13 @@ def _cantilevers(posture: Posture) -> dict[int, Twist]:
         kinds.setdefault(kind, {})[at] = item
     made = {}
     for (axis, sign, whole), items in kinds.items():
-        for stations, x in spatial.alike(items):
+        for stations, x in stacked.alike(items):
             frame = Frame(x[4:7], x[7:10], x[10:13], x[13:16])
             felt = loads(frame, x[16], x[17:20], posture.gravity)
             along = list(zip(x[20::2], x[21::2], whole, strict=True))
             twist = _cantilever(axis, sign, x[0], x[1:4], felt, along)
             for row, station in enumerate(stations):
-                made[station] = spatial.one_of(twist, row)
+                made[station] = stacked.one_of(twist, row)
     return made  # type: ignore[return-value]
 
 
