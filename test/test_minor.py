@@ -20,12 +20,13 @@ from longarm_comp.core.effects.link_stiffness import LinkStiffness
 from longarm_comp.core.effects.measured_tilt import MeasuredTilt
 from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.identify.aliasing import findings
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.evidence import columns_at, shift_of
 from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.minor import Minor, taken_out
+from longarm_comp.core.identify.minor import Minor, smallest, taken_out
 from longarm_comp.core.model.model import Model
 from longarm_comp.report.assemble import assemble
 from longarm_comp.sim.hidden import drives
@@ -106,6 +107,19 @@ def test_a_place_stays_that_others_can_replace_by_incredible_sizes_only() -> Non
     )
     assert gone == ()
     assert kept.fit is both
+
+
+@pytest.mark.parametrize(("share", "open_"), [(0.9, True), (1.1, False)])
+def test_a_name_that_others_could_do_without_is_open(
+    share: float, open_: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was kept because they would be of sizes that nobody believes."""
+    one = diagnose(ARM, session([drives.JointGain(at(2, 0.02))]), kinds=(JointGain,)).search
+    own = share * smallest(one.fit)
+    monkeypatch.setattr("longarm_comp.core.identify.aliasing.worth", lambda *args: own)
+    _, (gain,) = findings(one, ())
+    assert gain.open == open_
+    assert gain.unnamed.startswith("only 0.0") == open_
 
 
 @pytest.mark.parametrize(("most_m", "stays"), [(1e-5, True), (np.inf, False)])

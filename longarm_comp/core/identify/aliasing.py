@@ -28,7 +28,7 @@ from longarm_comp.core.identify.evidence import (
     score,
     scores,
 )
-from longarm_comp.core.identify.minor import share, worth
+from longarm_comp.core.identify.minor import share, smallest, worth
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.search import SearchResult
 from longarm_comp.core.identify.search_state import ODDS
@@ -137,7 +137,7 @@ def findings(
                 result, candidates, columns, f.terms, chosen.union(f.names)
             ),
             untold=untold(result.fit.session, result.fit.model.arm, f.terms),
-            unnamed=_incredible(result.fit, f.terms),
+            unnamed=_incredible(result.fit, f.terms) or _needless(result.fit, f.worth_m),
         )
         for f in found
     )
@@ -179,6 +179,14 @@ def _incredible(fit: ModelFit, terms: Sequence[Term]) -> str:
     }
     most = max(sizes, key=lambda label: sizes[label], default="")
     return f"{most} is implausibly large" if most and sizes[most] > IMPLAUSIBLE else ""
+
+
+def _needless(fit: ModelFit, worth_m: float) -> str:
+    """Whether the others could do without it, were they of sizes that nobody believes."""
+    if worth_m >= smallest(fit):
+        return ""
+    own = f"only {1e3 * worth_m:.2g} mm at the tip are its own"
+    return f"{own}; the other effects could take the rest"
 
 
 def _levels(q: np.ndarray) -> np.ndarray:
