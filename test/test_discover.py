@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -36,7 +37,9 @@ from longarm_comp.core.identify.discover.functions import SWITCH, Functions, swi
 from longarm_comp.core.identify.discover.hold_out import borne_out, helps_between, shown
 from longarm_comp.core.identify.discover.inputs import Argument, Arguments, levels_of
 from longarm_comp.core.identify.discover.propose import POSES, doubts, proposed
+from longarm_comp.core.identify.discover.search import first, search
 from longarm_comp.core.identify.discover.set_aside import shared
+from longarm_comp.core.identify.discover.terms import refitted
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.proof import Proof, prove
@@ -123,6 +126,25 @@ def test_a_weight_and_what_gives_are_one_number(
     assert cause.terms[0].function == "1"
     assert cause.amounts[0].value == pytest.approx(size, rel=0.1)
     assert f"behaves like {reading}" in cause.sentence
+
+
+def test_a_fit_that_runs_away_leaves_its_function_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The diagnosis goes on without it."""
+    hose = (HosePull(row=5, first=1, second=4, pull=24.0),)
+    fitted = calibrated(DEMO, measured(DEMO, hose, ROWS, 3))
+    tried: list[int] = []
+
+    def run_away(model: Model, *args: Any) -> Any:
+        count = sum(isinstance(term, Discovered) for term in model.terms)
+        if count:
+            tried.append(count)
+            raise JobError("the fit did not stay finite")
+        return refitted(model, *args)
+
+    monkeypatch.setattr("longarm_comp.core.identify.discover.search.refitted", run_away)
+    assert search(fitted, None) is None
+    assert first(fitted, None) is None
+    assert tried == [1, 1]
 
 
 def test_a_scale_of_the_camera_is_one_number() -> None:

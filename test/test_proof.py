@@ -118,6 +118,18 @@ def test_strong_evidence_needs_a_hold_out_that_agrees(
     assert found.rolled_back is not kept
 
 
+def test_effects_of_a_size_that_no_arm_has_are_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They stand in for something else; the report says which, and that it is not known."""
+    rows, held_out = (session((drives.JointGain(at(2, 0.1)),), seed=s) for s in (1, 9))
+    monkeypatch.setattr("longarm_comp.core.identify.plausible.INCREDIBLE", 1.8)
+    found = diagnose(ARM, rows, test=held_out, kinds=(JointGain,))
+    assert found.search.chosen
+    assert found.rolled_back
+    assert (found.findings, found.verdict) == ((), "unknown")
+    assert "joint_gain at joint 2: gain 0." in found.summary
+    assert "is not credible (typical 0.05)" in found.summary
+
+
 @pytest.mark.parametrize(
     ("evidence", "log_odds", "after", "borne"),
     [
