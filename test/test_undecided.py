@@ -21,7 +21,8 @@ from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.noise import NoiseEstimate
 from longarm_comp.core.identify.search import SearchResult
-from longarm_comp.core.identify.undecided import undecided, without_undecided
+from longarm_comp.core.identify.thresholds import undecided
+from longarm_comp.core.identify.undecided import without_undecided
 from longarm_comp.core.model.model import Model
 
 PLAY = Backlash(6, gate=0.1, blend=0.05, width=0.03)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -30,7 +31,7 @@ from longarm_comp.core.identify.fit import fit, unfitted
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
 from longarm_comp.core.identify.step_scan import UnknownStep, scan
-from longarm_comp.core.identify.thresholds import retuned
+from longarm_comp.core.identify.thresholds import retuned, undecided
 from longarm_comp.core.model.model import Model, slots_of
 
 ODDS = math.log(20.0)
@@ -63,6 +64,7 @@ class SearchState:
         self.threshold = math.log(max(len(candidates), 1)) + ODDS
         self._start = base
         self.fit: ModelFit
+        self._sure: ModelFit | None = None
         self.stepped = stepped
         self.unknown_steps: dict[str, UnknownStep] = {}
         self.refused: set[str] = set()
@@ -96,6 +98,10 @@ class SearchState:
         """Columns of every candidate at the fit."""
         self.columns: FitColumns = columns_at(self.fit)
         self.columns.prepare(distinct(self.candidates, self.chosen))
+        switched = [t for t in self.fit.model.terms if key(t) in self.chosen and t.scales()]
+        rows = undecided(self.fit, self.columns, switched) & (self.fit.weights > 0)
+        weights = np.where(rows, 0.0, self.fit.weights)
+        self._sure = dataclasses.replace(self.fit, weights=weights) if rows.any() else None
 
     def settle(self) -> None:
         """Take the last fit to its end."""
@@ -148,10 +154,21 @@ class SearchState:
         for found in self.scores():
             if found.candidate.label in self.refused:
                 continue
-            enough = found.log_bayes_factor >= self.need(found.candidate.name)
-            if enough and len(self.chosen) < MOST_TERMS:
+            need = self.need(found.candidate.name)
+            enough = found.log_bayes_factor >= need and len(self.chosen) < MOST_TERMS
+            if enough and self._decided(found.candidate, need):
                 return found
         return None
+
+    def _decided(self, candidate: Candidate, need: float) -> bool:
+        """Whether it pays too without the rows that thresholds of chosen terms do not decide.
+
+        Whatever changes the loads a little can put such a row on its right side.
+        """
+        if self._sure is None or any(term.scales() for term in candidate.terms):
+            return True
+        columns, marginal = columns_at(self._sure), FitMarginal(self._sure)
+        return score(self._sure, marginal, candidate, columns).log_bayes_factor >= need
 
     def scan_steps(self) -> bool:
         """Take the steps that the residual shows among the candidates; whether there are any."""
@@ -169,14 +186,14 @@ class SearchState:
                 return
             self.accepted += 1
             say(best.candidate.label)
-            before = dict(self.chosen), self._start, self.fit, self.columns, self.noise
+            before = dict(self.chosen), self._start, self.fit, self.columns, self.noise, self._sure
             try:
                 self.accept(best)
                 while self.refine_forms(say):
                     pass
                 self.prune()
             except JobError:
-                self.chosen, self._start, self.fit, self.columns, self.noise = before
+                (self.chosen, self._start, self.fit, self.columns, self.noise, self._sure) = before
             if not any(key(t) in self.chosen for t in best.candidate.terms):
                 self.refused.add(best.candidate.label)
 

@@ -9,30 +9,17 @@ that is nothing without these rows is withdrawn, and the rows are set aside.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from longarm_comp.core.identify.candidates import Candidate, Term
-from longarm_comp.core.identify.evidence import (
-    FitColumns,
-    columns_at,
-    key,
-    marginal_without,
-    score,
-    shift_of,
-)
+from longarm_comp.core.identify.evidence import columns_at, key, marginal_without, score
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.minor import Minor, families, taken_out, worth
-from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.search import SearchResult
+from longarm_comp.core.identify.thresholds import undecided
 
-NEAR = 0.1
-"""Share by which a threshold may differ from row to row."""
-LEAST = 0.005
-"""The same of its range, for thresholds near 0."""
-JUMPS = 0.5
-"""Share of an effect's largest shift by which such a difference moves an undecided row."""
 SHARED = 0.5
 """Share of its evidence that a name must lose without such rows."""
 
@@ -65,22 +52,6 @@ def without_undecided(
 
     lighter, gone = taken_out(aside, doubtful, say)
     return (lighter, gone) if gone else (result, ())
-
-
-def undecided(fitted: ModelFit, columns: FitColumns, terms: Sequence[Term]) -> np.ndarray:
-    """(N,) whether a small change of a term's threshold moves the row to the other side."""
-    rows = np.zeros(len(fitted.session), dtype=bool)
-    for term in terms:
-        largest = np.linalg.norm(shift_of(fitted, columns, [term]), axis=1).max()
-        for field, (lower, upper) in term.scales().items():
-            value = float(getattr(term, field))
-            near = max(NEAR * abs(value), LEAST * (upper - lower))
-            below, above = (
-                shift_of(fitted, columns, [dataclasses.replace(term, **{field: float(v)})])
-                for v in np.clip([value - near, value + near], lower, upper)
-            )
-            rows |= np.linalg.norm(above - below, axis=1) > JUMPS * largest
-    return rows
 
 
 def _set_aside(result: SearchResult, rows: np.ndarray) -> SearchResult:
