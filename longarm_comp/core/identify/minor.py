@@ -173,8 +173,10 @@ def _doubtful(result: SearchResult) -> Iterator[tuple[tuple[Term, ...], Minor]]:
     """What is worth too little or at the limit of what is possible: effects, then single places.
 
     A place of an effect that jumps stays: at poses between the fitted ones it is of another size.
+    So does one that the noise lets see: the effect is named in any case.
     """
     fit, columns, limit = result.fit, columns_at(result.fit), smallest(result.fit)
+    seen = min(limit, OF_NOISE * noise_length(fit))
     found = families(result)
     options = [(terms, 1) for terms in found.values()]
     options += [
@@ -186,9 +188,10 @@ def _doubtful(result: SearchResult) -> Iterator[tuple[tuple[Term, ...], Minor]]:
     for terms, mates in options:
         length = worth(fit, columns, terms)
         why, most = _impossible(fit, terms[0]) if len(terms) == 1 else "", math.inf
-        if length < limit / np.sqrt(mates):
+        least = limit if mates == 1 else seen / np.sqrt(mates)
+        if length < least:
             why = f"worth {1e3 * length:.2g} mm at the tip, too small to matter"
-            most = limit / np.sqrt(mates)
+            most = least
         if why:
             yield terms, Minor.of(terms, length, why, most)
 
