@@ -17,10 +17,12 @@ from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.joint_term import typical_loads
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.identify.calibrate import geometry
+from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.noise import NoiseEstimate
 from longarm_comp.core.identify.search import SearchResult
+from longarm_comp.core.identify.search_state import SearchState
 from longarm_comp.core.identify.thresholds import undecided
 from longarm_comp.core.identify.undecided import without_undecided
 from longarm_comp.core.model.model import Model
@@ -70,3 +72,18 @@ def test_a_name_that_all_rows_speak_for_stays(arm: Arm) -> None:
     after, gone = without_undecided(before, lambda said: None)
     assert after is before
     assert gone == ()
+
+
+def test_what_undecided_rows_alone_speak_for_is_not_added(arm: Arm) -> None:
+    off = dataclasses.replace(PLAY, gate=1.05 * PLAY.gate)
+    found = result_of(arm, 2, (PLAY,), off)
+    base = Model(arm, (LinkDeflection(), *geometry(arm, found.fit.session)))
+    turned = Candidate("gravity_direction", (GravityDirection(),))
+    state = SearchState(base, found.fit.session, [turned], None)
+    state.chosen, state.fit = {off.key: off}, found.fit
+    state._look()
+    (best,) = state.scores()
+    assert best.log_bayes_factor > 50.0 > state.threshold
+    assert state.best() is None
+    state._sure = None
+    assert state.best() is not None
