@@ -26,6 +26,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_of, sighting_of
+from longarm_comp.nodes.orders import Stamps, order_id
 from longarm_comp.nodes.stamps import stamp_ns
 from longarm_interfaces.msg import DriverState, Motion
 
@@ -182,7 +183,8 @@ class ArmClient(GraphClient):
         graph.JOINT_STATES.subscription(self.node, self._on_joints)
         graph.TIP_MEASURED.subscription(self.node, self._on_tip)
         self._driver: DriverState | None = None
-        self._sent, self._refused, self._reached = 0, "", False
+        self._stamps = Stamps(self.node)
+        self._sent, self._refused, self._reached = "", "", False
         graph.MOTION.subscription(self.node, self._on_motion)
         self._states = graph.DRIVER_STATE.subscription(self.node, self._on_state)
 
@@ -225,14 +227,9 @@ class ArmClient(GraphClient):
         self._driver = message
 
     def _on_motion(self, message: Motion) -> None:
-        if message.id == self._id:
+        if message.id == self._sent:
             self._reached |= message.event == Motion.REACHED
             self._refused = message.message if message.event == Motion.REFUSED else ""
-
-    @property
-    def _id(self) -> str:
-        """Of the last trajectory that was sent."""
-        return f"{self.node.get_name()} {self._sent}"
 
     def driver_takes(self) -> bool:
         """Whether the driver takes trajectories.
@@ -257,9 +254,9 @@ class ArmClient(GraphClient):
                     positions=q.tolist(), velocities=[0.0] * self.arm.n, time_from_start=after
                 )
             )
-        self._sent, self._refused, self._reached = self._sent + 1, "", False
         sent = JointTrajectory(joint_names=list(self.arm.joint_names), points=points)
-        sent.header.frame_id = self._id
+        sent.header.stamp = self._stamps.next()
+        self._sent, self._refused, self._reached = order_id(sent), "", False
         self._trajectory.publish(sent)
 
     def arrive(
