@@ -52,7 +52,10 @@ class DriverStopped(JobError):  # noqa: N818
 
     def __init__(self, state: DriverState) -> None:
         self.held = state.state == DriverState.HOLDING
-        super().__init__(f"the driver {_STOPPED[state.state]}", said=state.message or "nothing")
+        leads_on = "`longarm status` tells more, `longarm reset` leads on"
+        super().__init__(
+            f"the driver {_STOPPED[state.state]} ({leads_on})", said=state.message or "nothing"
+        )
 
 
 _STOPPED = {
@@ -201,11 +204,15 @@ class ArmClient(GraphClient):
         del self.sightings[:-200]
 
     def ready(self, within_s: float = 30.0, *, tip: bool = True) -> None:
-        """Wait for joint states, a ready driver and, with ``tip``, a sighting of the tip."""
+        """Wait for joint states, a ready driver and, with ``tip``, a sighting of the tip.
+
+        Raises:
+            DriverStopped: the driver is held, in fault or in emergency stop.
+        """
         running = "does `longarm up` run, in this namespace and ROS_DOMAIN_ID?"
         self.until(lambda: self.joints is not None, within_s, f"no joint_states ({running})")
         self.until(self._driver_hears, within_s, "no driver listens to joint_trajectory")
-        self.until(self._driver_takes, within_s, "the driver is not ready")
+        self.until(self.driver_takes, within_s, "the driver is not ready (`longarm status`)")
         if tip:
             pictures = "do the cameras publish left|right/image_raw and camera_info?"
             self.until(lambda: self.sightings, within_s, f"no tip_measured ({pictures})")
