@@ -43,6 +43,8 @@ CLUSTER = ["dask[distributed]>=2024.1"]
 DOCS = ["furo>=2024.8", "myst-nb>=1.1", "pillow>=10.1", "sphinx>=7.4"]
 VIEW = ["viser==1.1.1", "websockets>=14"]  # pinned: longarm_comp/view/server.py wraps how it serves
 
+PATH = ["toppra>=0.6"]  # wheels for Python 3.10 to 3.13
+
 EXTRAS = {
     "test": ["pytest"],  # by this name colcon test finds that pytest runs the tests
     "device": DEVICE,  # longarm train --device
@@ -50,12 +52,14 @@ EXTRAS = {
     "cluster": [*STUDIES, *CLUSTER],  # study loop --dask
     "docs": DOCS,  # make docs
     "view": VIEW,  # longarm view
+    "path": PATH,  # limits of velocity and acceleration along compensated paths
     "dev": [
         *DEVICE,
         *STUDIES,
         *CLUSTER,
         *DOCS,
         *VIEW,
+        *PATH,
         "PyNiteFEA",
         "colcon-common-extensions",
         "dynamixel-sdk",

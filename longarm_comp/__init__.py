@@ -28,6 +28,7 @@ __all__ = [
     "Session",
     "calibrate",
     "compensate",
+    "compensate_path",
     "diagnose",
     "effects",
     "evaluate",
@@ -55,6 +56,7 @@ if TYPE_CHECKING:
     from longarm_comp.sessions.targets import read_targets
     from longarm_comp.workflows.calibrate import calibrate
     from longarm_comp.workflows.compensate import compensate
+    from longarm_comp.workflows.compensate_path import compensate_path
     from longarm_comp.workflows.diagnose import diagnose
     from longarm_comp.workflows.evaluate import evaluate
     from longarm_comp.workflows.inputs import load_predictor
@@ -90,6 +92,7 @@ _MODULE_OF = {
     "Session": "core.data.session",
     "calibrate": "workflows.calibrate",
     "compensate": "workflows.compensate",
+    "compensate_path": "workflows.compensate_path",
     "diagnose": "workflows.diagnose",
     "effects": "core.effects.catalogue",
     "evaluate": "workflows.evaluate",

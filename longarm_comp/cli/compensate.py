@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 @options.arm
 @click.argument("numbers", nargs=-1, metavar="[X Y Z [QX QY QZ QW]]")
 @options.path_option("--targets", "Targets (CSV) instead of one on the command line.")
+@options.path_option("--path", "Way-points (CSV as targets, t_s where timed), in their order.")
+@click.option("--max-velocity", type=float, help="Of every joint along --path, rad/s or m/s.")
+@click.option("--max-acceleration", type=float, help="The same, rad/s^2 or m/s^2.")
 @options.model
 @options.predictor
 @click.option(
@@ -47,6 +50,9 @@ def command(
     arm: Path,
     numbers: tuple[str, ...],
     targets: Path | None,
+    path: Path | None,
+    max_velocity: float | None,
+    max_acceleration: float | None,
     model: Path | None,
     predictor: Path | None,
     method: str | None,
@@ -64,24 +70,33 @@ def command(
 
     commands.csv has one line per target. If a target fails, the line holds the reason and the exit
     code is 3. approach_q* is the side that each joint must arrive from, run_up_q* the via point.
+    Along --path way-points are passed without a stop: t_s and v_q* are times and velocities, and
+    nothing is written where one of them cannot be reached.
 
     \b
     Examples:
       longarm compensate arm.yaml 0.9 -0.1 0.2 --model model.yaml --predictor predictor.npz
       longarm compensate arm.yaml --targets targets.csv --model model.yaml --lock 7
+      longarm compensate arm.yaml --path waypoints.csv --model model.yaml --max-velocity 0.4
     """
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.compensation.compensate import Method
     from longarm_comp.core.errors import InputError, JobError
     from longarm_comp.sessions.targets import Targets, read_targets
-    from longarm_comp.workflows.compensate import compensate, fitting
+    from longarm_comp.workflows.compensate import Commands, compensate, fitting
+    from longarm_comp.workflows.compensate_path import compensate_path
     from longarm_comp.workflows.inputs import load_predictor, physics
 
     declared = Arm.load(arm)
-    if bool(numbers) == (targets is not None):
-        raise InputError("compensate", "target", list(numbers), "X Y Z, or --targets FILE")
+    if (bool(numbers), targets is not None, path is not None).count(True) != 1:
+        allowed = "one of X Y Z, --targets FILE, --path FILE"
+        raise InputError("compensate", "target", list(numbers), allowed)
+    for flag, value in (("--max-velocity", max_velocity), ("--max-acceleration", max_acceleration)):
+        if value is not None and path is None:
+            raise InputError("compensate", flag, value, "with --path alone")
     base = physics(declared, model)
-    wanted = read_targets(targets) if targets else Targets.one([_number(v) for v in numbers])
+    given = targets or path
+    wanted = read_targets(given) if given else Targets.one([_number(v) for v in numbers])
     learned = load_predictor(predictor, declared, model) if predictor else None
     chosen = fitting(learned) if method is None else Method(method)
     if chosen.learned and learned is None:
@@ -89,19 +104,26 @@ def command(
     if chosen.learned and chosen is not fitting(learned):
         allowed = f"{fitting(learned).value}: as the predictor was trained"
         raise InputError("compensate", "--method", method, allowed)
-    answers = compensate(
-        base,
-        wanted,
-        learned,
-        method=chosen,
-        history=history,
-        run_up=not no_run_up,
-        seed=None if seed_q is None else _joints(seed_q, declared),
-        locked=[int(v) if v.isdigit() else v for v in lock],
-        position_only=position_only,
-        single_pass=single_pass,
-        realisable=realisable,
-    )
+    alike: dict[str, Any] = {
+        "method": chosen,
+        "history": history,
+        "seed": None if seed_q is None else _joints(seed_q, declared),
+        "locked": [int(v) if v.isdigit() else v for v in lock],
+        "position_only": position_only,
+        "single_pass": single_pass,
+    }
+    answers: Commands
+    if path is None:
+        answers = compensate(
+            base, wanted, learned, run_up=not no_run_up, realisable=realisable, **alike
+        )
+    else:
+        answers = found = compensate_path(
+            base, wanted, learned,
+            max_velocity=max_velocity, max_acceleration=max_acceleration, **alike,
+        )  # fmt: skip
+        for text in found.notes:
+            note(text)
     answers.save(output)
     commands = answers.lines()
     rows = [_row(c, declared.n) for c in commands]

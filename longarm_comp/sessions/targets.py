@@ -147,19 +147,27 @@ def _cells(values: np.ndarray | None, n: int) -> list[float | None]:
     return [None] * n if values is None else list(values)
 
 
-def write_commands(path: str | Path, n: int, commands: Sequence[Command]) -> None:
-    """Write commands.csv for an arm of n joints, whole or not at all."""
+def write_commands(
+    path: str | Path,
+    n: int,
+    commands: Sequence[Command],
+    further: Mapping[str, np.ndarray] | None = None,
+) -> None:
+    """Write commands.csv for an arm of n joints, whole or not at all; ``further`` columns last."""
+    more = further or {}
     header = [
         *("index", "status", "reason", *joint_names(n)),
         *("target_x", "target_y", "target_z"),
         *("predicted_error_x", "predicted_error_y", "predicted_error_z", "sigma_mm", "passes"),
         *(f"{kind}_{name}" for kind in _OF_THE_MOVE for name in joint_names(n)),
+        *more,
     ]
     rows = []
-    for c in commands:
+    for k, c in enumerate(commands):
         q = [None] * n if c.q is None else list(c.q)
         error = [None] * 3 if c.predicted_error is None else list(c.predicted_error)
         sigma_mm = None if c.sigma_m is None else 1e3 * c.sigma_m
         move = [value for kind in _OF_THE_MOVE for value in _cells(getattr(c, kind), n)]
         rows.append([c.index, c.status, c.reason, *q, *c.target, *error, sigma_mm, c.passes, *move])
+        rows[-1] += [float(column[k]) for column in more.values()]
     write_table(path, header, rows)

@@ -144,14 +144,14 @@ def compensate(
     """
     if predictor is not None:
         check_predictor(predictor, model, "compensate")
-    chosen = fitting(predictor) if method is None else _method(method)
+    chosen = fitting(predictor) if method is None else method_of(method)
     if predictor is not None and chosen.learned and chosen is not fitting(predictor):
         allowed = f"{fitting(predictor).value}: as the predictor was trained"
         raise InputError("compensate", "method", chosen.value, allowed)
-    goals, contexts, numbers = _goals(model, targets, context)
+    goals, contexts, numbers = goals_of(model, targets, context)
     starts = None if seed is None else _starts(seed, len(goals))
     options = CompensationOptions(chosen, Settling(**settling), tuple(locked), run_up, realisable)
-    at, came = (None, History.unknown(model.arm.n)) if history is None else _last(history, model)
+    at, came = (None, History.unknown(model.arm.n)) if history is None else last(history, model)
     arrivals = []
     for k, goal in enumerate(goals):
         sides = _sides(contexts[k], model.arm.n)
@@ -161,7 +161,7 @@ def compensate(
             goal,
             start=at,
             history=came,
-            context_after=partial(_after, contexts[k]),
+            context_after=partial(after, contexts[k]),
             sides=sides,
             seed=starts[k] if starts is not None and starts.ndim == 2 else starts,
             position_only=position_only or goal.ndim == 1,
@@ -173,7 +173,7 @@ def compensate(
     return Commands(numbers, tuple(arrivals))
 
 
-def _after(given: Context, arrived: History) -> Context:
+def after(given: Context, arrived: History) -> Context:
     """The given circumstances, completed by the history that the move leaves in the joints."""
     fields = {k: getattr(given, k) or v for k, v in arrived.fields().items()}
     return dataclasses.replace(given, **fields)
@@ -185,7 +185,7 @@ def _sides(given: Context, n: int) -> np.ndarray | None:
     return np.array(sides, float) if sides.any() else None
 
 
-def _last(history: SessionLike, model: Model) -> tuple[np.ndarray, History]:
+def last(history: SessionLike, model: Model) -> tuple[np.ndarray, History]:
     """Joints (n,) at the end of a session, and their history."""
     session = history if isinstance(history, Session) else read_session(history, model.arm)
     session = as_fitted(session, model)
@@ -199,7 +199,8 @@ def fitting(predictor: Predictor | None) -> Method:
     return Method.learned_beside(deflection=predictor.provenance.beside_deflection)
 
 
-def _method(given: Method | str) -> Method:
+def method_of(given: Method | str) -> Method:
+    """A method by its name. Raises InputError."""
     try:
         return Method(given)
     except ValueError:
@@ -214,7 +215,7 @@ def _starts(seed: ArrayLike, count: int) -> np.ndarray:
     return given
 
 
-def _goals(
+def goals_of(
     model: Model, targets: ArrayLike | Targets, context: Context | None
 ) -> tuple[list[np.ndarray], list[Context], np.ndarray]:
     """Positions (3,) or poses (4, 4), the circumstances of each, and their numbers."""

@@ -36,7 +36,7 @@ class CompensationOptions:
 
     Attributes:
         run_up: whether a run-up may be added so that joints arrive from a chosen side.
-        realisable: as in `compensate`.
+        realisable, starts: as in `compensate`.
     """
 
     method: Method = Method.BOTH
@@ -44,6 +44,7 @@ class CompensationOptions:
     locked: tuple[int | str, ...] = ()
     run_up: bool = True
     realisable: bool | Lattice = True
+    starts: int = ik.MAX_STARTS
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +108,7 @@ def compensate_move(
             model, predictor, target, context=context, seed=seed, position_only=position_only,
             method=options.method, locked=options.locked, doubtful=doubtful,
             realisable=realisable, context_at=context_at if matters else None,
+            starts=options.starts,
             **vars(options.settling),
         )  # fmt: skip
 
@@ -116,7 +118,7 @@ def compensate_move(
     if predictor is not None or matters or sides is not None:
         first = ik.solve(
             physics, target, seed=seed, context=context_after(history),
-            position_only=position_only, locked=options.locked,
+            position_only=position_only, locked=options.locked, max_starts=options.starts,
         )  # fmt: skip
         if sides is None and options.run_up:
             wanted = _chosen(model, start, first.q, matters)

@@ -85,6 +85,7 @@ def compensate(
     doubtful: np.ndarray | None = None,
     realisable: bool | Lattice = True,
     context_at: ContextAt | None = None,
+    starts: int = ik.MAX_STARTS,
     **settling: Any,
 ) -> Compensation:
     """Joints that bring the *real* tip to one target.
@@ -103,6 +104,7 @@ def compensate(
             commanded as they are. Off for paths of close targets; a single pass never chooses.
         context_at: circumstances at joints (M, n), where the way there depends on the joints; the
             choice among the steps judges each command in its own. Default: ``context`` for all.
+        starts: of the search for the target; 1: from the seed alone, so that no path jumps.
         settling: fields of `Settling`: when the passes end.
 
     Returns:
@@ -120,7 +122,7 @@ def compensate(
     lattice = lattice_of(model, realisable)
     task = _Task(
         model, predictor, method, free, tuple(locked), Settling(**settling), doubtful, lattice,
-        context_at,
+        context_at, starts,
     )  # fmt: skip
     start = ik.checked_seed(model, seed, 1, "compensate")[0]
     return task.run(given, (context or Context.empty()).take(0), start)
@@ -185,6 +187,7 @@ class _Task:
     doubtful: np.ndarray | None = None
     lattice: Lattice | None = None
     context_at: ContextAt | None = None
+    starts: int = ik.MAX_STARTS
 
     def run(self, target: np.ndarray, context: Context, seed: np.ndarray) -> Compensation:
         """One target, (3,) or (4, 4); seed (n,) inside the limits."""
@@ -210,7 +213,7 @@ class _Target:
         lacking = missing_column(self.model, self.context)
         if lacking:
             return self._ended(Status.STALE_CONTEXT, lacking)
-        found = self._search(self.target, ik.MAX_STARTS)
+        found = self._search(self.target, task.starts)
         self.ideal = self.q = found.q
         if not found.ok:
             return self._ended(Status.UNREACHABLE, missed("target", found))
@@ -221,7 +224,7 @@ class _Target:
         return self._correct(task.predictor)
 
     def _correct(self, predictor: ResidualPredictor) -> Compensation:
-        settling = self.task.settling
+        task, settling = self.task, self.task.settling
         while True:
             expected = predictor.predict(self.q[None], self.context)
             before, self.error = self.error, np.asarray(expected.error[0], float)
@@ -237,7 +240,7 @@ class _Target:
             if self.passes == settling.max_passes:
                 return self._ended(Status.NOT_CONVERGED, settling.unsettled)
             self.passes += 1
-            found = self._search(shifted(self.target, self.error), NEARBY_STARTS)
+            found = self._search(shifted(self.target, self.error), min(task.starts, NEARBY_STARTS))
             if not found.ok:
                 return self._ended(Status.UNREACHABLE, missed("pseudo-target", found))
             self.q = found.q

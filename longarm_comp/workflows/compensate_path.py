@@ -1,0 +1,120 @@
+"""Joints and times that bring the real tip along a path."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.history import History
+from longarm_comp.core.compensation.arrive import CompensationOptions
+from longarm_comp.core.compensation.path import Plan
+from longarm_comp.core.compensation.path import compensate_path as solve_path
+from longarm_comp.core.compensation.result import Method, Settling
+from longarm_comp.core.compensation.retime import Limits, Timed
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.learn.predictor import Predictor
+from longarm_comp.core.model.model import Model
+from longarm_comp.sessions.csv import joint_names
+from longarm_comp.sessions.targets import Targets, write_commands
+from longarm_comp.workflows import compensate as points
+from longarm_comp.workflows.inputs import FilePath, SessionLike, check_predictor
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PathCommands(points.Commands):
+    """One answer per way-point, in their order, and when each is due.
+
+    Attributes:
+        timed: times (s), joints and velocities (rad, m, a second) at the way-points.
+        correction_m: (N,) by how much the declared arm's tip is moved, m.
+        notes: doubts of way-points, each once.
+    """
+
+    timed: Timed
+    correction_m: np.ndarray
+    notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"PathCommands({len(self)} way-points, {self.timed.times[-1]:.3g} s)"
+
+    def save(self, path: FilePath) -> None:
+        """Write commands.csv, with t_s and velocities v_q1..v_qn besides.
+
+        Raises:
+            InputError: the folder cannot be written.
+        """
+        n = self.timed.joints.shape[1]
+        further = {"t_s": self.timed.times}
+        for name, column in zip(joint_names(n), self.timed.velocities.T, strict=True):
+            further[f"v_{name}"] = column
+        write_commands(path, n, self.lines(), further)
+
+
+def compensate_path(
+    model: Model,
+    path: ArrayLike | Targets,
+    predictor: Predictor | None = None,
+    *,
+    times: ArrayLike | None = None,
+    method: Method | str | None = None,
+    context: Context | None = None,
+    history: SessionLike | None = None,
+    max_velocity: ArrayLike | None = None,
+    max_acceleration: ArrayLike | None = None,
+    max_correction_m: float = np.inf,
+    seed: ArrayLike | None = None,
+    position_only: bool = False,
+    locked: Sequence[int | str] = (),
+    **settling: Any,
+) -> PathCommands:
+    """Joints that bring the real tip of an arm along a path, and when they are due.
+
+    Args:
+        model, predictor, method, context, history, locked, settling: as in `compensate`.
+        path: way-points in their order: positions (N, 3) in m or poses (N, 4, 4), base frame, or
+            `Targets` that were read from a file; their t_s are the times.
+        times: (N,) s, rising. They stay where the limits allow. None: with both limits as fast
+            as these allow, else a second a way-point.
+        max_velocity, max_acceleration: one for every joint, or (n,); rad/s, m/s, and a second.
+        max_correction_m: most that the declared arm's tip may be moved, m.
+        seed: (n,) joints to start the first search from.
+        position_only: leave the orientation free.
+
+    Raises:
+        PathRefused: a way-point cannot be reached, or a limit or a box is in the way.
+        InputError: as `compensate`; shapes or times are not allowed.
+    """
+    if predictor is not None:
+        check_predictor(predictor, model, "compensate")
+    chosen = points.fitting(predictor) if method is None else points.method_of(method)
+    goals, contexts, numbers = points.goals_of(model, path, context)
+    if len({goal.ndim for goal in goals}) > 1:
+        raise InputError("path", "qx", "at some way-points", "at every way-point or at none")
+    if times is None and isinstance(path, Targets):
+        times = path.columns.get("t_s")
+    n = model.arm.n
+    limits = Limits(_each(max_velocity, n, "max_velocity"),
+                    _each(max_acceleration, n, "max_acceleration"))  # fmt: skip
+    start, came = (None, History.unknown(n)) if history is None else points.last(history, model)
+    first = start if seed is None else np.asarray(seed, float)
+    found = solve_path(
+        model, predictor,
+        Plan(np.array(goals), None if times is None else np.asarray(times, float)),
+        start=start, history=came, seed=first,
+        context_after=lambda arrived, row: points.after(contexts[row], arrived),
+        limits=limits, max_correction_m=max_correction_m, position_only=position_only,
+        options=CompensationOptions(chosen, Settling(**settling), tuple(locked)),
+    )  # fmt: skip
+    return PathCommands(numbers, found.arrivals, found.timed, found.correction_m, found.notes)
+
+
+def _each(given: ArrayLike | None, n: int, name: str) -> np.ndarray:
+    values = np.asarray(np.inf if given is None else given, float)
+    if values.shape not in ((), (1,), (n,)) or not (values > 0.0).all():
+        raise InputError("path", name, np.atleast_1d(values).tolist(), f"one or {n}, above 0")
+    return np.array(np.broadcast_to(values, n), float)

@@ -1,0 +1,202 @@
+"""Planned paths, compensated: the tip follows, joints do not jump, limits hold."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from cli_shell import Shell
+
+import longarm_comp as la
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.history import History
+from longarm_comp.core.compensation.path import CompensatedPath, PathRefused, Plan, compensate_path
+from longarm_comp.core.compensation.result import Status
+from longarm_comp.core.compensation.retime import Limits, Timed, fastest, retimed, slopes_of
+from longarm_comp.core.effects.backlash import Backlash
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.strict_yaml import read_yaml
+
+ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
+SECONDS = 4.0
+
+
+@pytest.fixture(scope="module")
+def arm() -> Arm:
+    return Arm.load(ARM)
+
+
+@pytest.fixture(scope="module")
+def model(arm: Arm) -> Model:
+    """Sag, and play in two joints that the path turns."""
+    return declared_model(arm).plus(Backlash(joint=1, width=4e-3), Backlash(joint=3, width=1e-3))
+
+
+def plan_of(arm: Arm, count: int = 41) -> Plan:
+    """From rest to rest, there and back: every joint turns once."""
+    times = np.linspace(0.0, SECONDS, count)
+    share = times / SECONDS
+    along = share**3 * (10 - 15 * share + 6 * share**2)
+    reach = 0.2 * (arm.upper - arm.lower) * np.linspace(0.6, 1.0, arm.n)
+    joints = arm.mid + reach * np.sin(np.pi * along)[:, None]
+    return Plan.of_joints(arm, times, joints)
+
+
+def follow(model: Model, plan: Plan, predictor: object = None, **more: object) -> CompensatedPath:
+    start = more.pop("start", plan.joints[0])
+    return compensate_path(
+        model, predictor, plan, start=start, history=History.unknown(model.arm.n),
+        context_after=lambda arrived, row: Context(**arrived.fields()), **more,
+    )  # fmt: skip
+
+
+def misses(model: Model, joints: np.ndarray, plan: Plan) -> np.ndarray:
+    """By how much the tip misses the plan where joints go one after another, m."""
+    history, found = History.unknown(model.arm.n), []
+    for before, now, target in zip(joints, joints[1:], plan.targets[1:], strict=False):
+        history = history.after(now[None], before)
+        tip = model.tip(now, Context(**history.fields()))
+        found.append(np.linalg.norm(tip - target[:3, 3]))
+    return np.array(found)
+
+
+def test_the_tip_follows_the_plan_through_sag_play_and_turns(arm: Arm, model: Model) -> None:
+    plan = plan_of(arm)
+    found = follow(model, plan)
+    assert misses(model, plan.joints, plan).min() > 5e-3  # uncompensated
+    assert misses(model, found.timed.joints, plan).max() < 2e-6
+    np.testing.assert_array_equal(found.timed.joints[0], plan.joints[0])  # it stands there
+    np.testing.assert_array_equal(found.timed.times, plan.times)  # nothing limits it
+    shift = np.abs(np.diff(found.timed.joints - plan.joints, axis=0))[1:]
+    assert (shift[:, [1, 3, 4, 5, 6]] < 2e-3).all()  # of joints without play nothing jumps
+    turned = np.flatnonzero(shift[:, 0] > 3e-3)
+    assert len(turned) == 1 and 18 <= turned[0] <= 21  # the play of joint 1 is taken up once
+    assert found.correction_m[1:].min() > 5e-3
+    assert found.history.approach.tolist() == [-1.0] * arm.n
+
+
+def test_a_way_that_cannot_be_gone_is_refused_whole_and_in_words(arm: Arm, model: Model) -> None:
+    plan = plan_of(arm)
+    with pytest.raises(PathRefused, match=r"way-point \d+: correction_too_large: .* allowed 4 mm"):
+        follow(model, plan, max_correction_m=4e-3)
+    edge = Plan.of_joints(arm, plan.times, plan.joints + (arm.upper - plan.joints.max(axis=0)))
+    with pytest.raises(PathRefused) as refused:
+        follow(model, edge, start=arm.mid)
+    assert refused.value.status is Status.UNREACHABLE and 15 < refused.value.row < 26
+    box = declared_model(arm).tip(plan.joints[20])
+    lamp = {"min_m": (box - 0.01).tolist(), "max_m": (box + 0.01).tolist()}
+    fenced = Arm.parse(dict(read_yaml(ARM)) | {"keep_out": {"lamp": lamp}}, "fenced")
+    with pytest.raises(PathRefused, match=r"way-point 1\d: kept_out: keep_out lamp"):
+        follow(declared_model(fenced), Plan.of_joints(fenced, plan.times, plan.joints))
+    for name, bad in (
+        ("time", Plan.of_joints(arm, plan.times[::-1], plan.joints)),
+        ("joints", Plan(plan.targets, plan.times, plan.joints[:3])),
+    ):
+        with pytest.raises(InputError, match=name):
+            follow(model, bad, start=arm.mid)
+
+
+def test_what_the_predictor_cannot_answer_for_is_not_corrected_in_part(
+    arm: Arm, model: Model
+) -> None:
+    plan = plan_of(arm, 11)
+
+    class Doubtful:
+        asked = 0
+
+        def predict(self, q: np.ndarray, context: Context) -> SimpleNamespace:
+            self.asked += 1
+            known = np.array([self.asked < 20])
+            return SimpleNamespace(
+                error=np.array([[2e-3, 0.0, 0.0]]), sigma=np.full((1, 3), 1e-4), in_domain=known,
+                reason=["too far out"],
+            )  # fmt: skip
+
+    found = follow(model, plan, Doubtful())
+    assert "physics only" in found.notes[0] and "too far out" in found.notes[0]
+    np.testing.assert_allclose(found.timed.joints, follow(model, plan).timed.joints, atol=1e-7)
+
+
+def test_limits_are_kept_nowhere_faster_than_the_plan(arm: Arm, model: Model) -> None:
+    plan = plan_of(arm)
+    free = follow(model, plan).timed
+    peak = np.abs(free.at(free.between, 1)).max(axis=0)
+    limits = Limits(0.6 * peak, np.full(arm.n, 2.0))
+    assert free.excess(limits) > 1.5
+    timed = follow(model, plan, limits=limits).timed
+    np.testing.assert_array_equal(timed.joints, free.joints)
+    between = timed.between
+    assert (np.abs(timed.at(between, 1)) <= limits.velocity * (1 + 1e-5)).all()
+    assert (np.abs(timed.at(between, 2)) <= limits.acceleration * (1 + 1e-5)).all()
+    assert (np.diff(timed.times) >= np.diff(plan.times) - 1e-9).all()
+    assert timed.stretch == pytest.approx(timed.times[-1] / SECONDS) and timed.stretch < 3.0
+    assert not timed.velocities[[0, -1]].any()
+
+
+def test_random_ways_are_timed_within_limits() -> None:
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        ways = np.cumsum(0.05 * rng.normal(size=(30, 4)), axis=0)
+        limits = Limits(np.full(4, 0.5), rng.uniform(1.0, 4.0, 4))
+        quick = fastest(ways, limits)
+        slow = np.linspace(0.0, 5.0, 30)
+        for timed in (quick, retimed(Timed(slow, ways, slopes_of(slow, ways)), limits)):
+            assert timed.excess(limits) <= 1.0 + 1e-5
+        least = (np.abs(np.diff(ways, axis=0)) / limits.velocity).max(axis=1).sum()
+        assert least < quick.times[-1] < 4.0 * least
+        kept = Timed(20.0 * slow, ways, slopes_of(20.0 * slow, ways))
+        assert retimed(kept, limits) is kept
+
+
+def test_without_toppra_only_a_path_that_is_too_fast_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    import sys
+
+    monkeypatch.setitem(sys.modules, "toppra", None)
+    times, ways = np.linspace(0.0, 1.0, 5), np.linspace(0.0, 1.0, 5)[:, None]
+    path = Timed(times, ways, slopes_of(times, ways))
+    assert retimed(path, Limits(np.array([9.0]), np.array([99.0]))) is path
+    with pytest.raises(JobError, match=r"longarm_comp\[path\]"):
+        retimed(path, Limits(np.array([0.5]), np.array([99.0])))
+
+
+def test_paths_from_python_and_from_files_are_the_same(
+    arm: Arm, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = plan_of(arm, 21)
+    xyz = plan.targets[:, :3, 3]
+    cells = np.column_stack([plan.times, xyz]).tolist()
+    rows = ["t_s,x,y,z", *(",".join(map(str, row)) for row in cells)]
+    (tmp_path / "waypoints.csv").write_text("\n".join(rows) + "\n")
+    (tmp_path / "arm.yaml").write_text(ARM.read_text())
+    shell = Shell(tmp_path, capsys)
+    files = (tmp_path / "arm.yaml", "--path", tmp_path / "waypoints.csv")
+    output = ("-o", tmp_path / "commands.csv", "--max-velocity", 0.2, "--max-acceleration", 1.0)
+    assert shell("compensate", *files, *output) == 0, shell.err
+    with (tmp_path / "commands.csv").open() as file:
+        lines = list(csv.DictReader(file))
+    found = la.compensate_path(
+        declared_model(arm), xyz, times=plan.times, max_velocity=0.2, max_acceleration=1.0
+    )
+    told = np.array([[float(line[f"q{j}"]) for j in range(1, 8)] for line in lines])
+    np.testing.assert_allclose(told, found.command, atol=1e-8)
+    np.testing.assert_allclose([float(x["t_s"]) for x in lines], found.timed.times, atol=1e-6)
+    speeds = np.array([[float(line[f"v_q{j}"]) for j in range(1, 8)] for line in lines])
+    assert np.abs(speeds).max() <= 0.2 + 1e-6
+    np.testing.assert_allclose(declared_model(arm).tip(told), xyz, atol=2e-6)
+    far = xyz.copy()
+    far[7] += 3.0
+    with pytest.raises(PathRefused, match="way-point 7: unreachable"):
+        la.compensate_path(declared_model(arm), far)
+    (tmp_path / "commands.csv").unlink()
+    (tmp_path / "waypoints.csv").write_text("x,y,z\n9,9,9\n")
+    assert "way-point 0: unreachable" in shell.refused("compensate", *files, *output, code=3)
+    assert not (tmp_path / "commands.csv").exists()
+    assert "--path" in shell.refused("compensate", *files, "--targets", "waypoints.csv")
