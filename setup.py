@@ -16,6 +16,7 @@ NODES = [
     "servo_driver",
     "simulated_arm",
     "stereo_bridge",
+    "trajectory_compensator",
 ]
 
 RUNTIME = [

@@ -51,7 +51,7 @@ def in_file(node: str) -> dict[str, Any]:
     return flat(data[name]["ros__parameters"])
 
 
-@pytest.mark.parametrize("node", SIMULATED)
+@pytest.mark.parametrize("node", [*SIMULATED, "trajectory_compensator"])
 def test_every_parameter_is_described_and_the_file_lists_them_all(node: str) -> None:
     known, listed = table(node), in_file(node)
     servo = {name for name in listed if name.split(".")[0] in ServoConfig.model_fields}

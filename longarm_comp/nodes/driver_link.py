@@ -121,7 +121,7 @@ class DriverLink:
         if message.event == Motion.ACCEPTED:
             self._accepted(message)
         elif message.event in (Motion.REPLACED, Motion.BROKEN_OFF):
-            self._lose()
+            self.lose()
         if message.id == self._asked and message.event in (Motion.ACCEPTED, Motion.REFUSED):
             self._answer = message
         self._on_told(message)
@@ -133,9 +133,9 @@ class DriverLink:
             path = path_of(JointTrajectory(joint_names=names, points=message.points), self._arm)
         except InputError as error:
             self._refused("bad motion", str(error))
-            self._lose()
+            self.lose()
             return
-        self._go(path, start)
+        self.went(path, start)
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         try:
@@ -143,14 +143,15 @@ class DriverLink:
         except InputError as error:
             self._refused("bad joint_trajectory", str(error))
             return
-        self._go(path, self._end if self._end is not None else self._joints())
+        self.went(path, self._end if self._end is not None else self._joints())
 
-    def _go(self, path: np.ndarray, start: np.ndarray | None) -> None:
+    def went(self, path: np.ndarray, start: np.ndarray | None) -> None:
+        """Joints are on their way through (k, n) from a start (n,)."""
         self.history = self.history.after(path, start)
         self._end = path[-1]
         self._commanded(path[-1], self.history)
 
-    def _lose(self) -> None:
+    def lose(self) -> None:
         """Where the joints come from is not known from here on."""
         self.history, self._end = History.unknown(self._arm.n), None
 
@@ -163,7 +164,7 @@ class DriverLink:
             self._rival_s = now
         if not known:
             self._known.add(instance)
-            self._lose()
+            self.lose()
         self._state, self._heard_s = message, now
 
     def report(self) -> Report:

@@ -146,6 +146,9 @@ COMPENSATION = Topic(
 JOINT_STATES = Topic(
     "joint_states", JointState, 10, BEST_EFFORT, "joints as the servos report them, rad and m"
 )
+PLANNED_JOINTS = Topic(
+    "planned_joint_states", JointState, 10, RELIABLE, "where a planner for the declared arm sees it"
+)
 MOTION = Topic(
     "motion", Motion, 2000, RELIABLE, "what became of every trajectory, told by the driver"
 )
@@ -222,10 +225,16 @@ FOLLOW = Action(
     "joint_trajectory as an action; where control_msgs is installed (`HAS_FOLLOW`)",
 )  # fmt: skip
 
+FOLLOW_PLANNED = Action(
+    "follow_joint_trajectory", FollowJointTrajectory,
+    "a planned trajectory, compensated and forwarded by `trajectory_compensator`",
+)  # fmt: skip
+
 HAS_FOLLOW = FollowJointTrajectory is not None
 
 TOPICS: tuple[Topic, ...] = (
     *(TARGET_POSE, JOINT_TRAJECTORY, WITHDRAWN, COMPENSATION, JOINT_STATES, MOTION, DRIVER_STATE),
+    PLANNED_JOINTS,
     PREDICTED_ERROR,
     TIP_MEASURED,
     *(LEFT_IMAGE, RIGHT_IMAGE, LEFT_COMPRESSED, RIGHT_COMPRESSED, LEFT_INFO, RIGHT_INFO),

@@ -93,7 +93,7 @@ class Param:
             value = float(value)
         if isinstance(self.default, list):
             value = [float(v) for v in value]
-            if self.default and len(value) != len(self.default):
+            if len(self.default) > 1 and len(value) != len(self.default):
                 raise ValueError
         elif type(value) is not type(self.default):
             raise ValueError

@@ -26,6 +26,7 @@ from longarm_comp.core.compensation.retime import (
     slopes_of,
 )
 from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.keep_out import entered_at
 from longarm_comp.core.model.model import Model
@@ -177,6 +178,16 @@ def _at_row(
     context_after: Callable[[History, int], Context], row: int, arrived: History
 ) -> Context:
     return context_after(arrived, row)
+
+
+def as_planned(rigid: Model, model: Model, q: np.ndarray, context: Context) -> np.ndarray:
+    """(n,) joints at which the declared, ``rigid`` arm has its tip where the model's is at q (n,).
+
+    Where none inside the limits do, the nearest.
+    """
+    real = model.pose(q, context)
+    target = real if model.arm.n >= POSE_JOINTS else real[:3, 3]
+    return ik.solve(rigid, target, seed=q, max_starts=1).q
 
 
 _WITHOUT = {

@@ -1,0 +1,345 @@
+"""`trajectory_compensator`: a planned trajectory in, its compensated one to the controller.
+
+It offers the action `follow_joint_trajectory` and forwards each goal to another one of that type:
+of our driver, or of any joint trajectory controller. Nothing is sent of a goal that is refused.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import time
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+from action_msgs.msg import GoalStatus
+from rclpy.action import ActionClient, ActionServer, CancelResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.history import History
+from longarm_comp.core.compensation.compensate import Method, physics_of
+from longarm_comp.core.compensation.online import CompensationOptions, StaleContext
+from longarm_comp.core.compensation.path import (
+    CompensatedPath,
+    PathRefused,
+    Plan,
+    as_planned,
+    compensate_path,
+)
+from longarm_comp.core.compensation.retime import Limits
+from longarm_comp.core.effects.catalogue import load_file
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.ik import solver as ik
+from longarm_comp.core.learn.expansion import Nearby
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.arm_state import ArmState
+from longarm_comp.nodes.driver_link import DriverLink
+from longarm_comp.nodes.health import OK, PERIOD, WARN, Health, Report, Tally
+from longarm_comp.nodes.inlets import DIRECT
+from longarm_comp.nodes.messages import duration, joints_message, seconds
+from longarm_comp.nodes.model_files import ModelFiles
+from longarm_comp.nodes.orders import Freshness, Stamps
+from longarm_comp.nodes.params import Param, declare, where
+from longarm_comp.nodes.predictor_client import NoAnswer, PredictorClient
+from longarm_comp.nodes.runner import run
+from longarm_comp.nodes.steady import steady_timer
+from longarm_comp.nodes.ticks import Ticks
+from longarm_comp.nodes.watch import FileWatch
+from longarm_comp.nodes.worker import Worker
+
+PARAMS = (
+    Param("arm", "", "arm.yaml: the declared arm, that trajectories are planned for"),
+    Param("model", "", "model.yaml: the calibrated model; empty: the arm as declared"),
+    Param("effects", "", "Python files that define further effects, executed; : between paths"),
+    Param("method", "both", "what is compensated", choices=tuple(m.value for m in Method)),
+    Param("controller", "servo_driver/follow_joint_trajectory", "action that trajectories go to"),
+    Param("acknowledged", True, "the controller is servo_driver, which tells what it does"),
+    Param("max_velocity", [0.0], "of each joint, rad/s or m/s, or one for all; 0: none", 0.0, 1e6),
+    Param("max_acceleration", [0.0], "the same, rad/s^2 or m/s^2; 0: none", 0.0, 1e6),
+    Param("max_correction_m", 0.05, "most that the declared tip is moved", 1e-6, 1.0),
+    Param("order_max_age_s", 2.0, "older goals move nothing", 0.01, 60.0),
+    Param("context_max_age_s", 60.0, "older temperature, payload, tilt are stale", 0.1, 1e6),
+    Param("joints_max_age_s", 5.0, "older joint_states are not believed", 0.1, 1e6),
+    Param("joints_max_rate", 5.0, "faster ones neither; ranges of a joint a second", 0.1, 1e6),
+    Param("predictor_timeout_s", 0.5, "no answer within it counts as no predictor", 0.01, 60.0),
+    Param("planned_period_s", 0.1, "between two joint states for the planner", 0.01, 60.0),
+    Param("watch_period_s", 1.0, "how often the file is looked at for a new version", 0.1, 3600.0),
+    DIRECT,
+    PERIOD,
+)
+
+_WAITING = 4
+"""Goals that may wait."""
+_TICK_S = 0.05
+
+
+class TrajectoryCompensator(Node):
+    """Computes on a worker thread, so that the executor stays free."""
+
+    def __init__(self, executor: SingleThreadedExecutor) -> None:
+        super().__init__(
+            "trajectory_compensator", automatically_declare_parameters_from_overrides=True
+        )
+        p = declare(self, PARAMS)
+        if not graph.HAS_FOLLOW:
+            raise InputError(where(self), "control_msgs", "missing", "install ROS's control_msgs")
+        for path in filter(None, p["effects"].split(os.pathsep)):
+            load_file(path)
+        self._files, self._method = ModelFiles(p["arm"], p["model"]), Method(p["method"])
+        self._arm, self._controller = self._files.arm, p["controller"]
+        self._limits, self._correction_m = self._limits_of(p), p["max_correction_m"]
+        self._context_age_s = p["context_max_age_s"]
+        self._tally = Tally(self)
+        self._worker = Worker(self, executor, _WAITING, self.survived, direct=p[DIRECT.name])
+        caller = self._worker.inlets.caller(graph.PREDICT_ERROR)
+        self._predictor = PredictorClient(caller, self._arm, p["predictor_timeout_s"])
+        self._state = ArmState(
+            self, self._arm, self._tally.count, lambda q, at: None,
+            p["joints_max_age_s"], p["joints_max_rate"],
+        )  # fmt: skip
+        self._driver = DriverLink(
+            self._worker.inlets, self._arm, acknowledged=p["acknowledged"],
+            joints=lambda: self._state.joints, commanded=lambda q, history: None,
+            told=lambda motion: None, refused=self._tally.count,
+        )  # fmt: skip
+        self._fresh, self._stamps = Freshness(self, p["order_max_age_s"]), Stamps(self)
+        self._ticks, self._following = Ticks(self, _TICK_S), 0
+        type_, group = graph.FOLLOW.type, ReentrantCallbackGroup()
+        self._out = ActionClient(self, type_, self._controller, callback_group=group)
+        self._server = ActionServer(
+            self, type_, graph.FOLLOW_PLANNED.name, self._serve, callback_group=group,
+            cancel_callback=lambda goal: CancelResponse.ACCEPT,
+        )  # fmt: skip
+        self._planned = graph.PLANNED_JOINTS.publisher(self)
+        self._due = self._ready = False
+        self._worker.idle = self._tell_planned
+        steady_timer(self, p["planned_period_s"], self._fall_due)
+        self._watch = FileWatch((p["model"],))
+        steady_timer(self, p["watch_period_s"], self._look)
+        self._health = Health(
+            self, {"paths": self._report, "model": self._files.report}, p[PERIOD.name]
+        )
+        self._worker.start()
+
+    def close(self) -> None:
+        """Stop the worker."""
+        self._worker.close()
+
+    def survived(self, error: Exception) -> None:
+        """Count an exception that a callback raised."""
+        self._health.fault(error)
+
+    def _limits_of(self, p: Mapping[str, Any]) -> Limits:
+        """Limits by joint. A controller that is not ours gets no trajectory without them."""
+        found = []
+        for name in ("max_velocity", "max_acceleration"):
+            given = p[name] * self._arm.n if len(p[name]) == 1 else p[name]
+            allowed = f"one number, or {self._arm.n}: one a joint"
+            if len(given) != self._arm.n:
+                raise InputError(where(self), name, p[name], allowed)
+            if not p["acknowledged"] and not all(given):
+                raise InputError(where(self), name, p[name], f"{allowed}, above 0")
+            found.append(np.array([value or np.inf for value in given]))
+        return Limits(*found)
+
+    def _look(self) -> None:
+        if self._watch.changed():
+            self._worker.submit(self._files.reload)
+
+    # ------------------------------------------------------------------ one goal
+
+    async def _serve(self, goal: Any) -> Any:
+        result = graph.FOLLOW.type.Result
+        asked = goal.request.trajectory
+        strange = set(asked.joint_names) - set(self._arm.joint_names)
+        why = (
+            self._not_now(asked)
+            if not strange
+            else f"joints {sorted(strange)}; allowed: " + (", ".join(self._arm.joint_names))
+        )
+        made: CompensatedPath | None = None
+        if not why:
+            future = self._worker.ask(partial(self._compensated, asked))
+            made, why = (None, "too many goals wait") if future is None else await future
+        why = why or self._fresh.too_old(asked.header.stamp)
+        if goal.is_cancel_requested:
+            goal.canceled()
+            return result(error_string="cancelled before anything was sent")
+        if why or made is None:
+            self._tally.count("refused", why)
+            goal.abort()
+            code = result.INVALID_JOINTS if strange else result.INVALID_GOAL
+            return result(error_code=code, error_string=why)
+        self._following += 1
+        try:
+            return await self._forward(goal, made)
+        finally:
+            self._following -= 1
+
+    def _not_now(self, asked: JointTrajectory) -> str:
+        """Why nothing can be followed now; empty if it can."""
+        if not asked.points:
+            return "a trajectory without points"
+        if not self._out.server_is_ready():
+            return f"no controller offers {self._controller}"
+        return self._fresh.too_old(asked.header.stamp) or self._driver.refusal or self._state.doubt
+
+    async def _forward(self, goal: Any, made: CompensatedPath) -> Any:
+        """Send the path to the controller; what became of it."""
+        out = graph.FOLLOW.type.Goal(
+            trajectory=self._message(made),
+            path_tolerance=goal.request.path_tolerance,
+            goal_tolerance=goal.request.goal_tolerance,
+            goal_time_tolerance=goal.request.goal_time_tolerance,
+        )
+        start = self._state.joints
+        sent = await self._out.send_goal_async(
+            out, lambda said: goal.publish_feedback(said.feedback)
+        )
+        if not sent.accepted:
+            goal.abort()
+            why = f"{self._controller} does not accept the goal"
+            self._tally.count("refused", why)
+            return graph.FOLLOW.type.Result(
+                error_code=graph.FOLLOW.type.Result.INVALID_GOAL, error_string=why
+            )
+        if not self._driver.acknowledged:
+            self._driver.went(made.timed.joints[1:], start)
+        ended, asked = sent.get_result_async(), False
+        while not ended.done():
+            if goal.is_cancel_requested and not asked:
+                asked = True
+                sent.cancel_goal_async()
+            await self._ticks.next()
+        answer = ended.result()
+        if answer.status == GoalStatus.STATUS_SUCCEEDED:
+            self._tally.count("followed", "")
+            goal.succeed()
+        else:
+            self._driver.lose()
+            self._tally.count("not followed", answer.result.error_string)
+            cancelled = answer.status == GoalStatus.STATUS_CANCELED and goal.is_cancel_requested
+            (goal.canceled if cancelled else goal.abort)()
+        return answer.result
+
+    def _message(self, made: CompensatedPath) -> JointTrajectory:
+        timed = made.timed
+        message = JointTrajectory(joint_names=list(self._arm.joint_names))
+        message.header.stamp = self._stamps.next()
+        rows = zip(
+            timed.times.tolist(), timed.joints.tolist(), timed.velocities.tolist(), strict=True
+        )
+        message.points = [
+            JointTrajectoryPoint(positions=q, velocities=v, time_from_start=duration(at))
+            for at, q, v in rows
+        ]
+        return message
+
+    # ------------------------------------------------------------------ on the worker's thread
+
+    def _compensated(self, asked: JointTrajectory) -> tuple[CompensatedPath | None, str]:
+        """The path to send, or why there is none."""
+        start = self._state.joints
+        assert start is not None
+        loaded, now = self._files.loaded, time.monotonic()
+        physics, readings = physics_of(loaded.model, self._method), self._state.readings
+
+        def context_after(arrived: History, row: int) -> Context:
+            return readings.context(physics, now, self._context_age_s, arrived)
+
+        moving = self._following > 0
+        known: dict[str, Any] = {
+            "start": start,
+            "history": History.unknown(self._arm.n) if moving else self._driver.history,
+            "context_after": context_after,
+            "limits": self._limits,
+            "max_correction_m": self._correction_m,
+            "options": CompensationOptions(self._method),
+        }
+        use = self._method.learned and self._predictor.present
+        ask = partial(self._predictor.ask, deflection=self._method.physics)
+        try:
+            plan = self._plan(asked, start)
+            try:
+                found = compensate_path(loaded.model, Nearby(ask) if use else None, plan, **known)
+            except NoAnswer:
+                found = compensate_path(loaded.model, None, plan, **known)
+        except (PathRefused, StaleContext, InputError) as error:
+            return None, str(error)
+        for note in found.notes:
+            self.get_logger().warning(note, throttle_duration_sec=1.0)
+        return found, ""
+
+    def _plan(self, asked: JointTrajectory, start: np.ndarray) -> Plan:
+        """A trajectory as a plan of all joints; those that it does not name stay at ``start``."""
+        names = self._arm.joint_names
+        at = [names.index(name) for name in asked.joint_names]
+        fast = all(len(point.velocities) == len(at) for point in asked.points)
+        times = [seconds(point.time_from_start) for point in asked.points]
+        joints, speeds = [], []
+        for k, point in enumerate(asked.points):
+            if len(point.positions) != len(at) or len(set(at)) != len(at):
+                found = f"{len(at)} names, {len(point.positions)} positions"
+                raise InputError("trajectory", f"points[{k}]", found, "one position a joint")
+            row, speed = start.copy(), np.zeros(len(start))
+            row[at] = point.positions
+            if fast:
+                speed[at] = point.velocities
+            joints.append(row)
+            speeds.append(speed)
+        if times[0] > 0.0:  # it begins where the arm stands
+            times, joints = [0.0, *times], [start, *joints]
+            speeds = [np.zeros(len(start)), *speeds]
+        return Plan.of_joints(
+            self._arm, np.array(times), np.array(joints), np.array(speeds) if fast else None
+        )
+
+    # ------------------------------------------------------------------ for the planner
+
+    def _fall_due(self) -> None:
+        self._due = True
+        self._worker.inlets.wake()
+
+    def _tell_planned(self) -> bool:
+        """Publish the joints at which the declared arm's tip is where the real one is.
+
+        What the next path needs is compiled then.
+        """
+        due, self._due = self._due, False
+        q, model = self._state.joints, physics_of(self._files.loaded.model, self._method)
+        if not due or q is None or self._state.doubt:
+            return due
+        stamp = self.get_clock().now().to_msg()
+        with contextlib.suppress(StaleContext):
+            context = self._state.readings.context(
+                model, time.monotonic(), self._context_age_s, self._driver.history
+            )
+            ik.warm_up(model, context)
+            planned = as_planned(self._files.rigid, model, q, context)
+            self._planned.publish(joints_message(self._arm, planned, stamp))
+            self._ready = True
+        return True
+
+    def _report(self) -> Report:
+        facts: dict[str, object] = {**self._tally.counts, "last refusal": self._tally.last}
+        if not self._out.server_is_ready():
+            return Report(WARN, f"no controller offers {self._controller}", facts)
+        if self._state.doubt or not self._ready:
+            return Report(WARN, self._state.doubt or "getting ready", facts)
+        return Report(OK, "following" if self._following else "ready", facts)
+
+
+def main() -> None:
+    """Run the node."""
+    sys.exit(run(TrajectoryCompensator))
+
+
+if __name__ == "__main__":
+    main()

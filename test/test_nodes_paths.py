@@ -1,0 +1,220 @@
+"""`trajectory_compensator` between a planner and a controller: one of this test's, and ours."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from action_msgs.msg import GoalStatus
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PointStamped
+from nodes_bench import Bench, bench
+from rclpy.action import ActionClient, ActionServer, CancelResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from test_nodes_driver_link import ARM
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.bringup import BringUp, running
+from longarm_comp.nodes.messages import duration, joints_message
+from longarm_comp.nodes.stamps import stamp_ns
+from longarm_comp.nodes.ticks import Ticks
+
+pytestmark = pytest.mark.skipif(not graph.HAS_FOLLOW, reason="control_msgs is not installed")
+TYPE = graph.FOLLOW_PLANNED.type
+THEIRS = "arm_controller/follow_joint_trajectory"
+
+
+@pytest.fixture(scope="module")
+def arm() -> Arm:
+    return Arm.load(ARM)
+
+
+@pytest.fixture
+def stage(ros_domain: int) -> Iterator[Bench]:
+    with bench() as made:
+        yield made
+
+
+class Controller:
+    """A joint trajectory controller that is where it is sent to, and ends as it is told to."""
+
+    def __init__(self, stage: Bench, arm: Arm) -> None:
+        self.arm, self.got, self.q = arm, [], arm.mid.copy()
+        self.ends, self.waits = GoalStatus.STATUS_SUCCEEDED, False
+        self.ticks = Ticks(stage.node, 0.02)
+        self.joints = graph.JOINT_STATES.publisher(stage.node)
+        self.timer = stage.node.create_timer(0.05, self.tell)
+        self.server = ActionServer(
+            stage.node, TYPE, THEIRS, self.serve, callback_group=ReentrantCallbackGroup(),
+            cancel_callback=lambda goal: CancelResponse.ACCEPT,
+        )  # fmt: skip
+
+    def tell(self) -> None:
+        self.joints.publish(joints_message(self.arm, self.q))
+
+    async def serve(self, goal: Any) -> Any:
+        self.got.append(goal.request)
+        goal.publish_feedback(TYPE.Feedback(joint_names=["fed back"]))
+        while self.waits and not goal.is_cancel_requested:
+            await self.ticks.next()
+        if goal.is_cancel_requested:
+            goal.canceled()
+            return TYPE.Result(error_string="halted by the controller")
+        self.q = np.array(goal.request.trajectory.points[-1].positions)
+        if self.ends == GoalStatus.STATUS_SUCCEEDED:
+            goal.succeed()
+            return TYPE.Result()
+        goal.abort()
+        return TYPE.Result(error_code=TYPE.Result.PATH_TOLERANCE_VIOLATED, error_string="off")
+
+
+class Planner:
+    """Plans in joints of the declared arm and sends it to `follow_joint_trajectory`."""
+
+    def __init__(self, stage: Bench) -> None:
+        self.stage, self.fed, self.health = stage, [], stage.collect(graph.DIAGNOSTICS)
+        self.client = ActionClient(stage.node, TYPE, graph.FOLLOW_PLANNED.name)
+        stage.spin(self.client.server_is_ready)
+        stage.spin(self.ready, within=60.0)
+
+    def ready(self) -> bool:
+        """Whether the node says so: everything is compiled."""
+        parts = [s for array in self.health for s in array.status if s.name.endswith(": paths")]
+        return bool(parts) and parts[-1].message == "ready"
+
+    def send(
+        self, names: list[str], path: np.ndarray, seconds: float = 1.0, *,
+        stamp: Time | None = None, **more: Any,
+    ) -> Any:  # fmt: skip
+        times = np.linspace(0.0, seconds, len(path))
+        points = [
+            JointTrajectoryPoint(positions=q, time_from_start=duration(t))
+            for t, q in zip(times.tolist(), path.tolist(), strict=True)
+        ]
+        trajectory = JointTrajectory(joint_names=names, points=points)
+        trajectory.header.stamp = stamp or Time()
+        sent = self.client.send_goal_async(
+            TYPE.Goal(trajectory=trajectory, **more), lambda m: self.fed.append(m.feedback)
+        )
+        self.stage.spin(sent.done)
+        assert sent.result().accepted
+        return sent.result()
+
+    def ends(self, goal: Any, status: int) -> Any:
+        """Wait for a goal's end, and check it; its result."""
+        result = goal.get_result_async()
+        self.stage.spin(result.done, within=60.0)
+        assert result.result().status == status, result.result().result.error_string
+        return result.result().result
+
+
+def ramp(start: np.ndarray, end: np.ndarray, count: int = 11) -> np.ndarray:
+    share = np.linspace(0.0, 1.0, count)[:, None]
+    return start + (3 * share**2 - 2 * share**3) * (end - start)
+
+
+def test_a_plan_goes_compensated_to_any_controller_or_is_refused_before_anything_moves(
+    stage: Bench, arm: Arm
+) -> None:
+    controller = Controller(stage, arm)
+    velocity = 0.5 * np.ones(arm.n)
+    stage.start("trajectory_compensator", {
+        "arm": ARM, "controller": THEIRS, "acknowledged": False, "method": "deflection",
+        "max_velocity": velocity.tolist(), "max_acceleration": [5.0], "planned_period_s": 0.05,
+        "diagnostics_period_s": 0.1,
+    })  # fmt: skip
+    planned = stage.collect(graph.PLANNED_JOINTS)
+    planner, names = Planner(stage), list(arm.joint_names)
+    end = arm.mid + 0.2 * (arm.upper - arm.lower)
+    stage.spin(lambda: planned)  # it knows the joints
+    plan = ramp(arm.mid, end)
+    goal = planner.send(names[::-1], plan[:, ::-1], goal_time_tolerance=duration(3.0))
+    planner.ends(goal, GoalStatus.STATUS_SUCCEEDED)
+    (got,) = controller.got
+    assert planner.fed[-1].joint_names == ["fed back"]
+    assert got.goal_time_tolerance == duration(3.0)
+    sent, names_sent = got.trajectory, list(got.trajectory.joint_names)
+    assert abs(stamp_ns(sent.header.stamp) - time.time_ns()) < 60e9 and names_sent == names
+    went = np.array([point.positions for point in sent.points])
+    model, rigid = declared_model(arm), Model(arm)
+    np.testing.assert_allclose(went[0], arm.mid, atol=1e-9)
+    np.testing.assert_allclose(model.tip(went[1:]), rigid.tip(plan[1:]), atol=2e-6)
+    assert np.linalg.norm(model.tip(plan) - rigid.tip(plan), axis=1).min() > 5e-3
+    speeds = np.array([point.velocities for point in sent.points])
+    assert 0.1 < np.abs(speeds).max() <= 0.5 + 1e-6 and not speeds[[0, -1]].any()
+
+    def seen() -> bool:  # the planner sees its own end, not the servos'
+        found = np.array(planned[-1].position)
+        return np.allclose(rigid.pose(found), rigid.pose(end), atol=2e-6) and (
+            np.abs(found - end).max() < 1e-3 < np.abs(found - went[-1]).max()
+        )
+
+    stage.spin(seen)
+    back = planner.send([names[1]], ramp(end[1:2], arm.mid[1:2]))  # the others stay
+    planner.ends(back, GoalStatus.STATUS_SUCCEEDED)
+    assert len(controller.got) == 2 and len(controller.got[-1].trajectory.joint_names) == arm.n
+
+    aborted, old = GoalStatus.STATUS_ABORTED, Time(sec=1)
+    for given, words, code in (
+        ({"names": ["elbow", *names[1:]]}, "elbow", TYPE.Result.INVALID_JOINTS),
+        ({"path": ramp(arm.mid, arm.upper)}, "way-point", TYPE.Result.INVALID_GOAL),
+        ({"path": plan[:0]}, "without points", TYPE.Result.INVALID_GOAL),
+        ({"path": np.full_like(plan, np.nan)}, "finite", TYPE.Result.INVALID_GOAL),
+        ({"stamp": old}, "s old", TYPE.Result.INVALID_GOAL),
+    ):
+        result = planner.ends(planner.send(**({"names": names, "path": plan} | given)), aborted)
+        assert words in result.error_string and result.error_code == code
+    assert len(controller.got) == 2
+
+    controller.ends = aborted
+    result = planner.ends(planner.send(names, plan), aborted)
+    assert result.error_code == TYPE.Result.PATH_TOLERANCE_VIOLATED and result.error_string == "off"
+    controller.waits = True
+    goal = planner.send(names, plan)
+    stage.spin(lambda: len(controller.got) == 4)
+    goal.cancel_goal_async()
+    assert "halted" in planner.ends(goal, GoalStatus.STATUS_CANCELED).error_string
+
+
+def test_without_limits_nothing_goes_to_a_controller_that_is_not_ours(stage: Bench) -> None:
+    node = stage.start("trajectory_compensator", {"arm": ARM, "acknowledged": False})
+    assert node.wait(timeout=60) == 2
+    assert "max_velocity" in stage.output(node) and "Traceback" not in stage.output(node)
+
+
+def test_through_our_driver_the_true_tip_ends_where_the_plan_meant_it(
+    stage: Bench, arm: Arm
+) -> None:
+    up = BringUp(
+        arm=ARM, sim=True, speed=5.0, without=("stereo_bridge", "kinematics", "error_predictor"),
+        set={"simulated_arm": {"frame_rate_hz": 4.0}},
+    )  # fmt: skip
+    tips: list[PointStamped] = []
+    stage.node.create_subscription(PointStamped, "simulated_arm/true_tip", tips.append, 10)
+    joints = stage.collect(graph.JOINT_STATES)
+    with running(up):
+        stage.start("trajectory_compensator", {"arm": ARM, "method": "deflection"})
+        planner, states = Planner(stage), stage.collect(graph.DRIVER_STATE)
+        planned = stage.collect(graph.PLANNED_JOINTS)
+        stage.spin(lambda: planned and states and states[-1].state == states[-1].READY, within=60.0)
+        start = np.array(planned[-1].position)
+        end = arm.mid + 0.2 * (arm.upper - arm.lower)
+        goal = planner.send(list(arm.joint_names), ramp(start, end, 21), 2.0)
+        planner.ends(goal, GoalStatus.STATUS_SUCCEEDED)
+        del tips[:], joints[:]
+        stage.spin(lambda: len(tips) > 3 and joints)
+        at = tips[-1].point
+        wanted = Model(arm).tip(end)
+        missed = np.linalg.norm(np.array([at.x, at.y, at.z]) - wanted)
+        assert np.linalg.norm(declared_model(arm).tip(end) - wanted) > 5e-3
+        assert missed < 5e-4  # steps of the servos, and what the rods differ by
