@@ -14,7 +14,12 @@ import longarm_comp as la
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
-from longarm_comp.core.compensation.path import CompensatedPath, PathRefused, Plan, compensate_path
+from longarm_comp.core.compensation.path import (
+    CompensatedPath,
+    PathRefused,
+    PlannedPath,
+    compensate_path,
+)
 from longarm_comp.core.compensation.result import Status
 from longarm_comp.core.compensation.retime import Limits, Timed, fastest, retimed, slopes_of
 from longarm_comp.core.effects.backlash import Backlash
@@ -38,17 +43,19 @@ def model(arm: Arm) -> Model:
     return declared_model(arm).plus(Backlash(joint=1, width=4e-3), Backlash(joint=3, width=1e-3))
 
 
-def plan_of(arm: Arm, count: int = 41) -> Plan:
+def plan_of(arm: Arm, count: int = 41) -> PlannedPath:
     """From rest to rest, there and back: every joint turns once."""
     times = np.linspace(0.0, SECONDS, count)
     share = times / SECONDS
     along = share**3 * (10 - 15 * share + 6 * share**2)
     reach = 0.2 * (arm.upper - arm.lower) * np.linspace(0.6, 1.0, arm.n)
     joints = arm.mid + reach * np.sin(np.pi * along)[:, None]
-    return Plan.of_joints(arm, times, joints)
+    return PlannedPath.of_joints(arm, times, joints)
 
 
-def follow(model: Model, plan: Plan, predictor: object = None, **more: object) -> CompensatedPath:
+def follow(
+    model: Model, plan: PlannedPath, predictor: object = None, **more: object
+) -> CompensatedPath:
     start = more.pop("start", plan.joints[0])
     return compensate_path(
         model, predictor, plan, start=start, history=History.unknown(model.arm.n),
@@ -56,7 +63,7 @@ def follow(model: Model, plan: Plan, predictor: object = None, **more: object) -
     )  # fmt: skip
 
 
-def misses(model: Model, joints: np.ndarray, plan: Plan) -> np.ndarray:
+def misses(model: Model, joints: np.ndarray, plan: PlannedPath) -> np.ndarray:
     """By how much the tip misses the plan where joints go one after another, m."""
     history, found = History.unknown(model.arm.n), []
     for before, now, target in zip(joints, joints[1:], plan.targets[1:], strict=False):
@@ -85,7 +92,9 @@ def test_a_way_that_cannot_be_gone_is_refused_whole_and_in_words(arm: Arm, model
     plan = plan_of(arm)
     with pytest.raises(PathRefused, match=r"way-point \d+: correction_too_large: .* allowed 4 mm"):
         follow(model, plan, max_correction_m=4e-3)
-    edge = Plan.of_joints(arm, plan.times, plan.joints + (arm.upper - plan.joints.max(axis=0)))
+    edge = PlannedPath.of_joints(
+        arm, plan.times, plan.joints + (arm.upper - plan.joints.max(axis=0))
+    )
     with pytest.raises(PathRefused) as refused:
         follow(model, edge, start=arm.mid)
     assert refused.value.status is Status.UNREACHABLE and 15 < refused.value.row < 26
@@ -93,10 +102,10 @@ def test_a_way_that_cannot_be_gone_is_refused_whole_and_in_words(arm: Arm, model
     lamp = {"min_m": (box - 0.01).tolist(), "max_m": (box + 0.01).tolist()}
     fenced = Arm.parse(dict(read_yaml(ARM)) | {"keep_out": {"lamp": lamp}}, "fenced")
     with pytest.raises(PathRefused, match=r"way-point 1\d: kept_out: keep_out lamp"):
-        follow(declared_model(fenced), Plan.of_joints(fenced, plan.times, plan.joints))
+        follow(declared_model(fenced), PlannedPath.of_joints(fenced, plan.times, plan.joints))
     for name, bad in (
-        ("time", Plan.of_joints(arm, plan.times[::-1], plan.joints)),
-        ("joints", Plan(plan.targets, plan.times, plan.joints[:3])),
+        ("time", PlannedPath.of_joints(arm, plan.times[::-1], plan.joints)),
+        ("joints", PlannedPath(plan.targets, plan.times, plan.joints[:3])),
     ):
         with pytest.raises(InputError, match=name):
             follow(model, bad, start=arm.mid)

@@ -29,7 +29,7 @@ from longarm_comp.core.compensation.online import CompensationOptions, StaleCont
 from longarm_comp.core.compensation.path import (
     CompensatedPath,
     PathRefused,
-    Plan,
+    PlannedPath,
     as_planned,
     compensate_path,
 )
@@ -277,7 +277,7 @@ class TrajectoryCompensator(Node):
             self.get_logger().warning(note, throttle_duration_sec=1.0)
         return found, ""
 
-    def _plan(self, asked: JointTrajectory, start: np.ndarray) -> Plan:
+    def _plan(self, asked: JointTrajectory, start: np.ndarray) -> PlannedPath:
         """A trajectory as a plan of all joints; those that it does not name stay at ``start``."""
         names = self._arm.joint_names
         at = [names.index(name) for name in asked.joint_names]
@@ -297,7 +297,7 @@ class TrajectoryCompensator(Node):
         if times[0] > 0.0:  # it begins where the arm stands
             times, joints = [0.0, *times], [start, *joints]
             speeds = [np.zeros(len(start)), *speeds]
-        return Plan.of_joints(
+        return PlannedPath.of_joints(
             self._arm, np.array(times), np.array(joints), np.array(speeds) if fast else None
         )
 

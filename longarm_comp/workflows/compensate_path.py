@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.arrive import CompensationOptions
-from longarm_comp.core.compensation.path import Plan
+from longarm_comp.core.compensation.path import PlannedPath
 from longarm_comp.core.compensation.path import compensate_path as solve_path
 from longarm_comp.core.compensation.result import Method, Settling
 from longarm_comp.core.compensation.retime import Limits, Timed
@@ -104,7 +104,7 @@ def compensate_path(
     first = start if seed is None else np.asarray(seed, float)
     found = solve_path(
         model, predictor,
-        Plan(np.array(goals), None if times is None else np.asarray(times, float)),
+        PlannedPath(np.array(goals), None if times is None else np.asarray(times, float)),
         start=start, history=came, seed=first,
         context_after=lambda arrived, row: points.after(contexts[row], arrived),
         limits=limits, max_correction_m=max_correction_m, position_only=position_only,

@@ -48,7 +48,7 @@ class PathRefused(JobError):  # noqa: N818
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class PlannedPath:
     """Way-points of the tip, base frame, and how a planner would have the joints bring it there.
 
     Attributes:
@@ -68,7 +68,7 @@ class Plan:
     @classmethod
     def of_joints(
         cls, arm: Arm, times: np.ndarray, joints: np.ndarray, velocities: np.ndarray | None = None
-    ) -> Plan:
+    ) -> PlannedPath:
         """What a planner means with joints (k, n): the tip of the declared arm, rigid.
 
         The first way-point is where it believes the arm to stand.
@@ -101,7 +101,7 @@ class CompensatedPath:
 def compensate_path(
     model: Model,
     predictor: ResidualPredictor | None,
-    plan: Plan,
+    plan: PlannedPath,
     *,
     start: np.ndarray | None,
     history: History,
@@ -197,7 +197,7 @@ _WITHOUT = {
 """Methods without what is learned."""
 
 
-def _check(plan: Plan, n: int) -> None:
+def _check(plan: PlannedPath, n: int) -> None:
     k = len(plan.targets)
     if not k or plan.targets.shape[1:] not in ((3,), (4, 4)):
         allowed = "(k, 3) or (k, 4, 4), k of at least 1"
@@ -215,7 +215,9 @@ def _check(plan: Plan, n: int) -> None:
             raise InputError("path", f"time of way-point {row}", float(now), "0 s or later, rising")
 
 
-def _corrections(arm: Arm, plan: Plan, joints: np.ndarray, first: int, most_m: float) -> np.ndarray:
+def _corrections(
+    arm: Arm, plan: PlannedPath, joints: np.ndarray, first: int, most_m: float
+) -> np.ndarray:
     """(k,) m: how far the declared arm's tip is moved; refused where that is too far."""
     wanted = plan.targets if plan.targets.ndim == 2 else plan.targets[:, :3, 3]
     moved = np.linalg.norm(Model(arm).tip(joints) - wanted, axis=1)
@@ -228,7 +230,7 @@ def _corrections(arm: Arm, plan: Plan, joints: np.ndarray, first: int, most_m: f
     return moved
 
 
-def _timed(plan: Plan, joints: np.ndarray, limits: Limits, arm: Arm) -> Timed:
+def _timed(plan: PlannedPath, joints: np.ndarray, limits: Limits, arm: Arm) -> Timed:
     """Way-points (k, n) at the plan's times, or later where limits demand it."""
     count = len(joints)
     first = 0.0 if plan.times is None else float(plan.times[0])
