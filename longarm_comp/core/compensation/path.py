@@ -1,7 +1,7 @@
 """A planned path: joints that bring the real tip where the plan meant it, one way-point on.
 
-Way-points are solved in their order: each from the correction of the one before, and for the
-history that the path up to it leaves in the joints. No run-ups, no choice among servo steps and no
+Way-points are solved in their order, each from the planned joints (without them from the joints
+before), and for the history that the path up to it leaves in the joints. No run-ups, no choice among servo steps and no
 restarts of the search, so the joints do not jump where the plan does not.
 """
 
@@ -136,12 +136,12 @@ def compensate_path(
         options = replace(options, method=_WITHOUT[options.method])
     chosen = replace(options, run_up=False, realisable=False)
     begun = plan.begun and start is not None
-    at, came, shift = start, history, np.zeros(arm.n)
+    at, came = start, history
     arrivals: list[Arrival] = []
     for row in range(int(begun), len(plan.targets)):
         guess = at if arrivals or seed is None else seed
         if plan.joints is not None:
-            guess = np.clip(plan.joints[row] + shift, arm.lower, arm.upper)
+            guess = np.clip(plan.joints[row], arm.lower, arm.upper)
         alone = plan.joints is None and not arrivals
         arrival = compensate_move(
             model, predictor, plan.targets[row], start=at, history=came, seed=guess,
@@ -161,8 +161,6 @@ def compensate_path(
             why = f"physics only, as way-point {row} is {outcome.status}: {outcome.reason}"
             return replace(found, notes=(why, *found.notes))
         at, came = outcome.command, arrival.history
-        if plan.joints is not None:
-            shift = at - plan.joints[row]
         arrivals.append(arrival)
     joints = np.array([a.outcome.command for a in arrivals])
     if begun and start is not None:
