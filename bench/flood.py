@@ -13,6 +13,8 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import pose_message
 
 _BURST_S = 0.01
+_POSES = 10
+"""So near each other that an arm may jump between any two of them."""
 
 
 def main() -> None:
@@ -21,7 +23,7 @@ def main() -> None:
     rclpy.init()
     node = rclpy.create_node("flood")
     publisher = graph.TARGET_POSE.publisher(node)
-    poses = [graph.TARGET_POSE.type(pose=pose_message(m)) for m in slow_path(demo_arm(), 100)]
+    poses = [graph.TARGET_POSE.type(pose=pose_message(m)) for m in slow_path(demo_arm(), _POSES)]
     for pose in poses:
         pose.header.frame_id = "base"
     while not publisher.get_subscription_count():

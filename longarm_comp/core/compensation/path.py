@@ -1,8 +1,8 @@
 """A planned path: joints that bring the real tip where the plan meant it, one way-point on.
 
 Way-points are solved in their order, each from the planned joints (without them from the joints
-before), and for the history that the path up to it leaves in the joints. No run-ups, no choice among servo steps and no
-restarts of the search, so the joints do not jump where the plan does not.
+before), and for the history that the path up to it leaves in the joints. No run-ups, no choice
+among servo steps and no restarts of the search, so joints do not jump where the plan does not.
 """
 
 from __future__ import annotations
