@@ -95,16 +95,20 @@ class Worker:
         return future if self.submit(answer) else None
 
     def take(self, until: Callable[[], bool], within_s: float) -> bool:
-        """Take messages and requests, inside a job, until a condition holds; whether it does."""
-        end = time.monotonic() + within_s
+        """Take messages and requests, inside a job, until a condition holds; whether it does.
+
+        Time in which this process was stopped does not count: what came meanwhile is still heard.
+        """
+        left = within_s
         while not self._closing:
-            left = end - time.monotonic()  # this process may be stopped anywhere below
             self.inlets.empty(self._capacity)
             if until():
                 return True
             if left <= 0.0:
                 return False
-            self.inlets.wait(left)
+            begun = time.monotonic()
+            self.inlets.wait(min(left, _WAIT_S))
+            left -= min(time.monotonic() - begun, _WAIT_S)
         return until()
 
     def close(self) -> None:
@@ -127,5 +131,7 @@ class Worker:
                 time.sleep(_PAUSE_S)
 
 
+_WAIT_S = 0.05
+"""The longest wait at once, s: a longer one is a process that was stopped."""
 _PAUSE_S = 0.01
 """Pause after an exception, s, so that a repeating one does not use the whole processor."""
