@@ -49,8 +49,8 @@ ROOMS = {
     "sessions": Room((*ROS, "nodes", "devices", "sim", "report", "workflows", "cli")),
     "report": Room((*ROS, "nodes", "devices", "sim", "workflows", "cli")),
     "workflows": Room((*ROS, "click", "rich"), only=("core", "sessions", "report", "version")),
-    "nodes": Room(("cli", "report", "workflows", "scipy", "torch")),
-    "view": Room(("click", "scipy", "torch"), only=("core", "nodes", "jobs.client")),
+    "nodes": Room(("cli", "report", "workflows", "scipy")),
+    "view": Room(("click", "scipy"), only=("core", "nodes", "jobs.client")),
 }
 
 MATHS = {
