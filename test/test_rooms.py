@@ -46,7 +46,9 @@ class Room:
 ROOMS = {
     "math": Room((*ROS, *IO, "scipy"), only=()),
     "core": Room((*ROS, *IO), only=("math",)),
-    "devices": Room(ROS, only=("core.errors", "core.files", "core.strict_yaml", "math")),
+    "devices": Room(
+        ROS, only=("core.entry_points", "core.errors", "core.files", "core.strict_yaml", "math")
+    ),
     "sim": Room(ROS, only=("core.arm", "core.errors", "core.files", "core.strict_yaml", "devices")),
     "arm_folder": Room((*ROS, "click", "rich"), only=("core", "devices", "sim", "share")),
     "sessions": Room((*ROS, "nodes", "devices", "sim", "report", "workflows", "cli")),
