@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import logging
 from collections.abc import Callable
@@ -151,4 +152,5 @@ def file_hash(path: FilePath) -> str:
 
 def _digest(model: Model) -> str:
     """SHA-256 of a model's terms and values."""
-    return hashlib.sha256(store(model).model_dump_json().encode()).hexdigest()
+    bare = dataclasses.replace(model, uncertainty=None)
+    return hashlib.sha256(store(bare).model_dump_json().encode()).hexdigest()

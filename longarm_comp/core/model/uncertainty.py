@@ -95,7 +95,7 @@ def triangular(factor: np.ndarray) -> np.ndarray:
     """(p, p) lower triangle with the same product with itself as a factor (p, r)."""
     wide = np.zeros((len(factor), max(factor.shape)))
     wide[:, : factor.shape[1]] = factor
-    return np.asarray(np.linalg.qr(wide.T, mode="r").T)
+    return np.asarray(np.linalg.qr(wide.T, mode="r")).T
 
 
 def written(factor: np.ndarray) -> list[str]:
