@@ -89,14 +89,14 @@ class Command:
         target: (3,) requested position, m, in its `frame`, as `predicted_error` is.
         predicted_error: expected error (3,), m; None where none was predicted.
         sigma_m: standard deviation of what the command leaves, the largest of the axes, m.
-        expected_m, p90_m: expected distance of the tip from the target, and the one that 90 of
-            100 such commands stay below, m; None where nothing says it.
         passes: pseudo-target passes used.
         approach: (n,) side that each joint must arrive from for the prediction to hold; 0 any.
         run_up: (n,) via point from which the last approach begins; None: none needed.
         ideal: (n,) joints from the physics alone, or the joints before the command was chosen
             among the servos' steps.
         frame: ``base`` or ``measured``.
+        expected_m, p90_m: expected distance of the tip from the target, and the one that 90 of
+            100 such commands stay below, m; None where nothing says it.
     """
 
     index: int
@@ -106,13 +106,13 @@ class Command:
     target: np.ndarray
     predicted_error: np.ndarray | None = None
     sigma_m: float | None = None
-    expected_m: float | None = None
-    p90_m: float | None = None
     passes: int = 0
     approach: np.ndarray | None = None
     run_up: np.ndarray | None = None
     ideal: np.ndarray | None = None
     frame: str = ""
+    expected_m: float | None = None
+    p90_m: float | None = None
 
 
 def read_targets(path: str | Path) -> Targets:

@@ -36,6 +36,7 @@ from longarm_comp.core.compensation.result import (
     Settling,
     Status,
     missed,
+    other_unit,
     outside,
     shifted,
 )
@@ -46,6 +47,7 @@ from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.forward import tip_poses
 from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.outline import reach
 
 ContextAt = Callable[[np.ndarray], Context]
 NEARBY_STARTS = 3
@@ -220,7 +222,9 @@ class _Target:
         found = self._search(self.target, ik.MAX_STARTS)
         self.ideal = self.q = found.q
         if not found.ok:
-            return self._ended(Status.UNREACHABLE, missed("target", found))
+            here = self.target if self.target.ndim == 1 else self.target[:3, 3]
+            why = other_unit(here, *reach(self.model))
+            return self._ended(Status.UNREACHABLE, why or missed("target", found))
         if not task.method.learned:
             return self._ended(Status.SUCCESS)
         if task.predictor is None:

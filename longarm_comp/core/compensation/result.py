@@ -273,6 +273,26 @@ _BEYOND_M = 1e7
 """No declared length reaches so far; only a linear deflection of an arm far too weak does."""
 
 
+_UNITS = (("centimetres", 1e2), ("millimetres", 1e3))
+_BEYOND_REACH = 10.0
+"""Times its reach: no one means a target so far away, and no unit is so close to the metre."""
+
+
+def other_unit(position: np.ndarray, base: np.ndarray, reach_m: float) -> str:
+    """A guess at the unit of a target far beyond an arm's reach, as a question; else empty.
+
+    Args:
+        position: (3,) as given.
+        base: (3,) where the arm stands, m.
+        reach_m: how far the arm reaches from there, m.
+    """
+    away = math.dist(position, base)
+    if away <= _BEYOND_REACH * reach_m:
+        return ""
+    named = next((name for name, size in _UNITS if away <= size * reach_m), "metres")
+    return f"{away / reach_m:.3g} times the arm's reach away; are these {named}?"
+
+
 def missed(what: str, found: Solution) -> str:
     """How far a target or pseudo-target is missed, and why."""
     if not found.position_residual_m < _BEYOND_M:
