@@ -10,7 +10,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.commanded import commanded_errors
-from longarm_comp.core.data.measurement import errors, turns
+from longarm_comp.core.data.measurement import errors, spreads, turns
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.plausible import check_placed
 from longarm_comp.core.identify.standing import standing
@@ -104,7 +104,9 @@ def evaluate(
     file = None if model is None or isinstance(model, Model) else Path(model)
     seen, commanded = (
         {
-            name: Errors.of(left(each, session) - taken_off[name], turns(each, session))
+            name: Errors.of(
+                left(each, session) - taken_off[name], turns(each, session), spreads(each, session)
+            )
             for name, each in models.items()
         }
         for left in (errors, commanded_errors)
