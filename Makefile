@@ -10,7 +10,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 INSTALL := $(PIP) install --quiet --no-compile
 STAMPS := $(VENV)/stamps
 
-.PHONY: setup test long fuzz lint demo docs pictures bench format system colcon clean
+.PHONY: setup test long fuzz soak lint demo docs pictures bench format system colcon clean
 
 setup: $(STAMPS)/dev
 
@@ -67,6 +67,11 @@ long: setup
 # Damaged files given to every command that reads one; `make test` runs a tenth of it.
 fuzz: setup
 	LONGARM_FUZZ_RUNS=2000 $(BIN)/python -m pytest $(PYTEST_ARGS) test/test_fuzz.py
+
+# Hours of targets on a simulated arm, with random faults: SOAK_ARGS='--hours 8'.
+SOAK_ARGS ?=
+soak: setup
+	PYTHONPATH=test $(BIN)/python -m soak $(SOAK_ARGS)
 
 lint: setup
 	$(BIN)/ruff check .

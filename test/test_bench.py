@@ -220,8 +220,8 @@ def test_outside_of_a_checkout_the_command_says_where_it_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """No benchmarks beside the package: those of the folder that it is run in, else one line."""
-    command = importlib.import_module("longarm_comp.cli.bench")
-    monkeypatch.setattr(command, "__file__", str(tmp_path / "a" / "b" / "c" / "bench.py"))
+    checkout = importlib.import_module("longarm_comp.cli.checkout")
+    monkeypatch.setattr(checkout, "__file__", str(tmp_path / "a" / "b" / "c" / "checkout.py"))
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.chdir(tmp_path)
     assert run(["bench", "--list"]) == 3

@@ -18,10 +18,10 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.catalogue import LIBRARY
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.identify.diagnose import diagnose
-from longarm_comp.studies.extra import extra
-from longarm_comp.studies.loop_cases import Case
-from longarm_comp.studies.loop_score import score
-from longarm_comp.studies.loop_setting import set_up
+from studies.extra import extra
+from studies.loop_cases import Case
+from studies.loop_score import score
+from studies.loop_setting import set_up
 
 ANSWER_S = 20.0
 """Time within which a scheduler must answer, s."""

@@ -31,8 +31,8 @@ from longarm_comp.core.identify.fit import fit_together
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.placement import placed
 from longarm_comp.core.model.model import Slot
-from longarm_comp.studies.real_sessions import Measured, justin, laser_tracked
-from longarm_comp.studies.selection import select
+from studies.real_sessions import Measured, justin, laser_tracked
+from studies.selection import select
 
 Terms = tuple[Effect | Bias, ...]
 Progress = Callable[[str], None]

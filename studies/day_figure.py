@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from longarm_comp.report.style import BLUE, GREEN, INK, ORANGE, PURPLE, VERMILLION, rc, save
-from longarm_comp.studies.day import WAYS, DayOutcome
+from studies.day import WAYS, DayOutcome
 
 _LINES = ((INK, "X", ":"), (PURPLE, "s", "-."), (ORANGE, "^", "--"), (BLUE, "o", "-"))
 

@@ -52,7 +52,7 @@ def command(
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.files import write_text
     from longarm_comp.share import folder
-    from longarm_comp.studies import day
+    from studies import day
 
     setting = day.DaySetting(
         Arm.load(arm or folder("config") / "arm_demo.yaml"), hours=hours, moves=moves
@@ -72,7 +72,7 @@ def command(
         "arms": count, "seed": seed, "hours": hours, "moves": moves, "rows": rows, "asked": asked,
     }  # fmt: skip
     if output is not None:
-        from longarm_comp.studies.day_figure import day_figure
+        from studies.day_figure import day_figure
 
         output.mkdir(parents=True, exist_ok=True)
         write_text(output / "day.json", json.dumps(facts, indent=2))

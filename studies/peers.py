@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.learn.inputs import Encoding, check_rows, fit_encoding
 from longarm_comp.core.learn.predictor import Prediction
-from longarm_comp.studies.extra import extra
+from studies.extra import extra
 
 with extra():
     from sklearn.exceptions import ConvergenceWarning

@@ -46,7 +46,7 @@ def command(
     from longarm_comp.core.errors import InputError
     from longarm_comp.share import folder
     from longarm_comp.sim.hidden.outside import outside
-    from longarm_comp.studies import discover
+    from studies import discover
 
     declared = Arm.load(arm or folder("config") / "arm_demo.yaml")
     known = (*outside(declared), discover.NOTHING)

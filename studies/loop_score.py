@@ -20,8 +20,8 @@ from longarm_comp.core.identify.evidence import Score
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.model.model import Model
-from longarm_comp.studies.loop_setting import LoopSetting
-from longarm_comp.studies.loop_truth import places, values
+from studies.loop_setting import LoopSetting
+from studies.loop_truth import places, values
 
 ALIKE = 10.0
 """Loss in noise-free log likelihood below which another explanation counts as equivalent.

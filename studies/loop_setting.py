@@ -22,8 +22,8 @@ from longarm_comp.sim.hidden.camera import CameraEffect
 from longarm_comp.sim.hidden.catalogue import Hidden, hidden
 from longarm_comp.sim.measure import Noise, SimulatedSession, TrueCamera, arrival, measure_session
 from longarm_comp.sim.random_arms import random_arm
-from longarm_comp.studies.loop_cases import SPOILED, Case
-from longarm_comp.studies.loop_truth import at_one_place, size
+from studies.loop_cases import SPOILED, Case
+from studies.loop_truth import at_one_place, size
 
 HELD_OUT = 100
 """Number of further poses, uniform over the joint box."""

@@ -65,8 +65,8 @@ def command(
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.files import write_text
     from longarm_comp.share import folder
-    from longarm_comp.studies import table1_summary as summary
-    from longarm_comp.studies.table1 import PRINTED, SAMPLES, SETTINGS, study
+    from studies import table1_summary as summary
+    from studies.table1 import PRINTED, SAMPLES, SETTINGS, study
 
     base = Arm.load(arm or folder("config") / "arm_demo.yaml")
     began = time.monotonic()
@@ -91,7 +91,7 @@ def command(
         "wall_s": time.monotonic() - began,
     }
     if output is not None:
-        from longarm_comp.report.figures import table1_figure
+        from studies.table1_figure import table1_figure
 
         output.mkdir(parents=True, exist_ok=True)
         write_text(output / "table1.json", json.dumps(facts, indent=2))

@@ -16,15 +16,15 @@ from trajectory_msgs.msg import JointTrajectory
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.path import slow_path
-from longarm_comp.jobs.soak.clock import SimClock
-from longarm_comp.jobs.soak.leaks import LeakWatch
-from longarm_comp.jobs.soak.ledger import Ledger
-from longarm_comp.jobs.soak.setting import NAMESPACE, SoakSettings
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import pose_message
 from longarm_comp.nodes.stamps import stamp_ns, stamp_of
 from longarm_comp.nodes.supervisor import Supervisor
 from longarm_interfaces.msg import Compensation
+from soak.clock import SimClock
+from soak.leaks import LeakWatch
+from soak.ledger import Ledger
+from soak.setting import NAMESPACE, SoakSettings
 
 _PATH = 2000
 _FAR = 63

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
-from longarm_comp.studies.table1 import COMPARISONS, SETTINGS, TARGETS, Outcome, RowSetting
+from studies.table1 import COMPARISONS, SETTINGS, TARGETS, Outcome, RowSetting
 
 __all__ = ["TARGETS", "contradictions", "differences", "rows"]
 

@@ -35,7 +35,7 @@ def command(arm: Path | None, count: int, steps: int, seed: int, as_json: bool) 
     """
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.nodes.bringup import folder
-    from longarm_comp.studies import realisable
+    from studies import realisable
 
     base = Arm.load(arm or folder("config") / "arm_demo.yaml")
     tables = {

@@ -1,7 +1,9 @@
-"""``longarm soak``."""
+"""``make soak``: `python -m soak` with the folder `test` on the path."""
 
 from __future__ import annotations
 
+import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,11 @@ import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, print_rows, print_table, progress
+from longarm_comp.cli.run import run_command
+from longarm_comp.cli.signals import stop_on_signals
+from longarm_comp.core.errors import JobError
+from soak.run import soak
+from soak.setting import SoakSettings
 
 _LEAKS = {True: "yes", False: "no", None: "not judged"}
 
@@ -33,16 +40,9 @@ def command(
 
     \b
     Examples:
-      longarm soak
-      longarm soak --hours 0.02 --fault-every 5 --json
+      make soak
+      make soak SOAK_ARGS='--hours 0.02 --fault-every 5 --json'
     """
-    import tempfile
-
-    from longarm_comp.cli.signals import stop_on_signals
-    from longarm_comp.core.errors import JobError
-    from longarm_comp.jobs.soak.run import soak
-    from longarm_comp.jobs.soak.setting import SoakSettings
-
     with (
         tempfile.TemporaryDirectory(prefix="longarm_soak_") as scratch,
         stop_on_signals() as stop,
@@ -81,3 +81,7 @@ def _show(report: dict[str, Any]) -> None:
     if report["driver_refusals"]:
         note(f"the driver refused {report['driver_refusals']} trajectories")
     note(f"{report['targets']} targets in {report['seconds']:.0f} s{held}: {verdict}")
+
+
+if __name__ == "__main__":
+    sys.exit(run_command(command, name="soak"))

@@ -16,7 +16,8 @@ from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.dummy_predictor import train_dummy
-from longarm_comp.jobs.soak.faults import (
+from longarm_comp.nodes.bringup import running
+from soak.faults import (
     BadImages,
     BreakFile,
     ClockFault,
@@ -27,9 +28,8 @@ from longarm_comp.jobs.soak.faults import (
     Kill,
     RubbishParameters,
 )
-from longarm_comp.jobs.soak.scene import Scene
-from longarm_comp.jobs.soak.setting import NAMESPACE, SoakSettings
-from longarm_comp.nodes.bringup import running
+from soak.scene import Scene
+from soak.setting import NAMESPACE, SoakSettings
 
 Say = Callable[[str, float], None]
 

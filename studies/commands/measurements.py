@@ -29,7 +29,7 @@ def command(arm: Path | None, count: int, seed: int, as_json: bool) -> None:
     """
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.share import folder
-    from longarm_comp.studies import measurements
+    from studies import measurements
 
     declared = Arm.load(arm or folder("config") / "arm_demo.yaml")
     counts, limits = measurements.ROWS, (1e-3, 5e-4, 2.5e-4)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import dataclasses
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +27,7 @@ class Measured:
 
 def declared(name: str) -> Arm:
     """An arm file that ships with the studies."""
-    return Arm.load(str(files("longarm_comp.studies") / "arms" / f"{name}.yaml"))
+    return Arm.load(Path(__file__).parent / "arms" / f"{name}.yaml")
 
 
 def _table(path: Path) -> list[dict[str, str]]:

@@ -25,7 +25,7 @@ def command(data: Path, as_json: bool) -> None:
     Example:
       longarm study real --data shared/data/real --json
     """
-    from longarm_comp.studies.real import study
+    from studies.real import study
 
     with progress("study real") as show:
         steps = iter(range(_STEPS))

@@ -54,9 +54,9 @@ def command(
     """
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.share import folder
-    from longarm_comp.studies.loop import run
-    from longarm_comp.studies.loop_cases import NAMES, Design
-    from longarm_comp.studies.loop_table import by_effect, failures, summary
+    from studies.loop import run
+    from studies.loop_cases import NAMES, Design
+    from studies.loop_table import by_effect, failures, summary
 
     design = Design(
         groups=groups.split(","),

@@ -1,9 +1,9 @@
-"""Figures of studies: the paper's Fig. 6, and ladders of calibrations."""
+"""The figure of Table I: the paper's Fig. 6 with its spread over the arms."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TypedDict
 
@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.report.style import BLUE, GREEN, INK, LOOKS, ORANGE, rc, save
+from longarm_comp.report.style import BLUE, INK, ORANGE, rc, save
 
 _FORMATS = {".png", ".svg", ".pdf"}
 
@@ -26,15 +26,6 @@ class Table1Row(TypedDict):
     row: str
     mean_abs_z_mm: Sequence[float]
     paper_mm: float | None
-
-
-class LadderRow(TypedDict):
-    """A rung of a ladder: held-out errors of one model, mm."""
-
-    model: str
-    mean_mm: float
-    rms_mm: float
-    max_mm: float
 
 
 def table1_figure(
@@ -57,7 +48,7 @@ def table1_figure(
     with rc():
         drawn = Figure(figsize=(max(6.0, 1.25 * len(rows) + 1.2), 4.4), layout="constrained")
         axes = drawn.subplots()
-        _title(axes, title)
+        axes.set_title(title)
         for k, row in enumerate(rows):
             _spread_bar(axes, k - 0.2, np.asarray(row["mean_abs_z_mm"], dtype=float), k == 0)
             paper = row["paper_mm"]
@@ -67,35 +58,6 @@ def table1_figure(
         axes.set_ylabel("mean |z| error, mm")
         axes.grid(axis="x", visible=False)
         axes.legend()
-        return _saved(drawn, path)
-
-
-def ladder_figure(
-    ladders: Mapping[str, Sequence[LadderRow]], path: str | os.PathLike[str], *, title: str = ""
-) -> Path:
-    """Held-out errors from rung to rung, one panel a data set: mean, RMS and maximum.
-
-    Args:
-        ladders: name of the data set -> its rungs, in the order of fitting.
-        path: file to write, by its ending PNG, SVG or PDF.
-        title: above the figure.
-
-    Raises:
-        InputError: nothing to draw, a value that is not finite, an unknown ending.
-    """
-    if not ladders or not all(ladders.values()):
-        raise InputError("ladder figure", "rungs", "none", "at least one rung a data set")
-    for name, rungs in ladders.items():
-        for rung in rungs:
-            _check_values(f"{name}, {rung['model']}", _levels(rung))
-    with rc():
-        tall = max(len(rungs) for rungs in ladders.values())
-        drawn = Figure(figsize=(4.2 * len(ladders) + 0.6, 1.4 + 0.42 * tall), layout="constrained")
-        panels = np.ravel(drawn.subplots(1, len(ladders), squeeze=False))
-        drawn.suptitle(title, x=0.01, ha="left", fontsize=11)
-        for panel, (name, rungs) in zip(panels, ladders.items(), strict=True):
-            _ladder(panel, name, rungs)
-        panels[0].legend(fontsize=8, loc="lower right")
         return _saved(drawn, path)
 
 
@@ -127,30 +89,6 @@ def _paper_bar(axes: Axes, at: float, value: float, labelled: bool) -> None:
     axes.annotate(f"{value:.2f}", (at, value), (0, 4), textcoords="offset points", ha="center")
 
 
-def _ladder(panel: Axes, name: str, rungs: Sequence[LadderRow]) -> None:
-    at = np.arange(len(rungs))
-    signs = (("mean", BLUE, "o"), ("RMS", ORANGE, "s"), ("max", GREEN, "^"))
-    levels = np.array([_levels(rung) for rung in rungs])
-    panel.hlines(at, levels.min(axis=1), levels.max(axis=1), color=INK, linewidth=0.8)
-    for k, (label, color, marker) in enumerate(signs):
-        panel.plot(levels[:, k], at, linestyle="", marker=marker, color=color, label=label)
-    for y, mean in zip(at, levels[:, 0], strict=True):
-        panel.annotate(
-            f"{mean:.3g}", (mean, y), (0, 6), textcoords="offset points", ha="center", fontsize=8
-        )
-    panel.set_yticks(at, [_stage(rung["model"]) for rung in rungs])
-    panel.set(ylim=(len(rungs) - 0.4, -0.6), xlabel="held-out error, mm", title=name)
-    panel.set_xlim(0, 1.05 * float(levels.max()) or 1.0)
-
-
-def _levels(rung: LadderRow) -> tuple[float, float, float]:
-    return rung["mean_mm"], rung["rms_mm"], rung["max_mm"]
-
-
-def _stage(model: str) -> str:
-    return LOOKS[model].label if model in LOOKS else model.replace("_", " ")
-
-
 def _folded(text: str) -> str:
     """A label on two or three short lines."""
     lines = [""]
@@ -159,11 +97,6 @@ def _folded(text: str) -> str:
             lines.append("")
         lines[-1] = f"{lines[-1]} {word}".strip()
     return "\n".join(lines)
-
-
-def _title(axes: Axes, title: str) -> None:
-    if title:
-        axes.set_title(title)
 
 
 def _check_rows(rows: Sequence[Table1Row]) -> None:

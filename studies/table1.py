@@ -43,9 +43,9 @@ from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.drives import ServoQuantisation
 from longarm_comp.sim.measure import TrueCamera, measure_session
 from longarm_comp.sim.random_arms import Mix, paper_mix, random_arm
-from longarm_comp.studies.extra import extra
-from longarm_comp.studies.peers import train_gaussian_process
 from longarm_comp.workflows.residual import training_rows
+from studies.extra import extra
+from studies.peers import train_gaussian_process
 
 TARGETS = 40
 SAMPLES = (900, 300)

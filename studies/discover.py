@@ -23,10 +23,10 @@ from longarm_comp.sim.hidden.camera import CameraEffect
 from longarm_comp.sim.hidden.catalogue import hidden
 from longarm_comp.sim.hidden.outside import outside
 from longarm_comp.sim.measure import SimulatedSession, TrueCamera, measure_session
-from longarm_comp.studies.loop_setting import session_of
-from longarm_comp.studies.peers import train_gaussian_process
 from longarm_comp.workflows.diagnose import DiagnosisResult, diagnose
 from longarm_comp.workflows.residual import training_rows
+from studies.loop_setting import session_of
+from studies.peers import train_gaussian_process
 
 NOTHING = "nothing"
 ROWS, REPEATS, HELD_OUT, FRESH = 240, 8, 100, 200

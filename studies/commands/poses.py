@@ -30,7 +30,7 @@ def command(arm: Path | None, count: int, seed: int, as_json: bool) -> None:
     """
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.share import folder
-    from longarm_comp.studies import poses
+    from studies import poses
 
     declared = Arm.load(arm or folder("config") / "arm_demo.yaml")
     found: list[poses.PoseOutcome] = []
