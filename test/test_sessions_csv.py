@@ -19,7 +19,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sessions.targets import Command, Targets, read_targets, write_commands
-from longarm_comp.studies.real_sessions import declared
+from studies.real_sessions import declared
 
 HEADER = "index,approach,q1,q2,q3,q4,x,y,z"
 ROW = "0,1,0.1,0.5,0.05,0.2,0.4,0.1,0.3"
@@ -335,7 +335,7 @@ def test_commands_file_has_the_agreed_columns(tmp_path: Path) -> None:
         rows = list(csv.DictReader(file))
     assert ",".join(rows[0]) == (
         "index,status,reason,q1,q2,target_x,target_y,target_z,predicted_error_x,"
-        "predicted_error_y,predicted_error_z,sigma_mm,passes,"
+        "predicted_error_y,predicted_error_z,sigma_mm,passes,expected_mm,p90_mm,frame,"
         "approach_q1,approach_q2,run_up_q1,run_up_q2,ideal_q1,ideal_q2"
     )
     assert float(rows[0]["q2"]) == 0.2

@@ -250,8 +250,12 @@ class ArmClient(GraphClient):
 
     # ------------------------------------------------------------------ moving
 
-    def send(self, path: np.ndarray, move_s: float = 0.5) -> None:
-        """Command way-points (k, n) with a stop at each. The driver keeps its limits."""
+    def send(self, path: np.ndarray, move_s: float = 0.5) -> int:
+        """Command way-points (k, n) with a stop at each. The driver keeps its limits.
+
+        Returns:
+            The stamp (ns) of the command.
+        """
         points = []
         for k, q in enumerate(path, 1):
             whole = int(k * move_s)
@@ -265,6 +269,7 @@ class ArmClient(GraphClient):
         sent.header.stamp = self._stamps.next()
         self._sent, self._refused, self._reached = order_id(sent), "", False
         self._trajectory.publish(sent)
+        return stamp_ns(sent.header.stamp)
 
     def arrive(
         self,

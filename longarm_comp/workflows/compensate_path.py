@@ -62,6 +62,7 @@ def compensate_path(
     *,
     times: ArrayLike | None = None,
     method: Method | str | None = None,
+    frame: str | None = None,
     context: Context | None = None,
     history: SessionLike | None = None,
     max_velocity: ArrayLike | None = None,
@@ -75,9 +76,9 @@ def compensate_path(
     """Joints that bring the real tip of an arm along a path, and when they are due.
 
     Args:
-        model, predictor, method, context, history, locked, settling: as in `compensate`.
-        path: way-points in their order: positions (N, 3) in m or poses (N, 4, 4), base frame, or
-            `Targets` that were read from a file; their t_s are the times.
+        model, predictor, method, frame, context, history, locked, settling: as in `compensate`.
+        path: way-points in their order: positions (N, 3) in m or poses (N, 4, 4), or `Targets`
+            that were read from a file; their t_s are the times.
         times: (N,) s, rising. They stay where the limits allow. None: with both limits as fast
             as these allow, else a second a way-point.
         max_velocity, max_acceleration: one for every joint, or (n,); rad/s, m/s, and a second.
@@ -93,24 +94,28 @@ def compensate_path(
         check_predictor(predictor, model, "compensate")
     chosen = points.fitting(predictor) if method is None else points.method_of(method)
     goals, contexts, numbers = points.goals_of(model, path, context)
+    placements = points.placements_of(model, path, goals, contexts, frame or "")
     if len({goal.ndim for goal in goals}) > 1:
         raise InputError("path", "qx", "at some way-points", "at every way-point or at none")
     if times is None and isinstance(path, Targets):
         times = path.columns.get("t_s")
     n = model.arm.n
+    carried = np.array([p.carried(goal) for p, goal in zip(placements, goals, strict=True)])
     limits = Limits(_each(max_velocity, n, "max_velocity"),
                     _each(max_acceleration, n, "max_acceleration"))  # fmt: skip
     start, came = (None, History.unknown(n)) if history is None else points.last(history, model)
     first = start if seed is None else np.asarray(seed, float)
     found = solve_path(
         model, predictor,
-        PlannedPath(np.array(goals), None if times is None else np.asarray(times, float)),
+        PlannedPath(carried, None if times is None else np.asarray(times, float)),
         start=start, history=came, seed=first,
         context_after=lambda arrived, row: points.after(contexts[row], arrived),
         limits=limits, max_correction_m=max_correction_m, position_only=position_only,
         options=CompensationOptions(chosen, Settling(**settling), tuple(locked)),
     )  # fmt: skip
-    return PathCommands(numbers, found.arrivals, found.timed, found.correction_m, found.notes)
+    return PathCommands(
+        numbers, found.arrivals, placements, found.timed, found.correction_m, found.notes
+    )
 
 
 def _each(given: ArrayLike | None, n: int, name: str) -> np.ndarray:
