@@ -107,11 +107,10 @@ def test_what_its_clients_gave_up_meanwhile_moves_nothing(
     ended = goal.result().get_result_async()
     stage.spin(ended.done)
     reached = ended.result().result.status
-    silent = reached == STATUS.NO_DRIVER  # on a busy machine: neither has it heard of the driver
-    stage.spin(lambda: len(stand.stories) == 3 - silent)
+    stage.spin(lambda: len(stand.stories) >= 2)  # of a goal without a driver there is none
     said = [(s.status, s.message) for s in stand.stories]
     assert asked.result().status == STATUS.STALE_TARGET
-    assert silent or reached == STATUS.STALE_TARGET
+    assert reached in (STATUS.STALE_TARGET, STATUS.NO_DRIVER)  # the driver was not heard either
     assert all(status == STATUS.STALE_TARGET and "sent" in why for status, why in said)
     assert not stand.driver.got
     stand.goes()

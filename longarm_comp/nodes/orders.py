@@ -55,21 +55,25 @@ class Freshness:
 
     def __init__(self, node: Node, max_age_s: float) -> None:
         self._clock, self.max_age_s = node.get_clock(), max_age_s
-        self._turned, self._away_s = time.monotonic(), 0.0
+        self._turned = time.monotonic()
+        self._away_s, self._back = 0.0, self._turned - max_age_s
         steady_timer(node, _TURNS * max_age_s, self._turn)
 
     def _turn(self) -> None:
         late = time.monotonic() - self._turned
-        self._away_s = late if late > self.max_age_s else 0.0
         self._turned += late
+        if late > self.max_age_s:
+            self._away_s, self._back = late, self._turned
 
     @property
     def away_s(self) -> float:
         """What is taken now may have waited for so long, s.
 
-        What came meanwhile has been taken when the timer comes in time again.
+        What came meanwhile may be delivered late too: it counts for as long as orders may be old.
         """
-        return max(time.monotonic() - self._turned, self._away_s)
+        now = time.monotonic()
+        late = self._away_s if now - self._back < self.max_age_s else 0.0
+        return max(now - self._turned, late)
 
     def too_old(self, stamp: Time) -> str:
         """Why an order is too old to be carried out, in words; empty if it is not."""
