@@ -40,6 +40,7 @@ COMMANDS = (
     ),
     Entry("study measurements", "study_measurements", "Rows needed by pose, position, distance."),
     Entry("study poses", "study_poses", "Which poses to measure: grid, Sobol, I-optimal."),
+    Entry("study coverage", "study_coverage", "How often a stated 90 % radius holds."),
     Entry("study day", "study_day", "A day of work: wear, warmth, changing payloads."),
     Entry("study discover", "study_discover", "Causes in no library: what finds them."),
     Entry("up", "up", "Bring up an arm's ROS graph, real or simulated."),
