@@ -77,10 +77,9 @@ def sizes(covariance: np.ndarray, mean: np.ndarray | None = None) -> tuple[np.nd
         square = square + (mean**2).sum(-1)
         variance = variance + 4.0 * np.einsum("...i,...ij,...j->...", mean, covariance, mean)
     shape = square**2 / np.maximum(variance, _SURE * square**2 + 1e-300)
-    size = np.sqrt(square / np.maximum(shape, 1e-300)) * np.exp(
-        gammaln(shape + 0.5) - gammaln(shape)
-    )
-    return np.where(square > 0, size, 0.0), radius(square, variance)
+    shape = np.maximum(shape, 1e-300)
+    expected = np.sqrt(square / shape) * np.exp(gammaln(shape + 0.5) - gammaln(shape))
+    return np.where(square == 0, 0.0, expected), radius(square, variance)
 
 
 def radius(square: np.ndarray, variance: np.ndarray) -> np.ndarray:
