@@ -41,7 +41,7 @@ Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class LeftOutRows:
     """Rows left out of a fit, against what it states of them.
 
     Attributes:
@@ -56,17 +56,17 @@ class Judged:
     radius: np.ndarray
 
 
-def judge(name: str, fitted: ModelFit, rows: Session) -> Judged:
+def judge(name: str, fitted: ModelFit, rows: Session) -> LeftOutRows:
     """Hold rows with a position against a fit that has not seen them."""
     known, seen = uncertainty(fitted), rows.take(rows.located)
     model = fitted.model
     columns = equations(model, seen, posture(model, seen)).columns[:, :3]
     carried = known.carried(columns, [slot.identity for slot in fitted.slots])
     expected, radius = sizes(carried + known.structure + known.noise)
-    return Judged(name, np.linalg.norm(errors(model, seen), axis=1), expected, radius)
+    return LeftOutRows(name, np.linalg.norm(errors(model, seen), axis=1), expected, radius)
 
 
-def real(folder: Path, say: Progress = lambda _: None) -> Iterator[Judged]:
+def real(folder: Path, say: Progress = lambda _: None) -> Iterator[LeftOutRows]:
     """The public data sets: their own splits, and places.
 
     Args:
@@ -90,7 +90,7 @@ def real(folder: Path, say: Progress = lambda _: None) -> Iterator[Judged]:
                 yield judge(f"{robot}, places", _fitted(part.arm, kept, terms), out)
 
 
-def simulated(declared: Arm, count: int, say: Progress = lambda _: None) -> Iterator[Judged]:
+def simulated(declared: Arm, count: int, say: Progress = lambda _: None) -> Iterator[LeftOutRows]:
     """Random arms with a hidden effect that every other model knows; fresh random poses."""
     for k in range(count):
         name = SIMULATED[k % len(SIMULATED)]
@@ -105,7 +105,7 @@ def simulated(declared: Arm, count: int, say: Progress = lambda _: None) -> Iter
         yield judge(f"simulated, {how}", fitted, setting.held_out)
 
 
-def table(found: Sequence[Judged]) -> list[dict[str, object]]:
+def table(found: Sequence[LeftOutRows]) -> list[dict[str, object]]:
     """One row a set."""
     rows: list[dict[str, object]] = []
     for name in dict.fromkeys(each.set for each in found):
