@@ -7,7 +7,7 @@ from typing import Literal
 
 import click
 
-from longarm_comp.cli import options
+from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, progress
 
 
@@ -15,7 +15,7 @@ from longarm_comp.cli.output import note, print_json, progress
 @options.arm
 @options.session
 @options.model
-@options.output("predictor.npz", "Predictor to write.")
+@options.output("predictor.npz", "Predictor to write.", outputs.PREDICTOR)
 @click.option("--init", type=click.Choice(["ssa", "xavier"]), default="ssa", show_default=True)
 @click.option(
     "--inputs",
@@ -35,9 +35,6 @@ from longarm_comp.cli.output import note, print_json, progress
     "--hidden", type=click.IntRange(min=1), help="Hidden units; chosen by evidence if not given."
 )
 @click.option("--no-deflection", is_flag=True, help='The paper\'s "network only": rigid physics.')
-@click.option(
-    "--device", help="torch device of the sparrow search, such as cuda; numpy if not given."
-)
 @options.seed
 @options.effects
 @options.as_json
@@ -51,7 +48,6 @@ def command(
     ensemble: int,
     hidden: int | None,
     no_deflection: bool,
-    device: str | None,
     seed: int,
     as_json: bool,
 ) -> None:
@@ -80,7 +76,6 @@ def command(
             ensemble=ensemble,
             hidden=hidden,
             seed=seed,
-            device=device,
             note=note,
             progress=show,
         )
