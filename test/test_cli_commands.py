@@ -179,8 +179,9 @@ def test_outside_the_training_data_physics_is_used_and_said(work: Path, shell: S
         *("--model", work / "model.yaml", "--predictor", "half.npz"),
     )
     (command,) = made["commands"]
-    assert command["status"] == "out_of_domain"
-    assert "outside" in command["reason"]
+    assert command["status"] in ("out_of_domain", "success")
+    assert "outside" in command["reason"] and "physics only" in command["reason"]
+    assert command["p90_mm"] > command["expected_mm"] > 0.0
 
 
 @pytest.mark.parametrize("kind", ["grid", "sobol"])

@@ -143,7 +143,7 @@ def test_a_side_that_is_asked_for_without_room_is_doubted_in_millimetres(loose: 
     lever = np.linalg.norm(target[:2])  # of the first joint, which turns about z
     outcome = found.outcome
     sure = expected_miss(loose, outcome.command, found.context, target, np.zeros(3))
-    more = np.trace(outcome.miss.covariance) - np.trace(sure.covariance)
+    more = (outcome.sigma**2).sum() - np.trace(sure.covariance)
     assert np.sqrt(more) == pytest.approx(0.01 * lever, rel=0.05)
 
 

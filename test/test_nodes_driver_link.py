@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
@@ -196,9 +195,9 @@ def test_what_the_driver_accepted_is_the_history_of_the_joints(
         assert "not known" in doubts(True).message  # sent by somebody, and not taken up
         driver.event = Motion.ACCEPTED
         sender.publish(way)
-        assert doubts(False).sigma < 1e-6 or np.isnan(doubts(False).sigma)
+        sure = doubts(False).sigma  # the tolerances of the arm as declared
         driver.tell(Motion.REACHED, "")
         driver.tell(Motion.REFUSED, "another")
         doubts(False)
         driver.tell(event, "")
-        assert doubts(True).sigma > 1e-3
+        assert doubts(True).sigma ** 2 > sure**2 + 1e-6 / 3.0

@@ -117,14 +117,15 @@ class Output(click.Option):
 
 def guarded(command: click.Command, name: str) -> click.Command:
     """The command, which keeps the rule before it does anything."""
+    run = command.callback
+    if run is None:
+        return command  # a group: each of its commands keeps the rule
     outputs = [p for p in command.params if isinstance(p, Output)]
     if any(isinstance(p, click.Option) and "--force" in p.opts for p in command.params):
         return command  # made before
     if outputs:
         what = "Overwrite what exists, also an input."
         command.params.append(click.Option(["--force"], is_flag=True, help=what))
-    run = command.callback
-    assert run is not None
 
     def checked(*, force: bool = False, **given: Any) -> Any:
         _check(name, command.params, given, force)

@@ -53,7 +53,7 @@ def command(
 ) -> None:
     """Train SSA-BP on the residual that the physics of ARM leaves in SESSION (CSV or bag).
 
-    A network that does not help at poses left out of its training is not written (exit code 3).
+    A network that does not help at poses left out of its training is not written.
 
     \b
     Examples:
@@ -79,9 +79,10 @@ def command(
             note=note,
             progress=show,
         )
-    trained.save(output)
+    if trained.gain.helps:
+        trained.save(output)
     facts = {
-        "output": str(output),
+        "output": str(output) if trained.gain.helps else None,
         "samples": trained.samples,
         "training_mean_mm": {
             "before": 1e3 * trained.before.mean,
@@ -98,4 +99,5 @@ def command(
     if as_json:
         print_json(facts)
         return
-    note(f"{trained.summary}; predictor in {output}")
+    done = f"predictor in {output}" if trained.gain.helps else "not written: the physics is enough"
+    note(f"{trained.summary}; {done}")

@@ -37,12 +37,13 @@ class Commands(Sequence[Compensation]):
         numbers: (N,) number of each target.
         arrivals: result of each target, and the move for which it holds. Places in it are in the
             frame of the model: that of the measurements, for a calibrated one.
-        placements: frame of each target, and where it lies for the model.
+        placements: frame of each target, and where it lies for the model; none where the targets
+            were given in the frame of the model.
     """
 
     numbers: np.ndarray
     arrivals: tuple[Arrival, ...]
-    placements: tuple[Placement, ...]
+    placements: tuple[Placement, ...] = ()
 
     def __len__(self) -> int:
         return len(self.arrivals)
@@ -106,7 +107,8 @@ class Commands(Sequence[Compensation]):
 
     def lines(self) -> list[Command]:
         """The lines of commands.csv; places are in the frame of the target."""
-        rows = zip(self.numbers, self.arrivals, self.placements, strict=True)
+        placements = self.placements or (None,) * len(self)
+        rows = zip(self.numbers, self.arrivals, placements, strict=True)
         return [_line(int(k), arrival, placed) for k, arrival, placed in rows]
 
     def save(self, path: FilePath) -> None:
@@ -290,17 +292,18 @@ def _before_steps(found: Compensation) -> np.ndarray:
     return found.ideal if found.realisable is None else found.realisable.ideal
 
 
-def _line(index: int, arrival: Arrival, placed: Placement) -> Command:
+def _line(index: int, arrival: Arrival, placed: Placement | None) -> Command:
     found, move = arrival.outcome, arrival.move
     sigma = float(np.max(found.sigma))
+    error = placed.back(found.predicted_error) if placed else found.predicted_error
     return Command(
         index=index,
         status=str(found.status),
         reason=found.reason,
         q=found.command if found.success else None,
-        frame=placed.frame,
-        target=placed.asked(found.position),
-        predicted_error=placed.back(found.predicted_error) if found.in_domain else None,
+        frame=placed.frame if placed else "",
+        target=placed.asked(found.position) if placed else found.position,
+        predicted_error=error if found.in_domain else None,
         sigma_m=sigma if np.isfinite(sigma) else None,
         expected_m=found.expected_m if np.isfinite(sigma) else None,
         p90_m=found.p90_m if np.isfinite(sigma) else None,

@@ -25,7 +25,7 @@ from longarm_comp.workflows import compensate as points
 from longarm_comp.workflows.inputs import FilePath, SessionLike, check_predictor
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class PathCommands(points.Commands):
     """One answer per way-point, in their order, and when each is due.
 
@@ -114,8 +114,9 @@ def compensate_path(
         options=CompensationOptions(chosen, Settling(**settling), tuple(locked)),
     )  # fmt: skip
     return PathCommands(
-        numbers, found.arrivals, placements, found.timed, found.correction_m, found.notes
-    )
+        numbers, found.arrivals, placements,
+        timed=found.timed, correction_m=found.correction_m, notes=found.notes,
+    )  # fmt: skip
 
 
 def _each(given: ArrayLike | None, n: int, name: str) -> np.ndarray:

@@ -124,8 +124,8 @@ def evaluate(
             name: Errors.of(
                 left(each, session) - taken_off[name],
                 turns(each, session),
-                numbers,
-                spreads(each, session),
+                numbers=numbers,
+                spread=spreads(each, session),
             )
             for name, each in models.items()
         }

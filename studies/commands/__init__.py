@@ -9,8 +9,10 @@ STUDIES = (
     Entry("realisable", "realisable", "Choice among the servos' steps, compared with rounding."),
     Entry("measurements", "measurements", "Rows needed by pose, position, distance."),
     Entry("poses", "poses", "Which poses to measure: grid, Sobol, I-optimal."),
+    Entry("coverage", "coverage", "How often a stated 90 % radius holds."),
     Entry("day", "day", "A day of work: wear, warmth, changing payloads."),
     Entry("discover", "discover", "Causes in no library: what finds them."),
+    Entry("explain", "explain", "The posterior over explanations beside the search."),
     Entry("loop", "loop", "Benchmark the diagnosis on simulated arms."),
 )
 """Name, module in this folder, one line of help."""

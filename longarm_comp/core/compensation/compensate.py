@@ -117,9 +117,9 @@ def compensate(
 
     Returns:
         Invalid or unreachable targets are reported in `status`, not raised.  So is a recorded
-        quantity that an effect of the model needs and the context lacks.  `miss` says how good
-        the command is.  Where the history of the joints is not known and the tip depends on it,
-        `reason` says how much that is of it.
+        quantity that an effect of the model needs and the context lacks.  `expected_m` says how
+        good the command is.  Where the history of the joints is not known and the tip depends on
+        it, `reason` says how much that is of it.
 
     Raises:
         InputError: the target is neither (3,) nor (4, 4); an option is not allowed.
@@ -283,8 +283,9 @@ class _Target:
             beyond = outside_data(self.model, command, self.context)
             reason = "; ".join(filter(None, (reason, why, beyond)))
         return Compensation(
-            self.target, self.ideal, applied, miss, self.inside, shifted(self.target, applied),
-            command, self.passes, status, reason, chosen,
+            self.target, self.ideal, applied, miss.sigma, self.inside,
+            shifted(self.target, applied), command, self.passes, status, reason, chosen,
+            miss.expected_m, miss.p90_m,
         )  # fmt: skip
 
     def _miss(self, command: np.ndarray, applied: np.ndarray, *, learned: bool) -> ExpectedMiss:

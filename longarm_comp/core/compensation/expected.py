@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.effects.catalogue import registered
@@ -104,7 +105,7 @@ def of_tolerances(model: Model) -> ModelUncertainty | None:
         return None
     held: ModelUncertainty | None = model.__dict__.get("_tolerances")
     if held is None:
-        slots = [s for s in slots_of(model.arm, _geometry(model)) if not s.parameter.unknown]
+        slots = [s for s in slots_of(model.arm, geometry_of(model.arm)) if not s.parameter.unknown]
         widths = np.array([slot.parameter.width for slot in slots])
         none = np.zeros((3, 3))
         names = tuple(slot.identity for slot in slots)
@@ -113,16 +114,16 @@ def of_tolerances(model: Model) -> ModelUncertainty | None:
     return held
 
 
-def _geometry(model: Model) -> list[Effect]:
+def geometry_of(arm: Arm) -> list[Effect]:
     """Every geometry effect that the arm may have."""
     kinds = (kind for kind in registered().values() if issubclass(kind, Effect) and kind.geometry)
-    return [term for kind in kinds for term in kind.for_arm(model.arm)]
+    return [term for kind in kinds for term in kind.for_arm(arm)]
 
 
 def _carried(known: ModelUncertainty, model: Model, at: Posture) -> np.ndarray:
     """(3, 3) m^2 that the parameters bring to the tip at a posture."""
     names = set(known.slots)
-    terms = model.effects if model.uncertainty is known else _geometry(model)
+    terms = model.effects if model.uncertainty is known else geometry_of(model.arm)
     slots = [slot for slot in slots_of(model.arm, terms) if slot.identity in names]
     columns = model.columns(at, slots)[1].reshape(1, 3, -1)
     return known.carried(columns, [slot.identity for slot in slots])[0]

@@ -11,7 +11,6 @@ from typing import Protocol
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.compensation.expected import ExpectedMiss
 from longarm_comp.core.compensation.realisable import Realisable
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik.solver import Solution
@@ -148,7 +147,8 @@ class Compensation:
         ideal: (n,) joints that the physics alone gives.
         predicted_error: (3,) m, expected at the command (at `ideal` in the single pass); zero
             where none is applied.
-        miss: how far from the target the tip may come to rest; NaN where nothing says it.
+        sigma: (3,) m, standard deviation of what the command leaves at the tip; NaN where nothing
+            says it.
         in_domain: the predictor answered for joints inside its training data.
         pseudo_target: ``target - predicted_error``, of the target's shape.
         command: (n,) joints to send; `ideal` where the status is no success.
@@ -156,12 +156,14 @@ class Compensation:
         status, reason: the outcome, and why or with what doubt (empty on plain success).
         realisable: how `command` was chosen among the servos' steps; its `ideal` are the joints
             before. None where nothing was chosen.
+        expected_m, p90_m: expected distance of the tip from the target, and the one that 90 of
+            100 such commands stay below, m; NaN where nothing says it.
     """
 
     target: np.ndarray
     ideal: np.ndarray
     predicted_error: np.ndarray
-    miss: ExpectedMiss
+    sigma: np.ndarray
     in_domain: bool
     pseudo_target: np.ndarray
     command: np.ndarray
@@ -169,21 +171,8 @@ class Compensation:
     status: Status
     reason: str
     realisable: Realisable | None = None
-
-    @property
-    def sigma(self) -> np.ndarray:
-        """(3,) m, standard deviation of what the command leaves; NaN where nothing says it."""
-        return self.miss.sigma
-
-    @property
-    def expected_m(self) -> float:
-        """Expected distance of the tip from the target, m."""
-        return self.miss.expected_m
-
-    @property
-    def p90_m(self) -> float:
-        """Distance that 90 of 100 such commands stay below, m."""
-        return self.miss.p90_m
+    expected_m: float = math.nan
+    p90_m: float = math.nan
 
     @property
     def success(self) -> bool:
@@ -203,21 +192,18 @@ class Compensations:
     target: np.ndarray
     ideal: np.ndarray
     predicted_error: np.ndarray
-    miss: tuple[ExpectedMiss, ...]
+    sigma: np.ndarray
     in_domain: np.ndarray
     pseudo_target: np.ndarray
     command: np.ndarray
     passes: np.ndarray
     status: np.ndarray
     reason: tuple[str, ...]
+    expected_m: np.ndarray
+    p90_m: np.ndarray
 
     def __len__(self) -> int:
         return len(self.ideal)
-
-    @property
-    def sigma(self) -> np.ndarray:
-        """(N, 3) m, as of `Compensation`."""
-        return np.array([miss.sigma for miss in self.miss]).reshape(-1, 3)
 
     @property
     def success(self) -> np.ndarray:
@@ -236,13 +222,15 @@ class Compensations:
             targets,
             stacked("ideal", n),
             stacked("predicted_error", 3),
-            tuple(row.miss for row in rows),
+            stacked("sigma", 3),
             np.array([row.in_domain for row in rows], bool),
             stacked("pseudo_target", *targets.shape[1:]),
             stacked("command", n),
             np.array([row.passes for row in rows], int),
             np.array([row.status for row in rows], int),
             tuple(row.reason for row in rows),
+            stacked("expected_m"),
+            stacked("p90_m"),
         )
 
     def __getitem__(self, i: int) -> Compensation:
@@ -250,13 +238,15 @@ class Compensations:
             self.target[i],
             self.ideal[i],
             self.predicted_error[i],
-            self.miss[i],
+            self.sigma[i],
             bool(self.in_domain[i]),
             self.pseudo_target[i],
             self.command[i],
             int(self.passes[i]),
             Status(int(self.status[i])),
             self.reason[i],
+            expected_m=float(self.expected_m[i]),
+            p90_m=float(self.p90_m[i]),
         )
 
 

@@ -2,7 +2,7 @@
 
 A calibrated model says where the base stands in the frame of the measurements, and computes there.
 A target given in the base is carried over.  Where nobody said the frame, both have to mean the same
-place, to within what an arm as declared is good for; else the targets are refused.
+place, to within an ordinary error of setting up; else the targets are refused.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import roll_pitch_yaw
-from longarm_comp.core.compensation.expected import expected_miss
+from longarm_comp.core.compensation.expected import geometry_of
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model import Model, slots_of
+from longarm_comp.core.model.uncertainty import sizes
 
 BASE, MEASURED = "base", "measured"
 FRAMES = (BASE, MEASURED)
@@ -102,20 +102,22 @@ def placement(
         return Placement(BASE, motion, base, bool(found))
     point = target[:3, 3] if target.ndim == 2 else target
     away = float(np.linalg.norm(motion[:3, :3] @ point + motion[:3, 3] - point))
-    if away > _declared_p90(model.arm):
-        raise InputError(
-            where,
-            "frame",
-            "not said",
+    if away > (usual := _usual(model.arm)):
+        allowed = (
             f"{BASE} (the arm's own) or {MEASURED} (that of the measurements), by a column frame "
             f"or --frame: the calibration found the base elsewhere, {1e3 * away:.4g} mm apart at "
-            "the first target",
+            f"this target; up to {1e3 * usual:.3g} mm would be an error of setting up"
         )
+        raise InputError(where, "frame", "not said", allowed)
     return Placement(MEASURED if found else BASE, still, base, bool(found))
 
 
-def _declared_p90(arm: Arm) -> float:
-    """What the arm as declared is good for, in the middle of its ranges, m."""
-    model = Model(arm)
-    tip = model.tip(arm.mid)
-    return expected_miss(model, arm.mid, Context.empty(), tip, np.zeros(3)).p90_m
+def _usual(arm: Arm) -> float:
+    """How far off a declared base, and the tip on it, usually are (90 of 100), m.
+
+    It is the size of an ordinary error of every declared placement and row.
+    """
+    model, slots = Model(arm), slots_of(arm, geometry_of(arm))
+    columns = model.columns(model.posture(tuple(arm.mid.tolist())), slots)[1].reshape(3, -1)
+    moved = columns * [slot.parameter.prior for slot in slots]
+    return float(sizes(moved @ moved.T)[1])

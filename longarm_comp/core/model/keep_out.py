@@ -68,8 +68,8 @@ def boxes_entered(model: Model, q: np.ndarray) -> list[str]:
     found = [""] * len(q)
     for name, box in model.arm.keep_out.items():
         parts = box.crossed(lines)
-        leaves = ~box.holds(lines[:, -1]) & box.holds(lines[:, 0])
-        parts &= ~(np.logical_and.accumulate(parts, axis=-1) & leaves[:, None])
+        below = np.logical_and.accumulate(box.holds(lines), axis=-1)
+        parts &= ~below[:, :-1] | below[:, -1:]
         for k in np.flatnonzero(parts.any(axis=-1)):
             near = ", ".join(f"{number:.3g}" for number in lines[k, np.argmax(parts[k]) + 1])
             found[k] = found[k] or f"{name}: the arm would enter it near {near} m"

@@ -19,6 +19,8 @@ from scipy.special import gammaln, ndtri
 
 LEVEL = 0.9
 """Probability of the radius that a command states."""
+_SURE = 1e-9
+"""Least variance of a squared length over its square: less changes no digit that is printed."""
 _NORMAL = float(ndtri(LEVEL))
 Identity = tuple[object, ...]
 
@@ -74,11 +76,10 @@ def sizes(covariance: np.ndarray, mean: np.ndarray | None = None) -> tuple[np.nd
     if mean is not None:
         square = square + (mean**2).sum(-1)
         variance = variance + 4.0 * np.einsum("...i,...ij,...j->...", mean, covariance, mean)
-    shape = square**2 / np.maximum(variance, 1e-12 * square**2 + 1e-300)
-    size = np.sqrt(square / np.maximum(shape, 1e-300)) * np.exp(
-        gammaln(shape + 0.5) - gammaln(shape)
-    )
-    return np.where(square > 0, size, 0.0), radius(square, variance)
+    shape = square**2 / np.maximum(variance, _SURE * square**2 + 1e-300)
+    shape = np.maximum(shape, 1e-300)
+    expected = np.sqrt(square / shape) * np.exp(gammaln(shape + 0.5) - gammaln(shape))
+    return np.where(square == 0, 0.0, expected), radius(square, variance)
 
 
 def radius(square: np.ndarray, variance: np.ndarray) -> np.ndarray:

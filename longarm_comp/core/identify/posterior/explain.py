@@ -99,12 +99,12 @@ def explain_session(
     Raises:
         InputError, JobError: as `fit`.
     """
-    state = _State(base, session, list(candidates), known_noise, stepped, functions)
+    state = _Exploration(base, session, list(candidates), known_noise, stepped, functions)
     return state.searched(progress or (lambda _: None))
 
 
 @dataclass
-class _State:
+class _Exploration:
     """The model while it is searched for."""
 
     base: Model

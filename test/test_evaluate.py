@@ -1,0 +1,128 @@
+"""`evaluate` judges a model by rows, and a network is used only where it helps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_shell import Shell
+from hidden_arm import at, session, tip
+from small_arm import ARM
+
+import longarm_comp as la
+from longarm_comp.core.data.allowed_poses import above, outside_boxes
+from longarm_comp.core.data.plan import Plan
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.outline import outline
+from longarm_comp.sessions.csv import write_csv
+from longarm_comp.sim.hidden.drives import JointGain
+from longarm_comp.sim.hidden.geometry import JointZero
+
+QUICK = {"hidden": 3, "ensemble": 1}
+
+
+def test_an_outlier_shows_in_the_worst_rows_and_not_in_the_median(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = session(n=40)
+    xyz = rows.xyz.copy()
+    xyz[7, 2] += 0.06
+    numbers = np.arange(100, 140)
+    spoiled = la.Session.record(rows.q, xyz, index=numbers)
+    (tmp_path / "arm.yaml").write_text(ARM.model_dump_json(exclude_defaults=True))
+    write_csv(spoiled, tmp_path / "test.csv")
+    shell = Shell(tmp_path, capsys)
+    words = ("evaluate", tmp_path / "arm.yaml", "--test", tmp_path / "test.csv")
+    made = shell.json(*words)
+    (row,) = made["rows"]
+    error = np.linalg.norm(xyz - la.Model(ARM).tip(rows.q), axis=1)
+    assert row["median_mm"] == pytest.approx(1e3 * np.median(error), rel=1e-3)
+    assert row["max_mm"] == pytest.approx(1e3 * error[7], rel=1e-3)
+    assert row["mean_mm"] > 2.0 * row["median_mm"]
+    assert made["worst"]["rigid"][0]["index"] == 107
+    assert made["worst"]["rigid"][0]["error_mm"] == pytest.approx(row["max_mm"])
+    assert shell(*words) == 0
+    assert "worst rows of rigid, by index: 107 (6" in shell.err
+
+
+def test_rows_that_do_not_fit_are_noted_and_counted() -> None:
+    """Honest rows, two thirds of them far off for want of an effect, judge the model."""
+    q = ARM.lower + np.random.default_rng(2).random((60, ARM.n)) * (ARM.upper - ARM.lower)
+    xyz = tip([], q, np.ones(60))
+    xyz[::3] += [0.0, 0.0, 0.15]
+    rows, notes = la.Session.record(q, xyz), []
+    with pytest.raises(la.InputError, match="nothing was changed"):
+        la.calibrate(ARM, rows)
+    made = la.evaluate(ARM, rows, model=la.Model(ARM), note=notes.append)
+    assert made["calibrated"].n == 60
+    assert made["calibrated"].mean == pytest.approx(0.05, rel=0.01)
+    assert any("far off" in text or "off the arm" in text for text in notes)
+
+
+def test_an_arm_that_stands_elsewhere_is_judged_and_said() -> None:
+    rows, notes = session(n=30), []
+    moved = la.Session.record(rows.q, rows.xyz + np.array([0.5, 0.0, 0.0]))
+    made = la.evaluate(ARM, moved, model=la.Model(ARM), note=notes.append)
+    assert made["calibrated"].mean == pytest.approx(0.5, rel=0.01)
+    assert any("from where the model puts it" in text for text in notes)
+    with pytest.raises(la.JobError, match="from where the model puts it"):
+        la.train(ARM, moved, model=la.Model(ARM), **QUICK)
+
+
+def test_a_network_that_does_not_help_is_not_written(tmp_path: Path) -> None:
+    made = la.train(ARM, session(n=60), model=la.Model(ARM), **QUICK)
+    assert not made.gain.helps
+    with pytest.raises(la.JobError, match="physics alone") as said:
+        made.save(tmp_path / "p.npz")
+    assert f"{1e3 * made.gain.without:.3f} mm" in str(said.value)
+    assert not (tmp_path / "p.npz").exists()
+    found = la.evaluate(ARM, session(n=60), model=la.Model(ARM), predictor=made)
+    assert found.outside == 0 and found.refused == 60
+    assert found["network"].mean == found["calibrated"].mean
+
+
+def test_one_that_helps_is_written_and_has_its_rows_in_its_data(tmp_path: Path) -> None:
+    bent = [JointZero(at(1, 0.02)), JointGain(at(2, 0.05))]
+    rows = session(bent, n=80)
+    made = la.train(ARM, rows, model=la.Model(ARM), **QUICK)
+    made.save(tmp_path / "p.npz")
+    found = la.evaluate(ARM, rows, model=la.Model(ARM), predictor=made)
+    assert found.outside == 0 and found.refused < 8
+    assert found["network"].mean < 0.5 * found["calibrated"].mean
+
+
+def test_a_floor_above_the_foot_is_risen_above_once(rng: np.random.Generator) -> None:
+    turned = {"base": {"rpy_deg": [180, 0, 0]}}
+    upright = la.Arm.parse({**ARM.model_dump(exclude_defaults=True), **turned}, "arm")
+    model = declared_model(upright)
+    q = ARM.lower + rng.random((60, ARM.n)) * (ARM.upper - ARM.lower)
+    lines = outline(model, q)
+    for height in (-0.2, 0.05, float(np.median(lines[:, -1, 2]))):
+        floor = declared_model(above(upright, height))
+        plan = Plan(q, np.zeros_like(q))
+        free = outside_boxes(floor, plan)
+        risen = np.maximum.accumulate(lines[..., 2] > height, axis=1)
+        stays = ((lines[..., 2] > height) | ~risen).all(axis=1) & (lines[:, -1, 2] > height)
+        np.testing.assert_array_equal(free, stays)
+        assert free.any()
+    assert not free.all()
+    for wrong in (np.inf, -np.inf, np.nan):
+        with pytest.raises(la.InputError, match="a height"):
+            above(ARM, wrong)
+
+
+def test_training_that_does_not_help_ends_well_without_a_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("arm.yaml").write_text(ARM.model_dump_json(exclude_defaults=True))
+    write_csv(session(n=60), "samples.csv")
+    shell = Shell(tmp_path, capsys)
+    words = ("train", "arm.yaml", "samples.csv", "-o", "p.npz", "--ensemble", 1, "--hidden", 3)
+    made = shell.json(*words)
+    assert made["output"] is None and not Path("p.npz").exists()
+    left = made["left_out_mean_mm"]
+    assert shell(*words) == 0
+    assert "not written" in shell.err
+    assert f"{left['before']:.3f} mm" in shell.err and f"{left['after']:.3f} mm" in shell.err

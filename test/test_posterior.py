@@ -1,0 +1,157 @@
+"""The posterior over explanations: its sums against plain integrals, and planted effects."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from demo_rows import session_of
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
+from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.quantities import Span
+from longarm_comp.core.effects.servo_droop import ServoDroop
+from longarm_comp.core.effects.shapes import Cosine, FunctionError
+from longarm_comp.core.identify.calibrate import geometry
+from longarm_comp.core.identify.candidates import library
+from longarm_comp.core.identify.discover.inputs import arm_inputs
+from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
+from longarm_comp.core.identify.posterior.single_effects import NONE, Offer, OfferBank, explain
+from longarm_comp.core.model.model import Model
+
+UNBOUND = np.full(6, np.inf)
+
+
+def bank(y: np.ndarray, x: np.ndarray, offers: list[Offer], upper: np.ndarray) -> OfferBank:
+    return OfferBank(offers, x.T @ x, x.T @ y, -UNBOUND[: x.shape[1]], upper)
+
+
+def single(name: str, column: int, **more: object) -> Offer:
+    made = Offer(name, (name,), ((column,),), math.log(0.1))
+    return dataclasses.replace(made, **more)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def columns() -> np.ndarray:
+    return np.random.default_rng(0).standard_normal((80, 3))
+
+
+def test_the_evidence_is_that_of_the_integral_over_sizes_and_bounds(columns: np.ndarray) -> None:
+    y = 0.7 * columns[:, 0] + np.random.default_rng(1).standard_normal(80)
+    sizes, chances = (1.0, 4.0), (math.log(0.6), math.log(0.4))
+    upper = np.array([0.5, np.inf, np.inf])
+    offer = single("a", 0, sizes=sizes, chances=chances)
+    found = bank(y, columns, [offer], upper).single(columns.T @ y, frozenset(), frozenset())
+    b = np.linspace(-40.0, 0.5, 400_001)
+    likelihood = b * (columns[:, 0] @ y) - 0.5 * b * b * (columns[:, 0] @ columns[:, 0])
+    odds = 0.0
+    for size, chance in zip(sizes, chances, strict=True):
+        prior = np.exp(-0.5 * (b / size) ** 2)
+        odds += (
+            math.exp(chance) * np.trapezoid(np.exp(likelihood) * prior, b) / np.trapezoid(prior, b)
+        )
+    odds *= 0.1 * math.exp(-NONE)
+    assert found.there == pytest.approx(odds / (1.0 + odds), rel=0.02)
+    assert found.mean[0] <= 0.5
+
+
+def test_the_best_explanation_is_that_of_all_subsets() -> None:
+    """Two true columns of five that run together: against every subset."""
+    rng = np.random.default_rng(3)
+    x = rng.standard_normal((120, 5)) + rng.standard_normal((120, 1))
+    y = 1.5 * x[:, 1] - 1.2 * x[:, 4] + rng.standard_normal(120)
+    offers = [single(f"n{k}", k) for k in range(5)]
+    of = bank(y, x, offers, UNBOUND[:5])
+    best = max((s for n in range(4) for s in itertools.combinations(offers, n)), key=of.evidence)
+    assert {o.name for o in explain(of).chosen} == {o.name for o in best} == {"n1", "n4"}
+
+
+def test_columns_that_are_alike_share_the_probability(columns: np.ndarray) -> None:
+    x = np.column_stack([columns[:, 0], columns[:, 0], columns[:, 1]])
+    y = 2.0 * x[:, 0] + np.random.default_rng(2).standard_normal(80)
+    found = explain(bank(y, x, [single("a", 0), single("b", 1), single("c", 2)], UNBOUND[:3]))
+    assert len(found.effects) == 1
+    assert found.effects[0].q[:2] == pytest.approx([0.5, 0.5], abs=0.01)
+    assert found.effects[0].there == pytest.approx(1.0, abs=1e-6)
+
+
+def test_noise_is_none(columns: np.ndarray) -> None:
+    y = np.random.default_rng(4).standard_normal(80)
+    assert (
+        explain(bank(y, columns, [single(n, k) for k, n in enumerate("abc")], UNBOUND[:3])).effects
+        == ()
+    )
+
+
+def test_one_form_at_a_place(columns: np.ndarray) -> None:
+    """What one effect holds is not on offer to another: a family goes without that place."""
+    whole = Offer("a", ("one", "two", "three"), ((0,), (1,), (2,)), 0.0)
+    left = whole.beside(frozenset({"two"}))
+    assert left is not None and left.keys == ("one", "three") and left.places == (0, 2)
+    assert whole.beside(frozenset({"one", "two"})) is None
+    assert whole.beside(frozenset({"four"})) is whole
+
+
+# ------------------------------------------------------------------ planted on the small arm
+
+
+@pytest.fixture(scope="module")
+def arm(demo_arm_path: Path) -> Arm:
+    return Arm.load(demo_arm_path)
+
+
+KINDS = (JointCompliance, JointGain, GearEccentricity, ServoDroop)
+
+
+def explained(arm: Arm, seed: int, *planted: object) -> ExplainedSession:
+    session = session_of(arm, seed, *planted)  # type: ignore[arg-type]
+    base = Model(arm, (LinkDeflection(), *geometry(arm, session)))
+    offered = library(arm, session.context(), KINDS, base.terms)
+    return explain_session(base, session, offered.testable, functions=False)
+
+
+def test_a_planted_gain_is_found_at_its_joint_with_its_value(arm: Arm) -> None:
+    found = explained(arm, 2, JointGain(5, gain=0.04))
+    assert [(t.name, t.where) for t in found.chosen] == [("joint_gain", "joint 5")]
+    assert found.chosen[0].gain == pytest.approx(0.04, rel=0.1)  # type: ignore[union-attr]
+    assert found.found[0].there > 0.999
+
+
+def test_what_no_measurement_distinguishes_shares_its_probability(arm: Arm) -> None:
+    found = explained(arm, 1, JointCompliance(2, compliance=8e-3)).found
+    assert len(found) == 1
+    chances = dict(found[0].names)
+    assert chances["joint_compliance"] == pytest.approx(chances["servo_droop"], abs=0.05)
+    assert set(found[0].credible) == {"joint_compliance", "servo_droop"}
+
+
+def test_geometry_and_noise_name_nothing(arm: Arm) -> None:
+    assert explained(arm, 3).found == ()
+
+
+# ------------------------------------------------------------------ inputs of functions
+
+
+def test_a_wave_is_bounded_by_its_phase_over_the_data() -> None:
+    """45 um of sag along a beam is no input; of 30 mm, 200 periods a metre are a plain wave."""
+    Cosine("distance_1_3", 0.40, 0.43, 2500.0).check()
+    with pytest.raises(FunctionError, match="over the range of distance_1_3"):
+        Cosine("distance_1_3", 0.0, 1.0, 2500.0).check()
+
+
+def test_a_distance_that_varies_less_than_its_tolerance_is_no_input(arm: Arm) -> None:
+    session = session_of(arm, 2)
+    model = Model(arm, (LinkDeflection(),))
+    at = model.posture([session.q[:, k] for k in range(arm.n)], session.context())
+    names = arm_inputs(arm, at, session).names
+    spans = [n for n in names if n.startswith("distance_")]
+    assert spans
+    held = arm_inputs(arm, at, session).by_name
+    assert all(held[n].high - held[n].low >= Span.resolution for n in spans)

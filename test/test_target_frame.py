@@ -1,0 +1,143 @@
+"""The frame of targets: the arm's base or that of the measurements, said or refused."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_shell import Shell
+from small_arm import ARM, measured
+
+import longarm_comp as la
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.target_frame import placement
+from longarm_comp.core.effects.base_pose import BasePose
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model_file import save_model, store
+from longarm_comp.sessions.csv import write_csv
+
+AWAY = BasePose(x=2.0, y=-1.0, z=0.5, rx=0.1, ry=0.2, rz=1.1)
+NEAR = BasePose(x=0.004, rz=0.005)
+
+
+def moved(base: BasePose, point: np.ndarray) -> np.ndarray:
+    """A point of the declared base where this base stands."""
+    matrix = base.base(ARM).matrix() @ np.linalg.inv(ARM.base.frame().matrix())
+    return matrix[:3, :3] @ point + matrix[:3, 3]
+
+
+def test_each_frame_brings_the_tip_where_it_says() -> None:
+    model = Model(ARM, (AWAY,))
+    target = Model(ARM).tip(ARM.mid)
+    (base,) = la.compensate(model, target, frame="base")
+    np.testing.assert_allclose(base.command, ARM.mid, atol=1e-6)
+    np.testing.assert_allclose(model.tip(base.command), moved(AWAY, target), atol=1e-8)
+    (seen,) = la.compensate(model, moved(AWAY, target), frame="measured")
+    np.testing.assert_allclose(seen.command, ARM.mid, atol=1e-6)
+    pose = Model(ARM).pose(ARM.mid)
+    (turned,) = la.compensate(model, pose, frame="base", seed=ARM.mid + 0.02)
+    np.testing.assert_allclose(model.pose(turned.command)[:3, :3], turned.target[:3, :3], atol=1e-6)
+
+
+def test_where_it_matters_and_nobody_said_it_both_are_offered() -> None:
+    target = Model(ARM).tip(ARM.mid)
+    with pytest.raises(la.InputError, match=r"base .* or measured"):
+        la.compensate(Model(ARM, (AWAY,)), target)
+    made = la.compensate(Model(ARM, (NEAR,)), target)
+    assert made.success.all() and "frame measured" in made.frames[0]
+    assert "frame base" in la.compensate(Model(ARM), target).frames[0]
+
+
+def test_the_frame_of_the_measurements_needs_a_calibration() -> None:
+    target = Model(ARM).tip(ARM.mid)
+    with pytest.raises(la.InputError, match="calibrated model"):
+        la.compensate(Model(ARM), target, frame="measured")
+    known = {"base": {"xyz_m": 0.001, "rpy_deg": 0.1}}
+    told = la.Arm.parse({**ARM.model_dump(exclude_defaults=True), "tolerance": known}, "arm")
+    assert la.compensate(Model(told), target, frame="measured").success.all()
+    with pytest.raises(la.InputError, match="base or measured"):
+        la.compensate(Model(ARM), target, frame="world")
+
+
+def test_a_base_that_was_moved_is_named_by_its_group() -> None:
+    bases = (BasePose(group="a", x=1.0), BasePose(group="b", x=-1.0))
+    model, target = Model(ARM, bases), Model(ARM).tip(ARM.mid)
+    with pytest.raises(la.InputError, match="group"):
+        la.compensate(model, target, frame="base")
+    for name, x in (("a", 1.0), ("b", -1.0)):
+        found = placement(model, target, "base", name)
+        np.testing.assert_allclose(found.carried(target), target + np.array([x, 0, 0]), atol=1e-9)
+        context = Context(labels={"group": np.array([name])})
+        assert la.compensate(model, target, frame="base", context=context).success.all()
+
+
+@pytest.fixture
+def tracked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An arm, and a model whose base a tracker saw far away."""
+    monkeypatch.chdir(tmp_path)
+    Path("arm.yaml").write_text(ARM.model_dump_json(exclude_defaults=True))
+    save_model("model.yaml", store(Model(ARM, (AWAY,))))
+    return tmp_path
+
+
+def written(lines: list[str], name: str = "t.csv") -> str:
+    Path(name).write_text("\n".join(lines) + "\n")
+    return name
+
+
+def test_a_file_of_targets_says_its_frame(
+    tracked: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shell = Shell(tracked, capsys)
+    x, y, z = Model(ARM).tip(ARM.mid)
+    u, v, w = moved(AWAY, np.array([x, y, z]))
+    words = ("compensate", "arm.yaml", "--model", "model.yaml", "--targets")
+    plain = written(["x,y,z", f"{x},{y},{z}"])
+    line = shell.refused(*words, plain)
+    assert "base" in line and "measured" in line and "--frame" in line
+    assert shell(*words, plain, "--frame", "base") == 0
+    at = ", ".join(f"{value:.4f}" for value in AWAY.base(ARM).p)
+    assert "frame base" in shell.err and f"stands at {at} m" in shell.err
+    both = written(["x,y,z,frame", f"{x},{y},{z},base", f"{u},{v},{w},measured"], "both.csv")
+    made = shell.json(*words, both)
+    assert [c["frame"] for c in made["commands"]] == ["base", "measured"]
+    assert len(made["frames"]) == 2
+    joints = [[c[f"q{j}"] for j in range(1, 5)] for c in made["commands"]]
+    np.testing.assert_allclose(joints[0], joints[1], atol=1e-6)
+    with open("commands.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    shown = [[float(row[f"target_{axis}"]) for axis in "xyz"] for row in rows]
+    np.testing.assert_allclose(shown, [[x, y, z], [u, v, w]], atol=1e-9)
+    assert "frame" in shell.refused(*words, both, "--frame", "base")
+    odd = written(["x,y,z,frame", f"{x},{y},{z},tool"], "odd.csv")
+    assert "base or measured" in shell.refused(*words, odd)
+
+
+def test_a_calibration_by_a_tracker_makes_the_frame_matter(
+    tracked: Path, capsys: pytest.CaptureFixture[str], rng: np.random.Generator
+) -> None:
+    """From rows to the refusal, with the files that a user has."""
+    shell = Shell(tracked, capsys)
+    rows = measured(60, rng)
+    far = np.array([moved(AWAY, point) for point in rows.xyz])
+    write_csv(la.Session.record(rows.q, far), "samples.csv")
+    assert shell("calibrate", "arm.yaml", "samples.csv", "-o", "made.yaml") == 0
+    x, y, z = Model(ARM).tip(ARM.mid)
+    words = ("compensate", "arm.yaml", x, y, z, "--model", "made.yaml")
+    assert "measured" in shell.refused(*words)
+    (command,) = shell.json(*words, "--frame", "base")["commands"]
+    assert 0.0 < command["expected_mm"] < 0.2
+    q = [command[f"q{j}"] for j in range(1, 5)]
+    assert np.linalg.norm(Model(ARM).tip(np.array(q)) - [x, y, z]) < 5e-4
+
+
+def test_millimetres_are_guessed(tracked: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shell = Shell(tracked, capsys)
+    tip = Model(ARM).tip(ARM.mid)
+    for factor, unit in ((1e3, "millimetres"), (1e2, "centimetres"), (1e6, "metres")):
+        x, y, z = factor * tip
+        assert f"are these {unit}?" in shell.refused("compensate", "arm.yaml", x, y, z, code=3)
+    x, y, z = 2.5 * tip
+    assert "are these" not in shell.refused("compensate", "arm.yaml", x, y, z, code=3)

@@ -1,0 +1,267 @@
+"""How good a model says that it is, against rows and tips that it has not seen."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hidden_arm import SIGMA, at, session, tip
+from small_arm import ARM
+
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.compensate import Method, Status, compensate
+from longarm_comp.core.compensation.expected import expected_miss, of_tolerances
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.joint_gain import JointGain as Gain
+from longarm_comp.core.effects.tip_payload import TipPayload
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.arm_share import arm_share
+from longarm_comp.core.identify.calibrate import stages
+from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.model_fit import ModelFit
+from longarm_comp.core.identify.uncertainty import LeftOut, uncertainty, with_uncertainty
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model_file import load_model, save_model, store
+from longarm_comp.core.model.uncertainty import LEVEL, read, sizes, triangular, written
+from longarm_comp.sim.hidden.drives import JointGain
+from longarm_comp.sim.hidden.geometry import JointZero
+
+ZEROS = JointZero(at(1, 0.003) + at(2, -0.004))
+LACKING = JointGain(at(2, 0.03))
+
+
+def calibrated(rows: Session) -> ModelFit:
+    *_, (_, fitted) = stages(declared_model(ARM), rows)
+    return fitted
+
+
+def fresh(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    q = ARM.lower + rng.random((n, ARM.n)) * (ARM.upper - ARM.lower)
+    return q, rng.choice([-1.0, 1.0], n)
+
+
+@pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (1.0, 0.3, 0.01), (1.0, 1e-3, 1e-3)])
+@pytest.mark.parametrize("known", [(0.0, 0.0, 0.0), (1.5, 0.2, 0.0)])
+def test_lengths_of_normal_errors(
+    axes: tuple[float, ...], known: tuple[float, ...], rng: np.random.Generator
+) -> None:
+    turned = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    factor = turned * np.array(axes)
+    mean = turned @ np.array(known)
+    drawn = np.linalg.norm(mean + rng.standard_normal((200_000, 3)) @ factor.T, axis=1)
+    expected, within = sizes(factor @ factor.T, mean)
+    assert expected == pytest.approx(drawn.mean(), rel=0.025)
+    assert within == pytest.approx(np.quantile(drawn, LEVEL), rel=0.025)
+
+
+def test_an_error_that_is_known_is_its_own_length() -> None:
+    assert np.allclose(sizes(np.zeros((3, 3)), np.array([3.0, 0.0, 4.0])), 5.0)
+    assert np.allclose(sizes(np.zeros((3, 3))), 0.0)
+
+
+def test_rows_left_out_are_missed_as_by_a_fit_without_them() -> None:
+    start = calibrated(session([ZEROS, LACKING], n=80))
+    settings = {"sigma": np.full(3, 5e-4), "robust": False, "close": 1e-6}
+    whole = fit(start.model, start.session, **settings)
+    rows, weights = whole.session, whole.weights
+    left = LeftOut.of(whole)
+    assert left is not None
+    order = np.argsort(np.argsort(rows.q[weights > 0, 0], kind="stable"))
+    out = np.flatnonzero(weights > 0)[order * 4 // len(order) == 0]
+    kept = np.setdiff1d(np.arange(len(rows)), out)
+    again = fit(whole.model, rows.take(kept), **settings)
+    held = rows.take(out)
+    missed = held.xyz - again.model.tip(held.q, held.context())
+    found = left.error[: len(out)]
+    assert np.linalg.norm(missed, axis=1).mean() > 1.1 * np.abs(whole.residual[out]).mean()
+    np.testing.assert_allclose(found, missed, atol=0.03 * np.abs(missed).max())
+
+
+@pytest.mark.parametrize("hidden", [[ZEROS], [ZEROS, LACKING]], ids=["known", "lacking"])
+def test_ninety_of_a_hundred_rows_and_tips_lie_inside(hidden: list) -> None:
+    """Over several sessions, as each alone may be lucky."""
+    rows_inside, tips_inside, stated, true = [], [], [], []
+    for seed in range(4):
+        fitted = calibrated(session(hidden, n=120, seed=seed))
+        known = uncertainty(fitted)
+        q, side = fresh(100, 100 + seed)
+        context = Context(approach=tuple(np.repeat(side[None], ARM.n, axis=0)))
+        truth = tip(hidden, q, side)
+        noise = SIGMA * np.random.default_rng(seed).standard_normal(truth.shape)
+        at_rows = fitted.model.posture(tuple(q.T), context)
+        columns = fitted.model.columns(at_rows)[1]
+        carried = known.carried(columns, [slot.identity for slot in fitted.slots])
+        off = truth - fitted.model.tip(q, context)
+        expected, within = sizes(carried + known.structure)
+        tips_inside += list(np.linalg.norm(off, axis=1) <= within)
+        rows = sizes(carried + known.structure + known.noise)[1]
+        rows_inside += list(np.linalg.norm(off + noise, axis=1) <= rows)
+        stated.append(expected.mean())
+        true.append(np.linalg.norm(off, axis=1).mean())
+    assert 0.86 <= np.mean(rows_inside) <= 0.95
+    assert np.mean(tips_inside) >= 0.85
+    assert np.mean(true) < 1.1 * np.mean(stated) and np.mean(stated) < 3.0 * np.mean(true)
+
+
+def test_noise_is_told_from_what_the_arm_does() -> None:
+    assert arm_share(calibrated(session([ZEROS], n=150))) < 0.15
+    assert arm_share(calibrated(session([ZEROS, LACKING], n=150))) > 0.5
+
+
+def test_few_repeats_count_too() -> None:
+    """Rows that the geometry cannot explain, but whose repeats scatter as much: noise."""
+    rows = session([ZEROS], n=60)
+    twice = np.tile(rows.q[:6], (2, 1))
+    rng = np.random.default_rng(3)
+    scatter = 5.0 * SIGMA * rng.standard_normal((12, 3))
+    q = np.concatenate([rows.q, twice])
+    xyz = np.concatenate(
+        [rows.xyz, np.tile(tip([ZEROS], rows.q[:6], np.ones(6)), (2, 1)) + scatter]
+    )
+    alone = arm_share(calibrated(session([ZEROS, LACKING], n=60)))
+    quiet = arm_share(calibrated(Session.record(q, xyz)))
+    assert quiet < 0.5 * alone
+
+
+def test_far_from_the_rows_the_error_grows() -> None:
+    rows = session([ZEROS], n=200)
+    near = rows.take(rows.q[:, 0] < ARM.lower[0] + 0.25 * (ARM.upper - ARM.lower)[0])
+    model = with_uncertainty(calibrated(near))
+    q = np.tile(ARM.mid, (2, 1))
+    q[:, 0] = ARM.lower[0], ARM.upper[0]
+    here, there = (
+        expected_miss(model, joints, Context.empty(), model.tip(joints), np.zeros(3)).expected_m
+        for joints in q
+    )
+    assert there > 1.5 * here
+
+
+def test_the_file_says_what_the_model_says(tmp_path: Path) -> None:
+    rows = session([ZEROS], n=60)
+    fitted = calibrated(rows)
+    made = fitted.model.plus(TipPayload())  # another order of terms than in the file
+    made = with_uncertainty(fit(made, rows))
+    save_model(tmp_path / "model.yaml", store(made))
+    back = load_model(tmp_path / "model.yaml", ARM)
+    for model in (back, load_model(tmp_path / "model.yaml", ARM)):
+        target = model.tip(ARM.mid) + 1e-3
+        mine, theirs = (
+            expected_miss(m, ARM.mid, Context.empty(), target, np.zeros(3)) for m in (made, model)
+        )
+        assert theirs.expected_m == pytest.approx(mine.expected_m, rel=1e-4)
+        assert theirs.p90_m == pytest.approx(mine.p90_m, rel=1e-4)
+    assert (tmp_path / "model.yaml").stat().st_size < 40_000
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda u: u["factor"].pop(), "lines"),
+        (lambda u: u["factor"].__setitem__(1, "AAAA"), "line 2"),
+        (lambda u: u["factor"].__setitem__(0, "not base 64"), "line 1"),
+        (lambda u: u["factor"].__setitem__(0, "AADAfw=="), "line 1"),  # NaN
+        (lambda u: u["structure_m2"][0].__setitem__(0, -1.0), "structure_m2"),
+        (lambda u: u.__setitem__("stretch", 0.5), "stretch"),
+    ],
+)
+def test_a_damaged_record_is_refused(tmp_path: Path, change, said: str) -> None:
+    path = tmp_path / "model.yaml"
+    save_model(path, store(with_uncertainty(calibrated(session([ZEROS], n=40)))))
+    data = yaml.safe_load(path.read_text())
+    change(data["uncertainty"])
+    path.write_text(yaml.safe_dump(data))
+    with pytest.raises(InputError, match=said):
+        load_model(path, ARM)
+
+
+def test_a_triangle_is_written_and_read(rng: np.random.Generator) -> None:
+    factor = rng.standard_normal((7, 3)) * 10.0 ** rng.uniform(-8, 1, (7, 1))
+    made = triangular(factor)
+    assert np.allclose(made, np.tril(made))
+    np.testing.assert_allclose(made @ made.T, factor @ factor.T, rtol=1e-9)
+    np.testing.assert_allclose(read(written(made)), made, rtol=1e-6)
+
+
+def test_another_fit_forgets_what_was_known() -> None:
+    rows = session([ZEROS], n=40)
+    known = with_uncertainty(calibrated(rows))
+    assert known.uncertainty is not None
+    assert fit(known, rows).model.uncertainty is None
+
+
+def test_the_arm_as_declared_goes_by_its_tolerances() -> None:
+    model = Model(ARM)
+    found = compensate(model, None, model.tip(ARM.mid), method=Method.DEFLECTION)
+    assert found.status is Status.SUCCESS
+    assert 2e-3 < found.expected_m < found.p90_m < 2e-2
+    assert np.isfinite(found.sigma).all()
+    tight = {"tip": {"xyz_m": 0.05}}
+    loose = ARM.model_validate({**ARM.model_dump(exclude_defaults=True), "tolerance": tight})
+    more = compensate(Model(loose), None, model.tip(ARM.mid), method=Method.DEFLECTION)
+    assert more.expected_m > 2.0 * found.expected_m
+
+
+def test_nothing_is_said_of_a_model_without_a_record() -> None:
+    fitted = calibrated(session([ZEROS], n=40))
+    assert of_tolerances(fitted.model) is None
+    found = compensate(fitted.model, None, fitted.model.tip(ARM.mid), method=Method.DEFLECTION)
+    assert found.status is Status.SUCCESS and np.isnan(found.expected_m)
+
+
+@dataclasses.dataclass
+class Says:
+    """A predictor that answers alike everywhere, inside its data or not."""
+
+    inside: bool
+    sigma: float = 1e-3
+
+    def predict(self, q, context=None):
+        n = len(q)
+        self.error, self.in_domain = np.full((n, 3), 1e-4), np.full(n, self.inside)
+        return dataclasses.make_dataclass("Answer", ["error", "sigma", "in_domain"])(
+            self.error, np.full((n, 3), self.sigma), self.in_domain
+        )
+
+
+def test_outside_a_predictor_s_data_good_physics_is_a_success() -> None:
+    good = with_uncertainty(calibrated(session([ZEROS], n=120)))
+    target = good.tip(ARM.mid)
+    found = compensate(good, Says(inside=False), target)
+    assert found.status is Status.SUCCESS
+    assert "physics only" in found.reason and not found.in_domain
+    assert not found.predicted_error.any()
+    assert found.expected_m == compensate(good, None, target, method=Method.DEFLECTION).expected_m
+    known = good.uncertainty
+    assert known is not None
+    far = dataclasses.replace(good, uncertainty=dataclasses.replace(known, largest_m=1e-9))
+    assert compensate(far, Says(inside=False), target).status is Status.OUT_OF_DOMAIN
+    bare = dataclasses.replace(good, uncertainty=None)
+    assert compensate(bare, Says(inside=False), target).status is Status.OUT_OF_DOMAIN
+
+
+def test_a_predictor_s_sigma_counts_without_the_noise_of_a_measurement() -> None:
+    good = with_uncertainty(calibrated(session([ZEROS], n=120)))
+    known = good.uncertainty
+    assert known is not None
+    target = good.tip(ARM.mid)
+    found = compensate(good, Says(inside=True), target)
+    wanted = np.sqrt(1e-6 - np.diag(known.noise))
+    np.testing.assert_allclose(found.sigma, wanted, rtol=1e-6)
+    sure = compensate(good, Says(inside=True, sigma=1e-6), target)
+    alone = compensate(good, None, target, method=Method.DEFLECTION)
+    assert 0.0 < sure.expected_m <= 1.2 * alone.expected_m
+
+
+def test_what_a_method_leaves_out_is_expected_at_the_target() -> None:
+    """Without the physics of the model, its own error is known and stated."""
+    bent = with_uncertainty(calibrated(session([ZEROS], n=60))).plus(Gain(joint=2, gain=0.03))
+    target = bent.tip(ARM.mid)
+    found = compensate(bent, None, target, method=Method.NONE)
+    missed = np.linalg.norm(bent.tip(found.command) - target)
+    assert missed > 1e-3
+    assert found.expected_m == pytest.approx(missed, rel=0.1)
