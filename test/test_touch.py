@@ -23,6 +23,7 @@ from touching import (
 import longarm_comp as la
 from longarm_comp.core.arm.arm import Tolerance
 from longarm_comp.core.data.admission import admit
+from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.measurement import equations, errors, posture, spreads
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.plane_place import PlanePlace
@@ -295,7 +296,7 @@ def test_what_touches_cannot_be(session: Session) -> None:
     with pytest.raises(InputError, match="touch_distances: 'a loop at front_"):
         admit(dataclasses.replace(session, touch_distances=loop), ARM)
     once = session.take(slice(0, 6))
-    with pytest.raises(InputError, match="touch: 'each touched too few times'; allowed: 2 rows"):
+    with pytest.raises(InputError, match="touch: 'each in too few rows'; allowed: 2 rows or more"):
         admit(once, ARM)
     unknown = dataclasses.replace(session, touch_distances=(("front_0", "frnt_1", 0.05, 1e-4),))
     said = [str(f) for f in admit(unknown, ARM).findings]
@@ -315,3 +316,19 @@ def test_a_base_that_touches_cannot_show_is_not_fitted(session: Session) -> None
     found = fit(started(Model(ARM).plus(*geometry(ARM, session)), session), session)
     assert not any(term.name == "base_pose" for term in found.model.terms)
     assert untold(found) == ()
+
+
+def test_a_name_in_one_row_counts_for_nothing(session: Session) -> None:
+    """Its point would be wherever the tip is: no error, no noise, no row that flatters a figure."""
+    labels = {"touch": session.labels["touch"].copy()}
+    labels["touch"][5] = "once"
+    labels["plane"] = np.where(np.arange(120) < 3, "floor", "")
+    rows = dataclasses.replace(session, labels=labels, blocks=())
+    assert rows.seen.sum() == 119
+    assert rows.named(KINDS["plane"]) == ()
+    assert len(errors(Model(ARM), rows)) == 119
+    calibrated = la.calibrate(ARM, rows)
+    assert miss(calibrated.model, HIDDEN) < 3 * SIGMA
+    said = [str(f) for f in admit(rows, ARM).findings]
+    assert any(line.startswith("touch: once: in fewer than 2 rows") for line in said)
+    assert any(line.startswith("plane: floor: in fewer than 4 rows") for line in said)

@@ -37,6 +37,7 @@ COMMANDS = (
     Entry("demo", "demo", "The whole loop over the ROS graph on a simulated arm."),
     Entry("view", "view", "A page that shows the running graph, with buttons to stop it."),
     Entry("collect", "collect", "Drive a pose plan over ROS and record the session."),
+    Entry("touch", "touch", "Record the joints while the tip touches points: one key a touch."),
     Entry("verify", "verify", "Drive fresh targets over ROS, without and with compensation."),
     Entry("apply", "apply", "Put a diagnosis to work on the running graph."),
     Entry("sweep", "sweep", "Every joint between its limits once: its history is known then."),
