@@ -123,6 +123,11 @@ def folded(fit: ModelFit) -> ModelFit:
     return dataclasses.replace(fit, model=model, columns=columns, covariance=covariance)
 
 
+def table(arm: Arm) -> tuple[tuple[object, ...], ...]:
+    """The rows that arms of one kind have in common."""
+    return tuple(tuple(repr(getattr(j, name)) for name in _TABLE) for j in arm.joints)
+
+
 def _check_table(arm: Arm, other: Arm, source: str) -> None:
     """Refuse an arm of another table: its errors are not errors of this one."""
     if len(arm.joints) != len(other.joints):
