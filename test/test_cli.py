@@ -13,7 +13,7 @@ from cli_shell import MODULES, Shell
 
 from longarm_comp.cli import registry, run
 
-HEAVY = ("torch", "numpy", "scipy", "matplotlib", "rclpy", "rich", "pydantic", "sklearn")
+HEAVY = ("numpy", "scipy", "matplotlib", "rclpy", "rich", "pydantic", "sklearn")
 
 
 def test_help_loads_nothing_heavy() -> None:

@@ -78,8 +78,11 @@ def providers() -> dict[str, set[str]]:
     return {module: set(map(canonicalize_name, names)) for module, names in installed.items()}
 
 
-def distributions(top_level: str) -> set[str]:
-    return providers().get(top_level, set()) | PREFIXED.get(top_level, set())
+def distributions(top_level: str, allowed: set[str] = frozenset()) -> set[str]:
+    """What brings a module; of a peer that only `make bench` installs, what is named like it."""
+    brought = providers().get(top_level, set()) | PREFIXED.get(top_level, set())
+    like = canonicalize_name(top_level)
+    return brought or {name for name in allowed if name == like or name.startswith(f"{like}-")}
 
 
 @pytest.mark.parametrize(
@@ -90,12 +93,12 @@ def test_every_import_is_declared(folder: str, wheel: Path) -> None:
     undeclared = {
         name: sorted(files)
         for name, files in outside_imports(ROOT / folder).items()
-        if name not in ros_depends() | ELSEWHERE and not distributions(name) & allowed
+        if name not in ros_depends() | ELSEWHERE and not distributions(name, allowed) & allowed
     }
     assert not undeclared, f"not in setup.py or package.xml: {undeclared}"
 
 
-OF_EXTRAS = ("view/", "cli/view.py", "core/learn/population.py")
+OF_EXTRAS = ("view/", "cli/view.py")
 WITH_EXTRAS = tuple(f"{PACKAGE}/{name}" for name in OF_EXTRAS)
 
 
@@ -109,7 +112,7 @@ def test_what_is_installed_with_the_package_is_what_it_uses_outside_of_extras(wh
     runtime = declared(wheel, extras=False)
     assert not {name for name, brought in needed.items() if not brought & runtime}
     assert not runtime - set().union(*needed.values())
-    assert not {"scikit-learn", "joblib", "dask", "torch", "viser", "websockets"} & runtime
+    assert not {"scikit-learn", "joblib", "dask", "viser", "websockets"} & runtime
 
 
 @pytest.mark.parametrize(

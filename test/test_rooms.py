@@ -20,6 +20,8 @@ ROS = (
     *("visualization_msgs", "nav_msgs", "action_msgs", "tf2_msgs", "control_msgs"),
 )
 
+IO = ("cv2", "serial", "click", "rich", "matplotlib", "plotly")
+
 # Imports point only upward in this list; modules of the core that it does not name are checked
 # through whatever they import.
 CORE_ORDER = (
@@ -42,15 +44,18 @@ class Room:
 
 
 ROOMS = {
-    "core": Room((*ROS, "cv2", "serial", "click", "rich", "matplotlib", "plotly"), only=()),
-    "devices": Room(ROS, only=("core.errors", "core.files", "core.strict_yaml")),
+    "math": Room((*ROS, *IO, "scipy"), only=()),
+    "core": Room((*ROS, *IO), only=("math",)),
+    "devices": Room(
+        ROS, only=("core.entry_points", "core.errors", "core.files", "core.strict_yaml", "math")
+    ),
     "sim": Room(ROS, only=("core.arm", "core.errors", "core.files", "core.strict_yaml", "devices")),
     "arm_folder": Room((*ROS, "click", "rich"), only=("core", "devices", "sim", "share")),
     "sessions": Room((*ROS, "nodes", "devices", "sim", "report", "workflows", "cli")),
     "report": Room((*ROS, "nodes", "devices", "sim", "workflows", "cli")),
     "workflows": Room((*ROS, "click", "rich"), only=("core", "sessions", "report", "version")),
-    "nodes": Room(("cli", "report", "workflows", "scipy", "torch")),
-    "view": Room(("click", "scipy", "torch"), only=("core", "nodes", "jobs.client")),
+    "nodes": Room(("cli", "report", "workflows", "scipy")),
+    "view": Room(("click", "scipy"), only=("core", "nodes", "jobs.client")),
 }
 
 MATHS = {
@@ -256,6 +261,7 @@ def test_only_its_command_imports_what_is_not_installed(folder: str, command: st
     ("room", "source"),
     [
         ("core", "import rclpy"),
+        ("math", "from longarm_comp.core.errors import InputError"),
         ("core", "def f():\n    from geometry_msgs.msg import Pose"),
         ("core", "from longarm_comp import sim"),
         ("core", "from ..nodes import kinematics"),

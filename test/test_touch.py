@@ -128,6 +128,28 @@ def test_without_a_known_distance_the_size_is_not_told(session: Session) -> None
     assert spreads(calibrated.model, bare).mean() < 3 * SIGMA
 
 
+def test_a_distance_that_is_hardly_known_does_not_tell_the_size(session: Session) -> None:
+    rough = tuple((one, other, length, 0.01) for one, other, length, _ in DISTANCES)
+    rows = dataclasses.replace(session, touch_distances=rough)
+    found = fit(started(Model(ARM).plus(*geometry(ARM, rows)), rows), rows)
+    assert untold(found) == ("the size of the arm",)
+
+
+def test_one_touch_beside_another_at_a_known_distance_tells_something(session: Session) -> None:
+    first = session.labels["touch"] == "front_0"
+    kept = first | (np.arange(120) == np.flatnonzero(session.labels["touch"] == "front_1")[0])
+    rows = session.take(kept)
+    assert rows.seen.all()
+    assert not dataclasses.replace(rows, touch_distances=()).seen.all()
+    assert len(spreads(Model(ARM), rows)) == first.sum()
+
+
+def test_one_socket_is_enough_to_calibrate() -> None:
+    """The tip never travels, the arm does: its rows are not taken for another arm's."""
+    rows = touching(HIDDEN, 40, sockets={"only": SOCKETS["front_0"]}, distances=())
+    assert len(la.calibrate(ARM, rows).fit.outliers) == 0
+
+
 def test_a_known_distance_sets_the_size(session: Session) -> None:
     """Distances declared 1 % too long make an arm that is 1 % too long, where they are exact."""
     longer = tuple((a, b, 1.01 * d, 1e-6) for a, b, d, _ in DISTANCES)
@@ -300,7 +322,7 @@ def test_what_touches_cannot_be(session: Session) -> None:
     loop = (*DISTANCES, (*DISTANCES[0][:2], 0.06, 1e-5))
     with pytest.raises(InputError, match="touch_distances: 'a loop at front_"):
         admit(dataclasses.replace(session, touch_distances=loop), ARM)
-    once = session.take(slice(0, 6))
+    once = dataclasses.replace(session.take(slice(0, 6)), touch_distances=())
     with pytest.raises(InputError, match="touch: 'each in too few rows'; allowed: 2 rows or more"):
         admit(once, ARM)
     unknown = dataclasses.replace(session, touch_distances=(("front_0", "frnt_1", 0.05, 1e-4),))

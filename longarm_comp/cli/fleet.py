@@ -8,16 +8,22 @@ from typing import TYPE_CHECKING
 
 import click
 
-from longarm_comp.cli import options
+from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, print_table, progress
 
 if TYPE_CHECKING:
     from longarm_comp.workflows.fleet import Diagnosed
 
+SCHEMA = "longarm/fleet/1"
+
 
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
-@options.output("fleet", "Folder to write: a diagnosis an arm, fleet.json, fleet.png.")
+@options.output(
+    "fleet",
+    "Folder to write: a diagnosis an arm, fleet.json, fleet.png.",
+    outputs.folder("fleet.json", told_by="fleet.json", schema=SCHEMA),
+)
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Processes.")
 @click.option("--no-network", is_flag=True, help="Train no network on the remaining error.")
 @options.seed
@@ -43,7 +49,7 @@ def command(
     with progress("fleet") as show:
         arms = fleet(folder, output, jobs=jobs, network=not no_network, seed=seed, progress=show)
     rows = [arm.row for arm in arms]
-    write_text(output / "fleet.json", json.dumps({"arms": rows}, indent=1) + "\n")
+    write_text(output / "fleet.json", json.dumps({"schema": SCHEMA, "arms": rows}, indent=1) + "\n")
     draw(
         [arm.name for arm in arms],
         {

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from longarm_comp.cli import options
+from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json
 
 if TYPE_CHECKING:
@@ -18,7 +18,11 @@ _HELP = "Enter: touches now; a name: the next point; plane NAME; undo; end"
 
 @click.command()
 @options.arm
-@options.output("touches.csv", "Session to write; it is written after every touch.")
+@options.output(
+    "touches.csv",
+    "Session to write; it is written after every touch.",
+    outputs.left_to_the_command,
+)
 @click.option("--name", default="a", show_default=True, help="Name of the first point.")
 @click.option(
     "--distance",

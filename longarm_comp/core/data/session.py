@@ -52,6 +52,8 @@ class Session(MeasuredRows):
         sigmas: standard deviations of these, by kind, (N,) each in m or rad.
         touch_distances: known ones between touched points (`core/data/touched.py`).
         blocks: the channels of the equations; a part of a session keeps those of the whole.
+        lost: why rows of the recording hold no measurement, by index, where that is known; a part
+            of a session keeps those of the whole.
     """
 
     index: np.ndarray
@@ -69,6 +71,7 @@ class Session(MeasuredRows):
     sigmas: Mapping[str, np.ndarray] = field(default_factory=dict)
     touch_distances: tuple[KnownDistance, ...] = ()
     blocks: tuple[ChannelBlock, ...] = ()
+    lost: Mapping[int, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check the shapes and freeze the arrays."""

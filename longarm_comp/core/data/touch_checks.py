@@ -24,8 +24,9 @@ def check_touches(session: Session, arm: Arm) -> Iterator[AdmissionFinding]:
     """
     stood = [kind for kind in KINDS.values() if not kind.cells and kind.label in session.labels]
     for kind in stood:
-        names, counts = np.unique(session.labels[kind.label], return_counts=True)
-        few = [str(name) for name in names[(counts <= kind.takes) & (names != "")]]
+        texts = session.labels[kind.label]
+        lost = (texts != "") & np.isnan(session.reading(kind)[:, 0])
+        few = [str(name) for name in np.unique(texts[lost])]
         if few:
             rows = f"{kind.takes + 1} rows or more"
             if not session.seen.any():

@@ -22,6 +22,9 @@ from longarm_comp.core.identify.standing import frames, standing, with_frames
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 
+WORST = 5
+"""Rows that are named as the worst."""
+
 
 @dataclass(frozen=True)
 class Errors:
@@ -30,7 +33,8 @@ class Errors:
     `mean`, `rms`, `p95`, `max` are of the 3-D length; `mean_abs_z` and `variance` (average of
     the three axes') are the columns of the paper's Table I.  They are NaN where no row says where
     the tip is.  `angle` is the mean turn of the measured against the predicted axes, None where no
-    row measured them.  `spread` is the mean distance of the tips from the touched points, solved
+    row measured them.  `median` is that of the lengths, `worst` the longest, each with its row.
+    `spread` is the mean distance of the tips from the touched points, solved
     from the same rows; None where nothing was touched.
     """
 
@@ -42,6 +46,8 @@ class Errors:
     mean_abs_z: float
     variance: float
     angle: float | None = None
+    median: float = float("nan")
+    worst: tuple[tuple[int, float], ...] = ()
     spread: float | None = None
 
     @property
@@ -56,17 +62,21 @@ class Errors:
         cls,
         error: np.ndarray,
         turn: np.ndarray | None = None,
+        numbers: np.ndarray | None = None,
         spread: np.ndarray | None = None,
     ) -> Errors:
-        """From (N, 3) errors in m, (M, 3) turns in rad, (K,) distances from touched points in m."""
+        """From (N, 3) errors in m, (M, 3) turns in rad, the (N,) numbers of the rows, and (K,)
+        distances from touched points in m.
+        """
         mean_turn = None
         about = float(spread.mean()) if spread is not None and len(spread) else None
         if turn is not None and len(turn):
             mean_turn = float(np.linalg.norm(turn, axis=1).mean())
         if not len(error):
             nan = float("nan")
-            return cls(0, nan, nan, nan, nan, nan, nan, mean_turn, about)
+            return cls(0, nan, nan, nan, nan, nan, nan, mean_turn, spread=about)
         length = np.linalg.norm(error, axis=1)
+        numbers = np.arange(len(error)) if numbers is None else numbers
         return cls(
             len(error),
             float(length.mean()),
@@ -76,6 +86,8 @@ class Errors:
             float(np.abs(error[:, 2]).mean()),
             float(error.var(axis=0).mean()),
             mean_turn,
+            float(np.median(length)),
+            tuple((int(numbers[k]), float(length[k])) for k in np.argsort(-length)[:WORST]),
             about,
         )
 

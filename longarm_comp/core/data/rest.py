@@ -1,4 +1,4 @@
-"""Finds rest poses in a stream of commands, joint readings and sightings.
+"""When the arm is at rest; finds rest poses in a stream of commands, readings and sightings.
 
 Sightings of one pose share the pose's model error, so only their mean is an independent sample.
 """
@@ -13,7 +13,16 @@ from longarm_comp.core.arm.history import History
 from longarm_comp.core.errors import InputError
 
 JOINT_REST = 2e-3
-"""Largest distance (rad, m) of a resting joint from its goal or its final position."""
+"""Largest distance (rad, m) of a resting joint from its goal or its final position: a tick of
+its encoder, and what its controller leaves."""
+SETTLE_S = 0.5
+"""Time (s) for which the joints have rested before a sighting counts: the arm swings no more."""
+TIP_REST_M = 3e-3
+"""Largest distance (m) of a settled sighting from the final position of the sightings."""
+REST_S = 0.1
+"""Shortest rest (s) of the measured joints; a shorter one is only a passage."""
+AFTER_S = 0.05
+"""The tip comes to rest this long (s) after the last change of the measured joints, at most."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +53,7 @@ class RestWatch:
         sightings: number of sightings averaged for one rest pose.
     """
 
-    settle_s: float = 0.5
+    settle_s: float = SETTLE_S
     sightings: int = 3
     commands: int = 0
     _goal: tuple[np.ndarray, History] | None = None
