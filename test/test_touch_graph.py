@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from longarm_comp.cli import touch as touch_command
 from longarm_comp.core.errors import InputError
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.touch import READINGS, Touches, resting
+from longarm_comp.nodes.interfaces import JOINT_STATES
 
 
 def pressed(arm: QuickArm, monkeypatch: pytest.MonkeyPatch, keys: list[str | np.ndarray]) -> None:
@@ -74,6 +76,30 @@ def test_a_row_is_what_the_joints_read_after_they_came_to_rest() -> None:
         found = resting(client)
     np.testing.assert_allclose(found, ways[-1], atol=1e-9)
     assert READINGS > 1
+
+
+def test_readings_that_waited_to_be_heard_are_passed_over(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Nobody listens while a calibration is computed; what was queued then is of the last pose."""
+    monkeypatch.setattr("longarm_comp.jobs.touch.READINGS", JOINT_STATES.depth // 2)
+    queued: list[object] = []
+    full = threading.Event()
+    with quick_arm(ARM, lambda q: False) as arm, ArmClient(ARM, "", None, "touch") as client:
+        resting(client)
+        publish = arm._joints.publish
+
+        def counted(message: object) -> None:
+            publish(message)
+            queued.append(message)
+            if len(queued) > 2 * JOINT_STATES.depth:
+                full.set()
+
+        monkeypatch.setattr(arm._joints, "publish", counted)
+        assert full.wait(60.0)
+        arm.stand(ARM.mid + 0.3)
+        found = resting(client)
+    np.testing.assert_allclose(found, ARM.mid + 0.3, atol=1e-9)
 
 
 def test_a_bad_touch_shows_in_the_spread() -> None:
