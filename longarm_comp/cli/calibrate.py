@@ -29,12 +29,22 @@ if TYPE_CHECKING:
 @click.option(
     "--fraction", type=float, default=0.2, show_default=True, help="Share of rows held out."
 )
+@click.option(
+    "--kind-of",
+    type=click.Path(path_type=Path),
+    metavar="MODEL...",
+    help="Calibrated models of other arms of the kind (model.yaml files): how they differ from the "
+    "drawing is expected of ARM too. After ARM and SESSION.",
+)
+@click.argument("more", type=click.Path(path_type=Path), nargs=-1, metavar="")
 @options.seed
 @options.effects
 @options.as_json
 def command(
     arm: Path,
     session: Path,
+    more: tuple[Path, ...],
+    kind_of: Path | None,
     output: Path,
     effects: tuple[str, ...],
     no_deflection: bool,
@@ -51,7 +61,10 @@ def command(
     Examples:
       longarm calibrate arm.yaml samples.csv -o model.yaml
       longarm calibrate arm.yaml samples.csv --effect joint_compliance --effect bearing_tilt
+      longarm calibrate arm.yaml samples.csv --kind-of others/*.yaml
     """
+    if more and kind_of is None:
+        raise click.UsageError(f"unexpected: {' '.join(map(str, more))}")
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.workflows.calibrate import calibrate, instances
 
@@ -65,6 +78,7 @@ def command(
             deflection=not no_deflection,
             fraction=fraction,
             seed=seed,
+            kind_of=() if kind_of is None else (kind_of, *more),
             note=note,
             progress=show,
         )

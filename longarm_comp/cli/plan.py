@@ -33,10 +33,18 @@ if TYPE_CHECKING:
 @options.path_option("--measured", "Rows measured so far (CSV or bag).")
 @click.option(
     "--measure",
-    type=click.Choice(["position", "pose", "distance"]),
+    type=click.Choice(["position", "pose", "distance", "touch"]),
     default="position",
     show_default=True,
-    help="What each pose measures; distance: to every anchor in arm.yaml.",
+    help="What each pose measures; distance: to every anchor in arm.yaml; touch: of a --point.",
+)
+@click.option(
+    "--point",
+    "points",
+    type=(str, float, float, float),
+    multiple=True,
+    metavar="NAME X Y Z",
+    help="A point to touch, about where it is (m, base frame); repeat for more.",
 )
 @click.option(
     "--noise-mm",
@@ -75,6 +83,7 @@ def command(
     model: Path | None,
     measured: Path | None,
     measure: str,
+    points: tuple[tuple[str, float, float, float], ...],
     noise_mm: float,
     view: float | None,
     keep_out: tuple[tuple[float, ...], ...],
@@ -110,6 +119,7 @@ def command(
         given["kind"] = kind
     if optimal:
         given |= {"measure": measure, "noise": (1e-3 * noise_mm, NOISE[1])}
+        given["points"] = {name: place for name, *place in points}
     given |= {"model": model, "measured": measured, "view_deg": view, "keep_out": keep_out}
     given |= {"floor": floor, "seen": _sees(arm) if seen else None}
     if picture is not None:

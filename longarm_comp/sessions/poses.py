@@ -1,4 +1,4 @@
-"""A plan as a CSV file (poses.csv): ``index,approach,q1..qn[,payload_kg]``.
+"""A plan as a CSV file (poses.csv): ``index,approach,q1..qn[,payload_kg][,touch]``.
 
 If the joints of a pose arrive from different sides, ``approach_q1..qn`` replace ``approach``.
 """
@@ -29,6 +29,8 @@ def write_poses(plan: Plan, path: str | Path) -> None:
     }
     if plan.payload_kg is not None:
         columns["payload_kg"] = plan.payload_kg
+    if plan.touch is not None:
+        columns["touch"] = plan.touch
     write_table(path, list(columns), zip(*columns.values(), strict=True))
 
 
@@ -52,7 +54,7 @@ def read_poses(path: str | Path, arm: Arm, *, inside: bool = True) -> Plan:
     """
     table = read_table(path)
     joints = joint_names(arm.n)
-    known = ("index", "approach", "payload_kg", *approach_names(arm.n), *joints)
+    known = ("index", "approach", "payload_kg", "touch", *approach_names(arm.n), *joints)
     check_header(table.where, table.header, joints)
     for name in table.header:
         if name not in known:
@@ -66,4 +68,5 @@ def read_poses(path: str | Path, arm: Arm, *, inside: bool = True) -> Plan:
     approach = np.zeros(len(table)) if sides is None else np.nan_to_num(sides)
     payload = table.numbers("payload_kg", "kg") if "payload_kg" in table.cells else None
     on_limit = np.where(outside, q, np.clip(q, arm.lower, arm.upper))
-    return Plan(on_limit, approach, payload)
+    touch = np.array(table.cells["touch"]) if "touch" in table.cells else None
+    return Plan(on_limit, approach, payload, touch)
