@@ -39,7 +39,7 @@ COMMANDS = (
     Entry("collect", "collect", "Drive a pose plan over ROS and record the session."),
     Entry("verify", "verify", "Drive fresh targets over ROS, without and with compensation."),
     Entry("apply", "apply", "Put a diagnosis to work on the running graph."),
-    Entry("sweep", "sweep", "Every joint between its limits once: its history is known then."),
+    Entry("sweep", "sweep", "Drive every joint to both limits: play and friction are known then."),
     Entry("loop", "loop", "Plan, collect, diagnose, apply, verify: the cycle as one command."),
     Entry("record", "record", "Record an arm's topics as a rosbag2."),
     Entry("effects", "effects", "The library of effects: parameters, units, priors, inputs."),
