@@ -95,7 +95,10 @@ def demo(demo_arm_path) -> Arm:
     return Arm.load(demo_arm_path)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(
+    "engine",
+    [pytest.param(e, marks=[pytest.mark.long] * (e is Engine.COMPILED)) for e in ENGINES],
+)
 def test_every_engine_reaches_the_plain_model_in_every_form(demo: Arm, engine: Engine) -> None:
     covered = set()
     for arm in (demo, column_arm()):

@@ -45,7 +45,6 @@ COMMANDS = (
     Entry("effects", "effects", "The library of effects: parameters, units, priors, inputs."),
     Entry("schema", "schema", "JSON schema of arm.yaml, for editors."),
     Entry("compare", "compare", "Two diagnoses, models or sessions side by side."),
-    Entry("report compare", "report_compare", "Two diagnoses side by side."),
     Entry("servo scan", "servo_scan", "The servos on a bus: id, model, firmware, ids used twice."),
     Entry("servo setup", "servo_setup", "Ids, zeros and directions of the servos, by hand."),
     Entry("stereo marker", "stereo_marker", "Marker or calibration board as a page to print."),
@@ -55,7 +54,6 @@ COMMANDS = (
 )
 
 GROUPS = {
-    "report": "Reports of diagnoses.",
     "bag": "Sessions as rosbag2.",
     "servo": "Servo bus: what is on it, ids, zeros, directions.",
     "stereo": "Cameras and marker.",
