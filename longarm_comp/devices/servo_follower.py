@@ -34,7 +34,7 @@ from longarm_comp.devices.joint_path import (
 )
 from longarm_comp.devices.servo_bus import ServoState
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.servo_watch import JointFault, ServoWatch, Trouble
+from longarm_comp.devices.servo_watch import JointFault, ServoTrouble, ServoWatch
 from longarm_comp.devices.trajectory_check import checked
 
 __all__ = ["Accepted", "Event", "EventKind", "FollowerState", "Step", "TrajectoryFollower"]
@@ -154,12 +154,16 @@ class TrajectoryFollower:
     def hold(self, on: bool) -> None:
         """Stop smoothly, stay with the torque on and take no trajectory, until it is released."""
         if on and not self._held:
-            if self._state is FollowerState.TRACKING and self._set is not None:
-                self._way = self._taken_over(self._braking(self._set), self._set)
-                self._way_time = 0.0
-            self._settled = True  # the trajectory is not followed to its end
-            self._say(EventKind.HELD, "held: it stays where it is")
+            self.break_off(EventKind.HELD, "held: it stays where it is")
         self._held = on
+
+    def break_off(self, kind: EventKind, why: str) -> None:
+        """Stop smoothly. The trajectory is not followed to its end."""
+        if self._state is FollowerState.TRACKING and self._set is not None:
+            self._way = self._taken_over(self._braking(self._set), self._set)
+            self._way_time = 0.0
+        self._settled = True
+        self._say(kind, why)
 
     def estop(self) -> None:
         """Send no goals until ``reset``. The caller switches the torque off."""
@@ -280,7 +284,7 @@ class TrajectoryFollower:
 
     def _let_go(self, driven: Mapping[int, bool]) -> list[JointFault]:
         loose = [name for name, i in self._config.ids.items() if driven.get(i) is False]
-        return [JointFault(Trouble.LET_GO, name, "its torque is off") for name in loose]
+        return [JointFault(ServoTrouble.LET_GO, name, "its torque is off") for name in loose]
 
     def _drop_motion(self) -> None:
         self._way = self._set = self._goals = None

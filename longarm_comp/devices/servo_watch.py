@@ -10,7 +10,7 @@ from longarm_comp.devices.servo_bus import ServoAlarm, ServoState
 from longarm_comp.devices.servo_config import JointConfig, ServoConfig
 
 
-class Trouble(Enum):
+class ServoTrouble(Enum):
     """Kinds of servo faults. Each of them stops the arm."""
 
     SILENT = "silent"
@@ -25,7 +25,7 @@ class Trouble(Enum):
 class JointFault:
     """One fault of one joint, with a message."""
 
-    trouble: Trouble
+    trouble: ServoTrouble
     joint: str
     message: str
 
@@ -138,17 +138,17 @@ class ServoWatch:
         if since is None or now - since <= self._config.follower.silence_s:
             return []
         message = f"no read-back to trust for {now - since:.2f} s"
-        return [JointFault(Trouble.SILENT, name, message)]
+        return [JointFault(ServoTrouble.SILENT, name, message)]
 
     def _health(self, name: str, state: ServoState) -> list[JointFault]:
         joint = self._config.joints[name]
         findings = []
         if state.error_flags:
             alarm = ServoAlarm(state.error_flags).name or int(state.error_flags)
-            findings.append(JointFault(Trouble.ALARM, name, f"the servo reports {alarm}"))
+            findings.append(JointFault(ServoTrouble.ALARM, name, f"the servo reports {alarm}"))
         if not state.temperature_c <= joint.max_temperature_c:
             hot = f"{state.temperature_c:.0f} C, allowed {joint.max_temperature_c:.0f} C"
-            findings.append(JointFault(Trouble.OVERHEATED, name, hot))
+            findings.append(JointFault(ServoTrouble.OVERHEATED, name, hot))
         return findings
 
     def _obedience(
@@ -171,9 +171,9 @@ class ServoWatch:
         )
         if seen.off_since is not None and now - seen.off_since >= limits.stall_time_s:
             load = f"{where} at {abs(seen.state.load):.0%} load"
-            return [JointFault(Trouble.STALLED, name, load)]
+            return [JointFault(ServoTrouble.STALLED, name, load)]
         if seen.lost_since is not None and now - seen.lost_since >= limits.stall_time_s:
-            return [JointFault(Trouble.NOT_FOLLOWING, name, where)]
+            return [JointFault(ServoTrouble.NOT_FOLLOWING, name, where)]
         return []
 
 

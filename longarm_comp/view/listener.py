@@ -17,6 +17,7 @@ from visualization_msgs.msg import MarkerArray
 
 from longarm_comp.core.compensation.result import Status
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.driver_messages import STATES
 from longarm_comp.nodes.messages import sighting_of
 from longarm_comp.nodes.monitoring import EVIDENCE
 from longarm_comp.view.state import (
@@ -29,16 +30,6 @@ from longarm_comp.view.state import (
     true_to_scale,
 )
 from longarm_interfaces.msg import Compensation, DriverState
-
-_DRIVER = {
-    DriverState.UNCONFIGURED: "not configured",
-    DriverState.INACTIVE: "inactive: torque off",
-    DriverState.READY: "ready",
-    DriverState.MOVING: "moving",
-    DriverState.HOLDING: "held: torque on, trajectories refused",
-    DriverState.FAULT: "in fault: torque on, trajectories refused",
-    DriverState.ESTOP: "stopped: torque off, trajectories refused",
-}
 
 
 class Listener:
@@ -85,7 +76,7 @@ class Listener:
         self._heard()
 
     def _on_driver(self, message: DriverState) -> None:
-        words = _DRIVER.get(message.state, f"in the unknown state {message.state}")
+        words = STATES.get(message.state, f"in the unknown state {message.state}")
         self._heard(driver=(words, message.message))
 
     def _on_answer(self, message: Compensation) -> None:

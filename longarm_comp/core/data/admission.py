@@ -8,6 +8,7 @@ joint that never moved, lost markers, gross outliers) is reported as a finding.
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.spatial import Frame, roll_pitch_yaw
+from longarm_comp.core.data.admission_finding import AdmissionFinding
 from longarm_comp.core.data.alignment import (
     Alignment,
     align,
@@ -23,6 +25,7 @@ from longarm_comp.core.data.alignment import (
 )
 from longarm_comp.core.data.belonging import STRAYS, believe
 from longarm_comp.core.data.session import INCLINATION, Session
+from longarm_comp.core.data.touch_checks import check_touches
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 
@@ -34,25 +37,6 @@ _TURN = 2 * np.pi
 _MANY = 5.0  # times a joint's largest value, and more, are another unit
 _MOSTLY = 0.5  # of its rows blank: an inclinometer that is left out instead of the rows
 _TILTED = np.radians(20.0)
-
-
-@dataclass(frozen=True)
-class AdmissionFinding:
-    """A limitation of a session that is admitted.
-
-    Attributes:
-        check: name of the check that found it.
-        field: the columns or rows concerned.
-        message: description in one sentence.
-    """
-
-    check: str
-    field: str
-    message: str
-
-    def __str__(self) -> str:
-        """One line."""
-        return f"{self.field}: {self.message}"
 
 
 @dataclass(frozen=True)
@@ -76,8 +60,9 @@ class _Case:
 
 
 def admit(
-    session: Session, arm: Arm, model: Model | None = None, min_poses: int = FEW_POSES
-) -> Admission:
+    session: Session, arm: Arm, model: Model | None = None, min_poses: int = FEW_POSES,
+    *, judge: bool = False,
+) -> Admission:  # fmt: skip
     """Check a session against an arm.
 
     Args:
@@ -85,6 +70,7 @@ def admit(
         arm: declared arm.
         model: predicts the tip; the rigid declared arm by default.
         min_poses: least number of distinct poses with a marker.
+        judge: the rows judge the model: what does not fit it is a finding.
 
     Raises:
         InputError: the session does not fit the arm; the message names the likely mistake.
@@ -106,6 +92,7 @@ def admit(
         case = _Case(session, arm, located, predicted, physics)
         for check in _AFTER:
             findings += check(case) or ()
+        findings += _belongs(case, judge)
     return Admission(session, tuple(findings))
 
 
@@ -247,7 +234,7 @@ def _exchanged(arm: Arm, q: np.ndarray, j: int) -> str:
 
 def _measured_at_all(case: _Case) -> Iterator[AdmissionFinding]:
     lost = int((~case.session.seen).sum())
-    field = ", ".join(cell for kind in case.session.kinds for cell in kind.cells)
+    field = ", ".join(c for kind in case.session.kinds for c in kind.cells or (kind.label,))
     if lost == len(case.session):
         raise case.refuse(field, f"blank in all {lost} rows", "measured tip positions (m)")
     if not case.session.placed.any():
@@ -255,7 +242,10 @@ def _measured_at_all(case: _Case) -> Iterator[AdmissionFinding]:
         yield AdmissionFinding("blanks", "x, y, z", text)
     if lost:
         share = lost / len(case.session)
-        yield AdmissionFinding("blanks", field, f"marker lost in {lost} rows ({share:.0%})")
+        why = Counter(case.session.lost.values())
+        causes = ", ".join(f"{cause} in {count}" for cause, count in why.most_common())
+        text = f"nothing measured in {lost} rows ({share:.0%})"
+        yield AdmissionFinding("blanks", field, f"{text}: {causes}" if causes else text)
 
 
 def _constant(case: _Case) -> Iterator[AdmissionFinding]:
@@ -266,6 +256,10 @@ def _constant(case: _Case) -> Iterator[AdmissionFinding]:
     for name, values in case.session.columns.items():
         if len(case.session) > 1 and np.ptp(values) == 0:
             yield AdmissionFinding("constant", name, "never changed: what it causes cannot be told")
+
+
+def _touches(case: _Case) -> Iterable[AdmissionFinding]:
+    return check_touches(case.session, case.arm)
 
 
 def _copies(case: _Case) -> Iterator[AdmissionFinding]:
@@ -308,8 +302,9 @@ def _lengths(case: _Case) -> None:
     if not 0.4 < ratio < 2.5:
         allowed = f"positions in m that spread as arm {case.arm.name} does, {expected:.4g} m"
         raise case.refuse("x, y, z", f"spread {found:.4g}", allowed)
-    if case.seen.sigma is not None and np.median(case.seen.sigma) > 0.2 * expected:
-        value = float(np.median(case.seen.sigma))
+    stated = np.zeros(0) if case.seen.sigma is None else case.seen.sigma
+    value = float(np.median(stated[np.isfinite(stated)])) if np.isfinite(stated).any() else 0.0
+    if value > 0.2 * expected:
         raise case.refuse("sigma_x, sigma_y, sigma_z", value, "metres, well below the arm's reach")
 
 
@@ -347,7 +342,7 @@ def _frame_of(
         yield AdmissionFinding("outliers", field, text)
 
 
-def _belongs(case: _Case) -> Iterator[AdmissionFinding]:
+def _belongs(case: _Case, judge: bool) -> Iterator[AdmissionFinding]:
     """Whether the arm makes these rows, wherever it stands; with the likely mistake if not."""
     belief = believe(case.model, case.session)
     if belief is None:
@@ -357,14 +352,16 @@ def _belongs(case: _Case) -> Iterator[AdmissionFinding]:
         yield AdmissionFinding("sign", f"q{j + 1}", text)
     if belief.belong:
         return
-    ours = f"rows of arm {case.arm.name}; nothing was changed"
+    field, value = "rows", f"{1e3 * belief.misfit:.3g} mm off the arm, wherever it stands"
     if belief.mistake:
-        size = f"{1e3 * belief.misfit:.3g} -> {1e3 * belief.undone:.3g} mm"
-        raise case.refuse("rows", f"{belief.mistake}: {size}", ours)
-    if belief.stray >= STRAYS:
-        raise case.refuse("x, y, z", f"{belief.stray:.0%} of the rows are far off the others", ours)
-    size = f"{1e3 * belief.misfit:.3g} mm off the arm, wherever it stands"
-    raise case.refuse("rows", f"{size}, as if shuffled", ours)
+        value = f"{belief.mistake}: {1e3 * belief.misfit:.3g} -> {1e3 * belief.undone:.3g} mm"
+    elif belief.stray >= STRAYS:
+        field, value = "x, y, z", f"{belief.stray:.0%} of the rows are far off the others"
+    else:
+        value += ", as if shuffled"
+    if not judge:
+        raise case.refuse(field, value, f"rows of arm {case.arm.name}; nothing was changed")
+    yield AdmissionFinding("belonging", field, value)
 
 
 def _base(arm: Arm, turned: Alignment) -> str:
@@ -389,11 +386,8 @@ _BEFORE: tuple[Callable[[_Case], Iterable[AdmissionFinding] | None], ...] = (
     _joint_units,
     _order,
     _measured_at_all,
+    _touches,
     _constant,
     _copies,
 )
-_AFTER: tuple[Callable[[_Case], Iterable[AdmissionFinding] | None], ...] = (
-    _lengths,
-    _frame,
-    _belongs,
-)
+_AFTER: tuple[Callable[[_Case], Iterable[AdmissionFinding] | None], ...] = (_lengths, _frame)

@@ -9,7 +9,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.commanded import commanded_errors
-from longarm_comp.core.data.measurement import errors, turns
+from longarm_comp.core.data.measurement import errors, spreads, turns
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.dh_error import DhError
 from longarm_comp.core.effects.effect import Bias, Effect
@@ -21,6 +21,9 @@ from longarm_comp.core.identify.standing import frames, standing, with_frames
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 
+WORST = 5
+"""Rows that are named as the worst."""
+
 
 @dataclass(frozen=True)
 class Errors:
@@ -29,7 +32,9 @@ class Errors:
     `mean`, `rms`, `p95`, `max` are of the 3-D length; `mean_abs_z` and `variance` (average of
     the three axes') are the columns of the paper's Table I.  They are NaN where no row says where
     the tip is.  `angle` is the mean turn of the measured against the predicted axes, None where no
-    row measured them.
+    row measured them.  `median` is that of the lengths, `worst` the longest, each with its row.
+    `spread` is the mean distance of the tips from the touched points, solved
+    from the same rows; None where nothing was touched.
     """
 
     n: int
@@ -40,6 +45,9 @@ class Errors:
     mean_abs_z: float
     variance: float
     angle: float | None = None
+    median: float = float("nan")
+    worst: tuple[tuple[int, float], ...] = ()
+    spread: float | None = None
 
     @property
     def said(self) -> str:
@@ -49,15 +57,25 @@ class Errors:
         return f"{1e3 * self.angle:.2f} mrad"
 
     @classmethod
-    def of(cls, error: np.ndarray, turn: np.ndarray | None = None) -> Errors:
-        """From (N, 3) errors in m, and (M, 3) turns in rad."""
+    def of(
+        cls,
+        error: np.ndarray,
+        turn: np.ndarray | None = None,
+        numbers: np.ndarray | None = None,
+        spread: np.ndarray | None = None,
+    ) -> Errors:
+        """From (N, 3) errors in m, (M, 3) turns in rad, the (N,) numbers of the rows, and (K,)
+        distances from touched points in m.
+        """
         mean_turn = None
+        about = float(spread.mean()) if spread is not None and len(spread) else None
         if turn is not None and len(turn):
             mean_turn = float(np.linalg.norm(turn, axis=1).mean())
         if not len(error):
             nan = float("nan")
-            return cls(0, nan, nan, nan, nan, nan, nan, mean_turn)
+            return cls(0, nan, nan, nan, nan, nan, nan, mean_turn, spread=about)
         length = np.linalg.norm(error, axis=1)
+        numbers = np.arange(len(error)) if numbers is None else numbers
         return cls(
             len(error),
             float(length.mean()),
@@ -67,12 +85,15 @@ class Errors:
             float(np.abs(error[:, 2]).mean()),
             float(error.var(axis=0).mean()),
             mean_turn,
+            float(np.median(length)),
+            tuple((int(numbers[k]), float(length[k])) for k in np.argsort(-length)[:WORST]),
+            about,
         )
 
 
 def errors_of(model: Model, session: Session) -> Errors:
     """Errors of a model over the rows of a session, of positions and of orientations."""
-    return Errors.of(errors(model, session), turns(model, session))
+    return Errors.of(errors(model, session), turns(model, session), spreads(model, session))
 
 
 @dataclass(frozen=True)
