@@ -6,16 +6,15 @@ Also in which form it brings most, between the forms that were tried.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import log_ndtr
 
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term, distinct
-from longarm_comp.core.identify.linear import Added, Marginal, Products
+from longarm_comp.core.identify.linear import Added, Marginal, Products, log_mass
 from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.model.model import slots_of
 
@@ -69,6 +68,12 @@ class FitColumns(CandidateColumns):
             mine = slice(start, start + len(slots_of(self.model.arm, [term])))
             start = mine.stop
             self._cross[term.variant] = turned[mine].T, cross[:, mine]
+
+    def without(
+        self, places: Container[tuple[str, str]], beside: np.ndarray | None = None
+    ) -> FitMarginal:
+        """`marginal_without` of the fit."""
+        return marginal_without(self._fitted, self, places, beside)
 
     def scaled(self, terms: Sequence[Term]) -> Scaled:
         """Columns of some terms, fitted together."""
@@ -152,7 +157,7 @@ def key(term: Term) -> tuple[str, str]:
 def marginal_without(
     fitted: ModelFit,
     columns: CandidateColumns,
-    places: set[tuple[str, str]],
+    places: Container[tuple[str, str]],
     beside: np.ndarray | None = None,
 ) -> FitMarginal:
     """Evidence on top of a fit, the terms at some places taken out of it, other columns added.
@@ -249,16 +254,8 @@ def _bounded(added: Added, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     if not (np.isfinite(lower) | np.isfinite(upper)).any():
         return added.log_bayes_factor
     sd = np.sqrt(np.diagonal(added.covariance, axis1=-2, axis2=-1))
-    inside = _log_mass((lower - added.mean) / sd, (upper - added.mean) / sd)
-    return np.asarray(added.log_bayes_factor + (inside - _log_mass(lower, upper)).sum(-1))
-
-
-def _log_mass(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Log of the unit normal's mass between bounds."""
-    flip = lower > -upper  # the smaller tail, where differences keep their digits
-    low, high = np.where(flip, -upper, lower), np.where(flip, -lower, upper)
-    mass = log_ndtr(high)
-    return np.asarray(mass + np.log1p(-np.exp(np.minimum(log_ndtr(low) - mass, -1e-300))))
+    inside = log_mass((lower - added.mean) / sd, (upper - added.mean) / sd)
+    return np.asarray(added.log_bayes_factor + (inside - log_mass(lower, upper)).sum(-1))
 
 
 def _fixed(

@@ -7,17 +7,20 @@ therefore matrix products, and the evidence of some hundred thousand candidates 
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from longarm_comp.core.effects.function import Function
+from longarm_comp.core.effects.shapes import Threshold, Wave
 from longarm_comp.core.identify.discover.functions import (
     FunctionFamily,
     FunctionGroup,
     Functions,
+    nearby,
 )
 from longarm_comp.core.identify.discover.score import many
 from longarm_comp.core.identify.linear import Marginal
@@ -152,3 +155,40 @@ def weight(fit: ModelFit) -> np.ndarray:
 def whitened_design(fit: ModelFit) -> np.ndarray:
     """(N, d, p) columns of a fit, prior-scaled and over the noise."""
     return fit.columns * priors(fit.slots) * weight(fit)[..., None]
+
+
+def around(bank: Bank, candidate: Hypothesis, width: float) -> Iterator[Hypothesis]:
+    """The same candidate with thresholds or frequencies near its own."""
+    factors = dict.fromkeys(f for function in candidate.functions for f in function.factors)
+    bent = [f for f in factors if isinstance(f, (Threshold, Wave))]
+    by_name = bank.functions.inputs.by_name
+    if len(bent) == 1:
+        for other in nearby(bent[0], by_name[bent[0].of], width):
+            yield _renamed(candidate, {bent[0]: other})
+    elif len(bent) == 2 and all(isinstance(f, Wave) for f in bent):
+        first, second = (nearby(f, by_name[f.of], width) for f in bent)
+        for pair in zip(first, second, strict=True):
+            yield _renamed(candidate, dict(zip(bent, pair, strict=True)))
+
+
+def _renamed(candidate: Hypothesis, other: dict) -> Hypothesis:
+    members = tuple(
+        (place, Function(tuple(other.get(f, f) for f in function.factors)))
+        for place, function in candidate.members
+    )
+    return dataclasses.replace(candidate, members=members)
+
+
+def marginal_of(fit: ModelFit, kept: np.ndarray) -> tuple[Marginal, np.ndarray]:
+    """Evidence on top of some of a model's columns, without regard to correlated noise.
+
+    And (N, d) what these leave, whitened.
+    """
+    inside = fit.weights > 0
+    weights = weight(fit)
+    design = whitened_design(fit)[inside]
+    data = (fit.residual + fit.columns @ fit.model.values) * weights
+    marginal = Marginal(design.reshape(-1, design.shape[-1])[:, kept], data[inside].ravel())
+    left = np.zeros(data.shape)
+    left[inside] = marginal.py.reshape(-1, data.shape[1])
+    return marginal, left

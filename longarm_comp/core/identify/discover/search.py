@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
-from longarm_comp.core.effects.function import Function
-from longarm_comp.core.effects.shapes import Threshold, Wave
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify.discover.bank import (
     Bank,
     Hypothesis,
     Weighed,
-    weight,
-    whitened_design,
+    around,
+    marginal_of,
 )
 from longarm_comp.core.identify.discover.banks import banks
-from longarm_comp.core.identify.discover.functions import nearby
 from longarm_comp.core.identify.discover.screening import Screening
 from longarm_comp.core.identify.discover.set_aside import (
     given_back,
@@ -167,7 +164,7 @@ class _State:
     def ranked(self, without: Sequence[int] = ()) -> list[Weighed]:
         """Candidates of all banks, best first, thresholds and frequencies refined."""
         kept = self._kept(without)
-        marginal, py = self._marginal(kept)
+        marginal, py = marginal_of(self.fit, kept)
         made: list[Weighed] = []
         for bank, screening in zip(self.banks, self._screenings(), strict=True):
             few = screening.best(kept, py, SCREENED)
@@ -191,7 +188,7 @@ class _State:
         prior = one.candidate.log_prior - LOOKS
         for width in NEARBY:
             few = (
-                dataclasses.replace(c, log_prior=prior) for c in _around(bank, one.candidate, width)
+                dataclasses.replace(c, log_prior=prior) for c in around(bank, one.candidate, width)
             )
             made += [bank.score(marginal, self.fit, c) for c in few]
             one = max((one, *made), key=lambda s: s.log_evidence)
@@ -207,21 +204,9 @@ class _State:
         gone = {key_of(t) for k in without for t in terms_of(self.groups[k])}
         return np.array([key_of(s.owner) not in gone for s in self.fit.slots])
 
-    def _marginal(self, kept: np.ndarray) -> tuple[Marginal, np.ndarray]:
-        """Evidence on top of some of the model's columns, without regard to correlated noise."""
-        inside = self.fit.weights > 0
-        weights = weight(self.fit)
-        design = whitened_design(self.fit)[inside]
-        data = (self.fit.residual + self.fit.columns @ self.fit.model.values) * weights
-        flat = design.reshape(-1, design.shape[-1])[:, kept]
-        marginal = Marginal(flat, data[inside].ravel())
-        py = np.zeros(data.shape)
-        py[inside] = marginal.py.reshape(-1, data.shape[1])
-        return marginal, py
-
     def evidence(self, k: int) -> Weighed:
         """A group on top of all others."""
-        marginal, _ = self._marginal(self._kept([k]))
+        marginal, _ = marginal_of(self.fit, self._kept([k]))
         return self._score(marginal, self.groups[k].candidate)
 
     def _score(self, marginal: Marginal, candidate: Hypothesis) -> Weighed:
@@ -232,7 +217,7 @@ class _State:
 
     def others(self, k: int, now: Weighed) -> tuple[Weighed, ...]:
         """Other places (and components) of the same functions that do nearly as well."""
-        marginal, _ = self._marginal(self._kept([k]))
+        marginal, _ = marginal_of(self.fit, self._kept([k]))
         members = now.candidate.members
         if len({p for p, _ in members}) > 1:
             return ()
@@ -271,7 +256,7 @@ class _State:
             return False
         before = self.groups, self.fit, self.noise
         self.fit = given_back(self.fit, group.rows)
-        marginal, _ = self._marginal(self._kept(()))
+        marginal, _ = marginal_of(self.fit, self._kept(()))
         tried = [
             bank.score(marginal, self.fit, c)
             for bank in self.banks
@@ -346,7 +331,7 @@ class _State:
         """One group in the place of two, where it is better than both."""
         for i, j in combinations(range(len(self.groups)), 2):
             best = self.best([i, j])
-            marginal, _ = self._marginal(self._kept([i, j]))
+            marginal, _ = marginal_of(self.fit, self._kept([i, j]))
             first = self._score(marginal, self.groups[i].candidate)
             now = first.log_evidence + self.evidence(j).log_evidence
             if best is not None and best.log_evidence > now + SWAP:
@@ -355,28 +340,6 @@ class _State:
                 if self.take((*kept, best)):
                     return True
         return False
-
-
-def _around(bank: Bank, candidate: Hypothesis, width: float) -> Iterator[Hypothesis]:
-    """The same candidate with thresholds or frequencies near its own."""
-    factors = dict.fromkeys(f for function in candidate.functions for f in function.factors)
-    bent = [f for f in factors if isinstance(f, (Threshold, Wave))]
-    by_name = bank.functions.inputs.by_name
-    if len(bent) == 1:
-        for other in nearby(bent[0], by_name[bent[0].of], width):
-            yield _renamed(candidate, {bent[0]: other})
-    elif len(bent) == 2 and all(isinstance(f, Wave) for f in bent):
-        first, second = (nearby(f, by_name[f.of], width) for f in bent)
-        for pair in zip(first, second, strict=True):
-            yield _renamed(candidate, dict(zip(bent, pair, strict=True)))
-
-
-def _renamed(candidate: Hypothesis, other: dict) -> Hypothesis:
-    members = tuple(
-        (place, Function(tuple(other.get(f, f) for f in function.factors)))
-        for place, function in candidate.members
-    )
-    return dataclasses.replace(candidate, members=members)
 
 
 def _label(candidate: Hypothesis) -> str:

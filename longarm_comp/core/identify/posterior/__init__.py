@@ -1,0 +1,1 @@
+"""One posterior over explanations, beside the search until it takes its place."""

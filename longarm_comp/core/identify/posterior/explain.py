@@ -1,0 +1,247 @@
+"""The search for what the model lacks: a posterior over explanations, and the model refitted.
+
+Each round takes the session's equations at the model as it is, offers every effect of the library
+and functions without a name (`offers.py`), computes the posterior over them (`posterior.py`), puts
+the most probable explanation into the model, and fits that.  Noise and outliers are judged anew,
+and forms on a scale move to where the evidence is highest.  It ends when the explanation repeats.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Container, Sequence
+from dataclasses import dataclass, field
+
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.errors import JobError
+from longarm_comp.core.identify import noise as noise_step
+from longarm_comp.core.identify.candidates import Candidate, Term, distinct
+from longarm_comp.core.identify.evidence import FitColumns, columns_at, refined
+from longarm_comp.core.identify.fit import fit, unfitted
+from longarm_comp.core.identify.model_fit import ModelFit
+from longarm_comp.core.identify.noise import NoiseEstimate
+from longarm_comp.core.identify.posterior.offers import (
+    FoundEffect,
+    OfferedEffects,
+    Proposition,
+    offered,
+)
+from longarm_comp.core.identify.posterior.propositions import propositions
+from longarm_comp.core.identify.posterior.single_effects import NONE
+from longarm_comp.core.identify.step_scan import UnknownStep, scan
+from longarm_comp.core.identify.thresholds import retuned
+from longarm_comp.core.model.model import Model
+
+ROUNDS = 8
+"""Of posterior and fit, at most, of the library and then of functions; three are usual."""
+BETTER = 1.0
+"""Log evidence by which an explanation must be better to take the place of the one in the model."""
+STEPS = 6
+"""Gauss-Newton steps of a fit between rounds; the last fit converges."""
+NEAR = 0.3
+"""Last step of such a fit, in standard errors: the next would be a tenth of it or less."""
+
+
+@dataclass(frozen=True)
+class ExplainedSession:
+    """The outcome of a search.
+
+    Attributes:
+        fit: the final model, fitted.
+        found: the single effects in the model, with their credible sets.
+        doubtful: single effects that may be there, not in the model.
+        noise: as judged last.
+        candidates: the library as it was offered last.
+        unknown_steps: where steps show, but not their size.
+    """
+
+    fit: ModelFit
+    found: tuple[FoundEffect, ...]
+    doubtful: tuple[FoundEffect, ...]
+    noise: NoiseEstimate
+    candidates: tuple[Candidate, ...]
+    unknown_steps: tuple[UnknownStep, ...] = ()
+
+    @property
+    def chosen(self) -> tuple[Term, ...]:
+        """The terms in the model, as they were offered."""
+        return tuple(t for f in self.found for t in f.terms)
+
+    @property
+    def need(self) -> float:
+        """Log Bayes factor from which on a candidate is more likely there than not."""
+        return NONE + math.log(max(len(self.candidates), 1))
+
+
+def explain_session(
+    base: Model,
+    session: Session,
+    candidates: Sequence[Candidate],
+    *,
+    known_noise: NoiseEstimate | None = None,
+    stepped: Sequence[type[Effect]] = (),
+    functions: bool = True,
+    progress: Callable[[str], None] | None = None,
+) -> ExplainedSession:
+    """Find what the model lacks.
+
+    Args:
+        base: the declared model with its geometry terms.
+        session: training rows.
+        candidates: the library.
+        known_noise: from repeats; judged from the residual otherwise.
+        stepped: effects whose steps are scanned.
+        functions: whether functions without a name are offered.
+        progress: told what is going on.
+
+    Raises:
+        InputError, JobError: as `fit`.
+    """
+    state = _State(base, session, list(candidates), known_noise, stepped, functions)
+    return state.searched(progress or (lambda _: None))
+
+
+@dataclass
+class _State:
+    """The model while it is searched for."""
+
+    base: Model
+    session: Session
+    candidates: list[Candidate]
+    known: NoiseEstimate | None
+    stepped: Sequence[type[Effect]]
+    functions: bool
+    found: tuple[FoundEffect, ...] = ()
+    propositions: tuple[Proposition, ...] = ()
+    unknown: dict[str, UnknownStep] = field(default_factory=dict)
+    fit: ModelFit = field(init=False)
+    noise: NoiseEstimate = field(init=False)
+    columns: FitColumns = field(init=False)
+
+    def searched(self, say: Callable[[str], None]) -> ExplainedSession:
+        say("geometry")
+        self._fit(self.base)
+        self._repeat(say, lambda: ())
+        if self.functions:
+            self._repeat(say, lambda: propositions(self.fit, self.found))
+        self._settle()
+        bank = self._offered()
+        found, doubtful = bank.judged(self.found)
+        return ExplainedSession(
+            self.fit,
+            found,
+            doubtful,
+            self.noise,
+            tuple(self.candidates),
+            tuple(self.unknown.values()),
+        )
+
+    def _repeat(
+        self, say: Callable[[str], None], functions: Callable[[], tuple[Proposition, ...]]
+    ) -> None:
+        """Explain and fit as long as a better explanation is found."""
+        for _ in range(ROUNDS):
+            self._scan()
+            self.propositions = functions()
+            bank = self._offered()
+            explained = bank.explained(say)
+            if explained.evidence < bank.standing(self.found) + BETTER:
+                break
+            self.found = explained.found
+            self._take(self.found)
+            for _ in range(3):
+                if not self._reform(say):
+                    break
+
+    def _offered(self) -> OfferedEffects:
+        return offered(self.fit, self.columns, self.candidates, self.propositions, self.found)
+
+    def _scan(self) -> None:
+        """Offer the steps that the residual shows."""
+        need = NONE + math.log(max(len(self.candidates), 1))
+        scans = [scan(self.fit, self.columns, kind, need) for kind in self.stepped]
+        shown = [candidate for each in scans for candidate in each.found]
+        self.candidates = [*(c for c in self.candidates if not c.scanned), *shown]
+        self.unknown |= {each.where: each for made in scans for each in made.unknown}
+
+    def _take(self, found: Sequence[FoundEffect]) -> None:
+        """Fit the model with what was found."""
+        known = {t.variant: t for t in self.fit.model.terms}
+        terms = [known.get(t.variant, t) for f in found for t in f.terms]
+        before = self.fit, self.noise, self.columns
+        try:
+            self._fit(_with(self.base, self.fit.model, terms))
+        except JobError:
+            self.fit, self.noise, self.columns = before
+
+    def _fit(self, model: Model) -> None:
+        """Judge the noise by all that the library could explain, then fit."""
+        first = unfitted(model, self.session, self.fit) if self.found else fit(model, self.session)
+        at = self.columns if self.found else columns_at(first)
+        held = {t.key for f in self.found for t in f.terms}
+        judged, weights = noise_step.from_residual(first, at.of(distinct(self.candidates, held)))
+        self.noise = judged if self.known is None else noise_step.agreed(self.known, judged)
+        self.fit = fit(
+            first.model, self.session, sigma=self.noise.sigma, rho=self.noise.rho, weights=weights,
+            max_iterations=STEPS, close=NEAR, begun=first,
+        )  # fmt: skip
+        self._look()
+
+    def _settle(self) -> None:
+        """Take the last fit to its end."""
+        was = self.fit
+        self.fit = fit(
+            was.model, self.session, sigma=was.sigma, rho=was.rho, weights=was.weights, begun=was
+        )
+        self._look()
+
+    def _look(self) -> None:
+        self.columns = columns_at(self.fit)
+        self.columns.prepare(distinct(self.candidates))
+
+    def _reform(self, say: Callable[[str], None]) -> bool:
+        """Move forms on a scale to where the evidence is highest; whether any moved."""
+        terms = {t.key: t for f in self.found for t in f.terms}
+        moved = dict(terms)
+        for key, term in terms.items():
+            if not term.scales():
+                continue
+            fitted = next(t for t in self.fit.model.terms if t.key == key)
+            better = retuned(self.fit, self.columns, fitted)
+            if better is fitted:
+                marginal = self.columns.without({key})
+                best = refined(self.fit, marginal, self.columns, term, self.candidates)
+                better = best.candidate.terms[0]
+            if better.variant != term.variant:
+                moved[key] = better
+                say(Candidate(term.name, (better,)).label)
+        if moved == terms:
+            return False
+        self.found = tuple(
+            dataclasses.replace(f, terms=tuple(moved[t.key] for t in f.terms)) for f in self.found
+        )
+        self._take(self.found)
+        return True
+
+
+def without(model: Model, places: Container[tuple[str, str]]) -> Model:
+    """A model without its terms at some places."""
+    left = [t for t in model.terms if t.key not in places]
+    return dataclasses.replace(
+        model,
+        effects=tuple(t for t in left if isinstance(t, Effect)),
+        biases=tuple(t for t in left if isinstance(t, Bias)),
+    )
+
+
+def _with(base: Model, now: Model, terms: Sequence[Term]) -> Model:
+    """The base model with further terms, the geometry started from the model as it is now."""
+    known = {t.key: t for t in now.terms}
+    every = [*(known.get(t.key, t) for t in base.terms), *terms]
+    return dataclasses.replace(
+        base,
+        effects=tuple(t for t in every if isinstance(t, Effect)),
+        biases=tuple(t for t in every if isinstance(t, Bias)),
+    )
