@@ -67,7 +67,7 @@ class UrdfRobot:
     """The tree of a URDF file.
 
     Raises:
-        InputError: no URDF, xacro, a name twice or unknown, a value that is none, a cycle.
+        InputError: no URDF, xacro, a name twice or unknown, a value that is not a number, a cycle.
     """
 
     def __init__(self, path: str | Path) -> None:

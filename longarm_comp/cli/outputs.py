@@ -126,12 +126,6 @@ def guarded(command: click.Command, name: str) -> click.Command:
     if outputs:
         what = "Overwrite what exists, also an input."
         command.params.append(click.Option(["--force"], is_flag=True, help=what))
-<<<<<<< HEAD
-=======
-    run = command.callback
-    if run is None:  # a group: its commands keep the rule
-        return command
->>>>>>> h5
 
     def checked(*, force: bool = False, **given: Any) -> Any:
         _check(name, command.params, given, force)

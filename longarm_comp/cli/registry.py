@@ -45,13 +45,12 @@ COMMANDS = (
     Entry("touch", "touch", "Record the joints while the tip touches points: one key a touch."),
     Entry("verify", "verify", "Drive fresh targets over ROS, without and with compensation."),
     Entry("apply", "apply", "Put a diagnosis to work on the running graph."),
-    Entry("sweep", "sweep", "Every joint between its limits once: its history is known then."),
+    Entry("sweep", "sweep", "Drive every joint to both limits: play and friction are known then."),
     Entry("loop", "loop", "Plan, collect, diagnose, apply, verify: the cycle as one command."),
     Entry("record", "record", "Record an arm's topics as a rosbag2."),
     Entry("effects", "effects", "The library of effects: parameters, units, priors, inputs."),
     Entry("schema", "schema", "JSON schema of arm.yaml, for editors."),
     Entry("compare", "compare", "Two diagnoses, models or sessions side by side."),
-    Entry("report compare", "report_compare", "Two diagnoses side by side."),
     Entry("servo scan", "servo_scan", "The servos on a bus: id, model, firmware, ids used twice."),
     Entry("servo setup", "servo_setup", "Ids, zeros and directions of the servos, by hand."),
     Entry("stereo marker", "stereo_marker", "Marker or calibration board as a page to print."),
@@ -61,7 +60,6 @@ COMMANDS = (
 )
 
 GROUPS = {
-    "report": "Reports of diagnoses.",
     "bag": "Sessions as rosbag2.",
     "servo": "Servo bus: what is on it, ids, zeros, directions.",
     "stereo": "Cameras and marker.",

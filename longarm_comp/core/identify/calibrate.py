@@ -95,12 +95,8 @@ class Errors:
 
 def errors_of(model: Model, session: Session) -> Errors:
     """Errors of a model over the rows of a session, of positions and of orientations."""
-<<<<<<< HEAD
-    return Errors.of(errors(model, session), turns(model, session), spread=spreads(model, session))
-=======
     left, turned = errors(model, session), turns(model, session)
     return Errors.of(left, turned, spread=spreads(model, session))
->>>>>>> h5
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ class Cells:
     header_lines: tuple[int, ...]
 
     def number(self, text: str) -> float | None:
-        """The number in a cell; None where it is none. Raises nothing."""
+        """The number in a cell; None where the cell holds no number. Raises nothing."""
         plain = text.strip()
         if (_COMMA if self.decimal == "," else _POINT).fullmatch(plain) is None:
             return None
