@@ -212,9 +212,9 @@ def test_import_urdf_and_schema(shell: Shell) -> None:
     )
     assert shell("import-urdf", "r.urdf", "--base", "a", "--tip", "b", "-o", "arm.yaml") == 0
     assert Arm.load("arm.yaml").joint_names == ("j",)
-    assert "--tip" in shell.refused(
-        "import-urdf", "r.urdf", "--base", "a", "--tip", "z", "-o", "other.yaml"
-    )
+    assert "--force" in shell.refused("import-urdf", "r.urdf", "--base", "a", "--tip", "b")
+    other = ("--base", "a", "--tip", "z", "-o", "other.yaml")
+    assert "--tip" in shell.refused("import-urdf", "r.urdf", *other)
     assert shell("schema") == 0
     schema = json.loads(shell.out)
     assert set(schema["properties"]) == set(Arm.model_fields)

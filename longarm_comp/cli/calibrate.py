@@ -11,6 +11,9 @@ from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, print_rows, print_table, progress
 
 if TYPE_CHECKING:
+    import numpy as np
+
+    from longarm_comp.core.data.session import Session
     from longarm_comp.workflows.calibrate import Calibration, FittedParameter
 
 
@@ -104,9 +107,16 @@ def command(
     if cells:
         header = ("effect", "where", "parameter", "value", "95 % interval", "unit")
         print_table("Effects, fitted to all rows", header, cells)
-    note(f"{len(final.outliers)} rows left out as outliers; model in {output}")
+    left = ", ".join(map(str, _called(final.session)[final.outliers]))
+    which = f": {left}" if left else ""
+    note(f"{len(final.outliers)} rows left out as outliers{which}; model in {output}")
     if not final.converged:
         note(f"the last step was not below a hundredth of the errors after {final.iterations}")
+
+
+def _called(session: Session) -> np.ndarray:
+    """The user's own number of each row, else its index."""
+    return session.labels.get("point", session.index)
 
 
 def _interval(p: FittedParameter) -> str:

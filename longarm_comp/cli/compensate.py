@@ -49,6 +49,7 @@ _ROW_DIGITS = 9  # more are no row's, and no number that Python reads
     help="Choose joints together among the steps that ARM declares; off for paths.",
 )  # fmt: skip
 @options.output("commands.csv", "Joint commands to write.", outputs.COMMANDS)
+@options.like
 @options.effects
 @options.as_json
 def command(
@@ -67,6 +68,7 @@ def command(
     single_pass: bool,
     realisable: bool,
     output: Path,
+    like: Path | None,
     as_json: bool,
 ) -> None:
     """Joint commands of ARM that bring its real tip to targets (m).
@@ -93,7 +95,9 @@ def command(
     if bool(numbers) == (targets is not None):
         raise InputError("compensate", "target", list(numbers), "X Y Z, or --targets FILE")
     base = physics(declared, model)
-    wanted = read_targets(targets) if targets else Targets.one([_number(v) for v in numbers])
+    form, output = options.form_of(like, output)
+    given = (targets, *([form.read] if form else []))
+    wanted = read_targets(*given) if targets else Targets.one([_number(v) for v in numbers])
     learned = load_predictor(predictor, declared, model) if predictor else None
     chosen = fitting(learned) if method is None else Method(method)
     if chosen.learned and learned is None:
@@ -115,7 +119,7 @@ def command(
         single_pass=single_pass,
         realisable=realisable,
     )
-    answers.save(output)
+    answers.save(output, *([form.write] if form else []))
     commands = answers.lines()
     rows = [_row(c, declared.n) for c in commands]
     if as_json:

@@ -73,6 +73,7 @@ if TYPE_CHECKING:
 )
 @options.written("--picture", "Also draw the plan: FILE.png, .svg or .pdf.", outputs.PICTURE)
 @options.output("poses.csv", "Plan to write.", outputs.POSES)
+@options.like
 @options.seed
 @options.as_json
 def command(
@@ -91,6 +92,7 @@ def command(
     seen: bool,
     picture: Path | None,
     output: Path,
+    like: Path | None,
     seed: int,
     as_json: bool,
 ) -> None:
@@ -110,6 +112,7 @@ def command(
     from longarm_comp.workflows.plan import NOISE, bounded, plan
 
     declared = Arm.load(arm)
+    form, output = options.form_of(like, output)
     optimal = kind in ("i-optimal", "d-optimal")
     if (kind == "next") != (report is not None) and not (optimal and report):
         allowed = "a diagnosis folder with --kind next, i-optimal or d-optimal, only"
@@ -127,7 +130,7 @@ def command(
 
         check_suffix(picture)
     poses = plan(declared, count, note=note, **given)
-    write_poses(poses, output)
+    write_poses(poses, output, *([form.write] if form else []))
     if picture is not None:
         _draw(arm, bounded(declared, keep_out, floor), poses, picture)
     if as_json:

@@ -15,13 +15,13 @@ from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import approach_names, joint_names, read_approach
 from longarm_comp.sessions.names import check_header
-from longarm_comp.sessions.table import read_table, write_table
+from longarm_comp.sessions.table import WriteTable, read_table, write_table
 
 _SLACK = 1e-6  # printed digits of a joint that stands on its limit
 
 
-def write_poses(plan: Plan, path: str | Path) -> None:
-    """Write a plan, whole or not at all."""
+def write_poses(plan: Plan, path: str | Path, write: WriteTable = write_table) -> None:
+    """Write a plan, whole or not at all; ``write`` may give it another form."""
     columns: dict[str, Sequence[object] | np.ndarray] = {
         "index": range(len(plan)),
         **_written_approach(plan),
@@ -31,7 +31,7 @@ def write_poses(plan: Plan, path: str | Path) -> None:
         columns["payload_kg"] = plan.payload_kg
     if plan.touch is not None:
         columns["touch"] = plan.touch
-    write_table(path, list(columns), zip(*columns.values(), strict=True))
+    write(path, list(columns), zip(*columns.values(), strict=True))
 
 
 def _written_approach(plan: Plan) -> dict[str, Sequence[object] | np.ndarray]:
