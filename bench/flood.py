@@ -8,7 +8,7 @@ import time
 import rclpy
 
 from bench.arms import demo_arm
-from longarm_comp.jobs.path import slow_path
+from bench.slow_path import slow_path
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import pose_message
 

@@ -82,7 +82,7 @@ def ready_times(repeats: int = REPEATS, *, warm: bool = True) -> dict[str, list[
 
 def _commands(folder: Path, nodes: Sequence[str]) -> dict[str, list[str]]:
     """Commands of the reference and of each node, which end when they serve."""
-    from longarm_comp.jobs.dummy_predictor import train_dummy
+    from bench.dummy_predictor import train_dummy
     from longarm_comp.nodes.bringup import BringUp
 
     predictor = folder / "predictor.npz"

@@ -26,8 +26,8 @@ import numpy as np
 
 from bench.arms import demo_arm, demo_arm_file
 from bench.comparison import Result, alone, beside
+from bench.dummy_predictor import train_dummy
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.jobs.dummy_predictor import train_dummy
 
 PEER = "bare rclpy echo of the same messages"
 BLOCKS, PER_BLOCK = 8, 50

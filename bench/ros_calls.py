@@ -11,6 +11,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.qos import QoSProfile
 from trajectory_msgs.msg import JointTrajectory
 
+from bench.slow_path import slow_path
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.compensate import compensate
@@ -19,7 +20,6 @@ from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.learn.expansion import Expansion, Nearby
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.client import ArmClient
-from longarm_comp.jobs.path import slow_path
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_message, pose_message
 from longarm_interfaces.msg import Compensation

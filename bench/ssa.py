@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from bench.comparison import Result, beside
 from bench.mealpy_peer import MealpyPeer
 from bench.smooth import SmoothSet, smooth_set
-from longarm_comp.core.learn.network import Shape, squared_error
+from longarm_comp.core.learn.network import NetworkShape, squared_error
 from longarm_comp.core.learn.sparrow import SparrowSearch
 
 HIDDEN = 12  # D = 135 weights
@@ -24,7 +24,7 @@ def evals_vs_mealpy(samples: int, repeats: int = 7) -> Result:
     The same data, network, population and iterations; the two take turns, medians are compared.
     """
     x, y = standardised(smooth_set(samples, 0))
-    shape, bound = Shape(7, HIDDEN, 3), np.ones(Shape(7, HIDDEN, 3).size)
+    shape, bound = NetworkShape(7, HIDDEN, 3), np.ones(NetworkShape(7, HIDDEN, 3).size)
     search, fitness = SparrowSearch(POPULATION, EPOCHS), squared_error(shape, x, y)
     ours: list[float] = []
     theirs: list[float] = []

@@ -12,7 +12,7 @@ from bench.smooth import SmoothSet, rms_mm, smooth_set
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.network import (
     SPARROW_BOUND,
-    Shape,
+    NetworkShape,
     forward,
     hidden_alike,
     sparrow_start,
@@ -25,7 +25,7 @@ from longarm_comp.core.learn.training import back_propagate
 from studies.peers import train_gaussian_process, train_mlp
 
 Array = NDArray[np.float64]
-SHAPE = Shape(7, 12, 3)
+SHAPE = NetworkShape(7, 12, 3)
 
 
 def tables(seeds: int = 4) -> Iterator[str]:

@@ -13,10 +13,10 @@ from bench.ssa import HIDDEN, standardised
 from bench.subprocess_cost import cost_of
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.learn.ensemble import train
-from longarm_comp.core.learn.network import Shape, squared_error
+from longarm_comp.core.learn.network import NetworkShape, squared_error
 from longarm_comp.core.learn.sparrow import SparrowSearch
 
-SHAPE = Shape(7, HIDDEN, 3)
+SHAPE = NetworkShape(7, HIDDEN, 3)
 
 
 # ------------------------------------------------------------------ run in processes of their own

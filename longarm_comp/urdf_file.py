@@ -63,11 +63,15 @@ class UrdfJoint:
         return made
 
 
+_ABSURD = 30.0
+"""Times the robot's length: from there on millimetres taken for metres (1000) are the nearer."""
+
+
 class UrdfRobot:
     """The tree of a URDF file.
 
     Raises:
-        InputError: no URDF, xacro, a name twice or unknown, a value that is none, a cycle.
+        InputError: no URDF, xacro, a name twice or unknown, a value that is not a number, a cycle.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -87,6 +91,20 @@ class UrdfRobot:
             self.children.setdefault(joint.parent, []).append(joint)
             self.above[joint.child] = joint
         self._check_tree()
+        self._check_masses()
+
+    def _check_masses(self) -> None:
+        """Refuse a centre of mass that only a mistaken unit puts where it is."""
+        extent = sum(float(np.linalg.norm(j.origin[:3, 3])) for j in self.joints.values())
+        extent += sum(
+            max(map(abs, j.limits)) for j in self.joints.values()
+            if j.type == "prismatic" and j.limits is not None
+        )  # fmt: skip
+        for name, link in self.links.items():
+            far = float(np.linalg.norm(link.com))
+            if link.mass > 0 and extent > 0 and far > _ABSURD * extent:
+                allowed = f"metres; all joints together are {extent:.3g} m long"
+                raise self.error(f"link {name} inertial origin", f"{far:.6g} m", allowed)
 
     def error(self, field: str, value: object, allowed: str) -> InputError:
         """An error about this file."""
@@ -127,7 +145,7 @@ class UrdfRobot:
         try:
             if path.stat().st_size > MOST_BYTES:
                 raise self.error("file", f"more than {MOST_BYTES} bytes", "a smaller file")
-            root = ET.parse(path).getroot()
+            root = ET.fromstring(path.read_bytes().lstrip())  # blank lines may stand above the XML
         except OSError as error:
             raise self.error("file", error.strerror or str(error), "a readable file") from error
         except (ET.ParseError, ValueError, LookupError) as error:

@@ -1,6 +1,6 @@
 """Causes that are in no library: what calibration, library, discovery and learning leave of them.
 
-Every case hides one cause of `sim/hidden/outside.py` besides errors of geometry. Errors are against
+Every case hides one cause of `studies/outside.py` besides errors of geometry. Errors are against
 the noise-free truth, on fresh poses of the plan that was measured and at random poses off it.
 """
 
@@ -21,11 +21,11 @@ from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.camera import CameraEffect
 from longarm_comp.sim.hidden.catalogue import hidden
-from longarm_comp.sim.hidden.outside import outside
 from longarm_comp.sim.measure import SimulatedSession, TrueCamera, measure_session
 from longarm_comp.workflows.diagnose import DiagnosisResult, diagnose
 from longarm_comp.workflows.residual import training_rows
 from studies.loop_setting import session_of
+from studies.outside import outside
 from studies.peers import train_gaussian_process
 
 NOTHING = "nothing"

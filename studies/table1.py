@@ -1,7 +1,7 @@
 """The paper's Table I on many simulated arms that execute the commands.
 
 Every arm is a variant of one declared arm with hidden effects of its own, sized as the paper's
-(`sim.random_arms`).  It is measured on the III.B grid (900 poses; the first 300 are the small set).
+(`random_arms`).  It is measured on the III.B grid (900 poses; the first 300 are the small set).
 Each row of the table is trained on these rows.  Then 40 random targets are commanded to the
 simulated arm, and the errors of its true tip are evaluated.
 
@@ -42,10 +42,10 @@ from longarm_comp.sim import context as sim_context
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.drives import ServoQuantisation
 from longarm_comp.sim.measure import TrueCamera, measure_session
-from longarm_comp.sim.random_arms import Mix, paper_mix, random_arm
 from longarm_comp.workflows.residual import training_rows
 from studies.extra import extra
 from studies.peers import train_gaussian_process
+from studies.random_arms import Mix, paper_mix, random_arm
 
 TARGETS = 40
 SAMPLES = (900, 300)

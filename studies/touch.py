@@ -118,7 +118,7 @@ def _judged(name: str, arm: Arm, session: Session, say: Progress) -> Touched:
 
 
 def _named(findings: object) -> tuple[str, ...]:
-    return tuple(f"{f.name} {f.where}" for f in findings)  # type: ignore[attr-defined]
+    return tuple(f"{f.name} {', '.join(f.where)}" for f in findings)  # type: ignore[attr-defined]
 
 
 def gains_mm(arms: list[Touched], model: str, than: str) -> tuple[float, float, float]:

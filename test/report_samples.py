@@ -181,8 +181,8 @@ def base(rng: np.random.Generator) -> Diagnosis:
         "held_out": held_out(rows, "nominal", "calibrated", None),
         "next_poses": [],
         "outliers": [
-            {"index": 17, "why": "residual of 31 mm, 58 robust standard deviations"},
-            {"index": 203, "why": "residual of 12 mm, 22 robust standard deviations"},
+            {"index": 17, "why": "31 mm off, 58 standard deviations", "point": "P17"},
+            {"index": 203, "why": "12 mm off, 22 standard deviations", "point": ""},
         ],
         "discovered": [],
         "provenance": {

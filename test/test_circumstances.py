@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from column_arm import arm as column_arm
 from small_arm import ARM, measured
+from wind_up import Sliders
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import LEGS, PER_JOINT, WIDTH, Context
@@ -32,7 +33,6 @@ from longarm_comp.core.ik.solver import Engine, solve_many
 from longarm_comp.core.learn.inputs import INPUT_KINDS
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.targets import Targets
-from longarm_comp.sim.hidden.wind_up import Sliders
 
 N = 6
 ENGINES = [e for e in Engine if e is not Engine.COMPILED or compiler_at_hand()]
@@ -95,7 +95,10 @@ def demo(demo_arm_path) -> Arm:
     return Arm.load(demo_arm_path)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize(
+    "engine",
+    [pytest.param(e, marks=[pytest.mark.long] * (e is Engine.COMPILED)) for e in ENGINES],
+)
 def test_every_engine_reaches_the_plain_model_in_every_form(demo: Arm, engine: Engine) -> None:
     covered = set()
     for arm in (demo, column_arm()):

@@ -117,8 +117,8 @@ def test_compensate_takes_the_error_off(work: Path, shell: Shell) -> None:
     targets = Model(ARM).tip(session.q[inside])
     np.savetxt("targets.csv", targets, delimiter=",", header="x,y,z", comments="")
     command = (
-        *("compensate", work / "arm.yaml", "--targets", "targets.csv"),
-        *("--model", work / "model.yaml", "-o", "commands.csv"),
+        *("compensate", work / "arm.yaml", "--targets", "targets.csv", "--frame", "measured"),
+        *("--model", work / "model.yaml", "-o", "commands.csv", "--force"),
     )
 
     def missed() -> float:
@@ -176,7 +176,7 @@ def test_outside_the_training_data_physics_is_used_and_said(work: Path, shell: S
     made = shell.json(
         *("compensate", work / "arm.yaml", x, y, z, "--lock", 1, "--seed-q"),
         ",".join(str(v) for v in ARM.mid + np.array([0.5, 0, 0, 0])),
-        *("--model", work / "model.yaml", "--predictor", "half.npz"),
+        *("--model", work / "model.yaml", "--predictor", "half.npz", "--frame", "measured"),
     )
     (command,) = made["commands"]
     assert command["status"] in ("out_of_domain", "success")
@@ -212,7 +212,9 @@ def test_import_urdf_and_schema(shell: Shell) -> None:
     )
     assert shell("import-urdf", "r.urdf", "--base", "a", "--tip", "b", "-o", "arm.yaml") == 0
     assert Arm.load("arm.yaml").joint_names == ("j",)
-    assert "--tip" in shell.refused("import-urdf", "r.urdf", "--base", "a", "--tip", "z")
+    assert "--force" in shell.refused("import-urdf", "r.urdf", "--base", "a", "--tip", "b")
+    other = ("--base", "a", "--tip", "z", "-o", "other.yaml")
+    assert "--tip" in shell.refused("import-urdf", "r.urdf", *other)
     assert shell("schema") == 0
     schema = json.loads(shell.out)
     assert set(schema["properties"]) == set(Arm.model_fields)

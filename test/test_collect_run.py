@@ -132,9 +132,12 @@ def test_what_is_recorded_late_is_waited_for(
     topic: str, stage: QuickArm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Recorder, "put", held_back(topic, 0.7))
-    done = run(tmp_path / "bag", sobol(ARM, 5, 1))
+    with ArmClient(ARM, name="collect") as client:
+        todo = visits(sobol(ARM, 5, 1), ARM, shuffle=False)
+        done = collect(client, todo, tmp_path / "bag", pace=replace(QUICK, sightings=4))
     session = read_session(tmp_path / "bag", ARM)
     assert (done.made, done.unseen) == (5, {}) and session.index.tolist() == list(range(5))
+    assert session.sigma is not None and (session.sigma <= 1.001e-4 / np.sqrt(4)).all()  # of all
     tips = declared_model(ARM).tip(session.q)
     np.testing.assert_allclose(session.xyz, tips, atol=1e-6)
 

@@ -90,8 +90,7 @@ def test_the_commands_compare_files(shell: Shell, tmp_path: Path) -> None:
         yaml.safe_dump(ARM.model_dump(mode="json", exclude_defaults=True))
     )
     write_csv(session(n=10), tmp_path / "one.csv")
-    whole = shell.json("report", "compare", "a", "b")
-    assert whole["kind"] == "diagnoses" and shell.json("compare", "a", "b") == whole
+    assert shell.json("compare", "a", "b")["kind"] == "diagnoses"
     assert shell("compare", "one.csv", "one.csv", "--arm", "arm.yaml") == 0
     assert "10 common poses." in shell.out
     for wrong, said in (

@@ -39,10 +39,10 @@ from longarm_comp.core.model.model_file import load_model, read_stored
 from longarm_comp.report.record import checked
 from longarm_comp.sim.hidden import loads
 from longarm_comp.sim.hidden.base import HiddenEffect
-from longarm_comp.sim.hidden.outside import HosePull, PumpShake, RubberStop, TwoSeats
 from longarm_comp.workflows.diagnose import DiagnosisResult
 from longarm_comp.workflows.diagnosis_files import write_model
 from longarm_comp.workflows.effect_file import write_effects
+from studies.outside import HosePull, PumpShake, RubberStop, TwoSeats
 
 
 def look(arm_name: str, *hidden: HiddenEffect, seed: int = 3) -> Discovery | None:

@@ -35,6 +35,7 @@ PAGES = (*ORDER, *sorted({p.relative_to(ROOT).as_posix() for p in DOCS.rglob("*.
 YOURS = (
     *("arm.yaml", "robot.urdf", "samples.csv", "test.csv", "targets.csv"),
     *("tracker.csv", "tracker.xlsx", "second.xlsx", "log.xlsx", "mocap.csv"),
+    *("day1.csv", "day2.csv", "joints.csv", "tracker.txt"),
     *("DATA", "A", "B", "A.csv", "B.csv", "ARM", "DIAGNOSIS_A", "DIAGNOSIS_B"),
     *("diagnosis_1", "diagnosis_2"),
 )

@@ -96,3 +96,17 @@ def test_targets_tests_pages_and_sections(page: Path) -> None:
         page_named = (ROOT / "docs" / other).read_text("utf-8")
         headings = re.findall(r"^#+ (.+)$", page_named, re.MULTILINE)
         assert any(section in heading for heading in headings), f"{other}: {section}"
+
+
+def test_files_of_the_architecture_are_there() -> None:
+    """A bare name stands for a file in the folder of the name before it."""
+    text = (ROOT / "docs" / "architecture.md").read_text("utf-8")
+    folder, missing = ROOT, []
+    for name in re.findall(r"`([\w/]+(?:\.py|/))`", text):
+        tops = (folder, ROOT / "longarm_comp", ROOT)
+        found = next((top / name for top in tops if (top / name).exists()), None)
+        if found is None:
+            missing.append(name)
+        else:
+            folder = found if found.is_dir() else found.parent
+    assert not missing

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from small_arm import ARM
+from wind_up import Sliders, WindUp
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import LEGS, Context
@@ -23,7 +24,6 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
-from longarm_comp.sim.hidden.wind_up import Sliders, WindUp
 
 SPAN = ARM.upper - ARM.lower
 

@@ -7,7 +7,7 @@ import pytest
 
 from bench.smooth import smooth_set
 from longarm_comp.core.learn.network import (
-    Shape,
+    NetworkShape,
     forward,
     hidden_alike,
     normal_equations,
@@ -21,7 +21,7 @@ from longarm_comp.core.learn.network import (
 from longarm_comp.core.learn.sparrow import SparrowSearch
 from longarm_comp.core.learn.training import back_propagate
 
-SHAPE = Shape(4, 5, 3)
+SHAPE = NetworkShape(4, 5, 3)
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ def test_training_finds_the_noise_and_the_input_that_does_not_matter():
     x = rng.normal(size=(400, 3))
     truth = np.stack((np.sin(x[:, 0]), x[:, 0] * x[:, 1], np.cos(x[:, 1])), axis=1)
     y = truth + 0.1 * rng.normal(size=truth.shape)
-    shape = Shape(3, 10, 3)
+    shape = NetworkShape(3, 10, 3)
     fit = back_propagate(shape, xavier_start(shape, rng), x, y)
     error = forward(shape, fit.weights, with_ones(x)) - truth
     assert np.sqrt(np.mean(error**2)) < 0.05
@@ -98,7 +98,7 @@ def test_gross_outliers_are_weighted_down_and_do_not_spoil_the_fit():
     x = rng.uniform(-1.5, 1.5, size=(400, 2))
     truth = np.stack((np.sin(x[:, 0]), x[:, 0] * x[:, 1], np.cos(x[:, 1])), axis=1)
     y = truth + 0.05 * rng.normal(size=truth.shape)
-    shape, start = Shape(2, 8, 3), xavier_start(Shape(2, 8, 3), rng)
+    shape, start = NetworkShape(2, 8, 3), xavier_start(NetworkShape(2, 8, 3), rng)
     clean = back_propagate(shape, start, x, y)
     bad = rng.permutation(400)[:12]  # 3 %
     y[bad] += rng.choice([-3.0, 3.0], (12, 3))
@@ -115,7 +115,7 @@ def test_gross_outliers_are_weighted_down_and_do_not_spoil_the_fit():
 def test_zero_weight_leaves_a_sample_out():
     rng = np.random.default_rng(5)
     x, y = rng.normal(size=(60, 2)), rng.normal(size=(60, 3))
-    shape, keep = Shape(2, 3, 3), np.arange(60) < 50
+    shape, keep = NetworkShape(2, 3, 3), np.arange(60) < 50
     start = xavier_start(shape, rng)
     y_far = np.where(keep[:, None], y, 1e3)
     fit = back_propagate(shape, start, x, y_far, keep.astype(float), max_steps=20)
@@ -127,7 +127,7 @@ def test_sixty_sparrow_starts_have_no_collapsed_units():
     data = smooth_set(300, 0)
     x = (data.q - data.q.mean(0)) / data.q.std(0)
     y = (data.residual - data.residual.mean(0)) / data.residual.std()
-    shape, search = Shape(7, 12, 3), SparrowSearch(20, 20)
+    shape, search = NetworkShape(7, 12, 3), SparrowSearch(20, 20)
     fitness = squared_error(shape, x, y)
     for seed in range(60):
         start = sparrow_start(shape, fitness, np.random.default_rng(seed), search)

@@ -18,10 +18,10 @@ from test_nodes_driver_link import ARM, Driver
 from test_nodes_kinematics import pose, request
 from trajectory_msgs.msg import JointTrajectory
 
+from bench.slow_path import slow_path
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.client import GraphClient
-from longarm_comp.jobs.path import slow_path
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.orders import order_id
 from longarm_interfaces.action import Reach

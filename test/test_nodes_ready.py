@@ -25,11 +25,11 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Temperature
 from std_msgs.msg import Header
 
+from bench.dummy_predictor import train_dummy
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.jobs.dummy_predictor import train_dummy
 from longarm_comp.nodes import compensator, predictor_client
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import BringUp

@@ -14,7 +14,7 @@ from follower_rig import CONFIG, DT, LIMITS, SLIDE, TURN, Rig, kinds, servo_stat
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.servo_bus import ServoAlarm
 from longarm_comp.devices.servo_follower import EventKind, FollowerState, Step
-from longarm_comp.devices.servo_watch import Trouble
+from longarm_comp.devices.servo_watch import ServoTrouble
 
 
 @pytest.fixture
@@ -22,7 +22,7 @@ def rig() -> Rig:
     return Rig()
 
 
-def _troubles(steps: list[Step]) -> list[tuple[Trouble, str]]:
+def _troubles(steps: list[Step]) -> list[tuple[ServoTrouble, str]]:
     findings = [event.finding for step in steps for event in step.events]
     return [(f.trouble, f.joint) for f in findings if f is not None]
 
@@ -48,7 +48,7 @@ def test_a_silent_servo_is_a_fault_that_holds_the_others(rig: Rig) -> None:
     _moving(rig)
     here = {5: rig.states[5].position_ticks}  # the silent one keeps its last goal
     steps = rig.run(0.6, hide=(9,))
-    assert _troubles(steps) == [(Trouble.SILENT, "slide")]
+    assert _troubles(steps) == [(ServoTrouble.SILENT, "slide")]
     sent = [s.goals for s in steps if s.goals is not None]
     assert sent == [here]
     assert rig.follower.state is FollowerState.FAULT
@@ -61,7 +61,7 @@ def test_a_stalled_servo_is_a_fault_and_stops_pushing(rig: Rig) -> None:
     stuck = rig.states[5].position_ticks
     rig.states[5] = replace(rig.states[5], load=0.95)
     steps = rig.run(1.5)
-    assert _troubles(steps) == [(Trouble.STALLED, "turn")]
+    assert _troubles(steps) == [(ServoTrouble.STALLED, "turn")]
     hold = next(s.goals for s in steps if s.state is FollowerState.FAULT)
     assert hold is not None and hold[5] == stuck
 
@@ -75,7 +75,7 @@ def test_a_joint_may_have_a_load_limit_of_its_own(max_load: float, stalls: bool)
     rig.obeys.discard(5)
     rig.states[5] = replace(rig.states[5], load=-0.5)
     rig.send((0.5, {"turn": 0.3}))  # less off than counts as not following
-    assert _troubles(rig.run(3.0)) == ([(Trouble.STALLED, "turn")] if stalls else [])
+    assert _troubles(rig.run(3.0)) == ([(ServoTrouble.STALLED, "turn")] if stalls else [])
 
 
 def test_a_stall_must_last_and_a_reset_forgets_it(rig: Rig) -> None:
@@ -83,7 +83,7 @@ def test_a_stall_must_last_and_a_reset_forgets_it(rig: Rig) -> None:
     rig.states[5] = replace(rig.states[5], load=0.95)
     rig.send((0.5, {"turn": 0.3}))
     assert _troubles(rig.run(1.2 * LIMITS.stall_time_s)) == []  # it pushes from half of it on
-    assert _troubles(rig.run(0.5)) == [(Trouble.STALLED, "turn")]
+    assert _troubles(rig.run(0.5)) == [(ServoTrouble.STALLED, "turn")]
     rig.follower.reset(rig.now)
     rig.send((0.5, {"turn": 0.3}))
     assert _troubles(rig.run(0.3)) == []  # pushing, but not for long
@@ -108,19 +108,19 @@ def test_a_short_peak_of_load_is_no_stall(rig: Rig) -> None:
 def test_a_servo_that_does_not_follow_is_a_fault_without_load(rig: Rig) -> None:
     rig.obeys.discard(5)
     steps = _moving(rig).run(4.0)
-    assert _troubles(steps) == [(Trouble.NOT_FOLLOWING, "turn")]
+    assert _troubles(steps) == [(ServoTrouble.NOT_FOLLOWING, "turn")]
 
 
 @pytest.mark.parametrize(
     ("changes", "trouble"),
     [
-        ({"temperature_c": 66.0}, Trouble.OVERHEATED),
-        ({"temperature_c": math.nan}, Trouble.OVERHEATED),
-        ({"error_flags": ServoAlarm.OVERLOAD}, Trouble.ALARM),
+        ({"temperature_c": 66.0}, ServoTrouble.OVERHEATED),
+        ({"temperature_c": math.nan}, ServoTrouble.OVERHEATED),
+        ({"error_flags": ServoAlarm.OVERLOAD}, ServoTrouble.ALARM),
     ],
 )
 def test_heat_and_alarms_are_faults_also_while_holding(
-    rig: Rig, changes: dict[str, Any], trouble: Trouble
+    rig: Rig, changes: dict[str, Any], trouble: ServoTrouble
 ) -> None:
     rig.send((0.5, {"turn": 0.3}))
     rig.run(2.0)
@@ -167,7 +167,7 @@ def test_a_read_back_that_jumps_is_not_believed(rig: Rig) -> None:
     assert rig.step().goals is not None
     rig.obeys.discard(5)
     rig.states[5] = replace(true, position_ticks=true.position_ticks + 1500)
-    assert _troubles(rig.run(0.6)) == [(Trouble.SILENT, "turn")]
+    assert _troubles(rig.run(0.6)) == [(ServoTrouble.SILENT, "turn")]
 
 
 def test_while_idle_one_false_read_back_is_not_believed_but_a_hand_is(rig: Rig) -> None:
@@ -236,4 +236,4 @@ def test_a_servo_that_let_go_is_a_fault(rig: Rig) -> None:
     rig.now += DT
     assert rig.follower.step(rig.now, rig.states, {5: True, 9: True}).goals is not None
     step = rig.follower.step(rig.now + DT, rig.states, {5: True, 9: False})
-    assert _troubles([step]) == [(Trouble.LET_GO, "slide")]
+    assert _troubles([step]) == [(ServoTrouble.LET_GO, "slide")]

@@ -14,7 +14,7 @@ from longarm_comp.devices.servo_arm import Cycle, ServoArm
 from longarm_comp.devices.servo_bus import BusUnplugged, IncompleteReply, SerialServoBus, ServoState
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_follower import FollowerState, Step, TrajectoryFollower
-from longarm_comp.devices.servo_watch import Trouble
+from longarm_comp.devices.servo_watch import ServoTrouble
 from longarm_comp.sim.servo_emulator import EmulatedArm, MotorSpec, ServoEmulator, read_arm
 
 CONFIG = """
@@ -37,7 +37,7 @@ class Loop:
         self.follower = TrajectoryFollower(config)
         self.ids = list(config.ids.values())
         self.bus: SerialServoBus | None = None
-        self.troubles: list[tuple[Trouble, str]] = []
+        self.troubles: list[tuple[ServoTrouble, str]] = []
 
     def connect(self) -> None:
         self.bus = self.config.open_bus()
@@ -137,7 +137,7 @@ def test_a_servo_that_falls_silent_stops_the_arm(loop: Loop) -> None:
     loop.until(lambda: loop.joints()["shoulder"] > 0.4)
     loop.emulator.faults.silence(2)
     assert loop.until(lambda: loop.state() is FollowerState.FAULT)
-    assert loop.troubles == [(Trouble.SILENT, "boom")]
+    assert loop.troubles == [(ServoTrouble.SILENT, "boom")]
     time.sleep(0.3)
     assert loop.joints()["shoulder"] < 0.95
     loop.emulator.faults.speak(2)
@@ -152,7 +152,7 @@ def test_a_jammed_servo_is_relieved_of_its_load(loop: Loop) -> None:
     loop.until(lambda: loop.joints()["boom"] > 0.04)
     loop.emulator.block(2)
     assert loop.until(lambda: loop.state() is FollowerState.FAULT)
-    assert loop.troubles == [(Trouble.STALLED, "boom")]
+    assert loop.troubles == [(ServoTrouble.STALLED, "boom")]
     assert loop.until(lambda: abs(loop.load(2)) < 0.05)
 
 
@@ -161,7 +161,7 @@ def test_an_overheating_servo_stops_the_arm_before_it_lets_go(loop: Loop) -> Non
     loop.cycle()
     loop.emulator.heat(1, 68.0)  # above the joint's 65, below the servo's own 70
     assert loop.until(lambda: loop.state() is FollowerState.FAULT)
-    assert loop.troubles == [(Trouble.OVERHEATED, "shoulder")]
+    assert loop.troubles == [(ServoTrouble.OVERHEATED, "shoulder")]
     assert loop.emulator.torques_on() == {1: True, 2: True}
 
 
@@ -170,7 +170,7 @@ def test_an_unplugged_bus_is_a_fault_and_the_arm_goes_on_after_reset(loop: Loop)
     loop.until(lambda: loop.joints()["shoulder"] > 0.3)
     loop.emulator.unplug()
     assert loop.until(lambda: loop.state() is FollowerState.FAULT)
-    assert {trouble for trouble, _ in loop.troubles} == {Trouble.SILENT}
+    assert {trouble for trouble, _ in loop.troubles} == {ServoTrouble.SILENT}
     loop.emulator.replug()
     loop.connect()
     loop.cycle()

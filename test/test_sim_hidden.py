@@ -22,7 +22,7 @@ from longarm_comp.sim.hidden.catalogue import (
     shift,
     typical_context,
 )
-from longarm_comp.sim.random_arms import Mix, paper_mix, random_arm
+from studies.random_arms import Mix, paper_mix, random_arm
 
 G = 9.81
 LIBRARY = (

@@ -11,12 +11,12 @@ import yaml
 from click.testing import CliRunner
 from small_arm import ARM
 
-from longarm_comp.cli.study_day import command
 from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from studies import day
+from studies.commands.day import command
 
 KINDS = (JointGain, GearEccentricity, FrictionHysteresis, ThermalGrowth)
 SETTING = day.DaySetting(ARM, moves=5, rows=120, again=80, warming_k=60.0, kinds=KINDS)

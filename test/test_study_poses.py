@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from longarm_comp.cli.study_poses import command
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.identify.optimal_poses import OptimalPlan
 from studies import poses
+from studies.commands.poses import command
 
 
 @pytest.fixture(scope="module")

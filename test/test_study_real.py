@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from longarm_comp.cli.study_real import command
 from longarm_comp.core.errors import InputError
 from studies import real
+from studies.commands.real import command
 from studies.real_sessions import declared, justin, laser_tracked
 
 RUNGS = [

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from longarm_comp.cli.study_realisable import command
+from studies.commands.realisable import command
 
 
 @pytest.fixture(scope="module")

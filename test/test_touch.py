@@ -23,7 +23,9 @@ from touching import (
 import longarm_comp as la
 from longarm_comp.core.arm.arm import Tolerance
 from longarm_comp.core.data.admission import admit
+from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.measurement import equations, errors, posture, spreads
+from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.plane_place import PlanePlace
 from longarm_comp.core.effects.touch_beside import TouchBeside
@@ -31,12 +33,16 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.noise import from_repeats
+from longarm_comp.core.identify.optimal_poses import Uncertainty
 from longarm_comp.core.identify.sensor_frames import started
 from longarm_comp.core.identify.standing import untold
+from longarm_comp.core.identify.touch_poses import touch_pool
+from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model
 from longarm_comp.sessions.bag_write import write_bag
 from longarm_comp.sessions.csv import write_csv
+from longarm_comp.sessions.poses import read_poses, write_poses
 from longarm_comp.sim.arm_truth import TrueArm
 
 HIDDEN = errors_of_the_drawing()
@@ -120,6 +126,28 @@ def test_without_a_known_distance_the_size_is_not_told(session: Session) -> None
     calibrated = la.calibrate(ARM, bare)
     assert calibrated.untold == ("the size of the arm",)
     assert spreads(calibrated.model, bare).mean() < 3 * SIGMA
+
+
+def test_a_distance_that_is_hardly_known_does_not_tell_the_size(session: Session) -> None:
+    rough = tuple((one, other, length, 0.01) for one, other, length, _ in DISTANCES)
+    rows = dataclasses.replace(session, touch_distances=rough)
+    found = fit(started(Model(ARM).plus(*geometry(ARM, rows)), rows), rows)
+    assert untold(found) == ("the size of the arm",)
+
+
+def test_one_touch_beside_another_at_a_known_distance_tells_something(session: Session) -> None:
+    first = session.labels["touch"] == "front_0"
+    kept = first | (np.arange(120) == np.flatnonzero(session.labels["touch"] == "front_1")[0])
+    rows = session.take(kept)
+    assert rows.seen.all()
+    assert not dataclasses.replace(rows, touch_distances=()).seen.all()
+    assert len(spreads(Model(ARM), rows)) == first.sum()
+
+
+def test_one_socket_is_enough_to_calibrate() -> None:
+    """The tip never travels, the arm does: its rows are not taken for another arm's."""
+    rows = touching(HIDDEN, 40, sockets={"only": SOCKETS["front_0"]}, distances=())
+    assert len(la.calibrate(ARM, rows).fit.outliers) == 0
 
 
 def test_a_known_distance_sets_the_size(session: Session) -> None:
@@ -294,8 +322,8 @@ def test_what_touches_cannot_be(session: Session) -> None:
     loop = (*DISTANCES, (*DISTANCES[0][:2], 0.06, 1e-5))
     with pytest.raises(InputError, match="touch_distances: 'a loop at front_"):
         admit(dataclasses.replace(session, touch_distances=loop), ARM)
-    once = session.take(slice(0, 6))
-    with pytest.raises(InputError, match="touch: 'each touched too few times'; allowed: 2 rows"):
+    once = dataclasses.replace(session.take(slice(0, 6)), touch_distances=())
+    with pytest.raises(InputError, match="touch: 'each in too few rows'; allowed: 2 rows or more"):
         admit(once, ARM)
     unknown = dataclasses.replace(session, touch_distances=(("front_0", "frnt_1", 0.05, 1e-4),))
     said = [str(f) for f in admit(unknown, ARM).findings]
@@ -315,3 +343,59 @@ def test_a_base_that_touches_cannot_show_is_not_fitted(session: Session) -> None
     found = fit(started(Model(ARM).plus(*geometry(ARM, session)), session), session)
     assert not any(term.name == "base_pose" for term in found.model.terms)
     assert untold(found) == ()
+
+
+def test_a_name_in_one_row_counts_for_nothing(session: Session) -> None:
+    """Its point would be wherever the tip is: no error, no noise, no row that flatters a figure."""
+    labels = {"touch": session.labels["touch"].copy()}
+    labels["touch"][5] = "once"
+    labels["plane"] = np.where(np.arange(120) < 3, "floor", "")
+    rows = dataclasses.replace(session, labels=labels, blocks=())
+    assert rows.seen.sum() == 119
+    assert rows.named(KINDS["plane"]) == ()
+    assert len(errors(Model(ARM), rows)) == 119
+    calibrated = la.calibrate(ARM, rows)
+    assert miss(calibrated.model, HIDDEN) < 3 * SIGMA
+    said = [str(f) for f in admit(rows, ARM).findings]
+    assert any(line.startswith("touch: once: in fewer than 2 rows") for line in said)
+    assert any(line.startswith("plane: floor: in fewer than 4 rows") for line in said)
+
+
+# ------------------------------------------------------------------ plans
+
+
+def test_a_plan_of_touches_says_which_socket_and_beats_chance(tmp_path: Path) -> None:
+    """Of as many touches, those that are planned leave less than those that happened."""
+    points = {name: tuple(map(float, place)) for name, place in SOCKETS.items()}
+    known = declared_model(ARM)
+    planned = la.plan(ARM, 18, kind="i-optimal", measure="touch", points=points, model=known)
+    assert planned.touch is not None
+    assert len(set(planned.touch)) >= 4
+    at = np.array([points[name] for name in planned.touch])
+    np.testing.assert_allclose(known.tip(planned.q), at, atol=1e-6)
+    write_poses(planned, tmp_path / "poses.csv")
+    again = read_poses(tmp_path / "poses.csv", ARM)
+    np.testing.assert_array_equal(again.touch, planned.touch)
+
+    def left(q: np.ndarray, names: np.ndarray) -> float:
+        pool = Plan(q, np.ones(q.shape), None, names)
+        uncertain = Uncertainty.of(known, None, "touch", known=True, sigma=(3e-4, 1e-3), pool=pool)
+        x = uncertain.measures(pool, "touch").reshape(3 * len(q), -1)
+        covariance = np.linalg.inv(uncertain.information + x.T @ x)
+        return float(np.trace(uncertain.tips(everywhere) @ covariance))
+
+    everywhere = np.random.default_rng(7).uniform(ARM.lower, ARM.upper, (100, ARM.n))
+    pool = touch_pool(known, points, 300, np.random.default_rng(1))
+    assert pool.touch is not None
+    chance = []
+    for seed in range(5):
+        drawn = np.random.default_rng(seed).permutation(len(pool))[:18]
+        chance.append(left(pool.q[drawn], pool.touch[drawn]))
+    assert left(planned.q, planned.touch) < 0.8 * np.median(chance)
+
+
+def test_touches_that_cannot_be_planned() -> None:
+    with pytest.raises(InputError, match="points: 'none'"):
+        la.plan(ARM, 12, kind="i-optimal", measure="touch")
+    with pytest.raises(InputError, match="point far: '9, 0, 0'"):
+        la.plan(ARM, 12, kind="i-optimal", measure="touch", points={"far": (9.0, 0.0, 0.0)})

@@ -219,3 +219,14 @@ def test_a_cycle_is_refused_and_a_long_side_chain_is_not(tmp_path: Path) -> None
     side = "".join(link.format(f"s{k}", f"s{k - 1}" if k else "b") for k in range(3000))
     path.write_text(CHAIN.replace("</robot>", side + "</robot>"))
     assert len(import_urdf(path, "base", "c")["point_masses"]) == 3
+
+
+def test_a_centre_of_mass_in_millimetres_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "lift.urdf"
+    path.write_text(CHAIN.replace('xyz="0 0.2 0"', 'xyz="0 200 0"'))
+    with pytest.raises(InputError, match=r"link b inertial origin: '200 m'; allowed: metres; all"):
+        import_urdf(path, "base", "c")
+    path.write_text(CHAIN.replace('xyz="0 0.2 0"', 'xyz="0 20 0"'))
+    import_urdf(path, "base", "c")
+    path.write_text('\n \n<?xml version="1.0"?>\n' + CHAIN)
+    assert import_urdf(path, "base", "c")["name"] == "lift"

@@ -10,13 +10,13 @@ import pytest
 
 from longarm_comp.view import words
 from longarm_comp.view.state import (
-    Answer,
+    CollectProgress,
+    LastAnswer,
     NodeHealth,
+    PageState,
     Part,
     Picture,
-    Progress,
-    State,
-    Tip,
+    SeenTip,
     true_to_scale,
 )
 from longarm_comp.view.trace import Trace
@@ -29,14 +29,14 @@ SEEN = np.array([1.0, 0.003, 0.484])
 JOINTS = {"a": 0.1, "b": -0.2}
 
 
-def at_rest() -> State:
+def at_rest() -> PageState:
     """An arm that rests at its target since 10 s, seen a moment ago; it is 20 s now."""
     return (
-        State(
+        PageState(
             heard=19.9,
             picture=Picture(DECLARED, HANGING, TARGET, None, 19.8),
-            tip=Tip(SEEN, 19.9),
-            answer=Answer("SUCCESS", "", JOINTS),
+            tip=SeenTip(SEEN, 19.9),
+            answer=LastAnswer("SUCCESS", "", JOINTS),
         )
         .with_joints(JOINTS, 10.0)
         .with_joints(JOINTS, 19.9)
@@ -53,7 +53,7 @@ def test_errors_of_an_arm_at_rest() -> None:
 
 def test_there_is_no_error_without_a_sighting_of_now() -> None:
     state = at_rest()
-    lost = replace(state, tip=Tip(np.full(3, math.nan), 19.9))
+    lost = replace(state, tip=SeenTip(np.full(3, math.nan), 19.9))
     for blind, now in ((replace(state, tip=None), 20.0), (lost, 20.0), (state, 24.0)):
         assert blind.missed(now) is None and blind.unpredicted(now) is None
         assert words.tip_at_target(blind, now) == "tip − target: no camera sees the tip"
@@ -85,9 +85,9 @@ def test_a_servo_that_trembles_does_not_move_and_one_that_creeps_does() -> None:
 def test_the_miss_is_of_the_target_that_the_joints_were_sent_to() -> None:
     state = at_rest()
     assert state.answer is not None
-    elsewhere = replace(state, answer=Answer("SUCCESS", "", {"a": 0.1, "b": -0.3}))
-    unsent = replace(state, answer=Answer("UNREACHABLE", "3 mm missing", {}))
-    foreign = replace(state, answer=Answer("SUCCESS", "", {"c": 0.1}))
+    elsewhere = replace(state, answer=LastAnswer("SUCCESS", "", {"a": 0.1, "b": -0.3}))
+    unsent = replace(state, answer=LastAnswer("UNREACHABLE", "3 mm missing", {}))
+    foreign = replace(state, answer=LastAnswer("SUCCESS", "", {"c": 0.1}))
     for other in (elsewhere, unsent, foreign, replace(state, answer=None)):
         assert other.missed(20.0) is None and other.unpredicted(20.0) is not None
     assert words.tip_at_target(elsewhere, 20.0).endswith("the arm is not at the last target")
@@ -102,12 +102,12 @@ def test_exaggeration_of_the_graph_is_undone() -> None:
 def test_silence_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "7")
     assert "Nothing heard yet in namespace /left of ROS domain 7" in words.headline(
-        State(), 5.0, "/left"
+        PageState(), 5.0, "/left"
     )
     state = replace(at_rest(), driver=("in fault", "joint2 stalled"))
     assert not state.old(22.0) and state.old(23.0)
     assert words.headline(replace(state, heard=25.0), 25.0, "/") == "No joint_states for 5 s."
-    assert words.headline(State(heard=25.0), 25.0, "/") == "No joint_states."
+    assert words.headline(PageState(heard=25.0), 25.0, "/") == "No joint_states."
     assert words.headline(state, 22.0, "/") == "The driver is in fault (joint2 stalled)."
     assert words.headline(state, 30.0, "/").startswith("The graph is silent for 10 s.")
     assert words.headline(state, 500.0, "/").startswith("The graph is silent for 8 min.")
@@ -115,7 +115,7 @@ def test_silence_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_node_is_as_well_as_its_worst_part_and_silent_by_its_own_pace() -> None:
     parts = (Part("bus", 0, "fine"), Part("heat", 1, "60 degrees"), Part("load", 2, "stalled"))
-    state = State().with_report("driver", parts, 1.0).with_report("driver", parts, 2.0)
+    state = PageState().with_report("driver", parts, 1.0).with_report("driver", parts, 2.0)
     node = state.nodes["driver"]
     said = ["✖ driver: error", "▲ heat: 60 degrees", "✖ load: stalled"]
     assert words.health(node, 6.0) == said
@@ -129,17 +129,17 @@ def test_a_node_is_as_well_as_its_worst_part_and_silent_by_its_own_pace() -> Non
 def test_exaggeration_drift_and_progress_in_words() -> None:
     assert "10 times larger than it is, error arrows to scale" in words.exaggeration(10.0, 1.0)
     assert "drawn to scale, error arrows 50 times longer" in words.exaggeration(1.0, 50.0)
-    assert words.drift(State()) == "Drift: nothing judged yet."
-    assert words.drift(State(evidence=0.5)).endswith("does not warn.")
-    assert words.drift(State(evidence=1.0)).endswith("warns.")
-    job = Progress("collect", 7, 24, "at pose 6", 10.0)
+    assert words.drift(PageState()) == "Drift: nothing judged yet."
+    assert words.drift(PageState(evidence=0.5)).endswith("does not warn.")
+    assert words.drift(PageState(evidence=1.0)).endswith("warns.")
+    job = CollectProgress("collect", 7, 24, "at pose 6", 10.0)
     assert words.progress(job, 12.0) == "collect: 7 of 24, at pose 6"
     assert words.progress(job, 22.0) == "collect: 7 of 24, at pose 6; heard 12 s ago"
 
 
 def test_charts_keep_what_is_known_and_show_the_line_that_warns() -> None:
     trace, state = Trace(), replace(at_rest(), evidence=2.0)
-    assert not trace.add(State(), 20.0, 1.0) and not trace.add(state, 60.0, 1.0)
+    assert not trace.add(PageState(), 20.0, 1.0) and not trace.add(state, 60.0, 1.0)
     assert trace.drift_range == (0.0, 1.1)
     assert trace.add(state, 20.0, 2.0) and trace.add(replace(state, tip=None), 20.0, 2.5)
     at, missed, unpredicted = trace.errors

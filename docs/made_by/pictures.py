@@ -12,6 +12,7 @@ from pathlib import Path
 
 import concepts
 import own_arm
+import touch
 from commands import write_plan
 from drawing import save_svg
 from matplotlib.figure import Figure
@@ -30,6 +31,8 @@ COMPUTED: dict[Callable[[Figure], None], tuple[float, float]] = {
     own_arm.mdh_frames: (7.6, 4.7),
     own_arm.beams: (7.6, 3.0),
     own_arm.marker_and_cameras: (7.6, 4.4),
+    touch.touch_parts: tuple(side / touch.INCH_MM for side in touch.SHEET_MM),
+    touch.touch_postures: (7.6, 4.4),
 }
 """Pictures that need nothing but the package, and their size in inches."""
 

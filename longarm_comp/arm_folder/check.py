@@ -10,7 +10,7 @@ import numpy as np
 
 from longarm_comp.arm_folder.findings import (
     LEVELS,
-    Finding,
+    FolderFinding,
     implausible,
     missing,
     unmeasured,
@@ -33,7 +33,7 @@ _OFF_MM = 10.0
 _SESSIONS = ("samples.csv", "session", "session_1")
 
 
-def check_folder(folder: Path) -> list[Finding]:
+def check_folder(folder: Path) -> list[FolderFinding]:
     """Findings on a folder, what blocks first.
 
     Raises:
@@ -62,7 +62,7 @@ def check_folder(folder: Path) -> list[Finding]:
     return sorted(found, key=lambda finding: LEVELS.index(finding.level))
 
 
-def _loaded(path: Path, load: Callable[[Path], Any]) -> tuple[Any, list[Finding]]:
+def _loaded(path: Path, load: Callable[[Path], Any]) -> tuple[Any, list[FolderFinding]]:
     """What a file holds, or why it does not."""
     if not path.is_file():
         text = f"no such file; longarm init DIR --arm {ARM} makes it" if path.name != ARM else (
@@ -76,7 +76,7 @@ def _loaded(path: Path, load: Callable[[Path], Any]) -> tuple[Any, list[Finding]
         return None, [implausible(f"{path.name}: {error.field}", said)]
 
 
-def _of_arm(arm: Arm) -> Iterator[Finding]:
+def _of_arm(arm: Arm) -> Iterator[FolderFinding]:
     q = np.vstack([arm.mid, sobol(arm, 64, 0).q])
     rigid = declared_model(arm, deflection=False).tip(q)
     reach = float(np.linalg.norm(rigid - np.array(arm.base.xyz_m), axis=1).max())
@@ -103,7 +103,7 @@ def _of_arm(arm: Arm) -> Iterator[Finding]:
         yield implausible(f"{ARM}: gravity_mps2", "no gravity")
 
 
-def _of_servos(folder: Path, arm: Arm) -> list[Finding]:
+def _of_servos(folder: Path, arm: Arm) -> list[FolderFinding]:
     path = folder / "servo_driver.yaml"
     servos, found = _loaded(path, ServoConfig.load)
     if servos is None:
@@ -130,7 +130,7 @@ def _of_servos(folder: Path, arm: Arm) -> list[Finding]:
     return found
 
 
-def _of_cameras(folder: Path, arm: Arm, look: bool) -> list[Finding]:
+def _of_cameras(folder: Path, arm: Arm, look: bool) -> list[FolderFinding]:
     """Findings on cameras and marker; ``look``: also through rendered images."""
     from longarm_comp.arm_folder.sight import seen_from
 
@@ -167,7 +167,7 @@ def _of_cameras(folder: Path, arm: Arm, look: bool) -> list[Finding]:
     return found
 
 
-def _strangers(node: str, given: dict[str, Any]) -> Iterator[Finding]:
+def _strangers(node: str, given: dict[str, Any]) -> Iterator[FolderFinding]:
     """Parameters that the node does not have, or of another kind than the package's file has."""
     known = own_parameters(node)
     for name, value in given.items():
@@ -187,7 +187,7 @@ def _kind(value: Any) -> str:
     return "a number" if isinstance(value, int | float) else "text"
 
 
-def _assumed(arm: Arm, bridge: dict[str, Any], placed: bool) -> Iterator[Finding]:
+def _assumed(arm: Arm, bridge: dict[str, Any], placed: bool) -> Iterator[FolderFinding]:
     """What stands as `longarm init` writes it; ``placed``: the head's place was measured."""
     from longarm_comp.arm_folder.head import head_for
 

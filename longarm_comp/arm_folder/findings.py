@@ -11,7 +11,7 @@ LEVELS = ("missing", "implausible", "unmeasured", "measured")
 
 
 @dataclass(frozen=True)
-class Finding:
+class FolderFinding:
     """One thing about a folder.
 
     Attributes:
@@ -31,7 +31,7 @@ class Finding:
         return self.level in ("missing", "implausible")
 
 
-missing = partial(Finding, "missing")
-implausible = partial(Finding, "implausible")
-unmeasured = partial(Finding, "unmeasured")
-measured = partial(Finding, "measured")
+missing = partial(FolderFinding, "missing")
+implausible = partial(FolderFinding, "implausible")
+unmeasured = partial(FolderFinding, "unmeasured")
+measured = partial(FolderFinding, "measured")

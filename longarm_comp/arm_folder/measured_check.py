@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from longarm_comp.arm_folder.camera_files import CAMERAS, SIDES, camera_path, camera_values
-from longarm_comp.arm_folder.findings import Finding, implausible, measured, unmeasured
+from longarm_comp.arm_folder.findings import FolderFinding, implausible, measured, unmeasured
 from longarm_comp.arm_folder.measured import FILE, Measured, read_measured
 from longarm_comp.arm_folder.parameter_file import read_parameters
 from longarm_comp.arm_folder.servo_file import SERVOS, servo_values
@@ -24,7 +24,7 @@ def recorded(folder: Path, file: str) -> bool:
         return False
 
 
-def of_record(folder: Path) -> Iterator[Finding]:
+def of_record(folder: Path) -> Iterator[FolderFinding]:
     """Findings on every measurement, and on cameras without a calibration."""
     try:
         entries = read_measured(folder)
@@ -40,7 +40,7 @@ def of_record(folder: Path) -> Iterator[Finding]:
             yield unmeasured(CAMERAS, said)
 
 
-def _of_entry(folder: Path, file: str, entry: Measured) -> Iterator[Finding]:
+def _of_entry(folder: Path, file: str, entry: Measured) -> Iterator[FolderFinding]:
     try:
         changed = entry.changed(_now(folder, file))
     except InputError as error:

@@ -43,7 +43,7 @@ def ros_parameters(data: Any, where: object) -> dict[str, Any]:
     """The section ``ros__parameters`` of a parsed parameter file.
 
     Raises:
-        InputError: there is none.
+        InputError: the file has no such section.
     """
     for node in data.values() if isinstance(data, dict) else ():
         if isinstance(node, dict) and isinstance(node.get("ros__parameters"), dict):

@@ -13,7 +13,7 @@ from longarm_comp.cli.output import note, print_json
 @click.command()
 @options.arm
 @click.argument("bag", type=click.Path(path_type=Path), metavar="BAG")
-@options.output("samples.csv", "Session to write.", outputs.SESSION)
+@options.output("samples.csv", "Session to write.", outputs.session)
 @click.option("--namespace", help="Which arm, where the bag holds several.")
 @options.as_json
 def command(arm: Path, bag: Path, output: Path, namespace: str | None, as_json: bool) -> None:

@@ -11,6 +11,9 @@ from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, print_rows, print_table, progress
 
 if TYPE_CHECKING:
+    import numpy as np
+
+    from longarm_comp.core.data.session import Session
     from longarm_comp.workflows.calibrate import Calibration, FittedParameter
 
 
@@ -29,12 +32,22 @@ if TYPE_CHECKING:
 @click.option(
     "--fraction", type=float, default=0.2, show_default=True, help="Share of rows held out."
 )
+@click.option(
+    "--kind-of",
+    type=click.Path(path_type=Path),
+    metavar="MODEL...",
+    help="Calibrated models of other arms of the kind (model.yaml files): how they differ from the "
+    "drawing is expected of ARM too. After ARM and SESSION.",
+)
+@click.argument("more", type=click.Path(path_type=Path), nargs=-1, metavar="")
 @options.seed
 @options.effects
 @options.as_json
 def command(
     arm: Path,
     session: Path,
+    more: tuple[Path, ...],
+    kind_of: Path | None,
     output: Path,
     effects: tuple[str, ...],
     no_deflection: bool,
@@ -51,7 +64,10 @@ def command(
     Examples:
       longarm calibrate arm.yaml samples.csv -o model.yaml
       longarm calibrate arm.yaml samples.csv --effect joint_compliance --effect bearing_tilt
+      longarm calibrate arm.yaml samples.csv --kind-of others/*.yaml
     """
+    if more and kind_of is None:
+        raise click.UsageError(f"unexpected: {' '.join(map(str, more))}")
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.workflows.calibrate import calibrate, instances
 
@@ -65,6 +81,7 @@ def command(
             deflection=not no_deflection,
             fraction=fraction,
             seed=seed,
+            kind_of=() if kind_of is None else (kind_of, *more),
             note=note,
             progress=show,
         )
@@ -90,9 +107,16 @@ def command(
     if cells:
         header = ("effect", "where", "parameter", "value", "95 % interval", "unit")
         print_table("Effects, fitted to all rows", header, cells)
-    note(f"{len(final.outliers)} rows left out as outliers; model in {output}")
+    left = ", ".join(map(str, _called(final.session)[final.outliers]))
+    which = f": {left}" if left else ""
+    note(f"{len(final.outliers)} rows left out as outliers{which}; model in {output}")
     if not final.converged:
         note(f"the last step was not below a hundredth of the errors after {final.iterations}")
+
+
+def _called(session: Session) -> np.ndarray:
+    """The user's own number of each row, else its index."""
+    return session.labels.get("point", session.index)
 
 
 def _interval(p: FittedParameter) -> str:

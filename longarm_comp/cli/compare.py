@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import print_json, print_table
-
-if TYPE_CHECKING:
-    from longarm_comp.workflows.compare import Comparison
 
 
 @click.command()
@@ -35,11 +31,7 @@ def command(a: Path, b: Path, arm: Path | None, as_json: bool) -> None:
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.workflows.compare import compare
 
-    show(compare(a, b, None if arm is None else Arm.load(arm)), as_json)
-
-
-def show(found: Comparison, as_json: bool) -> None:
-    """Print a comparison."""
+    found = compare(a, b, None if arm is None else Arm.load(arm))
     if as_json:
         print_json(asdict(found))
         return

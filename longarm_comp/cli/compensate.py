@@ -52,6 +52,7 @@ _ROW_DIGITS = 9  # more are no row's, and no number that Python reads
     help="Choose joints together among the steps that ARM declares; off for paths.",
 )  # fmt: skip
 @options.output("commands.csv", "Joint commands to write.", outputs.COMMANDS)
+@options.like
 @options.effects
 @options.as_json
 def command(
@@ -73,6 +74,7 @@ def command(
     single_pass: bool,
     realisable: bool,
     output: Path,
+    like: Path | None,
     as_json: bool,
 ) -> None:
     """Joint commands of ARM that bring its real tip to targets (m).
@@ -107,8 +109,9 @@ def command(
         if value is not None and path is None:
             raise InputError("compensate", flag, value, "with --path alone")
     base = physics(declared, model)
-    given = targets or path
-    wanted = read_targets(given) if given else Targets.one([_number(v) for v in numbers])
+    form, output = options.form_of(like, output)
+    given = (targets or path, *([form.read] if form else []))
+    wanted = read_targets(*given) if targets or path else Targets.one([_number(v) for v in numbers])
     learned = load_predictor(predictor, declared, model) if predictor else None
     chosen = fitting(learned) if method is None else Method(method)
     if chosen.learned and learned is None:
@@ -137,7 +140,7 @@ def command(
         )  # fmt: skip
         for text in found.notes:
             note(text)
-    answers.save(output)
+    answers.save(output, *([form.write] if form else []))
     commands = answers.lines()
     rows = [_row(c, declared.n) for c in commands]
     if as_json:

@@ -26,7 +26,7 @@ MORE_PLAY = "joint1=0.002"
     help="New folder for the session, the model, the predictor and the report.",
 )
 @options.path_option("--arm", "Another arm: arm.yaml or its folder; default: the demonstration's.")
-@click.option("--poses", type=int, default=170, show_default=True, help="Poses to learn from.")
+@click.option("--poses", type=int, default=120, show_default=True, help="Poses to learn from.")
 @click.option("--targets", type=int, default=40, show_default=True, help="New targets.")
 @click.option("--hidden", help="Undeclared effects of the arm: 'name=mm name=mm'.")
 @click.option(

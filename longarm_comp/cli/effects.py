@@ -59,7 +59,7 @@ def catalogue() -> list[dict[str, object]]:
 
 
 def markdown(rows: list[dict[str, object]]) -> str:
-    """The table of docs/physics.md."""
+    """A table in Markdown."""
     lines = ["| effect | what | parameters (unit, prior, bounds) | needs |", "|---|---|---|---|"]
     for row in rows:
         parameters: list[dict[str, object]] = row["parameters"]  # type: ignore[assignment]

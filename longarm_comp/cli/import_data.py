@@ -11,11 +11,13 @@ from longarm_comp.cli.output import note, print_json, print_rows
 
 
 @click.command()
-@click.argument("file", type=click.Path(path_type=Path), metavar="FILE")
+@click.argument(
+    "files", type=click.Path(path_type=Path), metavar="FILE...", nargs=-1, required=True
+)
 @options.output(
     "samples.csv",
     "Session to write; the mapping is written beside it.",
-    outputs.SESSION,
+    outputs.session,
     lambda path: [path.with_suffix(".mapping.yaml")],
 )
 @click.option("--units", default="", metavar="mm,deg", help="Units of columns that name none.")
@@ -27,10 +29,12 @@ from longarm_comp.cli.output import note, print_json, print_rows
 @options.path_option("--arm", "arm.yaml: names the joints and says which slide.")
 @options.path_option("--like", "Mapping of an earlier file of the same kind, instead of the above.")
 @click.option("--sheet", help="Sheet of a workbook that has several.")
+@click.option("--join", metavar="COLUMN", help="Says which rows of several FILEs are one.")
+@click.option("--sort", metavar="COLUMN", help="The rows were measured in the order of this one.")
 @click.option("--decimal", type=click.Choice([".", ","]), help="Sign before decimals.")
 @options.as_json
 def command(
-    file: Path,
+    files: tuple[Path, ...],
     output: Path,
     units: str,
     given: tuple[str, ...],
@@ -38,10 +42,15 @@ def command(
     arm: Path | None,
     like: Path | None,
     sheet: str | None,
+    join: str | None,
+    sort: str | None,
     decimal: str | None,
     as_json: bool,
 ) -> None:
-    """Convert FILE (CSV or XLSX) of another program to a session.
+    """Convert FILE (CSV, TXT or XLSX) of another program to a session.
+
+    Several FILEs follow each other, as days do, or stand side by side with --join, as joints in
+    one and the tracker's points in the other. Markers side by side (M1 x, M1 y, ...) become rows.
 
     Separators, header lines, decimal commas and units in names (x_mm, q1 [deg]) are recognised and
     shown. Units are never guessed, nor is the convention of an orientation: xyzw or wxyz with four
@@ -65,17 +74,28 @@ def command(
         sheet,
         decimal,
         None if arm is None else Arm.load(arm),
+        join,
+        sort,
     )
-    found = import_table(file, said if like is None else said.like(like))
+    found = import_table(files, said if like is None else said.like(like))
     mapping = found.save(output)
     rows = found.preview()
     if as_json:
         made = {"output": str(output), "mapping": str(mapping), "rows": len(found.cells.rows)}
         print_json({**made, "columns": rows, "left_out": found.left_out})
         return
-    print_rows(f"{file.name}: {len(found.cells.rows)} rows, as read (SI)", rows)
+    print_rows(
+        f"{', '.join(f.name for f in files)}: {len(found.cells.rows)} rows, as read (SI)", rows
+    )
     if found.rotation is not None:
         note(f"orientation from {', '.join(found.rotation.columns)} as {found.rotation.convention}")
+    for alone in found.lonely:
+        note(alone)
+    if found.markers:
+        note(f"markers side by side, a row each: {', '.join(found.markers)}")
+    if sort is None and not {"t_s", "index"} & set(found.columns):
+        said_not = "in the file's order, from which the side of arrival follows"
+        note(f"rows are taken {said_not}; --sort COLUMN says another")
     if found.left_out:
         note(f"left out: {', '.join(found.left_out)}")
     if found.assumed:

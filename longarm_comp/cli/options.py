@@ -101,6 +101,25 @@ def path_option(name: str, what: str, required: bool = False) -> Decorator:
     return click.option(name, type=_PATH, required=required, help=what)
 
 
+like = path_option(
+    "--like", "Mapping of `import-data`: write in the names, units and file kind of its table."
+)
+"""Its value is a path; `form_of` opens it."""
+
+
+def form_of(like: Path | None, output: Path) -> tuple[Any, Path]:
+    """The form to write in and the path to write to; a default path takes the form's ending."""
+    if like is None:
+        return None, output
+    from click.core import ParameterSource
+
+    from longarm_comp.sessions.foreign.written import Like
+
+    form = Like(like)
+    given = click.get_current_context().get_parameter_source("output")
+    return form, form.output(output) if given is ParameterSource.DEFAULT else output
+
+
 port = click.option("--port", help="Serial port of the servo bus, for instance /dev/ttyUSB0.")
 protocol = click.option("--protocol", help="Protocol of the servos; default: what answers.")
 baud = click.option("--baud", type=click.IntRange(min=1), help="bit/s; default: what answers.")

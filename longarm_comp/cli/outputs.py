@@ -8,6 +8,7 @@ numbers are finite.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from collections.abc import Callable, Iterator
@@ -72,7 +73,17 @@ def left_to_the_command(path: Path) -> bool:
 MODEL = marked(b"# Written by longarm")
 PREDICTOR = marked(b"PK\x03\x04", b"header.npy")
 URDF = marked(b"<robot", b"written by longarm export-urdf")
-SESSION = table("q1", "repeat_id")
+
+
+def session(path: Path) -> bool:
+    """A session that a command wrote; one that was imported is as its mapping says."""
+    mapping = path.with_suffix(".mapping.yaml")
+    if mapping.is_file() and path.is_file():
+        told = b"session_sha256: " + hashlib.sha256(path.read_bytes()).hexdigest().encode()
+        return told in mapping.read_bytes()
+    return table("q1", "repeat_id")(path)
+
+
 POSES = table("q1", without="repeat_id")
 COMMANDS = table("q1", "status", "predicted_error_x")
 PICTURE = marked(b"longarm")
@@ -148,22 +159,19 @@ def _check(name: str, params: list[click.Parameter], given: dict[str, Any], forc
         for value in _numbers(given.get(p.name or "")):
             if not math.isfinite(value):
                 raise InputError(name, p.opts[0], value, "a finite number")
-    for option in outputs:
-        for path in _paths(given.get(option.name or "")):
-            check_regular(path)
-            for made in () if force else (path, *option.beside(path)):
-                word = option.opts[0]
-                for other in read:
-                    if _same(made, other):
-                        raise InputError(
-                            name, word, f"{made} is the input {other}",
-                            "another file, or --force",
-                        )  # fmt: skip
-                if made == path and made.exists() and not option.kind(made):
-                    raise InputError(
-                        name, word, f"{made} exists and is not what {name} writes",
-                        "a file that does not exist, or --force",
-                    )  # fmt: skip
+    named = [(o, path) for o in outputs for path in _paths(given.get(o.name or ""))]
+    for _, path in named:
+        check_regular(path)
+    for option, path in () if force else named:
+        word = option.opts[0]
+        for made in (path, *option.beside(path)):
+            for other in read:
+                if _same(made, other):
+                    said = f"{made} is the input {other}"
+                    raise InputError(name, word, said, "another file, or --force")
+        if path.exists() and not option.kind(path):
+            said = f"{path} exists and is not what {name} writes"
+            raise InputError(name, word, said, "a file that does not exist, or --force")
 
 
 def _paths(value: Any) -> Iterator[Path]:

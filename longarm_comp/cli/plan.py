@@ -33,10 +33,18 @@ if TYPE_CHECKING:
 @options.path_option("--measured", "Rows measured so far (CSV or bag).")
 @click.option(
     "--measure",
-    type=click.Choice(["position", "pose", "distance"]),
+    type=click.Choice(["position", "pose", "distance", "touch"]),
     default="position",
     show_default=True,
-    help="What each pose measures; distance: to every anchor in arm.yaml.",
+    help="What each pose measures; distance: to every anchor in arm.yaml; touch: of a --point.",
+)
+@click.option(
+    "--point",
+    "points",
+    type=(str, float, float, float),
+    multiple=True,
+    metavar="NAME X Y Z",
+    help="A point to touch, about where it is (m, base frame); repeat for more.",
 )
 @click.option(
     "--noise-mm",
@@ -65,6 +73,7 @@ if TYPE_CHECKING:
 )
 @options.written("--picture", "Also draw the plan: FILE.png, .svg or .pdf.", outputs.PICTURE)
 @options.output("poses.csv", "Plan to write.", outputs.POSES)
+@options.like
 @options.seed
 @options.as_json
 def command(
@@ -75,6 +84,7 @@ def command(
     model: Path | None,
     measured: Path | None,
     measure: str,
+    points: tuple[tuple[str, float, float, float], ...],
     noise_mm: float,
     view: float | None,
     keep_out: tuple[tuple[float, ...], ...],
@@ -82,6 +92,7 @@ def command(
     seen: bool,
     picture: Path | None,
     output: Path,
+    like: Path | None,
     seed: int,
     as_json: bool,
 ) -> None:
@@ -101,6 +112,7 @@ def command(
     from longarm_comp.workflows.plan import NOISE, bounded, plan
 
     declared = Arm.load(arm)
+    form, output = options.form_of(like, output)
     optimal = kind in ("i-optimal", "d-optimal")
     if (kind == "next") != (report is not None) and not (optimal and report):
         allowed = "a diagnosis folder with --kind next, i-optimal or d-optimal, only"
@@ -110,6 +122,7 @@ def command(
         given["kind"] = kind
     if optimal:
         given |= {"measure": measure, "noise": (1e-3 * noise_mm, NOISE[1])}
+        given["points"] = {name: place for name, *place in points}
     given |= {"model": model, "measured": measured, "view_deg": view, "keep_out": keep_out}
     given |= {"floor": floor, "seen": _sees(arm) if seen else None}
     if picture is not None:
@@ -117,7 +130,7 @@ def command(
 
         check_suffix(picture)
     poses = plan(declared, count, note=note, **given)
-    write_poses(poses, output)
+    write_poses(poses, output, *([form.write] if form else []))
     if picture is not None:
         _draw(arm, bounded(declared, keep_out, floor), poses, picture)
     if as_json:

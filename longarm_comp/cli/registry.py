@@ -24,6 +24,7 @@ COMMANDS = (
     Entry("compensate", "compensate", "Joint commands that bring the real tip to targets."),
     Entry("evaluate", "evaluate", "Error table on measured poses, as in the paper's Table I."),
     Entry("diagnose", "diagnose", "Find missing effects in the residual, add and prove them."),
+    Entry("fleet", "fleet", "Diagnose many arms and compare them."),
     Entry("plan", "plan", "Poses to measure: grid, sobol, optimal, or those a diagnosis requests."),
     Entry("import-data", "import_data", "Convert another program's CSV or XLSX to a session."),
     Entry("import-urdf", "import_urdf", "Write an arm.yaml from a URDF."),
@@ -41,15 +42,15 @@ COMMANDS = (
     Entry("stop", "stop", "Cut the running arm's torque now."),
     Entry("reset", "reset", "Go on after a hold, a stop or a fault."),
     Entry("collect", "collect", "Drive a pose plan over ROS and record the session."),
+    Entry("touch", "touch", "Record the joints while the tip touches points: one key a touch."),
     Entry("verify", "verify", "Drive fresh targets over ROS, without and with compensation."),
     Entry("apply", "apply", "Put a diagnosis to work on the running graph."),
-    Entry("sweep", "sweep", "Every joint between its limits once: its history is known then."),
+    Entry("sweep", "sweep", "Drive every joint to both limits: play and friction are known then."),
     Entry("loop", "loop", "Plan, collect, diagnose, apply, verify: the cycle as one command."),
     Entry("record", "record", "Record an arm's topics as a rosbag2."),
     Entry("effects", "effects", "The library of effects: parameters, units, priors, inputs."),
     Entry("schema", "schema", "JSON schema of arm.yaml, for editors."),
     Entry("compare", "compare", "Two diagnoses, models or sessions side by side."),
-    Entry("report compare", "report_compare", "Two diagnoses side by side."),
     Entry("servo scan", "servo_scan", "The servos on a bus: id, model, firmware, ids used twice."),
     Entry("servo setup", "servo_setup", "Ids, zeros and directions of the servos, by hand."),
     Entry("stereo marker", "stereo_marker", "Marker or calibration board as a page to print."),
@@ -59,7 +60,6 @@ COMMANDS = (
 )
 
 GROUPS = {
-    "report": "Reports of diagnoses.",
     "bag": "Sessions as rosbag2.",
     "servo": "Servo bus: what is on it, ids, zeros, directions.",
     "stereo": "Cameras and marker.",

@@ -41,7 +41,7 @@ class LazyGroup(click.Group):
             return super().get_command(ctx, cmd_name)
         module = importlib.import_module(f"{self._folder}.{entry.module}")
         command: click.Command = module.command
-        return guarded(command, cmd_name)
+        return command if isinstance(command, click.Group) else guarded(command, cmd_name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Print the list of commands without importing any."""

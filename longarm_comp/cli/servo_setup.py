@@ -14,7 +14,7 @@ from longarm_comp.cli.output import note, print_json, print_table
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from longarm_comp.cli.setup_answers import Answers
+    from longarm_comp.cli.setup_answers import SetupAnswers
     from longarm_comp.devices.servo_bus import Scan
     from longarm_comp.devices.servo_config import ServoConfig
     from longarm_comp.devices.servo_joint import JointConfig
@@ -67,14 +67,14 @@ def command(folder: Path, as_json: bool, **answers: object) -> None:
         --pose joint2=30 --direction joint1=+ --direction joint2=-
     """
     from longarm_comp.cli.dialogue import ended_by_signals
-    from longarm_comp.cli.setup_answers import Answers
+    from longarm_comp.cli.setup_answers import SetupAnswers
 
-    given = Answers.of(folder, **answers)  # type: ignore[arg-type]
+    given = SetupAnswers.of(folder, **answers)  # type: ignore[arg-type]
     with ended_by_signals():
         _run(folder, given, as_json)
 
 
-def _run(folder: Path, given: Answers, as_json: bool) -> None:
+def _run(folder: Path, given: SetupAnswers, as_json: bool) -> None:
     from longarm_comp.arm_folder.servo_file import SERVOS, with_joints, write_servos
     from longarm_comp.devices.servo_bus import open_bus
     from longarm_comp.devices.servo_config import ServoConfig
@@ -120,7 +120,7 @@ def _run(folder: Path, given: Answers, as_json: bool) -> None:
     note(f"next: longarm check {folder}")
 
 
-def _line(given: Answers) -> Scan:
+def _line(given: SetupAnswers) -> Scan:
     """The bus: as the file has it, or whatever answers."""
     from longarm_comp.cli.servo_scan import asked_port, refuse_clashes, scanned, show
     from longarm_comp.core.errors import JobError
@@ -139,7 +139,7 @@ def _line(given: Answers) -> Scan:
     return found
 
 
-def _swept(setup: ServoSetup, given: Answers) -> Sweep:
+def _swept(setup: ServoSetup, given: SetupAnswers) -> Sweep:
     from longarm_comp.cli.sweep_table import swept
     from longarm_comp.core.errors import JobError
     from longarm_comp.devices.servo_setup import sweep_faults
@@ -155,7 +155,7 @@ def _swept(setup: ServoSetup, given: Answers) -> Sweep:
     return sweep
 
 
-def _held(setup: ServoSetup, given: Answers) -> tuple[dict[str, float], dict[int, float]]:
+def _held(setup: ServoSetup, given: SetupAnswers) -> tuple[dict[str, float], dict[int, float]]:
     """Joint values of the held pose (rad, m) and ticks by id; no ticks: zeros from the sweep."""
     dialogue = given.dialogue
     source = given.zero or (
@@ -173,7 +173,7 @@ def _held(setup: ServoSetup, given: Answers) -> tuple[dict[str, float], dict[int
     return pose, setup.rest()
 
 
-def _directions(setup: ServoSetup, given: Answers) -> dict[str, int]:
+def _directions(setup: ServoSetup, given: SetupAnswers) -> dict[str, int]:
     """Of the joints whose direction is not given: each is nudged, and the user says which way."""
     from longarm_comp.devices.servo_setup import hand_unit
 
@@ -206,7 +206,7 @@ def _with_zeros(
     sweep: Sweep,
     pose: Mapping[str, float],
     rest: Mapping[int, float],
-    given: Answers,
+    given: SetupAnswers,
 ) -> dict[str, JointConfig]:
     from longarm_comp.devices.servo_setup import beyond_travel, zero_from_pose, zero_from_sweep
 

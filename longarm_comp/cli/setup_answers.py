@@ -22,7 +22,7 @@ _RANGE = re.compile(r"(-?[\d.]+)\.\.(-?[\d.]+)")
 
 
 @dataclass(frozen=True)
-class Answers:
+class SetupAnswers:
     """What is known before the first question.
 
     Attributes:
@@ -67,7 +67,7 @@ class Answers:
         direction: Sequence[str],
         nudge: float,
         yes: bool,
-    ) -> Answers:
+    ) -> SetupAnswers:
         """From the flags.
 
         Raises:

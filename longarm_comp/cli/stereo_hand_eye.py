@@ -13,7 +13,7 @@ from longarm_comp.cli.output import note, print_json, print_table
 if TYPE_CHECKING:
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.data.session import Session
-    from longarm_comp.jobs.camera_placement import CameraPlacement
+    from longarm_comp.jobs.camera_placement import HeadPlacement
 
 
 @click.command("hand-eye")
@@ -97,7 +97,7 @@ def _live(arm: Arm, poses: int, within: float, namespace: str) -> Session:
         return sightings_at_rest(arm, poses, within, note, namespace=namespace, stop=stop)
 
 
-def _quality(found: CameraPlacement) -> dict[str, object]:
+def _quality(found: HeadPlacement) -> dict[str, object]:
     return {
         "rows": found.rows,
         "outliers": found.outliers,
@@ -108,7 +108,7 @@ def _quality(found: CameraPlacement) -> dict[str, object]:
     }
 
 
-def _show(found: CameraPlacement) -> None:
+def _show(found: HeadPlacement) -> None:
     rows = [
         (f"{axis}, m", f"{value:.4f}", f"{sd:.2f} mm")
         for axis, value, sd in zip("xyz", found.pose[:3, 3], found.position_sd_mm, strict=True)

@@ -7,7 +7,7 @@ from enum import Enum
 
 import numpy as np
 
-from longarm_comp.devices.servo_watch import Finding
+from longarm_comp.devices.servo_watch import JointFault
 
 
 class FollowerState(Enum):
@@ -41,7 +41,7 @@ class Event:
 
     kind: EventKind
     message: str
-    finding: Finding | None = None
+    finding: JointFault | None = None
 
 
 @dataclass(frozen=True, eq=False)

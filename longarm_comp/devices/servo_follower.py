@@ -34,7 +34,7 @@ from longarm_comp.devices.joint_path import (
 )
 from longarm_comp.devices.servo_bus import ServoState
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.servo_watch import Finding, ServoWatch, Trouble
+from longarm_comp.devices.servo_watch import JointFault, ServoTrouble, ServoWatch
 from longarm_comp.devices.trajectory_check import checked
 
 __all__ = ["Accepted", "Event", "EventKind", "FollowerState", "Step", "TrajectoryFollower"]
@@ -267,7 +267,7 @@ class TrajectoryFollower:
                 far.append(f"{name} by {abs(off):.4g} {joint.unit}")
         return ", ".join(far)
 
-    def _fault(self, findings: list[Finding]) -> dict[int, int]:
+    def _fault(self, findings: list[JointFault]) -> dict[int, int]:
         """Stop at the present positions, once. A silent servo keeps its last goal."""
         self._state = FollowerState.FAULT
         for finding in findings:
@@ -282,9 +282,9 @@ class TrajectoryFollower:
         self._drop_motion()
         return hold
 
-    def _let_go(self, driven: Mapping[int, bool]) -> list[Finding]:
+    def _let_go(self, driven: Mapping[int, bool]) -> list[JointFault]:
         loose = [name for name, i in self._config.ids.items() if driven.get(i) is False]
-        return [Finding(Trouble.LET_GO, name, "its torque is off") for name in loose]
+        return [JointFault(ServoTrouble.LET_GO, name, "its torque is off") for name in loose]
 
     def _drop_motion(self) -> None:
         self._way = self._set = self._goals = None
@@ -335,5 +335,5 @@ class TrajectoryFollower:
                 f"a servo is {first.trouble.value}", joint=first.joint, why=first.message
             )
 
-    def _say(self, kind: EventKind, message: str, finding: Finding | None = None) -> None:
+    def _say(self, kind: EventKind, message: str, finding: JointFault | None = None) -> None:
         self._events.append(Event(kind, message, finding))

@@ -10,7 +10,7 @@ from longarm_comp.devices.servo_bus import ServoAlarm, ServoState
 from longarm_comp.devices.servo_config import JointConfig, ServoConfig
 
 
-class Trouble(Enum):
+class ServoTrouble(Enum):
     """Kinds of servo faults. Each of them stops the arm."""
 
     SILENT = "silent"
@@ -22,10 +22,10 @@ class Trouble(Enum):
 
 
 @dataclass(frozen=True)
-class Finding:
+class JointFault:
     """One fault of one joint, with a message."""
 
-    trouble: Trouble
+    trouble: ServoTrouble
     joint: str
     message: str
 
@@ -36,7 +36,7 @@ class _Seen:
 
     state: ServoState | None = None
     said: int | None = None
-    ill: tuple[Finding, ...] = ()
+    ill: tuple[JointFault, ...] = ()
     at: float = 0.0
     off_since: float | None = None
     lost_since: float | None = None
@@ -60,7 +60,7 @@ class ServoWatch:
         now: float,
         states: Mapping[int, ServoState],
         goals: Mapping[int, int] | None,
-    ) -> tuple[bool, list[Finding]]:
+    ) -> tuple[bool, list[JointFault]]:
         """Process one read-back, by servo id, without servos that did not answer.
 
         An alarm or a temperature that is too high is believed when the next read-back says so
@@ -76,7 +76,7 @@ class ServoWatch:
         if self._started is None:
             self._started = now
         self._now = now
-        findings: list[Finding] = []
+        findings: list[JointFault] = []
         fresh = True
         for name, joint in self._config.joints.items():
             seen = self._seen[name]
@@ -95,9 +95,9 @@ class ServoWatch:
             findings += self._silence(name, seen, now)
         return fresh, findings
 
-    def standing(self, now: float) -> list[Finding]:
+    def standing(self, now: float) -> list[JointFault]:
         """Faults that do not depend on a command, also what one read-back alone says."""
-        findings: list[Finding] = []
+        findings: list[JointFault] = []
         for name, seen in self._seen.items():
             findings += self._silence(name, seen, now)
             findings += seen.ill
@@ -133,27 +133,27 @@ class ServoWatch:
             return False
         return commanded or said is None or abs(state.position_ticks - said) > jump
 
-    def _silence(self, name: str, seen: _Seen, now: float) -> list[Finding]:
+    def _silence(self, name: str, seen: _Seen, now: float) -> list[JointFault]:
         since = seen.at if seen.state is not None else self._started
         if since is None or now - since <= self._config.follower.silence_s:
             return []
         message = f"no read-back to trust for {now - since:.2f} s"
-        return [Finding(Trouble.SILENT, name, message)]
+        return [JointFault(ServoTrouble.SILENT, name, message)]
 
-    def _health(self, name: str, state: ServoState) -> list[Finding]:
+    def _health(self, name: str, state: ServoState) -> list[JointFault]:
         joint = self._config.joints[name]
         findings = []
         if state.error_flags:
             alarm = ServoAlarm(state.error_flags).name or int(state.error_flags)
-            findings.append(Finding(Trouble.ALARM, name, f"the servo reports {alarm}"))
+            findings.append(JointFault(ServoTrouble.ALARM, name, f"the servo reports {alarm}"))
         if not state.temperature_c <= joint.max_temperature_c:
             hot = f"{state.temperature_c:.0f} C, allowed {joint.max_temperature_c:.0f} C"
-            findings.append(Finding(Trouble.OVERHEATED, name, hot))
+            findings.append(JointFault(ServoTrouble.OVERHEATED, name, hot))
         return findings
 
     def _obedience(
         self, name: str, joint: JointConfig, seen: _Seen, goal: int | None, now: float
-    ) -> list[Finding]:
+    ) -> list[JointFault]:
         """Compare goal and read-back: a stalled joint, or one far from its goal."""
         if goal is None or seen.state is None:
             seen.off_since = seen.lost_since = None
@@ -171,9 +171,9 @@ class ServoWatch:
         )
         if seen.off_since is not None and now - seen.off_since >= limits.stall_time_s:
             load = f"{where} at {abs(seen.state.load):.0%} load"
-            return [Finding(Trouble.STALLED, name, load)]
+            return [JointFault(ServoTrouble.STALLED, name, load)]
         if seen.lost_since is not None and now - seen.lost_since >= limits.stall_time_s:
-            return [Finding(Trouble.NOT_FOLLOWING, name, where)]
+            return [JointFault(ServoTrouble.NOT_FOLLOWING, name, where)]
         return []
 
 

@@ -21,7 +21,7 @@ _SPREAD_M = 0.05
 
 
 @dataclass(frozen=True)
-class CameraPlacement:
+class HeadPlacement:
     """Where the left optical frame is in the base frame.
 
     Attributes:
@@ -53,7 +53,7 @@ class CameraPlacement:
 
 def placed_cameras(
     model: Model, session: Session, assumed: np.ndarray, free_tip: bool = False
-) -> CameraPlacement:
+) -> HeadPlacement:
     """Fit the head's pose to rows whose tip was measured through it.
 
     Args:
@@ -98,7 +98,7 @@ def placed_cameras(
     sd = np.sqrt(np.diag(fit.covariance))
     moved = np.linalg.inv(assumed) @ fit.camera_in_base
     angle = np.arccos(np.clip((np.trace(moved[:3, :3]) - 1) / 2, -1.0, 1.0))
-    return CameraPlacement(
+    return HeadPlacement(
         pose=fit.camera_in_base,
         position_sd_mm=1e3 * sd[:3],
         rotation_sd_deg=np.degrees(sd[3:6]),

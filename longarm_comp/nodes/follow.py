@@ -27,7 +27,7 @@ from longarm_interfaces.msg import Motion
 _FEEDBACK_S = 0.05
 
 
-class Site(Protocol):
+class FollowSite(Protocol):
     """What the action needs of the driver."""
 
     @property
@@ -49,7 +49,7 @@ class Site(Protocol):
 class FollowServer:
     """Serves goals. A new one replaces the one before, as a new message does."""
 
-    def __init__(self, node: Node, site: Site) -> None:
+    def __init__(self, node: Node, site: FollowSite) -> None:
         self._node, self._site = node, site
         self._run, self._numbers = uuid.uuid4().hex[:8], itertools.count(1)
         self._told: dict[str, tuple[int, str] | None] = {}

@@ -38,7 +38,7 @@ from longarm_comp.nodes.reach import ReachServer
 from longarm_comp.nodes.readiness import Readiness
 from longarm_comp.nodes.runner import run
 from longarm_comp.nodes.steady import steady_timer
-from longarm_comp.nodes.targets import Targets
+from longarm_comp.nodes.targets import TargetInlet
 from longarm_comp.nodes.twins import Twins
 from longarm_comp.nodes.watch import FileWatch
 from longarm_comp.nodes.worker import Worker
@@ -118,7 +118,7 @@ class Kinematics(Node):
             self, self._files, self._base_frame, p["frames.period_s"],
             lambda: self._state.joints, lambda: self._now_context(self._driver.history),
         )  # fmt: skip
-        self._targets = Targets(
+        self._targets = TargetInlet(
             self, self._arm, p, self._base_frame, self._worker, compute, self._driver, self._state,
             tally, self._markers.on_answer, self._monitor.aimed, lambda: self._health.mended(),
         )  # fmt: skip
@@ -153,7 +153,7 @@ class Kinematics(Node):
     # ------------------------------------------------------------------ for the action
 
     @property
-    def targets(self) -> Targets:
+    def targets(self) -> TargetInlet:
         """Where targets are asked for."""
         return self._targets
 

@@ -18,7 +18,7 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import Answer, joints_message, vector_message
 from longarm_comp.nodes.monitoring import Sighted
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.targets import Request, Targets
+from longarm_comp.nodes.targets import Request, TargetInlet
 from longarm_comp.nodes.ticks import Ticks
 from longarm_interfaces.action import Reach
 from longarm_interfaces.msg import Motion
@@ -30,11 +30,11 @@ PARAMS = (
 )
 
 
-class Site(Protocol):
+class ReachSite(Protocol):
     """What the action needs of `kinematics`."""
 
     @property
-    def targets(self) -> Targets:
+    def targets(self) -> TargetInlet:
         """Where targets are asked for."""
 
     @property
@@ -57,7 +57,9 @@ class Site(Protocol):
 class ReachServer:
     """Serves one goal after another, in the order of arrival, on the node's executor."""
 
-    def __init__(self, node: Node, arm: Arm, site: Site, feedback_s: float, look_s: float) -> None:
+    def __init__(
+        self, node: Node, arm: Arm, site: ReachSite, feedback_s: float, look_s: float
+    ) -> None:
         self._arm, self._site, self._look_s = arm, site, look_s
         self._node, self._period_s = node, feedback_s
         self._turns: deque[object] = deque()

@@ -175,7 +175,7 @@ class StereoBridge(Node):
         """Measure with this calibration from now on.
 
         Raises:
-            StereoRefusal, InputError: it is none.
+            StereoRefusal, InputError: the calibration cannot be used.
         """
         rig = StereoRig.from_camera_info(
             cameras[Side.LEFT], cameras[Side.RIGHT], rectified=self._rectified

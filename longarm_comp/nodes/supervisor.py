@@ -22,7 +22,7 @@ _PAUSE_S = 1.0
 
 
 @dataclass
-class _Child:
+class _Process:
     command: Sequence[str]
     process: subprocess.Popen[bytes]
     started: float
@@ -42,12 +42,12 @@ class Supervisor:
     commands: Mapping[str, Sequence[str]]
     respawn: bool = True
     say: Callable[[str], None] = lambda text: None
-    _children: dict[str, _Child] = field(default_factory=dict)
+    _children: dict[str, _Process] = field(default_factory=dict)
 
     def __enter__(self) -> Supervisor:
         try:
             for name, command in self.commands.items():
-                self._children[name] = _Child(command, _start(command), time.monotonic())
+                self._children[name] = _Process(command, _start(command), time.monotonic())
                 self.say(f"{name} started, pid {self._children[name].process.pid}")
         except BaseException:
             self.stop()

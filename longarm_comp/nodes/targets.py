@@ -60,7 +60,7 @@ class Request:
     accepted: bool = False
 
 
-class Targets:
+class TargetInlet:
     """Takes targets of the topic, the service and the action, and answers them on a worker.
 
     The latest target on the topic wins: one that waits is superseded when another one comes. It

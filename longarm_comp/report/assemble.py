@@ -241,12 +241,13 @@ def _error_row(
 
 
 def _outliers(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    fit, rows = diagnosis.fit, []
+    fit, rows = diagnosis.fit, list[dict[str, Any]]()
+    points = fit.session.labels.get("point", np.full(len(fit.session), ""))
     noise = fit.uneven(fit.session)[:, None] * fit.sigma
     for row in fit.outliers:
         length = float(np.linalg.norm(fit.residual[row] * fit.metres))
         ratio = float(np.max(np.abs(fit.residual[row]) / noise[row]))
         why = f"{1e3 * length:.1f} mm off, {ratio:.0f} standard deviations on its worst axis"
-        rows.append({"index": int(fit.session.index[row]), "why": why})
+        rows.append({"index": int(fit.session.index[row]), "why": why, "point": str(points[row])})
     lost = fit.session.lost.items()
     return rows + [{"index": index, "why": f"not measured: {why}"} for index, why in lost]

@@ -148,10 +148,11 @@ class HeldOut(_Record):
 
 
 class Outlier(_Record):
-    """A row that was left out, and why."""
+    """A row that was left out, and why; the user's own number of it where there is one."""
 
     index: int
     why: str
+    point: str = ""
 
 
 class DiscoveredTerm(_Record):

@@ -40,7 +40,7 @@ from longarm_comp.sessions.touches import write_touches
 SIGMA = ("sigma_x", "sigma_y", "sigma_z")
 VARIANCE = ("cov_xx", "cov_yy", "cov_zz")
 UNITS = {"t_s": "s", "temperature_c": "degrees Celsius", "payload_kg": "kg"}
-LABELS = ("role", "group", "marker", "anchor", "sensor", "touch", "plane")
+LABELS = ("role", "group", "marker", "anchor", "sensor", "touch", "plane", "point")
 _INDEX = ("index", "approach", "repeat_id")
 _COVARIANCE = (*VARIANCE, "cov_xy", "cov_xz", "cov_yz")
 

@@ -1,4 +1,4 @@
-"""A plan as a CSV file (poses.csv): ``index,approach,q1..qn[,payload_kg]``.
+"""A plan as a CSV file (poses.csv): ``index,approach,q1..qn[,payload_kg][,touch]``.
 
 If the joints of a pose arrive from different sides, ``approach_q1..qn`` replace ``approach``.
 """
@@ -15,13 +15,13 @@ from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import approach_names, joint_names, read_approach
 from longarm_comp.sessions.names import check_header
-from longarm_comp.sessions.table import read_table, write_table
+from longarm_comp.sessions.table import WriteTable, read_table, write_table
 
 _SLACK = 1e-6  # printed digits of a joint that stands on its limit
 
 
-def write_poses(plan: Plan, path: str | Path) -> None:
-    """Write a plan, whole or not at all."""
+def write_poses(plan: Plan, path: str | Path, write: WriteTable = write_table) -> None:
+    """Write a plan, whole or not at all; ``write`` may give it another form."""
     columns: dict[str, Sequence[object] | np.ndarray] = {
         "index": range(len(plan)),
         **_written_approach(plan),
@@ -29,7 +29,9 @@ def write_poses(plan: Plan, path: str | Path) -> None:
     }
     if plan.payload_kg is not None:
         columns["payload_kg"] = plan.payload_kg
-    write_table(path, list(columns), zip(*columns.values(), strict=True))
+    if plan.touch is not None:
+        columns["touch"] = plan.touch
+    write(path, list(columns), zip(*columns.values(), strict=True))
 
 
 def _written_approach(plan: Plan) -> dict[str, Sequence[object] | np.ndarray]:
@@ -52,7 +54,7 @@ def read_poses(path: str | Path, arm: Arm, *, inside: bool = True) -> Plan:
     """
     table = read_table(path)
     joints = joint_names(arm.n)
-    known = ("index", "approach", "payload_kg", *approach_names(arm.n), *joints)
+    known = ("index", "approach", "payload_kg", "touch", *approach_names(arm.n), *joints)
     check_header(table.where, table.header, joints)
     for name in table.header:
         if name not in known:
@@ -66,4 +68,5 @@ def read_poses(path: str | Path, arm: Arm, *, inside: bool = True) -> Plan:
     approach = np.zeros(len(table)) if sides is None else np.nan_to_num(sides)
     payload = table.numbers("payload_kg", "kg") if "payload_kg" in table.cells else None
     on_limit = np.where(outside, q, np.clip(q, arm.lower, arm.upper))
-    return Plan(on_limit, approach, payload)
+    touch = np.array(table.cells["touch"]) if "touch" in table.cells else None
+    return Plan(on_limit, approach, payload, touch)

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -115,7 +116,11 @@ def read_table(path: str | Path) -> Table:
             rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
     except OSError as error:
         raise InputError(where, "file", error.strerror or str(error), "a readable file") from error
-    except (UnicodeDecodeError, csv.Error) as error:
+    except UnicodeDecodeError as error:
+        kind = "a workbook" if Path(path).read_bytes()[:2] == b"PK" else "no UTF-8"
+        allowed = f"comma-separated text in UTF-8; to convert it: longarm import-data {where}"
+        raise InputError(where, "file", kind, f"{allowed} -o samples.csv") from error
+    except csv.Error as error:
         raise InputError(where, "file", str(error), "comma-separated text in UTF-8") from error
     rows = [(line, row) for line, row in rows if any(row)]
     if not rows:
@@ -131,6 +136,10 @@ def read_table(path: str | Path) -> Table:
             raise InputError(where, f"line {line}", f"{len(row)} cells", f"{len(header)} cells")
     cells = {name: [row[k] for _, row in body] for k, name in enumerate(header)}
     return Table(where, tuple(header), tuple(line for line, _ in body), cells)
+
+
+WriteTable = Callable[[str | Path, Sequence[str], Iterable[Sequence[Any]]], None]
+"""Writes rows in SI under a header."""
 
 
 def write_table(path: str | Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

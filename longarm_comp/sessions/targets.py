@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from longarm_comp.core.compensation.target_frame import FRAMES
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import UNITS, XYZ, joint_names, recorded_besides
 from longarm_comp.sessions.names import check_header, check_unknown
-from longarm_comp.sessions.table import FARTHEST, read_table, write_table
+from longarm_comp.sessions.table import FARTHEST, Table, WriteTable, read_table, write_table
 
 QUATERNION = ("qx", "qy", "qz", "qw")
 _UNIT_LENGTH = 1e-3  # a quaternion printed with few digits is this far from length 1
@@ -115,16 +115,16 @@ class Command:
     p90_m: float | None = None
 
 
-def read_targets(path: str | Path) -> Targets:
+def read_targets(path: str | Path, read: Callable[[str | Path], Table] = read_table) -> Targets:
     """Read ``x,y,z[,qx,qy,qz,qw][,frame][,temperature_c,payload_kg,t_s,approach][,index]``.
 
     A row with a blank quaternion leaves the orientation free; other columns are kept as
-    context, as in a session.
+    context, as in a session. ``read`` may know another form of the table.
 
     Raises:
         InputError: names file, line and column, what was found and what is allowed.
     """
-    table = read_table(path)
+    table = read(path)
     required = XYZ + (QUATERNION if any(name in table.header for name in QUATERNION) else ())
     known = (*XYZ, *QUATERNION, *UNITS, "approach", "index", "frame")
     check_header(table.where, table.header, required)
@@ -164,6 +164,7 @@ def write_commands(
     path: str | Path,
     n: int,
     commands: Sequence[Command],
+    write: WriteTable = write_table,
     further: Mapping[str, np.ndarray] | None = None,
 ) -> None:
     """Write commands.csv for an arm of n joints, whole or not at all; ``further`` columns last."""
@@ -185,4 +186,4 @@ def write_commands(
         move = [value for kind in _OF_THE_MOVE for value in _cells(getattr(c, kind), n)]
         said = [c.index, c.status, c.reason, *q, *c.target, *error, sigma_mm, c.passes]
         rows.append([*said, *expected, c.frame, *move, *(float(x[k]) for x in more.values())])
-    write_table(path, header, rows)
+    write(path, header, rows)

@@ -22,7 +22,7 @@ class TrueContext:
         payload_kg: carried mass, (N,) or one number.
         t_s: time since the session began, (N,) or one number.
         behind: how far each joint stands behind its command by its own past, (N, n) or (n,), rad
-            or m (`hidden.wind_up.Sliders`).
+            or m (a stack of sliders).
         wound: how far each joint's gear train is wound up, (N, n) or (n,), -1 to +1: fully by
             motion downwards or upwards.
     """

@@ -74,7 +74,7 @@ class _Call:
     sent: float = 0.0
 
 
-class Commands:
+class Buttons:
     """Calls the services without waiting. `press` may be called from any thread.
 
     Attributes:

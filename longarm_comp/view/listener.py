@@ -20,7 +20,15 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.driver_messages import STATES
 from longarm_comp.nodes.messages import sighting_of
 from longarm_comp.nodes.monitoring import EVIDENCE
-from longarm_comp.view.state import Answer, Part, Picture, Progress, State, Tip, true_to_scale
+from longarm_comp.view.state import (
+    CollectProgress,
+    LastAnswer,
+    PageState,
+    Part,
+    Picture,
+    SeenTip,
+    true_to_scale,
+)
 from longarm_interfaces.msg import Compensation, DriverState
 
 
@@ -28,7 +36,7 @@ class Listener:
     """Subscribes to an arm's topics; `state` is what they have said last."""
 
     def __init__(self, node: Node, clock: Callable[[], float] = time.monotonic) -> None:
-        self.state = State()
+        self.state = PageState()
         self._clock = clock
         self._namespace = node.get_namespace().rstrip("/") + "/"
         for topic, callback in (
@@ -60,7 +68,7 @@ class Listener:
         self._heard(picture=Picture(declared, hanging, target, pseudo, self._clock()))
 
     def _on_tip(self, message: PoseWithCovarianceStamped) -> None:
-        self._heard(tip=Tip(sighting_of(message)[0], self._clock()))
+        self._heard(tip=SeenTip(sighting_of(message)[0], self._clock()))
 
     def _on_joints(self, message: JointState) -> None:
         joints = dict(zip(message.name, message.position, strict=False))
@@ -75,7 +83,7 @@ class Listener:
         known = message.status in set(Status)
         status = Status(message.status).name if known else f"status {message.status}"
         sent = dict(zip(message.executed.name, message.executed.position, strict=False))
-        self._heard(answer=Answer(status, message.message, sent))
+        self._heard(answer=LastAnswer(status, message.message, sent))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         reports: dict[str, list[DiagnosticStatus]] = {}
@@ -104,7 +112,7 @@ class Listener:
         done, of = _number(facts.get("done", "")), _number(facts.get("total", ""))
         if math.isfinite(done) and of > 0:
             job, words = message.name.rpartition("/")[2], message.message
-            self._heard(progress=Progress(job, int(done), int(of), words, self._clock()))
+            self._heard(progress=CollectProgress(job, int(done), int(of), words, self._clock()))
 
 
 _NONE = np.empty((0, 3))

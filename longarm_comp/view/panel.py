@@ -14,7 +14,7 @@ from viser import uplot
 from longarm_comp.view import words
 from longarm_comp.view.commands import PAUSES, RELEASES, STOPS, Button, Said
 from longarm_comp.view.scene import Exaggeration
-from longarm_comp.view.state import State
+from longarm_comp.view.state import PageState
 from longarm_comp.view.trace import Trace
 
 _BAD, _DOUBTFUL, _GOOD = "#b00020", "#8a4b00", "inherit"
@@ -82,7 +82,7 @@ class Panel:
         """What the sliders say."""
         return Exaggeration(self._deflection.value, self._error.value)
 
-    def show(self, state: State, now: float, said: Said) -> None:
+    def show(self, state: PageState, now: float, said: Said) -> None:
         """Show a state, and what came of the last press of a button."""
         colour = _BAD if state.unread_s(now) else _GOOD
         headline = words.headline(state, now, self._namespace)
@@ -112,7 +112,7 @@ class Panel:
             chart.data = data
             _set(chart, "scales", {"x": chart.scales["x"], "y": uplot.Scale(range=(low, high))})
 
-    def _show_health(self, state: State, now: float) -> None:
+    def _show_health(self, state: PageState, now: float) -> None:
         lines = []
         for name in sorted(state.nodes):
             for k, text in enumerate(words.health(state.nodes[name], now)):

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from functools import partial
 
 from longarm_comp.jobs.client import GraphClient
-from longarm_comp.view.commands import Commands
+from longarm_comp.view.commands import Buttons
 from longarm_comp.view.gate import Gate
 from longarm_comp.view.listener import Listener
 from longarm_comp.view.panel import Panel
@@ -32,7 +32,7 @@ def view(
     """
     gate = Gate()
     with serving(port, gate) as server, GraphClient(namespace, stop, "view") as client:
-        listener, commands = Listener(client.node), Commands(client.node)
+        listener, commands = Listener(client.node), Buttons(client.node)
         panel = Panel(server, commands.press, client.node.get_namespace())
         scene, trace = Scene(server), Trace()
         opened(partial(gate.link, server.get_port()))

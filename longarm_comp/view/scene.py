@@ -9,7 +9,7 @@ import numpy as np
 import viser
 
 from longarm_comp.core.model.outline import exaggerated
-from longarm_comp.view.state import Picture, State
+from longarm_comp.view.state import PageState, Picture
 
 GREY, PALE = (150, 150, 150), (205, 205, 205)
 BLUE, GREEN, RED, ORANGE, YELLOW = (
@@ -37,7 +37,7 @@ class Scene:
         self._beside: dict[str, np.ndarray] = {}
         server.on_client_connect(self._aim)
 
-    def show(self, state: State, now: float, factor: Exaggeration) -> None:
+    def show(self, state: PageState, now: float, factor: Exaggeration) -> None:
         """Draw a state; pale where it is not of now."""
         picture = state.picture
         if picture is None:

@@ -40,7 +40,7 @@ class Picture:
 
 
 @dataclass(frozen=True, eq=False)
-class Tip:
+class SeenTip:
     """The tip as the cameras see it, (3,) m; NaN where the marker is lost."""
 
     xyz: np.ndarray
@@ -53,7 +53,7 @@ class Tip:
 
 
 @dataclass(frozen=True)
-class Answer:
+class LastAnswer:
     """What became of the last target: status, reason, joints sent by name (none: not sent)."""
 
     status: str
@@ -85,7 +85,7 @@ class NodeHealth:
 
 
 @dataclass(frozen=True)
-class Progress:
+class CollectProgress:
     """How far a job is that drives the graph."""
 
     job: str
@@ -96,7 +96,7 @@ class Progress:
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class PageState:
     """Everything that the page shows.
 
     Attributes:
@@ -111,24 +111,24 @@ class State:
 
     heard: float | None = None
     picture: Picture | None = None
-    tip: Tip | None = None
+    tip: SeenTip | None = None
     joints: Mapping[str, float] = field(default_factory=dict)
     read: float | None = None
     moved: float = -math.inf
     driver: tuple[str, str] = ("", "")
-    answer: Answer | None = None
+    answer: LastAnswer | None = None
     nodes: Mapping[str, NodeHealth] = field(default_factory=dict)
-    progress: Progress | None = None
+    progress: CollectProgress | None = None
     evidence: float = math.nan
     seed: Mapping[str, float] = field(default_factory=dict)
 
-    def with_joints(self, joints: Mapping[str, float], now: float) -> State:
+    def with_joints(self, joints: Mapping[str, float], now: float) -> PageState:
         """After a reading of the joints."""
         if _same_joints(joints, self.seed):
             return replace(self, joints=joints, read=now)
         return replace(self, joints=joints, read=now, seed=joints, moved=now)
 
-    def with_report(self, node: str, parts: tuple[Part, ...], now: float) -> State:
+    def with_report(self, node: str, parts: tuple[Part, ...], now: float) -> PageState:
         """After a report of a node on /diagnostics."""
         before = self.nodes.get(node)
         every = 0.0 if before is None else now - before.at

@@ -7,7 +7,7 @@ from collections import deque
 
 import numpy as np
 
-from longarm_comp.view.state import State
+from longarm_comp.view.state import PageState
 from longarm_comp.view.words import length_mm
 
 _KEPT = 1800
@@ -20,7 +20,7 @@ class Trace:
     def __init__(self) -> None:
         self._rows: deque[tuple[float, float, float, float]] = deque(maxlen=_KEPT)
 
-    def add(self, state: State, now: float, clock: float) -> bool:
+    def add(self, state: PageState, now: float, clock: float) -> bool:
         """Take a sample at ``clock`` (s of the epoch); False where nothing is known."""
         row = (length_mm(state.missed(now)), length_mm(state.unpredicted(now)), state.evidence)
         if all(map(math.isnan, row)) or state.unread_s(now):

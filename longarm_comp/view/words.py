@@ -7,14 +7,14 @@ import os
 
 import numpy as np
 
-from longarm_comp.view.state import NodeHealth, Progress, State
+from longarm_comp.view.state import CollectProgress, NodeHealth, PageState
 
 WELL, WARNING, BAD, SILENT = "●", "▲", "✖", "■"
 LEVELS = ((WELL, "well"), (WARNING, "warning"), (BAD, "error"), (SILENT, "stale"))
 """Signs and words of the levels on /diagnostics, so that colour is not needed."""
 
 
-def headline(state: State, now: float, namespace: str) -> str:
+def headline(state: PageState, now: float, namespace: str) -> str:
     """Whether the graph speaks, and what the arm does."""
     silent = state.silent_s(now)
     if math.isinf(silent):
@@ -34,7 +34,7 @@ def headline(state: State, now: float, namespace: str) -> str:
     return f"The driver is {words}{f' ({why})' if why else ''}."
 
 
-def target(state: State) -> str:
+def target(state: PageState) -> str:
     """What became of the last target."""
     if state.answer is None:
         return "No target since this page was opened."
@@ -43,7 +43,7 @@ def target(state: State) -> str:
     return f"Last target: {state.answer.status}{sent}{why}."
 
 
-def tip_at_target(state: State, now: float) -> str:
+def tip_at_target(state: PageState, now: float) -> str:
     """tip - target, or why there is none."""
     missed = state.missed(now)
     if missed is not None:
@@ -51,7 +51,7 @@ def tip_at_target(state: State, now: float) -> str:
     return f"tip − target: {_no_error(state, now)}"
 
 
-def tip_as_predicted(state: State, now: float) -> str:
+def tip_as_predicted(state: PageState, now: float) -> str:
     """tip - predicted tip, or why there is none."""
     beside = state.unpredicted(now)
     if beside is not None:
@@ -59,7 +59,7 @@ def tip_as_predicted(state: State, now: float) -> str:
     return f"tip − predicted: {_no_error(state, now)}"
 
 
-def _no_error(state: State, now: float) -> str:
+def _no_error(state: PageState, now: float) -> str:
     if state.seen_tip(now) is None:
         return "no camera sees the tip"
     if state.picture is None:
@@ -99,7 +99,7 @@ def exaggeration(deflection: float, error: float) -> str:
     )
 
 
-def drift(state: State) -> str:
+def drift(state: PageState) -> str:
     """How near the test of drift is to a warning."""
     if math.isnan(state.evidence):
         return "Drift: nothing judged yet."
@@ -107,7 +107,7 @@ def drift(state: State) -> str:
     return f"Drift: evidence {state.evidence:.2f} of 1; the test {warns}."
 
 
-def progress(job: Progress, now: float) -> str:
+def progress(job: CollectProgress, now: float) -> str:
     """How far a job is."""
     heard = f"; heard {_ago(now - job.at)} ago" if now - job.at > 5.0 else ""
     return f"{job.job}: {job.done} of {job.of}, {job.message}{heard}"

@@ -16,8 +16,9 @@ from longarm_comp.core.effects.base_pose import BasePose
 from longarm_comp.core.effects.catalogue import effect_class
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.calibrate import Rung, ladder
+from longarm_comp.core.identify.calibrate import Rung, ladder, stages
 from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.kind_of_arm import folded
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.plausible import (
     check_carries_over,
@@ -27,12 +28,14 @@ from longarm_comp.core.identify.plausible import (
 )
 from longarm_comp.core.identify.standing import untold
 from longarm_comp.core.identify.uncertainty import with_uncertainty
+from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.version import __version__
 from longarm_comp.workflows.error_table import ErrorTable
 from longarm_comp.workflows.inputs import (
     FilePath,
+    ModelLike,
     Note,
     Progress,
     SessionLike,
@@ -40,6 +43,7 @@ from longarm_comp.workflows.inputs import (
     log_note,
     silent,
 )
+from longarm_comp.workflows.kind_of_arm import kind_from, noise_key
 
 Term = Effect | Bias
 
@@ -79,6 +83,7 @@ class Calibration:
         fit: fit of the last rung to all rows.
         session: all rows.
         seed: seed of the split.
+        kind_of: models of other arms of the kind that it was expected to be like, with hashes.
     """
 
     rungs: tuple[Rung, ...]
@@ -87,6 +92,7 @@ class Calibration:
     fit: ModelFit
     session: Session
     seed: int
+    kind_of: str = ""
 
     @property
     def model(self) -> Model:
@@ -143,6 +149,16 @@ class Calibration:
         )
 
     @property
+    def _noise(self) -> dict[str, float]:
+        """Noise by kind of measurement, m or rad: the root mean square over its channels."""
+        kinds = [b.kind for b in self.session.blocks for _ in b.channels]
+        squares: dict[str, list[float]] = {}
+        for kind, sigma in zip(kinds, self.fit.sigma, strict=True):
+            if np.isfinite(sigma):
+                squares.setdefault(kind, []).append(float(sigma) ** 2)
+        return {kind: float(np.sqrt(np.mean(held))) for kind, held in squares.items()}
+
+    @property
     def summary(self) -> str:
         """Result of the calibration in one sentence."""
         first, last = self.rungs[0], self.rungs[-1]
@@ -169,6 +185,8 @@ class Calibration:
             "seed": self.seed,
             "longarm_comp": __version__,
         }
+        provenance |= {"kind_of": self.kind_of} if self.kind_of else {}
+        provenance |= {noise_key(kind): sigma for kind, sigma in self._noise.items()}
         save_model(path, store(self.model, self.fit.standard_errors, provenance=provenance))
 
 
@@ -180,6 +198,7 @@ def calibrate(
     deflection: bool = True,
     fraction: float = 0.2,
     seed: int = 0,
+    kind_of: Sequence[ModelLike] = (),
     note: Note = log_note,
     progress: Progress = silent,
 ) -> Calibration:
@@ -196,6 +215,9 @@ def calibrate(
         deflection: whether the declared beams sag.
         fraction: share of the rows to hold out.
         seed: seed of the split.
+        kind_of: calibrated models of other arms of the kind, or their files; how these arms differ
+            from the drawing is then what is expected of this one. An arm.yaml beside a file is
+            that arm's; without one it is an arm as this one is declared.
         note: called with each finding of the admission.
         progress: called with the name of the model being fitted.
 
@@ -210,6 +232,7 @@ def calibrate(
             instances(effect, arm)
     whole = admitted(session, arm, note=note)
     chosen = [_named(effect, arm, whole, note) for effect in effects]
+    kind, origin = kind_from(arm, kind_of) if kind_of else (None, "")
     train, held_out = blocked_split(whole, fraction, rng=seed)
     steps = 5 + len(chosen)
     done = iter(range(steps))
@@ -220,6 +243,7 @@ def calibrate(
         chosen,
         deflection=deflection,
         progress=lambda name: progress(name, next(done) / steps),
+        kind=kind,
     )
     last = rungs[-1].model
     size, unit = (errors, "mm") if held_out.placed.any() else (turns, "mrad")
@@ -228,10 +252,17 @@ def calibrate(
         check_worth(held, size(rung.model, held_out), whole.source, than, unit)
     check_carries_over(size(last, train), held, whole.source, unit)
     progress("all rows", (steps - 1) / steps)
-    final = fit(last, whole)
+    if kind is None:
+        final = fit(last, whole)
+    else:
+        *_, (_, final) = stages(declared_model(arm, deflection=deflection), whole, kind=kind)
+        if chosen:
+            terms = [term for _, each in chosen for term in each]
+            final = fit(final.model.plus(*terms), whole, usual=kind.noise)
+        final = folded(final)
     check_fits(final.model, whole)
     check_sizes(final.model, whole.source)
-    return Calibration(tuple(rungs), len(chosen), len(held_out), final, whole, seed)
+    return Calibration(tuple(rungs), len(chosen), len(held_out), final, whole, seed, origin)
 
 
 def instances(name: str, arm: Arm, where: str = "calibrate") -> tuple[Term, ...]:

@@ -16,7 +16,7 @@ Term = Effect | Bias
 GEOMETRY, CAMERA = "geometry", "camera"
 
 LEAST_MM = 5e-4
-"""A change that moves the tip by less is none."""
+"""A change that moves the tip by less than this is not reported."""
 _SAME = 1e-9
 """Relative difference of two values that counts as none."""
 

@@ -26,7 +26,7 @@ Cell = str | float | None
 
 
 @dataclass(frozen=True)
-class Table:
+class ComparisonTable:
     """Rows side by side."""
 
     title: str
@@ -46,7 +46,7 @@ class Comparison:
 
     kind: str
     said: tuple[str, ...]
-    tables: tuple[Table, ...]
+    tables: tuple[ComparisonTable, ...]
 
 
 def compare(a: Path, b: Path, arm: Arm | None = None) -> Comparison:
@@ -116,8 +116,8 @@ def of_diagnoses(a: DiagnosisReport, b: DiagnosisReport) -> Comparison:
         "diagnoses",
         tuple(said),
         (
-            Table("Outcome", ("", "A", "B"), facts),
-            Table(
+            ComparisonTable("Outcome", ("", "A", "B"), facts),
+            ComparisonTable(
                 "Held-out mean error, mm",
                 ("model", "A, commanded", "B, commanded", "A, seen", "B, seen"),
                 errors,
@@ -185,12 +185,12 @@ def _moved(a: Values, b: Values) -> list[str]:
     return said
 
 
-def _value_table(a: Values, b: Values) -> Table:
+def _value_table(a: Values, b: Values) -> ComparisonTable:
     rows = tuple(
         (*key, *("–" if key not in each else str(each[key]) for each in (a, b)))
         for key in dict.fromkeys((*a, *b))
     )
-    return Table("Values", ("effect", "where", "parameter", "A", "B"), rows)
+    return ComparisonTable("Values", ("effect", "where", "parameter", "A", "B"), rows)
 
 
 def _noise(report: DiagnosisReport) -> str:
@@ -224,7 +224,9 @@ def of_models(a: StoredModel, b: StoredModel) -> Comparison:
         tuple(said),
         (
             _value_table(*effects),
-            Table("Geometry, largest changes", ("where", "parameter", "A", "B", "change"), moved),
+            ComparisonTable(
+                "Geometry, largest changes", ("where", "parameter", "A", "B", "change"), moved
+            ),
         ),
     )
 
@@ -271,7 +273,7 @@ def of_sessions(a: Session, b: Session) -> Comparison:
         facts.append((joint, *(_range(each.q[:, k]) for each in (a, b))))
     pairs = _common(a, b)
     said = [f"{len(pairs)} common poses."]
-    tables = [Table("Sessions", ("", "A", "B"), tuple(facts))]
+    tables = [ComparisonTable("Sessions", ("", "A", "B"), tuple(facts))]
     if len(pairs) >= FEWEST:
         moved = 1e3 * np.array([b.xyz[k] - a.xyz[j] for j, k in pairs])
         length, mean = np.linalg.norm(moved, axis=1), moved.mean(axis=0)

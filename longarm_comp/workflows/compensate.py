@@ -25,6 +25,7 @@ from longarm_comp.core.identify.wind_up import as_fitted
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.read import read_session
+from longarm_comp.sessions.table import WriteTable, write_table
 from longarm_comp.sessions.targets import Command, Targets, write_commands
 from longarm_comp.workflows.inputs import FilePath, SessionLike, check_predictor
 
@@ -111,13 +112,13 @@ class Commands(Sequence[Compensation]):
         rows = zip(self.numbers, self.arrivals, placements, strict=True)
         return [_line(int(k), arrival, placed) for k, arrival, placed in rows]
 
-    def save(self, path: FilePath) -> None:
-        """Write commands.csv, with the reason where a target failed.
+    def save(self, path: FilePath, write: WriteTable = write_table) -> None:
+        """Write commands.csv, with the reason where a target failed; ``write`` may be another form.
 
         Raises:
             InputError: the folder cannot be written.
         """
-        write_commands(path, self.command.shape[1], self.lines())
+        write_commands(path, self.command.shape[1], self.lines(), write)
 
 
 def compensate(

@@ -20,6 +20,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import joint_names
+from longarm_comp.sessions.table import WriteTable, write_table
 from longarm_comp.sessions.targets import Targets, write_commands
 from longarm_comp.workflows import compensate as points
 from longarm_comp.workflows.inputs import FilePath, SessionLike, check_predictor
@@ -42,7 +43,7 @@ class PathCommands(points.Commands):
     def __repr__(self) -> str:
         return f"PathCommands({len(self)} way-points, {self.timed.times[-1]:.3g} s)"
 
-    def save(self, path: FilePath) -> None:
+    def save(self, path: FilePath, write: WriteTable = write_table) -> None:
         """Write commands.csv, with t_s and velocities v_q1..v_qn besides.
 
         Raises:
@@ -52,7 +53,7 @@ class PathCommands(points.Commands):
         further = {"t_s": self.timed.times}
         for name, column in zip(joint_names(n), self.timed.velocities.T, strict=True):
             further[f"v_{name}"] = column
-        write_commands(path, n, self.lines(), further)
+        write_commands(path, n, self.lines(), write, further)
 
 
 def compensate_path(

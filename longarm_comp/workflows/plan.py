@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -12,10 +12,12 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.boxes import Box
+from longarm_comp.core.arm.pose import Vec3
 from longarm_comp.core.data.allowed_poses import above, filled, in_view, outside_boxes
 from longarm_comp.core.data.plan import Plan, grid, paper_grid, sobol
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.optimal_poses import Measure, Uncertainty, optimal_poses
+from longarm_comp.core.identify.optimal_poses import POOL, Measure, Uncertainty, optimal_poses
+from longarm_comp.core.identify.touch_poses import touch_pool
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import read_stored
@@ -56,6 +58,7 @@ def plan(
     keep_out: Sequence[Sequence[float]] = (),
     floor: float | None = None,
     seen: Callable[[np.ndarray], np.ndarray] | None = None,
+    points: Mapping[str, Vec3] | None = None,
     note: Note = log_note,
 ) -> Plan:
     """n poses to measure an arm at, each with the side to approach it from.
@@ -72,13 +75,15 @@ def plan(
         model: calibrated model, or its file: the arm has its effects and no others. Without one
             every effect of the library may be there.
         measured: rows that were measured so far, for an optimal kind.
-        measure: what each pose measures: ``position``, ``pose``, or ``distance`` to every anchor.
+        measure: what each pose measures: ``position``, ``pose``, ``distance`` to every anchor, or
+            ``touch`` of one of `points`, for an optimal kind.
         noise: of a length (m) and an angle (rad), where nothing was measured yet.
         view_deg: half of the view of the cameras in arm.yaml; the tip must be in it.
         keep_out: boxes that the arm must not enter, beside those of arm.yaml: x, y, z of two
             corners each, m, base frame.
         floor: height (m, base frame) that the arm must stay above.
         seen: says of tip poses (M, 4, 4) which ones (M,) the cameras see; the others are left out.
+        points: points to touch by name, about where they are or might be bolted down, m, base.
         note: called with each finding of the admission.
 
     Returns:
@@ -102,12 +107,17 @@ def plan(
             model, measured = Path(report) / MODEL, measured or _session_of(report)
         known = physics(arm, model)
         rows = None if measured is None else admitted(measured, arm, known, note=note)
-        uncertain = Uncertainty.of(known, rows, measure, known=model is not None, sigma=noise)
+        pool = None
+        if measure == "touch":
+            pool = touch_pool(known, points or {}, max(POOL, 4 * n), np.random.default_rng(seed))
+        uncertain = Uncertainty.of(
+            known, rows, measure, known=model is not None, sigma=noise, pool=pool
+        )
         fitted = uncertain.model.arm.model_copy(update={"keep_out": within.keep_out})
         where = replace(uncertain.model, arm=fitted)
         return optimal_poses(
             uncertain, n, criterion=kind, measure=measure,
-            allowed=lambda poses: allowed(poses, where), rng=seed,
+            allowed=lambda poses: allowed(poses, where), rng=seed, pool=pool,
         )  # fmt: skip
     if measured is not None or model is not None:
         raise InputError("plan", "kind", kind, f"{' or '.join(_OPTIMAL)}, with model or rows")

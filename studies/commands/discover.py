@@ -45,8 +45,8 @@ def command(
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.errors import InputError
     from longarm_comp.share import folder
-    from longarm_comp.sim.hidden.outside import outside
     from studies import discover
+    from studies.outside import outside
 
     declared = Arm.load(arm or folder("config") / "arm_demo.yaml")
     known = (*outside(declared), discover.NOTHING)

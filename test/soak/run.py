@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from bench.dummy_predictor import train_dummy
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.identify.calibrate import declared_model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.jobs.client import ArmClient
-from longarm_comp.jobs.dummy_predictor import train_dummy
 from longarm_comp.nodes.bringup import running
 from soak.faults import (
     BadImages,

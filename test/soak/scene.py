@@ -13,9 +13,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from trajectory_msgs.msg import JointTrajectory
 
+from bench.slow_path import slow_path
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.jobs.client import ArmClient
-from longarm_comp.jobs.path import slow_path
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import pose_message
 from longarm_comp.nodes.stamps import stamp_ns, stamp_of

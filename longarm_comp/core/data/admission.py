@@ -385,8 +385,8 @@ _BEFORE: tuple[Callable[[_Case], Iterable[AdmissionFinding] | None], ...] = (
     _plausible_context,
     _joint_units,
     _order,
-    _measured_at_all,
     _touches,
+    _measured_at_all,
     _constant,
     _copies,
 )

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from longarm_comp.core.arm.measuring import KnownDistance
 from longarm_comp.core.data.kinds import KINDS, Kind
 from longarm_comp.core.errors import InputError
 
@@ -39,6 +40,7 @@ class MeasuredRows:
     source: str
     readings: Mapping[str, np.ndarray]
     sigmas: Mapping[str, np.ndarray]
+    touch_distances: tuple[KnownDistance, ...]
     blocks: tuple[ChannelBlock, ...]
 
     @cached_property
@@ -152,14 +154,32 @@ class MeasuredRows:
         return np.asarray(np.exp(logs.sum(axis=1) / np.maximum(known.sum(axis=1), 1)))
 
     def reading(self, kind: Kind) -> np.ndarray:
-        """(N, c) readings of one kind, NaN where not measured; (N, 1) of 0 where a text says it."""
+        """(N, c) readings of one kind, NaN where not measured; 0 where a text measures."""
         if kind.name == "position":
             return self.xyz
         if not kind.cells:
-            texts = self.labels.get(kind.label, np.full(len(self.xyz), ""))
-            return np.where(texts == "", np.nan, 0.0)[:, None]
+            return self._stood[kind.name]
         absent = np.full((len(self.xyz), len(kind.cells)), np.nan)
         return self.readings.get(kind.name, absent)
+
+    @cached_property
+    def _stood(self) -> dict[str, np.ndarray]:
+        """(N, 1) by kind that a text measures: 0 where one does, else NaN.
+
+        A name in so few rows that they only tell where it is measures nothing, unless its distance
+        from another that was touched is known.
+        """
+        made = {}
+        for kind in KINDS.values():
+            if not kind.cells:
+                texts = self.labels.get(kind.label, np.full(len(self.xyz), ""))
+                _, which, count = np.unique(texts, return_inverse=True, return_counts=True)
+                known = [d[:2] for d in self.touch_distances if kind.label == "touch"]
+                tied = {n for pair in known if np.isin(pair, texts).all() for n in pair}
+                enough = (count[which.reshape(-1)] > kind.takes) | np.isin(texts, list(tied))
+                told = (texts != "") & enough
+                made[kind.name] = np.where(told, 0.0, np.nan)[:, None]
+        return made
 
     def _check_readings(self, n_rows: int) -> None:
         readings: dict[str, np.ndarray] = {}

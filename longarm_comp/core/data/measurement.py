@@ -97,7 +97,14 @@ def spreads(model: Model, session: Session) -> np.ndarray:
     labels = {k: v for k, v in rows.labels.items() if k not in ("plane", "sensor")}
     blank = np.full(rows.xyz.shape, np.nan)
     alone = dataclasses.replace(
-        rows, xyz=blank, sigma=None, readings={}, sigmas={}, labels=labels, blocks=()
+        rows,
+        xyz=blank,
+        sigma=None,
+        readings={},
+        sigmas={},
+        labels=labels,
+        touch_distances=(),
+        blocks=(),
     )
     return np.asarray(np.linalg.norm(errors(model.lasting(), alone), axis=1))
 

@@ -34,11 +34,13 @@ class Plan:
         approach: (N, n) side each joint arrives from: +1 from below, -1 from above, 0 from
             wherever it is; (N,) where one side holds for all joints.
         payload_kg: (N,) mass to carry, or None for as it is.
+        touch: (N,) name of the point that the tip touches, or None where it touches none.
     """
 
     q: np.ndarray
     approach: np.ndarray
     payload_kg: np.ndarray | None = None
+    touch: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         """One side a joint."""
@@ -53,7 +55,8 @@ class Plan:
     def take(self, rows: np.ndarray) -> Plan:
         """Some of the poses, by number."""
         payload = None if self.payload_kg is None else self.payload_kg[rows]
-        return Plan(self.q[rows], self.approach[rows], payload)
+        touch = None if self.touch is None else self.touch[rows]
+        return Plan(self.q[rows], self.approach[rows], payload, touch)
 
 
 def paper_grid(arm: Arm) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.admission_finding import AdmissionFinding
+from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.touched import unknowns
 from longarm_comp.core.errors import InputError
@@ -21,22 +22,22 @@ def check_touches(session: Session, arm: Arm) -> Iterator[AdmissionFinding]:
             else was measured; distances make a loop; several bases, and nothing shows where they
             stand.
     """
+    stood = [kind for kind in KINDS.values() if not kind.cells and kind.label in session.labels]
+    for kind in stood:
+        texts = session.labels[kind.label]
+        lost = (texts != "") & np.isnan(session.reading(kind)[:, 0])
+        few = [str(name) for name in np.unique(texts[lost])]
+        if few:
+            rows = f"{kind.takes + 1} rows or more"
+            if not session.seen.any():
+                allowed = f"{rows} of one name"
+                raise InputError(session.source, kind.label, "each in too few rows", allowed)
+            text = f"{', '.join(few)}: in fewer than {rows}, which tells nothing"
+            yield AdmissionFinding("touch", kind.label, text)
     stood = [kind for kind in session.kinds if not kind.cells]
     if not stood:
         return
     unknowns(arm, session)
-    told = len(stood) < len(session.kinds)
-    for kind in stood:
-        texts = session.labels[kind.label]
-        few = [n for n in session.named(kind) if (texts == n).sum() <= kind.takes]
-        told = told or len(few) < len(session.named(kind))
-        if few:
-            rows = f"{kind.takes + 1} rows or more"
-            text = f"{', '.join(few)}: touched in fewer than {rows}, which tells nothing"
-            yield AdmissionFinding("touch", kind.label, text)
-    if not told:
-        field = ", ".join(kind.label for kind in stood)
-        raise InputError(session.source, field, "each touched too few times", rows)
     if len(np.unique(session.labels.get("group", np.array([""])))) > 1 and not any(
         kind.framed(arm) for kind in session.kinds
     ):

@@ -154,7 +154,7 @@ class _Term:
             the report says by itself.
         needs: recorded inputs that every instance needs.
         geometry: always fitted, and never "named" by a diagnosis.
-        passing: a fact of one session (where a touched point was): no model.yaml holds it.
+        passing: of one fit (where a touched point was), and no more: no model.yaml holds it.
         seen_only: moves the frame of the measurements, and gravity with it.
         continuous: changes little for a small motion of the joints.
         loaded: depends on the loads, so that it must be iterated as the arm sags.

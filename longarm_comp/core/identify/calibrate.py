@@ -16,6 +16,7 @@ from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.kind_of_arm import KindOfArm
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.standing import frames, standing, with_frames
 from longarm_comp.core.model.declared_model import declared_model
@@ -94,7 +95,8 @@ class Errors:
 
 def errors_of(model: Model, session: Session) -> Errors:
     """Errors of a model over the rows of a session, of positions and of orientations."""
-    return Errors.of(errors(model, session), turns(model, session), spread=spreads(model, session))
+    left, turned = errors(model, session), turns(model, session)
+    return Errors.of(left, turned, spread=spreads(model, session))
 
 
 @dataclass(frozen=True)
@@ -118,7 +120,10 @@ def geometry(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
 
 
 def stages(
-    model: Model, session: Session, progress: Callable[[str], None] | None = None
+    model: Model,
+    session: Session,
+    progress: Callable[[str], None] | None = None,
+    kind: KindOfArm | None = None,
 ) -> Iterator[tuple[str, ModelFit]]:
     """Frames only, joint zeros, full geometry on top of a model, each started from the last.
 
@@ -129,12 +134,13 @@ def stages(
         model: what is known already.
         session: rows to fit.
         progress: called with each name before it is fitted.
+        kind: what other arms of the kind say of the full geometry.
 
     Raises:
         InputError, JobError: as `fit`.
     """
     base = frames(model.arm, session)
-    start = with_frames(model, session)
+    start = placed = with_frames(model, session)
     for name, terms in (
         ("frames_only", base),
         ("joint_zeros", (*base, *JointZero.for_arm(model.arm))),
@@ -142,7 +148,10 @@ def stages(
     ):
         if progress is not None:
             progress(name)
-        fitted = fit(warm(model.with_missing(terms), start), session)
+        whole, usual = model.with_missing(terms), None
+        if kind is not None and name == "geometry":
+            whole, usual, start = kind.applied(whole), kind.noise, placed
+        fitted = fit(warm(whole, start), session, usual=usual)
         start = fitted.model
         yield name, fitted
 
@@ -155,6 +164,7 @@ def ladder(
     *,
     deflection: bool = True,
     progress: Callable[[str], None] | None = None,
+    kind: KindOfArm | None = None,
 ) -> list[Rung]:
     """Nominal, frames only, joint zeros, full geometry, then each effect on top of the last.
 
@@ -167,6 +177,7 @@ def ladder(
         effects: (name, terms) rungs above the full geometry, cumulative.
         deflection: declared beams sag (all rungs but none where False).
         progress: called with each rung's name before it is fitted.
+        kind: as in `stages`.
 
     Raises:
         InputError: too few rows, or an input that an effect needs is missing.
@@ -175,7 +186,7 @@ def ladder(
         raise InputError(train.source, "xyz", "no seen rows", "some to train and to hold out")
     base = declared_model(arm, deflection=deflection)
     rungs = [_rung("nominal", standing(base, train)[0], None, train, held_out)]
-    for name, fitted in stages(base, train, progress):
+    for name, fitted in stages(base, train, progress, kind):
         rungs.append(_rung(name, fitted.model, fitted, train, held_out))
     for name, terms in effects:
         if progress is not None:

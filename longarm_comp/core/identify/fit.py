@@ -9,7 +9,7 @@ every step.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -48,6 +48,7 @@ def fit(
     close: float = CLOSE,
     begun: ModelFit | None = None,
     near: ModelFit | None = None,
+    usual: Mapping[str, float] | None = None,
 ) -> ModelFit:
     """Fit all free parameters of a model to one session.
 
@@ -64,12 +65,14 @@ def fit(
         begun: a fit of the same model to the same session, if there is one: residual and design
             are taken from it.
         near: a fit of a similar model to the same session; its loads save a load pass.
+        usual: noise that arms of the kind have, by kind of measurement, m or rad.
 
     Raises:
         InputError: fewer than four seen rows, or an input that a term needs is missing.
         JobError: the fit did not stay finite.
     """
     part = SessionProblem.of(model, session, sigma, weights, robust, rho)
+    part.usual = usual or {}
     if begun is not None:
         part.took(begun)
     elif near is not None:

@@ -30,7 +30,7 @@ from longarm_comp.core.identify.sensor_frames import started
 from longarm_comp.core.model.model import Model, Slot
 
 Criterion = Literal["i-optimal", "d-optimal"]
-Measure = Literal["position", "pose", "distance"]
+Measure = Literal["position", "pose", "distance", "touch"]
 POOL, REFERENCE = 1024, 256
 """Poses to choose from, at least, and poses at which the tip shall be known."""
 AHEAD = 20
@@ -72,12 +72,14 @@ class Uncertainty:
         scale: (p,) units of its parameters: their prior standard deviations.
         information: (p, p) inverse covariance in these units.
         sigma: noise of a length (m) and of an angle (rad).
+        framed: whether what is measured shows where the base stands.
     """
 
     model: Model
     scale: np.ndarray
     information: np.ndarray
     sigma: tuple[float, float]
+    framed: bool = True
 
     @classmethod
     def of(
@@ -88,6 +90,7 @@ class Uncertainty:
         *,
         known: bool,
         sigma: tuple[float, float],
+        pool: Plan | None = None,
     ) -> Uncertainty:
         """Before any measurement, or after a session.
 
@@ -98,11 +101,13 @@ class Uncertainty:
             known: whether the model holds every effect that the arm has; else all of the library
                 may be there.
             sigma: noise where nothing was measured.
+            pool: the poses to choose from, where they are known already.
 
         Raises:
             InputError, JobError: as `fit`.
         """
-        asked = _rows(model.arm, Plan(model.arm.mid[None], np.ones((1, model.arm.n))), measure)
+        middle = Plan(model.arm.mid[None], np.ones((1, model.arm.n)))
+        asked = _rows(model.arm, pool or middle, measure)
         whole = model
         for rows in asked if measured is None else (*asked, measured):
             whole = whole.with_missing(geometry(model.arm, rows))
@@ -126,7 +131,8 @@ class Uncertainty:
             columns = equations(whole, seen, posture(whole, seen)).columns * scale
             white = whiten(columns, fitted.weights, fitted.sigma, fitted.rho, seen.mask)
             information = information + white.T @ white
-        return cls(whole, scale, information, sigma)
+        framed = any(k.framed(model.arm) for r in (*asked, measured) if r for k in r.kinds)
+        return cls(whole, scale, information, sigma, framed)
 
     @property
     def slots(self) -> tuple[Slot, ...]:
@@ -146,9 +152,20 @@ class Uncertainty:
         """(p, p) mean square of the error of the seen tip (m^2), per parameter, over poses.
 
         As it is seen: the scale of the camera and that of the arm are one, whatever is measured.
+        Where nothing shows how the base stands, errors that move all tips as one body count for
+        nothing.
         """
         rows = Session.record(q, np.zeros((len(q), 3)), approach=_sides(len(q)))
-        columns = self.model.columns(posture(self.model, rows))[1] * self.scale
+        seen, columns = self.model.columns(posture(self.model, rows))
+        columns = columns * self.scale
+        if not self.framed:
+            local = seen - seen.mean(axis=0)
+            turned = np.cross(np.eye(3)[None], local[:, None])
+            body = np.concatenate([turned, np.tile(np.eye(3), (len(q), 1, 1))], axis=1)
+            moved = np.swapaxes(body, 1, 2).reshape(3 * len(q), 6)
+            flat = columns.reshape(3 * len(q), -1)
+            columns = flat - moved @ np.linalg.lstsq(moved, flat, rcond=None)[0]
+            columns = columns.reshape(len(q), 3, -1)
         return np.asarray(np.einsum("nip,niq->pq", columns, columns) / len(q))
 
 
@@ -160,6 +177,7 @@ def optimal_poses(
     measure: Measure = "position",
     allowed: Callable[[Plan], np.ndarray] | None = None,
     rng: np.random.Generator | int = 0,
+    pool: Plan | None = None,
 ) -> OptimalPlan:
     """n poses of a pool within the limits, each joint with room for its run-up.
 
@@ -173,27 +191,38 @@ def optimal_poses(
         measure: what each pose measures.
         allowed: (M,) which poses of a plan may be driven and are seen; all where absent.
         rng: draws pool and sides.
+        pool: the poses to choose from; drawn where absent.
 
     Raises:
         InputError: n is below 1, or fewer poses are allowed.
     """
     arm = uncertain.model.arm
     rng = np.random.default_rng(rng)
-    count = max(POOL, 4 * n) // 2
-    halves = sobol(arm, count, rng), at_levels(arm, count, rng)
-    pool = Plan(*(np.concatenate([getattr(h, k) for h in halves]) for k in ("q", "approach")))
+    if pool is None:
+        halves = [draw(arm, max(POOL, 4 * n) // 2, rng) for draw in (sobol, at_levels)]
+        pool = Plan(*(np.concatenate([getattr(h, k) for h in halves]) for k in ("q", "approach")))
     kept = np.arange(len(pool)) if allowed is None else np.flatnonzero(allowed(pool))
     if not 1 <= n <= len(kept) - AHEAD:
         most = f"1 to {max(len(kept) - AHEAD, 0)} ({len(kept)} of {len(pool)} poses are allowed)"
         raise InputError("plan", "n", n, most)
-    q, sides = pool.q[kept], pool.approach[kept]
-    x = uncertain.measures(Plan(q, sides), measure)
+    pool = pool.take(kept)
+    x = uncertain.measures(pool, measure)
     tips = uncertain.tips(random_joints(arm, REFERENCE, rng))
     choice = _Choice(x, uncertain.information, tips if criterion == "i-optimal" else None)
-    chosen = choice.exchanged(choice.grown([], n))
+    begun = _first_touches(pool)[: n // 2]
+    chosen = choice.exchanged(choice.grown(begun, n - len(begun)))
     more = choice.grown(chosen, AHEAD)
     ends = [np.sqrt(np.trace(tips @ choice.covariance(rows))) for rows in (chosen, more)]
-    return OptimalPlan(q[chosen], sides[chosen], None, *map(float, ends))
+    best = pool.take(np.array(chosen))
+    expected, ahead = map(float, ends)
+    return OptimalPlan(best.q, best.approach, None, best.touch, expected, ahead)
+
+
+def _first_touches(pool: Plan) -> list[int]:
+    """A pose at every point.  The first touch of a point tells nothing, only further ones do."""
+    if pool.touch is None:
+        return []
+    return [int(k) for k in np.unique(pool.touch, return_index=True)[1]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,6 +284,9 @@ def _rows(arm: Arm, plan: Plan, measure: Measure) -> list[Session]:
     if measure == "pose":
         turned = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
         return [record(np.zeros((n, 3)), readings={"orientation": turned})]
+    if measure == "touch":
+        names = np.full(n, "") if plan.touch is None else plan.touch
+        return [record(np.full((n, 3), np.nan), labels={"touch": names})]
     places = [name for name, anchor in arm.anchors.items() if anchor.xyz_m is not None]
     if not places:
         raise InputError("plan", "measure", measure, "anchors with their places in arm.yaml")

@@ -183,7 +183,7 @@ def _read(s: np.ndarray, kernel: Kernel) -> Found:
     return q.T, size.T, used[0]
 
 
-class Column:
+class Circumstance:
     """State of one search as a list of floats, and the programs on it."""
 
     def __init__(self, programs: Programs, place: dict[str, range], s: list[float]) -> None:
@@ -237,7 +237,7 @@ def _python(model: Model, context: Context, p: Problem, given: Given, count: int
     kernel = kernel_of(model, context.layout)
     results = []
     for s in _filled(given, kernel, count).T.tolist():
-        column = Column(kernel.floats, kernel.place, s)
+        column = Circumstance(kernel.floats, kernel.place, s)
         try:
             newton.run(kernel.flows[f"search{p.m}"], column.call, column.repeat)
         except ArithmeticError:  # beyond the range of numbers, where the other engines give NaN

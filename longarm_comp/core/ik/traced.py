@@ -14,7 +14,7 @@ import numpy as np
 
 from longarm_comp.core.ik.codegen import python as emit
 from longarm_comp.core.ik.codegen.symbolic import Graph
-from longarm_comp.core.ik.engines import Column, worth_compiling
+from longarm_comp.core.ik.engines import Circumstance, worth_compiling
 from longarm_comp.core.ik.newton import Flow, Outcome, State, run
 
 
@@ -84,7 +84,7 @@ class Traced:
             state[:, self.slice(name)] = values
         columns = state.tolist()
         for s in columns:
-            column = Column(self._floats, self.place, s)
+            column = Circumstance(self._floats, self.place, s)
             run(self.flow, column.call, column.repeat)
         return np.array(columns).reshape(count, self.size)
 

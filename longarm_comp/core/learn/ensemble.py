@@ -15,7 +15,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.inputs import Encoding, check_rows, fit_encoding
 from longarm_comp.core.learn.network import (
-    Shape,
+    NetworkShape,
     forward,
     output_jacobian,
     sparrow_start,
@@ -29,7 +29,7 @@ from longarm_comp.core.learn.training import Fit, back_propagate
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
-Start = Callable[[Shape, Fitness, np.random.Generator, SparrowSearch], Array]
+Start = Callable[[NetworkShape, Fitness, np.random.Generator, SparrowSearch], Array]
 
 INITS: dict[str, Start] = {
     "ssa": sparrow_start,
@@ -103,7 +103,7 @@ def train(
             progress(networks, len(sizes) * starts + FOLDS)
 
     fits = rows.likeliest(sizes, starts, tell)[:ensemble]
-    shape = Shape(x.shape[1], max(each.shape.hidden for each in fits), 3)
+    shape = NetworkShape(x.shape[1], max(each.shape.hidden for each in fits), 3)
     probe = _probe(x, encoding, np.random.default_rng([seed]))
     settings = {
         "inputs": inputs, "init": init, "seed": seed, "population": population,
@@ -171,7 +171,7 @@ class _Rows:
 
     def fit(self, units: int, start: int, rows: NDArray[np.bool_] | slice) -> Fit:
         """One network of so many hidden units, from start number ``start``."""
-        shape = Shape(self.x.shape[1], units, 3)
+        shape = NetworkShape(self.x.shape[1], units, 3)
         rng = np.random.default_rng([self.seed, units, start])
         x, target = self.x[rows], self.target[rows]
         begun = INITS[self.init](shape, squared_error(shape, x, target), rng, self.search)
@@ -183,7 +183,10 @@ class _Rows:
         """Networks of rising size until the evidence falls, the likeliest first."""
         fits: list[Fit] = []
         for turn, units in enumerate(sizes):
-            if turn and Shape(self.x.shape[1], units, 3).size > 1.5 * (self.weights > 0).sum():
+            if (
+                turn
+                and NetworkShape(self.x.shape[1], units, 3).size > 1.5 * (self.weights > 0).sum()
+            ):
                 break
             wanted = [(units, start, slice(None)) for start in range(starts)]
             networks = self.fits(wanted, tell, turn * starts)
@@ -202,7 +205,7 @@ def _folds(q: Array, rng: np.random.Generator) -> list[NDArray[np.bool_]]:
     return [fold == k for k in range(FOLDS) if (fold == k).any()]
 
 
-def _padded(shape: Shape, own: Shape, weights: NDArray[Any]) -> NDArray[Any]:
+def _padded(shape: NetworkShape, own: NetworkShape, weights: NDArray[Any]) -> NDArray[Any]:
     """Weights (..., own D) of a smaller network padded to (..., D) with idle hidden units."""
     v, w, b = shape.split(np.arange(shape.size))
     place = np.concatenate((v[:, : own.hidden].ravel(), w[: own.hidden].ravel(), b))

@@ -30,7 +30,7 @@ SPARROW_BOUND = 1.0  # weights of standardised inputs and outputs
 
 
 @dataclass(frozen=True)
-class Shape:
+class NetworkShape:
     """Sizes of the network: d inputs, H hidden units, k outputs."""
 
     inputs: int
@@ -65,14 +65,14 @@ def with_ones(x: Array) -> Array:
     return np.concatenate((x, np.ones((len(x), 1))), axis=1)
 
 
-def forward(shape: Shape, weights: Array, x1: Array) -> Array:
+def forward(shape: NetworkShape, weights: Array, x1: Array) -> Array:
     """Outputs (N, k) of inputs with ones (N, d+1)."""
     v, w, b = shape.split(weights)
     y: Array = np.tanh(x1 @ v) @ w + b
     return y
 
 
-def output_jacobian(shape: Shape, weights: Array, x1: Array) -> Array:
+def output_jacobian(shape: NetworkShape, weights: Array, x1: Array) -> Array:
     """``dy/dweights`` (N, k, D) of inputs with ones (N, d+1)."""
     v, w, _ = shape.split(weights)
     n, k = len(x1), shape.outputs
@@ -90,7 +90,7 @@ def output_jacobian(shape: Shape, weights: Array, x1: Array) -> Array:
 
 
 def normal_equations(
-    shape: Shape, weights: Array, x1: Array, y: Array, row_weights: Array
+    shape: NetworkShape, weights: Array, x1: Array, y: Array, row_weights: Array
 ) -> tuple[Array, Array, Array]:
     """Gauss-Newton matrix ``J'UJ`` (D, D), ``J'U r`` (D,) and residual ``r = y - f`` (N, k)."""
     v, w, b = shape.split(weights)
@@ -119,7 +119,7 @@ def normal_equations(
     return _expand(shape, w, gram), gradient, residual
 
 
-def _expand(shape: Shape, w: Array, gram: Array) -> Array:
+def _expand(shape: NetworkShape, w: Array, gram: Array) -> Array:
     """``B'UB`` of the shared columns -> ``J'UJ`` of all weights."""
     p, h, k = shape.inputs + 1, shape.hidden, shape.outputs
     first, second = p * h, p * h + h * k
@@ -138,7 +138,9 @@ def _expand(shape: Shape, w: Array, gram: Array) -> Array:
     return full
 
 
-def squared_error(shape: Shape, x: Array, y: Array) -> Callable[[Weights], NDArray[np.float32]]:
+def squared_error(
+    shape: NetworkShape, x: Array, y: Array
+) -> Callable[[Weights], NDArray[np.float32]]:
     """The sparrow's fitness: weights (P, D) -> mean squared error per output (P,), float32.
 
     All sparrows go through one matrix product, in blocks that fit the cache. With
@@ -181,7 +183,7 @@ def squared_error(shape: Shape, x: Array, y: Array) -> Callable[[Weights], NDArr
     return guarded
 
 
-def xavier_start(shape: Shape, rng: np.random.Generator) -> Array:
+def xavier_start(shape: NetworkShape, rng: np.random.Generator) -> Array:
     """Start weights (D,) of Glorot and Bengio (2010): the control to the sparrow start."""
     weights = np.zeros(shape.size)
     v, w, _ = shape.split(weights)
@@ -191,7 +193,7 @@ def xavier_start(shape: Shape, rng: np.random.Generator) -> Array:
 
 
 def sparrow_start(
-    shape: Shape, fitness: Fitness, rng: np.random.Generator, search: SparrowSearch
+    shape: NetworkShape, fitness: Fitness, rng: np.random.Generator, search: SparrowSearch
 ) -> Array:
     """Start weights (D,) found by sparrow search, with hidden units that differ."""
     bound = np.full(shape.size, SPARROW_BOUND)
@@ -199,7 +201,7 @@ def sparrow_start(
     return separate(shape, found.position, rng)
 
 
-def hidden_alike(shape: Shape, weights: Array) -> NDArray[np.bool_]:
+def hidden_alike(shape: NetworkShape, weights: Array) -> NDArray[np.bool_]:
     """(H,) hidden units whose incoming weights repeat those of an earlier unit up to sign.
 
     Such units have the same gradient, so back-propagation can never separate them.
@@ -215,7 +217,7 @@ def hidden_alike(shape: Shape, weights: Array) -> NDArray[np.bool_]:
     return alike
 
 
-def separate(shape: Shape, weights: Array, rng: np.random.Generator) -> Array:
+def separate(shape: NetworkShape, weights: Array, rng: np.random.Generator) -> Array:
     """Weights (D,) with every collapsed hidden unit redrawn (Xavier); the others unchanged."""
     weights = weights.copy()
     v, w, _ = shape.split(weights)

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.inputs import Encoding, check_rows, raw_names
-from longarm_comp.core.learn.network import Shape, output_jacobian, with_ones
+from longarm_comp.core.learn.network import NetworkShape, output_jacobian, with_ones
 
 Array = NDArray[np.float64]
 
@@ -115,7 +115,7 @@ class Predictor:
     provenance: Provenance = field(default_factory=Provenance)
 
     def __post_init__(self) -> None:
-        shape = Shape(len(self.encoding.kept), self.hidden, len(self.offset))
+        shape = NetworkShape(len(self.encoding.kept), self.hidden, len(self.offset))
         object.__setattr__(self, "_shape", shape)
         v, w, b = shape.split(self.weights)
         object.__setattr__(self, "_members", tuple(map(np.ascontiguousarray, (v, w, b[:, None]))))
@@ -125,9 +125,9 @@ class Predictor:
         object.__setattr__(self, "_box", (self.lower - width, self.upper + width))
 
     @property
-    def shape(self) -> Shape:
+    def shape(self) -> NetworkShape:
         """Sizes of each network of the ensemble."""
-        shape: Shape = self._shape  # type: ignore[attr-defined]
+        shape: NetworkShape = self._shape  # type: ignore[attr-defined]
         return shape
 
     @property

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path
 from longarm_comp.core.learn.inputs import INPUT_KINDS, Encoding, raw_names
-from longarm_comp.core.learn.network import Shape
+from longarm_comp.core.learn.network import NetworkShape
 from longarm_comp.core.learn.predictor import LearnedGain, Predictor, Provenance
 
 FORMAT = "longarm/predictor"
@@ -94,7 +94,7 @@ def load(
     if kept.max() >= columns or len(np.unique(kept)) != len(kept):
         raise InputError(path, "kept", kept.tolist(), f"distinct columns below {columns}")
     d = len(kept)
-    size = Shape(d, hidden, 3).size
+    size = NetworkShape(d, hidden, 3).size
     members, rank = (max(1, len(np.atleast_1d(arrays[n]))) for n in ("weights", "posterior"))
     shapes = {
         "mean": (d,), "input_scale": (d,), "lower": (columns,), "upper": (columns,),

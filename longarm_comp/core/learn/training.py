@@ -19,7 +19,7 @@ from scipy.linalg import cho_factor, cho_solve, cholesky
 from scipy.linalg.lapack import dtrtri
 from scipy.special import gammaln
 
-from longarm_comp.core.learn.network import Shape, forward, normal_equations, with_ones
+from longarm_comp.core.learn.network import NetworkShape, forward, normal_equations, with_ones
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ _SETTLED, _SETTLED_STEPS = 7e-4, 8  # change of log beta, and number of successi
 class Fit:
     """A trained network in standardised units."""
 
-    shape: Shape
+    shape: NetworkShape
     weights: Array  # (D,)
     posterior: Array  # (D, D) lower-triangular L^-1 with covariance (L^-1)'(L^-1), Laplace
     sigma: float  # noise sd of an output (core of the Student-t)
@@ -46,7 +46,7 @@ class Fit:
 
 
 def back_propagate(
-    shape: Shape,
+    shape: NetworkShape,
     start: Array,
     x: Array,
     y: Array,
@@ -135,7 +135,7 @@ def _student_log(square: Array, tail: float, k: int) -> float:
 
 
 def _finished(
-    shape: Shape,
+    shape: NetworkShape,
     weights: Array,
     matrix: Array,
     residual: Array,

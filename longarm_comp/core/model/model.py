@@ -58,6 +58,8 @@ class Model:
         elements_per_beam: number of elements of each beam.
         arrivals: per commanded joint, number of fitted rows that arrived from above (-1) and
             from below (+1); empty if not recorded.
+        tolerances: share of the drawing's tolerances that geometry is expected to be off by; less
+            than 1 beside what other arms of the kind tell.
         uncertainty: how far off its tip may be; None for an arm as declared, and for a model
             that nothing is known of.
     """
@@ -68,6 +70,7 @@ class Model:
     passes: int = 3
     elements_per_beam: int = 2
     arrivals: tuple[tuple[int, int], ...] = ()
+    tolerances: float = 1.0
     uncertainty: ModelUncertainty | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
@@ -92,7 +95,15 @@ class Model:
     @cached_property
     def slots(self) -> tuple[Slot, ...]:
         """All free parameters, in the order of `values` and of the columns."""
-        return slots_of(self.arm, self.terms)
+        return tuple(self._within(slot) for slot in slots_of(self.arm, self.terms))
+
+    def _within(self, slot: Slot) -> Slot:
+        """The parameter with the prior that this model gives it."""
+        p, owner = slot.parameter, slot.owner
+        if self.tolerances == 1.0 or p.unknown or not owner.geometry or owner.passing:
+            return slot
+        narrowed = dataclasses.replace(p, prior=p.prior * self.tolerances)
+        return dataclasses.replace(slot, parameter=narrowed)
 
     @cached_property
     def values(self) -> np.ndarray:

@@ -187,8 +187,9 @@ def _stored_uncertainty(model: Model) -> StoredUncertainty | None:
 
 def _in_file(model: Model) -> list[Effect | Bias]:
     """The terms as they stand in the file, and in a model that is read from it."""
-    first = [e for e in model.effects if e.geometry]
-    return [*first, *(e for e in model.effects if not e.geometry), *model.biases]
+    terms: list[Effect | Bias] = [*model.effects, *model.biases]
+    kept = [t for t in terms if not t.passing]
+    return sorted(kept, key=lambda t: 2 if isinstance(t, Bias) else int(not t.geometry))
 
 
 def _bases(model: Model) -> dict[str, StoredBase]:

@@ -36,7 +36,7 @@ class DemoSettings:
     """
 
     out: Path
-    poses: int = 170
+    poses: int = 120
     targets: int = 40
     hidden: str = "joint_compliance=8.0 backlash=3.0"
     speed: float = 20.0

@@ -1,10 +1,15 @@
-"""The cells of a CSV or XLSX file as text, its header lines joined, its separators found."""
+"""The cells of a text table or XLSX sheet, its header lines joined, its separators found.
+
+pandas reads; ours is only what is a header, a number, a column.
+"""
 
 from __future__ import annotations
 
 import csv
+import io
 import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,11 +17,12 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.foreign.units import unit_of
 
 MOST_CELLS = 20_000_000
-_SEPARATORS = ("\t", ";", ",", "|")
+_SEPARATORS = (r"\t", ";", ",", r"\|", r"\s{2,}|\t", r"\s+")
 _POINT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _COMMA = re.compile(r"[-+]?(\d+,?\d*|,\d+)([eE][-+]?\d+)?")
+_DATED = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{2,4}|\d:\d\d")
 _NONE = {"", "nan", "n/a", "na", "#n/a", "-", "--", "null", "none"}
-_SAMPLE = 50
+_SAMPLE = 200
 
 
 @dataclass(frozen=True)
@@ -24,12 +30,13 @@ class Cells:
     """A table of another program.
 
     Attributes:
-        where: the file.
+        where: the file, or several.
         names: columns; header lines are joined, a line of units is put behind the names.
         rows: (line in the file, cells) of each row.
         separator: between cells; empty for a sheet.
         decimal: the sign before decimals.
         header_lines: lines in the file that the names were made of.
+        index: number of each row in the session, where the rows do not simply follow each other.
     """
 
     where: str
@@ -38,9 +45,14 @@ class Cells:
     separator: str
     decimal: str
     header_lines: tuple[int, ...]
+    index: tuple[int, ...] = ()
+
+    def column(self, place: int) -> list[str]:
+        """The texts of one column."""
+        return [row[place] for _, row in self.rows]
 
     def number(self, text: str) -> float | None:
-        """The number in a cell; None where it is none. Raises nothing."""
+        """The number in a cell; None where the cell holds no number. Raises nothing."""
         plain = text.strip()
         if (_COMMA if self.decimal == "," else _POINT).fullmatch(plain) is None:
             return None
@@ -68,7 +80,7 @@ def read_cells(path: Path, sheet: str | None = None, decimal: str | None = None)
     """
     where, separator = str(path), ""
     if path.suffix.lower() in (".xlsx", ".xlsm"):
-        lines, sign = _sheet(path, sheet), "."
+        lines, sign, decimal = _sheet(path, sheet), ".", None  # its numbers are no text
     else:
         text = _text(path)
         separator, lines = _separated(where, text)
@@ -105,25 +117,46 @@ def _text(path: Path) -> str:
 
 
 def _separated(where: str, text: str) -> tuple[str, Lines]:
-    """The separator under which most lines have one and the same number of cells above 1."""
-    best: tuple[int, str, Lines] = (0, "", [])
-    for mark in _SEPARATORS:
-        try:
-            reader = csv.reader(text.splitlines(keepends=True), delimiter=mark)
-            lines = [(reader.line_num, [c.strip() for c in row]) for row in reader if any(row)]
-        except csv.Error as error:
-            raise InputError(where, "file", str(error), "separated text") from error
-        if sum(len(row) for _, row in lines) > MOST_CELLS:
-            raise InputError(where, "cells", f"more than {MOST_CELLS}", "a smaller file")
-        widths = Counter(len(row) for _, row in lines)
-        width, count = max(widths.items(), key=lambda item: (item[1] * (item[0] > 1), item[0]),
-                           default=(0, 0))  # fmt: skip
-        if width > 1 and count > best[0]:
-            best = (count, mark, lines)
-    if not best[0]:
-        allowed = "a table with columns separated by comma, semicolon, tab or |"
+    """The separator that makes the most lines of the file's beginning rows of numbers."""
+    sample = "\n".join(text.splitlines()[:_SAMPLE])
+    scores = {mark: _score(_grid(where, sample, mark)) for mark in _SEPARATORS}
+    best = max(scores, key=scores.__getitem__)  # the first of equal ones
+    if scores[best] == (0, 0):
+        allowed = "a table with columns separated by comma, semicolon, tab, | or blanks"
         raise InputError(where, "file", "no columns", allowed)
-    return best[1], [(line, row) for line, row in best[2] if any(row)]
+    return best, _grid(where, text, best)
+
+
+def _score(lines: Lines) -> tuple[int, int]:
+    """How many lines have one and the same number of cells above 1, mostly numbers; and in all."""
+    widths = Counter(len(row) for _, row in lines if len(row) > 1)
+    alike = [[row for _, row in lines if len(row) == width] for width in widths]
+    numeric = [
+        sum(_numeric(row, _POINT) or _numeric(row, _COMMA) for row in rows) for rows in alike
+    ]
+    return max(zip(numeric, map(len, alike), strict=True), default=(0, 0))
+
+
+def _grid(where: str, text: str, mark: str) -> Lines:
+    """Number and cells of each line that is not blank."""
+    import pandas as pd
+
+    lines = text.splitlines()
+    width = max((len(re.split(mark, line.strip())) for line in lines), default=0)
+    if width * len(lines) > MOST_CELLS:
+        raise InputError(where, "cells", f"more than {MOST_CELLS}", "a smaller file")
+    if width < 2:
+        return []
+    try:
+        frame = pd.read_csv(
+            io.StringIO("\n".join(line.strip(" ") for line in lines)), sep=mark, header=None,
+            names=range(width), index_col=False, dtype=str, na_filter=False,
+            skip_blank_lines=False, skipinitialspace=True, engine="python",
+        )  # fmt: skip
+    except (pd.errors.ParserError, pd.errors.EmptyDataError, csv.Error, ValueError) as error:
+        raise InputError(where, "file", str(error), "separated text") from error
+    rows = ([str(c).strip() for c in row if not pd.isna(c)] for row in frame.to_numpy().tolist())
+    return [(line, row) for line, row in enumerate(rows, 1) if any(row)]
 
 
 def _decimal(where: str, separator: str, lines: Lines) -> str:
@@ -139,37 +172,35 @@ def _decimal(where: str, separator: str, lines: Lines) -> str:
 
 
 def _sheet(path: Path, name: str | None) -> Lines:
-    from openpyxl import load_workbook
+    import pandas as pd
 
     try:
-        book = load_workbook(path, read_only=True, data_only=True)
-    except Exception as error:  # whatever zipfile, XML and openpyxl raise on a damaged file
-        said = f"{type(error).__name__}: {error}"
-        raise InputError(path, "workbook", said, "an undamaged XLSX file") from error
-    try:
-        if name is None and len(book.sheetnames) > 1:
-            raise InputError(path, "--sheet", "missing", f"one of {', '.join(book.sheetnames)}")
-        chosen = name or book.sheetnames[0]
-        if chosen not in book.sheetnames:
-            raise InputError(path, "--sheet", chosen, f"one of {', '.join(book.sheetnames)}")
-        lines: Lines = []
-        held = 0
-        for number, row in enumerate(book[chosen].iter_rows(values_only=True), 1):
-            held += len(row)
-            if held > MOST_CELLS:
+        with pd.ExcelFile(path, engine="openpyxl") as book:
+            sheets = [str(sheet) for sheet in book.sheet_names]
+            if name is None and len(sheets) > 1:
+                raise InputError(path, "--sheet", "missing", f"one of {', '.join(sheets)}")
+            chosen = name or sheets[0]
+            if chosen not in sheets:
+                raise InputError(path, "--sheet", chosen, f"one of {', '.join(sheets)}")
+            held = book.book[chosen]
+            if (held.max_row or 0) * (held.max_column or 0) > MOST_CELLS:
                 raise InputError(path, "cells", f"more than {MOST_CELLS}", "a smaller sheet")
-            cells = ["" if v is None else str(v).strip() for v in row]
-            if any(cells):
-                lines.append((number, cells))
+            frame = pd.read_excel(book, chosen, header=None, dtype=object, na_filter=False)
     except InputError:
         raise
-    except Exception as error:
+    except Exception as error:  # whatever zipfile, XML and pandas raise on a damaged file
         said = f"{type(error).__name__}: {error}"
-        raise InputError(path, "sheet", said, "an undamaged XLSX file") from error
-    finally:
-        book.close()
-    width = max((k for _, row in lines for k, c in enumerate(row, 1) if c), default=0)
-    return [(line, [*row, *[""] * width][:width]) for line, row in lines]
+        raise InputError(path, "workbook", said, "an undamaged XLSX file") from error
+    rows = [["" if pd.isna(c) else str(c).strip() for c in row] for row in frame.to_numpy()]
+    width = max((k for row in rows for k, c in enumerate(row, 1) if c), default=0)
+    return [(line, row[:width]) for line, row in enumerate(rows, 1) if any(row)]
+
+
+def _numeric(row: Sequence[str], number: re.Pattern[str]) -> bool:
+    """Whether most filled cells of a row, and more than one, are numbers or times."""
+    filled = [c for c in row if c.lower() not in _NONE]
+    count = sum(bool(number.fullmatch(c) or _DATED.search(c)) for c in filled)
+    return len(filled) > 1 and 2 * count > len(filled)
 
 
 def _first_row(where: str, lines: Lines, decimal: str) -> int:
@@ -178,17 +209,28 @@ def _first_row(where: str, lines: Lines, decimal: str) -> int:
     widths = Counter(len(row) for _, row in lines)
     usual = widths.most_common(1)[0][0] if widths else 0
     for k, (_, row) in enumerate(lines):
-        filled = [c for c in row if c.lower() not in _NONE]
-        if len(row) == usual and len(filled) > 1:
-            share = sum(number.fullmatch(c) is not None for c in filled) / len(filled)
-            if share > 0.5:
-                return k
+        if len(row) == usual and _numeric(row, number):
+            return k
     raise InputError(where, "rows", "no row of numbers", "numbers below a header")
+
+
+def _block(lines: Lines) -> Lines:
+    """The lines of headings: those above a blank line, with a number or of one cell are a title."""
+    made: Lines = []
+    for line, row in reversed(lines):
+        apart = made and made[-1][0] != line + 1
+        titled = any(_POINT.fullmatch(c) or _DATED.search(c) for c in row if c)
+        if made and (apart or titled or sum(map(bool, row)) < 2):
+            break
+        made.append((line, row))
+    return made[::-1]
 
 
 def _names(lines: Lines, width: int) -> tuple[tuple[str, ...], tuple[int, ...]]:
     """Names of the columns from the lines above the numbers, and the numbers of these lines."""
-    whole = [(line, row) for line, row in lines if len(row) == width and sum(map(bool, row)) > 1]
+    whole = [
+        (line, row) for line, row in _block(lines) if len(row) == width and sum(map(bool, row)) > 1
+    ]
     units = [all(unit_of(c) is not None for c in row if c) for _, row in whole]
     last = max((k for k, pure in enumerate(units) if not pure), default=-1)
     names = [""] * width

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from longarm_comp.core.arm.arm import Arm
@@ -31,6 +31,8 @@ _EXACT = re.compile(
 _TURNED = re.compile(
     r"(?:q(?:uat(?:ernion)?)?_?[wxyz0]|quat.*|roll|pitch|yaw|r[xyz]|[abc]|o[xyz]|euler.*|rot.*)"
 )
+POINT = "point"
+"""The user's own number or name of a row."""
 TEXTS = LABELS
 
 
@@ -61,8 +63,12 @@ def kind_of(name: str, arm: Arm | None = None) -> str:
     return ends.get(name, "")
 
 
-def meaning(name: str, arm: Arm | None = None) -> str | None:
-    """The session's column that a name without its unit means, or None."""
+def meaning(name: str, arm: Arm | None = None, *, headings: bool = True) -> str | None:
+    """The session's column that a name without its unit means, or None.
+
+    Args:
+        headings: a heading over several columns may stand before it.
+    """
     if _EXACT.fullmatch(name):
         return name
     if arm is not None and name in arm.joint_names:
@@ -77,14 +83,16 @@ def meaning(name: str, arm: Arm | None = None) -> str | None:
     for given in (plain, f"{plain}joint"):
         if spelt.count(given) == 1:
             return f"q{spelt.index(given) + 1}"
-    if plain in ("t", "time", "timestamp"):
+    if plain in ("t", "time", "timestamp", "datetime", "clock"):
         return "t_s"
+    if plain in ("point", "pointid", "pointno", "pointnr", "pointnumber", "pt", "no", "nr"):
+        return POINT
     if plain in ("temp", "temperature"):
         return "temperature_c"
     if plain in ("payload", "row"):
         return {"payload": "payload_kg", "row": "index"}[plain]
     heading, _, last = name.rpartition(" ")  # a heading over several columns, and the name below
-    return meaning(last, arm) if heading else None
+    return meaning(last, arm) if heading and headings else None
 
 
 def turned(name: str) -> bool:
@@ -98,7 +106,8 @@ def understand(
     given: Mapping[str, str],
     defaults: Mapping[str, Unit],
     arm: Arm | None,
-    apart: Sequence[str] = (),
+    apart: Collection[str] = (),
+    is_clock: Callable[[int], bool] = lambda place: False,
 ) -> list[Column]:
     """The columns of the session that a file holds.
 
@@ -110,38 +119,62 @@ def understand(
         defaults: by kind, the unit of columns that name none.
         arm: names its joints and says which slide; None: joints without a unit turn.
         apart: columns that are read otherwise (an orientation).
+        is_clock: whether the column at a place holds wall-clock times, which have no unit.
 
     Raises:
         InputError: a name of ``given`` is no column, two columns mean the same, a unit is missing
             or of another kind.
     """
-    told = dict(given)
+    told = {_place(where, names, key): key for key in given}
+    meant = [given[key].partition(":")[0] for key in told.values()]
     found: dict[str, Column] = {}
-    for place, source in enumerate(names):
-        if source in apart:
+    rank: dict[str, int] = {}
+    for place, source in sorted(enumerate(names), key=lambda item: item[0] not in told):
+        if source in apart and place not in told:
             continue
         stem, unit = split_name(source)
-        key = source if source in told else stem if stem in told else None
-        if key is not None:
-            name, _, own = told.pop(key).partition(":")
+        if place in told:
+            key = told[place]
+            name, _, own = given[key].partition(":")
             if own:
                 unit = _unit(where, own, f"--map {key}")
             _check_name(where, name, key)
         else:
             name = (meaning(source, arm) or meaning(stem, arm) or "") if stem else ""
+            if name in meant:  # what the user says wins
+                continue
         if not name:
             continue
-        if name in found:
+        # A name that means it by itself wins over one that does with a heading before it.
+        by = 0 if place in told else 1 + (meaning(stem, arm, headings=False) is None)
+        if name in found and rank[name] == by:
             both = f"{found[name].source} and {source}"
             raise InputError(
                 where, f"column {name}", both, f"one; choose it with --map NAME={name}"
             )
-        found[name] = Column(
-            name, source, place, _fitting(where, name, source, unit, defaults, arm)
-        )
-    if told:
-        raise InputError(where, "--map", next(iter(told)), f"a column: {', '.join(names)}")
+        if name in found and rank[name] < by:
+            continue
+        rank[name] = by
+        timed = name == "t_s" and is_clock(place)
+        fits = None if timed else _fitting(where, name, source, unit, defaults, arm)
+        found[name] = Column(name, source, place, fits)
     return sorted(found.values(), key=lambda c: _order(c.name))
+
+
+def _place(where: str, names: Sequence[str], key: str) -> int:
+    """Place of the column that the user calls so: whole, without its unit, or without a title."""
+    stems = [split_name(name)[0] for name in names]
+    for found in (
+        [k for k, name in enumerate(names) if name == key],
+        [k for k, stem in enumerate(stems) if stem == key],
+        [k for k, name in enumerate(names) if f" {key}" in (f" {name}"[-len(key) - 1 :],
+                                                             f" {stems[k]}"[-len(key) - 1 :])],
+    ):  # fmt: skip
+        if len(found) == 1:
+            return found[0]
+        if found:
+            break
+    raise InputError(where, "--map", key, f"one column: {', '.join(names)}")
 
 
 def _unit(where: str, text: str, field: str) -> Unit:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,8 +18,16 @@ from longarm_comp.core.files import write_text
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.sessions.csv import XYZ
 from longarm_comp.sessions.foreign.cells import Cells, read_cells
+from longarm_comp.sessions.foreign.clock import seconds
 from longarm_comp.sessions.foreign.columns import JOINT, TEXTS, Column, kind_of, turned, understand
-from longarm_comp.sessions.foreign.rotation import ALLOWED, Rotation
+from longarm_comp.sessions.foreign.combine import (
+    appended,
+    beside_each_other,
+    joined,
+    melted,
+    ordered,
+)
+from longarm_comp.sessions.foreign.rotation import ALLOWED, UNIT_LENGTH, Rotation
 from longarm_comp.sessions.foreign.units import ANGLE, UNITS, Unit, split_name
 from longarm_comp.sessions.table import write_table
 from longarm_comp.sessions.targets import QUATERNION
@@ -36,6 +45,8 @@ class Options:
         rotation: ``CONVENTION:COLUMNS``, ``none`` to leave an orientation out, or nothing.
         sheet, decimal: see `read_cells`.
         arm: names the joints and says which slide.
+        join: column that says which rows of several files belong together; None: they follow.
+        sort: column in whose order the rows were measured; None: in the file's.
     """
 
     units: tuple[str, ...] = ()
@@ -44,6 +55,8 @@ class Options:
     sheet: str | None = None
     decimal: str | None = None
     arm: Arm | None = None
+    join: str | None = None
+    sort: str | None = None
 
     def like(self, mapping: Path) -> Options:
         """With what an earlier mapping says beside; what is told here goes before it.
@@ -85,6 +98,9 @@ class Imported:
         assumed: joints that were taken to turn, as no arm says it.
         rotation: the convention of the orientation.
         units: of columns that name none.
+        files: that it was read from.
+        lonely: rows of joined files without a partner, in words.
+        markers: that stood side by side.
     """
 
     cells: Cells
@@ -94,6 +110,9 @@ class Imported:
     assumed: tuple[str, ...]
     rotation: Rotation | None
     units: tuple[str, ...]
+    files: tuple[Path, ...] = ()
+    lonely: tuple[str, ...] = ()
+    markers: tuple[str, ...] = ()
 
     def preview(self) -> list[dict[str, Any]]:
         """One row a column: what it was read from, in which unit, and its range."""
@@ -122,12 +141,15 @@ class Imported:
         """
         write_table(path, list(self.columns), zip(*self.columns.values(), strict=True))
         beside = path.with_suffix(".mapping.yaml")
-        source = Path(self.cells.where)
+        several = len(self.files) > 1  # each may have its own sign
+        names = ", ".join(file.name for file in self.files)
+        hashes = [hashlib.sha256(file.read_bytes()).hexdigest() for file in self.files]
         mapping = {
-            "source": source.name,
-            "source_sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
+            "source": names,
+            "source_sha256": ", ".join(hashes),
+            "session_sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
             "separator": self.cells.separator,
-            "decimal": self.cells.decimal,
+            "decimal": self.cells.decimal if self.cells.separator and not several else None,
             "header_lines": list(self.cells.header_lines),
             "rows": len(self.cells.rows),
             "units": list(self.units),
@@ -143,26 +165,38 @@ class Imported:
                 f"{sign}{self.rotation.convention}:{','.join(self.rotation.columns)}"
             )
         text = yaml.safe_dump(mapping, sort_keys=False, allow_unicode=True, width=100)
-        write_text(beside, f"# How longarm import-data read {source.name}.\n{text}")
+        write_text(beside, f"# How longarm import-data read {names}.\n{text}")
         return beside
 
 
-def import_table(path: str | Path, options: Options | None = None) -> Imported:
-    """Read a table of another program.
+def import_table(
+    path: str | Path | Sequence[str | Path], options: Options | None = None
+) -> Imported:
+    """Read a table of another program, or several that make one session.
 
     Raises:
         InputError: see `read_cells` and `understand`; no joints or no measurement in it; an
             orientation whose convention was not told; a cell that is no number.
     """
     options = options or Options()
-    where = str(path)
-    cells = read_cells(Path(path), options.sheet, options.decimal)
+    files = tuple(map(Path, [path] if isinstance(path, str | Path) else path))
+    cells, lonely = _together(files, options)
+    where = cells.where
+    markers = beside_each_other(cells, options.given)
+    if markers:
+        cells = melted(cells, markers)
     rotation = _rotation(where, cells, options)
     apart = () if rotation is None else rotation.columns
     defaults = _defaults(where, options.units)
-    sources = understand(where, cells.names, options.given, defaults, options.arm, apart)
+    sources = understand(
+        where, cells.names, options.given, defaults, options.arm,
+        (*apart, *_unit_quaternion(cells)),
+        lambda place: seconds(cells.column(place)) is not None,
+    )  # fmt: skip
     _complete(where, cells, sources, options.arm)
     columns: dict[str, np.ndarray] = {c.name: _values(cells, c) for c in sources}
+    if cells.index and "index" not in columns:
+        columns = {"index": np.array(cells.index), **columns}
     if rotation is not None:
         columns |= _orientation(cells, rotation, defaults)
     read = {c.place for c in sources} | {cells.names.index(n) for n in apart}
@@ -173,7 +207,37 @@ def import_table(path: str | Path, options: Options | None = None) -> Imported:
         if kind_of(c.name, options.arm) == JOINT and split_name(c.source)[1] is None
         and ":" not in options.given.get(c.source, "")
     )  # fmt: skip
-    return Imported(cells, columns, tuple(sources), left, assumed, rotation, options.units)
+    return Imported(
+        cells, columns, tuple(sources), left, assumed, rotation, options.units, files, lonely,
+        markers,
+    )  # fmt: skip
+
+
+def _together(files: tuple[Path, ...], options: Options) -> tuple[Cells, tuple[str, ...]]:
+    """The table of all files, and which rows have no partner."""
+    tables = [read_cells(file, options.sheet, options.decimal) for file in files]
+    lonely: tuple[str, ...] = ()
+    if len(tables) == 1:
+        (cells,) = tables
+    elif options.join is None:
+        cells = appended(tables)
+    else:
+        cells, lonely = joined(tables, options.join)
+    if options.join is not None and len(tables) == 1:
+        raise InputError(cells.where, "--join", options.join, "two files or more")
+    return cells if options.sort is None else ordered(cells, options.sort), lonely
+
+
+def _unit_quaternion(cells: Cells) -> tuple[str, ...]:
+    """Columns q0 to q3 that are one orientation: numbers of joints have no length of 1."""
+    found = {re.sub(r"[^a-z0-9]", "", split_name(n)[0].lower()): n for n in cells.names}
+    names = [found.get(f"q{k}", "") for k in range(4)]
+    if not all(names):
+        return ()
+    numbers = [[cells.number(t) for t in cells.column(cells.names.index(n))] for n in names]
+    values = np.array(numbers, dtype=float)
+    length = np.linalg.norm(values[:, np.isfinite(values).all(axis=0)], axis=0)
+    return tuple(names) if len(length) and (np.abs(length - 1) < UNIT_LENGTH).all() else ()
 
 
 def _defaults(where: str, names: tuple[str, ...]) -> dict[str, Unit]:
@@ -194,7 +258,12 @@ def _rotation(where: str, cells: Cells, options: Options) -> Rotation | None:
         named = tuple(_named(where, cells, name) for name in rotation.columns)
         return Rotation(rotation.convention, named, rotation.inverse)
     told = {*options.given, *(name for name in QUATERNION if set(QUATERNION) <= set(cells.names))}
-    looks = [n for n in cells.names if turned(n) and n not in told and split_name(n)[0] not in told]
+    known = _unit_quaternion(cells)
+    looks = [
+        n
+        for n in cells.names
+        if (turned(n) or n in known) and n not in told and split_name(n)[0] not in told
+    ]
     if len(looks) >= 3 and options.rotation is None:
         raise InputError(
             where, "--rotation", f"missing for {', '.join(looks)}", f"{ALLOWED}; or none"
@@ -224,9 +293,12 @@ def _complete(where: str, cells: Cells, sources: list[Column], arm: Arm | None) 
 
 
 def _values(cells: Cells, column: Column) -> np.ndarray:
-    texts = [row[column.place] for _, row in cells.rows]
+    texts = cells.column(column.place)
     if column.name in TEXTS:
         return np.array(texts)
+    clock = seconds(texts) if column.name == "t_s" else None
+    if clock is not None:
+        return clock
     power = 2 if column.name.startswith("cov_") else 1
     unit = column.unit
     values = _numbers(cells, column.place, column.name in (*_MAY_BE_BLANK, *QUATERNION))

@@ -17,7 +17,7 @@ ALLOWED = (
     "with a minus before it where the columns hold the base in the tool"
 )
 _EULER = re.compile(r"(?!.*(.)\1)([xyzXYZ])([xyzXYZ])([xyzXYZ])")
-_LENGTH = 1e-2
+UNIT_LENGTH = 1e-2
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Rotation:
         if self.convention in QUATERNIONS:
             held = held[:, QUATERNIONS[self.convention]]
             off = np.abs(np.linalg.norm(held, axis=1) - 1)
-            if off.max() > _LENGTH:
+            if off.max() > UNIT_LENGTH:
                 row = int(np.flatnonzero(told)[int(off.argmax())])
                 raise ValueError(f"row {row + 1}: length {np.linalg.norm(values[row]):.4g}")
             turn = Turn.from_quat(held)

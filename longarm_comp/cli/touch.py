@@ -1,0 +1,121 @@
+"""``longarm touch``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from longarm_comp.cli import options, outputs
+from longarm_comp.cli.output import note, print_json
+
+if TYPE_CHECKING:
+    from longarm_comp.jobs.touch import Touches
+
+_HELP = "Enter: touches now; a name: the next point; plane NAME; undo; end"
+
+
+@click.command()
+@options.arm
+@options.output(
+    "touches.csv",
+    "Session to write; it is written after every touch.",
+    outputs.left_to_the_command,
+)
+@click.option("--name", default="a", show_default=True, help="Name of the first point.")
+@click.option(
+    "--distance",
+    "distances",
+    type=(str, str, click.FloatRange(min=0, min_open=True)),
+    multiple=True,
+    metavar="A B M",
+    help="Known distance of two points, m; repeat for more.",
+)
+@click.option(
+    "--tolerance-mm",
+    type=click.FloatRange(min=0, min_open=True),
+    default=0.1,
+    show_default=True,
+    help="How well these distances are known.",
+)
+@click.option("--resume", is_flag=True, help="Add to an existing session.")
+@options.namespace
+@options.as_json
+def command(
+    arm: Path,
+    output: Path,
+    name: str,
+    distances: tuple[tuple[str, str, float], ...],
+    tolerance_mm: float,
+    resume: bool,
+    namespace: str,
+    as_json: bool,
+) -> None:
+    """Record the joints of ARM's running graph while its tip touches points; one key a touch.
+
+    Guide the arm by hand, or jog it, until the ball sits in the socket, and press Enter. Nothing is
+    sent to the arm. After some touches every row is told how far it is from its point.
+
+    \b
+    Examples:
+      longarm touch arm.yaml -o touches.csv --distance left_0 left_1 0.050 --name left_0
+      longarm touch arm.yaml -o touches.csv --resume
+    """
+    from longarm_comp.cli.signals import stop_on_signals
+    from longarm_comp.core.arm.arm import Arm
+    from longarm_comp.core.errors import InputError
+    from longarm_comp.jobs.client import ArmClient
+    from longarm_comp.jobs.touch import Touches, with_distances
+    from longarm_comp.sessions.read import read_session
+
+    declared = Arm.load(arm)
+    touches = with_distances(Touches(declared), distances, 1e-3 * tolerance_mm)
+    if output.exists() and not resume:
+        raise InputError(str(output), "session", "exists", "a new file, or --resume")
+    if output.exists():
+        touches.begin_with(read_session(output, declared))
+    with stop_on_signals() as stop, ArmClient(declared, namespace, stop, "touch") as client:
+        note(_HELP)
+        column, line = "touch", _asked(f"touch {name}")
+        while line != "end":
+            if not line:
+                touches.take(client, name, column)
+            elif line == "undo":
+                del touches.rows[-1:]
+            elif line.startswith("plane "):
+                column, name = "plane", line.removeprefix("plane ")
+            else:
+                column, name = "touch", line
+            if line in ("", "undo"):
+                _kept(touches, output)
+            line = _asked(f"{column} {name}")
+    if as_json:
+        print_json({"output": str(output), "rows": len(touches.rows)})
+        return
+    note(f"{len(touches.rows)} touches in {output}")
+
+
+def _asked(prompt: str) -> str:
+    """The next line; the end of the input ends the session."""
+    try:
+        return str(click.prompt(prompt, default="", show_default=False, err=True)).strip()
+    except click.Abort:
+        return "end"
+
+
+def _kept(touches: Touches, output: Path) -> None:
+    """Write the rows, and say how far the last one is from its point."""
+    from longarm_comp.sessions.csv import write_csv
+
+    if not touches.rows:
+        output.unlink(missing_ok=True)
+        return
+    write_csv(touches.session(), output)
+    spread = touches.spread_m()
+    said = f"{len(touches.rows)} rows"
+    if spread is not None:
+        said += f"; {1e3 * spread.mean():.2f} mm from their points in the mean"
+        if touches.rows[-1][1] == "touch":
+            said += f", the last one {1e3 * spread[-1]:.2f} mm"
+    note(said)

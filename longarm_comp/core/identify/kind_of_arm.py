@@ -1,0 +1,178 @@
+"""What calibrated arms of one kind say of a further one, before it is measured.
+
+Errors of arms of one kind come together: parts are made on the same machines and zeros are set by
+the same hands.  Their second moment, shrunk towards the drawing's tolerances as Ledoit and Wolf
+(2004, J. Multivariate Anal. 88) have it, is the prior of the next arm: some directions, each with a
+free amount, and a share of the tolerances for the rest.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.measurement import equations, posture
+from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.effects.kind_direction import KindDirection
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.model_fit import ModelFit
+from longarm_comp.core.model.model import Model, Slot, slots_of
+
+LEAST = 3
+"""Arms that say how arms of their kind differ; of two, one direction is all that is seen."""
+_TABLE = ("type", "a_m", "alpha_deg", "d_m", "theta_offset_deg", "pose")
+
+
+@dataclass(frozen=True)
+class KindOfArm:
+    """The prior of a further arm.
+
+    Attributes:
+        directions: what the arms share.
+        rest: share of the tolerances by which every single error may be off besides.
+        noise: what the arms' measurements scattered by, by kind of measurement, m or rad.
+    """
+
+    directions: tuple[KindDirection, ...]
+    rest: float
+    noise: Mapping[str, float]
+
+    @classmethod
+    def of(
+        cls,
+        arm: Arm,
+        models: Sequence[Model],
+        sources: Sequence[str],
+        noise: Mapping[str, float] | None = None,
+    ) -> KindOfArm:
+        """From calibrated models of arms of the kind.
+
+        Args:
+            arm: the further one, as declared.
+            models: of the others.
+            sources: their files, for messages.
+            noise: as the attribute, where it is known.
+
+        Raises:
+            InputError: too few, or one has another table of rows.
+        """
+        if len(models) < LEAST:
+            raise InputError("kind of arm", "models", len(models), f"at least {LEAST}, of one kind")
+        for model, source in zip(models, sources, strict=True):
+            _check_table(arm, model.arm, source)
+        held = [{s.identity: s for s in m.slots if _shared(s)} for m in models]
+        every = {key: slot for slots in held for key, slot in slots.items()}
+        values = np.zeros((len(held), len(every)))
+        for row, slots in zip(values, held, strict=True):
+            for k, key in enumerate(every):
+                if key in slots:
+                    slot = slots[key]
+                    row[k] = getattr(slot.owner, slot.parameter.name) / slot.parameter.width
+        shares, rest = _shrunk(values)
+        directions = tuple(
+            KindDirection(number, _terms(list(every.values()), share))
+            for number, share in enumerate(shares, 1)
+        )
+        return cls(directions, rest, noise or {})
+
+    def applied(self, model: Model) -> Model:
+        """A model of the further arm whose geometry has this prior."""
+        parts = {t.key: _at_zero(t) for d in self.directions for t in d.terms if not t.geometry}
+        whole = model.with_missing(parts.values()).with_missing(self.directions)
+        return dataclasses.replace(whole, tolerances=self.rest)
+
+
+def plain(model: Model) -> Model:
+    """A model whose shared directions are part of the errors that they are made of."""
+    parts = [
+        t.with_values({p.name: d.amount * getattr(t, p.name) for p in t.declared()})
+        for d in model.effects
+        if isinstance(d, KindDirection)
+        for t in d.terms
+    ]
+    more: dict[tuple[object, ...], float] = {}
+    for slot in slots_of(model.arm, parts):
+        value = getattr(slot.owner, slot.parameter.name)
+        more[slot.identity] = more.get(slot.identity, 0.0) + value
+    kept = tuple(e for e in model.effects if not isinstance(e, KindDirection))
+    bare = dataclasses.replace(model, effects=kept, tolerances=1.0)
+    moved = [more.get(slot.identity, 0.0) for slot in bare.slots]
+    return bare.with_values(bare.values + np.array(moved))
+
+
+def folded(fit: ModelFit) -> ModelFit:
+    """`plain` of a fit, with the covariance of the errors as they are then."""
+    if not any(isinstance(e, KindDirection) for e in fit.model.effects):
+        return fit
+    model = plain(fit.model)
+    place = {slot.identity: k for k, slot in enumerate(model.slots)}
+    ways = np.zeros((len(place), len(fit.slots)))
+    for k, slot in enumerate(fit.slots):
+        if isinstance(slot.owner, KindDirection):
+            for part in slots_of(model.arm, slot.owner.terms):
+                ways[place[part.identity], k] += getattr(part.owner, part.parameter.name)
+        else:
+            ways[place[slot.identity], k] = 1.0
+    at = posture(model, fit.session)
+    covariance = ways @ fit.covariance @ ways.T
+    columns = equations(model, fit.session, at).columns
+    return dataclasses.replace(fit, model=model, columns=columns, covariance=covariance)
+
+
+def table(arm: Arm) -> tuple[tuple[object, ...], ...]:
+    """The rows that arms of one kind have in common."""
+    return tuple(tuple(repr(getattr(j, name)) for name in _TABLE) for j in arm.joints)
+
+
+def _check_table(arm: Arm, other: Arm, source: str) -> None:
+    """Refuse an arm of another table: its errors are not errors of this one."""
+    if len(arm.joints) != len(other.joints):
+        rows = f"{len(arm.joints)} rows, as {arm.name}"
+        raise InputError(source, "joints", f"{len(other.joints)} rows", rows)
+    for mine, its in zip(arm.joints, other.joints, strict=True):
+        for name in _TABLE:
+            if getattr(mine, name) != getattr(its, name):
+                field = f"joints.{mine.id - 1}.{name}"
+                raise InputError(source, field, getattr(its, name), f"{getattr(mine, name)}, "
+                                 f"as {arm.name}: arms of one kind have one table")  # fmt: skip
+
+
+def _shared(slot: Slot) -> bool:
+    """Whether arms of a kind may share a parameter: not where an arm, or its tool, was put."""
+    return isinstance(slot.owner, Effect) and not slot.parameter.unknown and not slot.owner.passing
+
+
+def _shrunk(values: np.ndarray) -> tuple[np.ndarray, float]:
+    """Directions (k, p) and standard deviation of the rest, of (n, p) errors in tolerances.
+
+    The second moment S of the arms is shrunk to ``(1 - w) S + w m I``, with m the mean of its
+    diagonal and w the share that is expected to be closest to the truth.
+    """
+    n, p = values.shape
+    moment = values.T @ values / n
+    mean = float(np.trace(moment)) / p
+    off = float(((moment - mean * np.eye(p)) ** 2).sum())
+    scatter = sum(float(((np.outer(z, z) - moment) ** 2).sum()) for z in values) / n**2
+    weight = min(scatter / off, 1.0) if off > 0 else 1.0
+    size, way = np.linalg.eigh(moment)
+    held = size > 1e-9 * max(size.max(), 1e-300)
+    ways = way[:, held].T * np.sqrt((1.0 - weight) * size[held])[:, None]
+    return ways, float(np.sqrt(weight * mean))
+
+
+def _terms(slots: Sequence[Slot], share: np.ndarray) -> tuple[Effect, ...]:
+    """The errors of one direction: each effect at its place with its share of every parameter."""
+    made: dict[tuple[object, ...], Effect] = {}
+    for slot, value in zip(slots, share, strict=True):
+        key = (slot.owner.name, *slot.owner.placement.items())
+        term = made.get(key) or _at_zero(slot.owner)  # type: ignore[arg-type]
+        made[key] = term.with_values({slot.parameter.name: value * slot.parameter.width})
+    return tuple(made.values())
+
+
+def _at_zero(term: Effect) -> Effect:
+    return term.with_values({p.name: 0.0 for p in term.declared()})

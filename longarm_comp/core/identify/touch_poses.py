@@ -1,0 +1,46 @@
+"""Poses at which an arm's tip touches points: what a plan of touches chooses among."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from longarm_comp.core.arm.pose import Vec3
+from longarm_comp.core.data.plan import Plan
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.ik.solver import solve_many
+from longarm_comp.core.model.model import Model
+
+
+def touch_pool(
+    model: Model, points: Mapping[str, Vec3], count: int, rng: np.random.Generator
+) -> Plan:
+    """Poses whose tip is at points, by the model, from starts all over the joint box.
+
+    Args:
+        model: the arm.
+        points: by name, about where each is, m, base frame.
+        count: poses to try, all points together.
+        rng: draws the starts.
+
+    Raises:
+        InputError: no point, or one that the arm does not reach.
+    """
+    if not points:
+        raise InputError("plan", "points", "none", "names and places (m) of points to touch")
+    arm, parts, names = model.arm, [], []
+    each = max(count // len(points), 2)
+    for name, place in points.items():
+        start = arm.lower + rng.random((each, arm.n)) * (arm.upper - arm.lower)
+        found = solve_many(
+            model, np.tile(place, (each, 1)), seed=start, position_only=True, max_starts=1
+        )
+        there = found.q[found.ok]
+        if len(there) < 2:
+            said = ", ".join(f"{v:g}" for v in place)
+            raise InputError("plan", f"point {name}", said, "a place (m) that the arm reaches")
+        parts.append(there)
+        names += [name] * len(there)
+    q = np.concatenate(parts)
+    return Plan(q, np.where(rng.random(q.shape) < 0.5, 1.0, -1.0), None, np.array(names))

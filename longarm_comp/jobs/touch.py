@@ -1,0 +1,155 @@
+"""Rows of touches: what the joints of a running graph read while somebody holds the tip still."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.measuring import KnownDistance
+from longarm_comp.core.data.kinds import KINDS
+from longarm_comp.core.data.measurement import spreads
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.errors import InputError, JobError, LongarmError
+from longarm_comp.core.identify.calibrate import stages
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.jobs.client import ArmClient
+from longarm_comp.nodes.interfaces import JOINT_STATES
+
+READINGS = 10
+"""Joint readings that a row is the mean of."""
+STILL = 2e-3
+"""Share of a joint's range within which it is at rest: a hand is less still than a servo."""
+PATIENCE_S = 30.0
+ENOUGH = 8
+"""Rows from which their spread says something."""
+
+
+@dataclass
+class Touches:
+    """Touches of one arm, as they are taken.
+
+    Attributes:
+        arm: as declared.
+        distances: known ones between the points.
+        rows: joints (n,), the text column and the name of each.
+    """
+
+    arm: Arm
+    distances: tuple[KnownDistance, ...] = ()
+    rows: list[tuple[np.ndarray, str, str]] = field(default_factory=list)
+
+    def begin_with(self, before: Session) -> None:
+        """Go on after the rows of a session.
+
+        Raises:
+            InputError: it holds something else than touches.
+        """
+        for k in range(len(before)):
+            named = [c for c in ("touch", "plane") if before.labels.get(c, [""] * (k + 1))[k]]
+            if len(named) != 1 or np.isfinite(before.xyz[k]).any():
+                raise InputError(before.source, f"row {k + 1}", "no touch", "rows of touches alone")
+            self.rows.append((before.q[k], named[0], str(before.labels[named[0]][k])))
+        self.distances = self.distances or before.touch_distances
+
+    def take(self, client: ArmClient, name: str, column: str = "touch") -> np.ndarray:
+        """Add a row of the joints as they rest now.
+
+        Args:
+            client: hears the joints.
+            name: of the point or plane.
+            column: ``touch`` or ``plane``.
+
+        Returns:
+            The joints, (n,), rad and m.
+
+        Raises:
+            JobError: no joint_states, or the arm does not rest.
+            Interrupted: the client's stop event was set.
+        """
+        q = resting(client)
+        self.rows.append((q, column, name))
+        return q
+
+    def session(self) -> Session:
+        """The rows so far.
+
+        Raises:
+            InputError: there is none.
+        """
+        if not self.rows:
+            raise InputError("touch", "rows", 0, "one touch at least")
+        q, columns, names = zip(*self.rows, strict=True)
+        labels = {
+            column: np.where(np.array(columns) == column, np.array(names), "")
+            for column in dict.fromkeys(columns)
+        }
+        return Session.record(
+            np.array(q),
+            np.full((len(q), 3), np.nan),
+            labels=labels,
+            source="touch",
+            touch_distances=self.distances,
+        )
+
+    def spread_m(self) -> np.ndarray | None:
+        """Distance of every touch from its point, m, the geometry calibrated with them.
+
+        None where the rows are too few to say.
+        """
+        whole = self.session()
+        if np.isfinite(whole.reading(KINDS["touch"])).sum() < ENOUGH:
+            return None
+        try:
+            *_, (_, fitted) = stages(declared_model(self.arm), whole)
+        except LongarmError:
+            return None
+        return spreads(fitted.model, whole)
+
+
+def resting(client: ArmClient) -> np.ndarray:
+    """Mean of the next joint readings that hardly differ, (n,).
+
+    Readings that were waiting to be heard are as old as the last move: they are passed over.
+
+    Raises:
+        JobError: no joint_states, or the arm does not rest.
+        Interrupted: the client's stop event was set.
+    """
+    client.joints = None
+    client.until(lambda: client.joints is not None, PATIENCE_S, "no joint_states")
+    room = STILL * (client.arm.upper - client.arm.lower)
+    held: list[np.ndarray] = []
+    last, waiting = client.joints, JOINT_STATES.depth
+
+    def still() -> bool:
+        nonlocal last, waiting
+        now = client.joints
+        if now is None or now is last:
+            return False
+        last, waiting = now, waiting - 1
+        if waiting > 0:
+            return False
+        held.append(now)
+        if (np.ptp(held, axis=0) > room).any():
+            del held[:-1]
+        return len(held) >= READINGS
+
+    try:
+        client.until(still, PATIENCE_S, "rest")
+    except JobError as error:
+        if client.stop.is_set():
+            raise
+        raise JobError(f"the arm did not rest within {PATIENCE_S:g} s") from error
+    return np.asarray(np.mean(held, axis=0))
+
+
+def with_distances(
+    touches: Touches, given: Sequence[tuple[str, str, float]], tolerance: float
+) -> Touches:
+    """The same with known distances (m), each known to a tolerance (m)."""
+    known = tuple((one, other, length, tolerance) for one, other, length in given)
+    return dataclasses.replace(touches, distances=known)

@@ -1,0 +1,132 @@
+"""Targets, plans and commands in the form of the table that a session came from.
+
+Names, units and the kind of file are the user's.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import atomic_path
+from longarm_comp.core.strict_yaml import read_yaml
+from longarm_comp.sessions.foreign.cells import read_cells
+from longarm_comp.sessions.foreign.columns import TEXTS
+from longarm_comp.sessions.foreign.units import UNITS, Unit, split_name
+from longarm_comp.sessions.table import Table
+
+_WORKBOOK = (".xlsx", ".xlsm")
+_POINT = re.compile(r"(.+_)?([xyz])")
+_JOINT = re.compile(r"(run_up_|ideal_)?(q\d+)")
+_SIDE = re.compile(r"approach_(q\d+)")
+
+
+class Like:
+    """The form of a table, as the mapping of `longarm import-data` tells it.
+
+    Raises:
+        InputError: it is no mapping.
+    """
+
+    def __init__(self, mapping: Path) -> None:
+        data = read_yaml(mapping)
+        try:
+            self._columns = {
+                str(name): (str(held["from"]), UNITS[held["unit"]] if "unit" in held else None)
+                for name, held in data["columns"].items()
+            }
+            self.workbook = Path(str(data["source"])).suffix.lower() in _WORKBOOK
+            self._decimal = str(data["decimal"] or ".")
+            self._separator = _plain(str(data["separator"]), self._decimal)
+        except (TypeError, KeyError, AttributeError) as error:
+            allowed = "a mapping that longarm import-data wrote"
+            raise InputError(mapping, "columns", repr(error), allowed) from error
+
+    def output(self, path: Path) -> Path:
+        """The path with the ending of the table's kind."""
+        return path.with_suffix(".xlsx") if self.workbook else path
+
+    def read(self, path: str | Path) -> Table:
+        """A table in this form as one in SI; columns that the mapping does not know stay.
+
+        Raises:
+            InputError: as `read_cells`.
+        """
+        cells = read_cells(Path(path))
+        known = {s: (n, u) for n, (s, u) in self._columns.items()}
+        known = {split_name(s)[0]: held for s, held in known.items()} | known
+        made: dict[str, list[str]] = {}
+        for place, source in enumerate(cells.names):
+            stem, stated = split_name(source)
+            name, unit = known.get(source) or known.get(stem) or (source, None)
+            unit, texts = stated or unit, cells.column(place)
+            if unit is not None and name not in TEXTS:
+                numbers = [cells.number(text) for text in texts]
+                texts = [
+                    text if v is None else repr(v * unit.factor + unit.offset)
+                    for text, v in zip(texts, numbers, strict=True)
+                ]
+            made[name] = texts
+        return Table(str(path), tuple(made), tuple(line for line, _ in cells.rows), made)
+
+    def write(self, path: str | Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+        """Write rows whose columns are in SI, whole or not at all; by the ending of the path.
+
+        Raises:
+            InputError: the folder cannot be written.
+        """
+        import pandas as pd
+
+        forms = [self._form(name) for name in header]
+        cells = [
+            [
+                _in_unit(value, unit, moved)
+                for value, (_, unit, moved) in zip(row, forms, strict=True)
+            ]
+            for row in rows
+        ]
+        frame = pd.DataFrame(cells, columns=[name for name, _, _ in forms], dtype=object)
+        frame = frame.infer_objects()  # numbers get the sign before decimals
+        with atomic_path(path) as partial:
+            if Path(path).suffix.lower() in _WORKBOOK:
+                frame.to_excel(partial, index=False, engine="openpyxl")
+            else:
+                frame.to_csv(
+                    partial, index=False, sep=self._separator, decimal=self._decimal,
+                    lineterminator="\n",
+                )  # fmt: skip
+
+    def _form(self, name: str) -> tuple[str, Unit | None, bool]:
+        """The user's name of a column, its unit, and whether a zero point moves its values."""
+        joint, side, point = (p.fullmatch(name) for p in (_JOINT, _SIDE, _POINT))
+        if side and side[1] in self._columns:
+            return f"approach {split_name(self._columns[side[1]][0])[0]}", None, False
+        if name in self._columns:
+            source, unit = self._columns[name]
+            return source, unit, True
+        for found in (joint, point):
+            if found and found[2] in self._columns:
+                source, unit = self._columns[found[2]]
+                stem, named = split_name(source)
+                what = (found[1] or "").strip("_").replace("_", " ")
+                bracket = f" [{unit.name}]" if unit and named else ""
+                return f"{what} {stem}{bracket}".strip(), unit, False
+        return name, None, False
+
+
+def _plain(separator: str, decimal: str) -> str:
+    """A separator that pandas writes, of the pattern that was read."""
+    found = {r"\t": "\t", r"\|": "|"}.get(separator, separator)
+    if len(found) == 1 and found != decimal:
+        return found
+    return "\t" if found else ";" if decimal == "," else ","
+
+
+def _in_unit(value: Any, unit: Unit | None, moved: bool) -> Any:
+    if unit is None or value is None or value == "":
+        return value
+    offset = unit.offset if moved else 0.0
+    return (float(value) - offset) / unit.factor

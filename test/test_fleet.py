@@ -1,0 +1,113 @@
+"""`longarm fleet`: arms in folders or in one, the newest session, drift, what is the kind's."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from small_arm import ARM, measured
+
+import longarm_comp as la
+from longarm_comp.cli.fleet import command
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.model.model import Model
+from longarm_comp.sessions.csv import write_csv
+from longarm_comp.workflows.fleet import Diagnosed, Finding, compared, members
+
+
+def rows_of(zero: float, seed: int, n: int = 60) -> Session:
+    """Rows of an arm whose second joint's zero is off by so much (rad)."""
+    session = measured(n, np.random.default_rng(seed))
+    tip = Model(ARM, (JointZero(joint=2, offset=zero),)).tip(session.q)
+    noise = 1e-4 * np.random.default_rng(seed + 1).standard_normal(tip.shape)
+    return dataclasses.replace(session, xyz=tip + noise)
+
+
+def arm_yaml(folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(ARM.model_dump(mode="json", exclude_defaults=True))
+    (folder / "arm.yaml").write_text(text, encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two arms with their model in use; one was knocked since, and one has a broken session."""
+    root = tmp_path_factory.mktemp("arms")
+    for name, now in (("sound", 0.002), ("knocked", 0.012)):
+        arm_yaml(root / name)
+        arm = la.Arm.load(root / name / "arm.yaml")
+        write_csv(rows_of(0.002, 3), root / name / "first.csv")
+        la.calibrate(arm, root / name / "first.csv").save(root / name / "model.yaml")
+        write_csv(rows_of(now, 7), root / name / "later.csv")
+        os.utime(root / name / "first.csv", (1e9, 1e9))
+        (root / name / "commands.csv").write_text("index,status,q1,x\n0,ok,0,0\n", encoding="utf-8")
+    arm_yaml(root / "broken")
+    (root / "broken" / "rows.csv").write_text(
+        "q1,q2,q3,q4,x,y,z\n1,2,3,4,5,6,7\n", encoding="utf-8"
+    )
+    return root
+
+
+def test_the_arm_that_was_knocked_is_told(folders: Path, tmp_path: Path) -> None:
+    found = {m.name: m.session.name for m in members(folders)}
+    assert found == {"broken": "rows.csv", "knocked": "later.csv", "sound": "later.csv"}
+    out = tmp_path / "out"
+    words = [str(folders), "-o", str(out), "--no-network", "--jobs", "2", "--json"]
+    done = CliRunner().invoke(command, words)
+    assert done.exit_code == 0, (done.output, done.exception)
+    arms = {row["name"]: row for row in json.loads(done.stdout)["arms"]}
+    assert {name: row["drifted"] for name, row in arms.items()} == {
+        "broken": False, "knocked": True, "sound": False,
+    }  # fmt: skip
+    assert arms["broken"]["verdict"] == "failed"
+    assert "rows.csv" in arms["broken"]["summary"]
+    assert arms["knocked"]["in_use_mm"] > 4.0 > 0.5 > arms["knocked"]["calibrated_mm"]
+    assert arms["sound"]["kind"] == arms["knocked"]["kind"]
+    assert (out / "sound" / "report.html").is_file()
+    assert (out / "fleet.png").stat().st_size > 5000
+    assert json.loads((out / "fleet.json").read_text("utf-8"))["arms"] == list(arms.values())
+
+
+def test_one_arm_yaml_stands_for_arms_of_a_kind(folders: Path, tmp_path: Path) -> None:
+    arm_yaml(tmp_path)
+    shutil.copy(folders / "sound" / "first.csv", tmp_path / "one.csv")
+    shutil.copy(folders / "sound" / "later.csv", tmp_path / "two.csv")
+    assert [(m.name, m.arm.parent) for m in members(tmp_path)] == [
+        ("one", tmp_path), ("two", tmp_path),
+    ]  # fmt: skip
+
+
+def test_what_most_arms_of_a_kind_have_is_the_kinds() -> None:
+    def arm(name: str, kind: int, *found: str) -> Diagnosed:
+        mine = tuple(Finding(effect, "joint 2") for effect in found)
+        return Diagnosed(name, kind, "s", 10, "named", "", findings=mine)
+
+    arms = compared([
+        arm("a", 0, "play", "give"), arm("b", 0, "play"), arm("c", 0), arm("d", 3, "give"),
+    ])  # fmt: skip
+    told = {(a.name, f.effect): f.of_kind for a in arms for f in a.findings}
+    assert told == {
+        ("a", "play"): True,
+        ("a", "give"): False,
+        ("b", "play"): True,
+        ("d", "give"): False,
+    }
+
+
+def test_folders_without_arms_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="fleet: 'no arm'"):
+        members(tmp_path)
+    arm_yaml(tmp_path / "bare")
+    with pytest.raises(InputError, match="bare: session: 'none'"):
+        members(tmp_path)
+    (tmp_path / "bare" / "rows.csv").write_text("q1,x\n1,2\n", encoding="utf-8")
+    done = CliRunner().invoke(command, [str(tmp_path), "-o", str(tmp_path / "out")])
+    assert isinstance(done.exception, JobError)
