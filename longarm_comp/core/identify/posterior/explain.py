@@ -36,6 +36,8 @@ from longarm_comp.core.model.model import Model
 
 ROUNDS = 8
 """Of posterior and fit, at most, of the library and then of functions; three are usual."""
+REFORMED = 3
+"""Times that forms are moved between two rounds, each time with the rest as it has become."""
 BETTER = 1.0
 """Log evidence by which an explanation must be better to take the place of the one in the model."""
 STEPS = 6
@@ -149,9 +151,9 @@ class _Exploration:
             explained = bank.explained(say)
             if explained.evidence < bank.standing(self.found) + BETTER:
                 break
-            self.found = explained.found
-            self._take(self.found)
-            for _ in range(3):
+            if not self._take(explained.found):
+                break
+            for _ in range(REFORMED):
                 if not self._reform(say):
                     break
 
@@ -166,15 +168,18 @@ class _Exploration:
         self.candidates = [*(c for c in self.candidates if not c.scanned), *shown]
         self.unknown |= {each.where: each for made in scans for each in made.unknown}
 
-    def _take(self, found: Sequence[FoundEffect]) -> None:
-        """Fit the model with what was found."""
+    def _take(self, found: tuple[FoundEffect, ...]) -> bool:
+        """Fit the model with what was found; False, and nothing changed, where that runs away."""
         known = {t.variant: t for t in self.fit.model.terms}
         terms = [known.get(t.variant, t) for f in found for t in f.terms]
-        before = self.fit, self.noise, self.columns
+        before = self.found, self.fit, self.noise, self.columns
         try:
+            self.found = found
             self._fit(_with(self.base, self.fit.model, terms))
         except JobError:
-            self.fit, self.noise, self.columns = before
+            self.found, self.fit, self.noise, self.columns = before
+            return False
+        return True
 
     def _fit(self, model: Model) -> None:
         """Judge the noise by all that the library could explain, then fit."""
@@ -219,11 +224,12 @@ class _Exploration:
                 say(Candidate(term.name, (better,)).label)
         if moved == terms:
             return False
-        self.found = tuple(
-            dataclasses.replace(f, terms=tuple(moved[t.key] for t in f.terms)) for f in self.found
+        return self._take(
+            tuple(
+                dataclasses.replace(f, terms=tuple(moved[t.key] for t in f.terms))
+                for f in self.found
+            )
         )
-        self._take(self.found)
-        return True
 
 
 def without(model: Model, places: Container[tuple[str, str]]) -> Model:

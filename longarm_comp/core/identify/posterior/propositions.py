@@ -8,6 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
+from longarm_comp.core.effects.components import COMPONENTS, Move, Turn
+from longarm_comp.core.effects.quantities import AXES
 from longarm_comp.core.identify.candidates import Term
 from longarm_comp.core.identify.discover.bank import (
     Bank,
@@ -17,7 +19,7 @@ from longarm_comp.core.identify.discover.bank import (
     marginal_of,
     weight,
 )
-from longarm_comp.core.identify.discover.banks import banks, term_of
+from longarm_comp.core.identify.discover.banks import CAMERA, banks, term_of
 from longarm_comp.core.identify.discover.screening import Screening
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.model_fit import ModelFit
@@ -60,10 +62,20 @@ def propositions(fit: ModelFit, found: Sequence[HasTerms]) -> tuple[Proposition,
             first.sort(key=lambda w: -w.log_evidence)
             for weighed in [*first, *_refined(bank, marginal, fit, first[:REFINED])]:
                 known = best.get(weighed.candidate)
+                if _geometric(weighed.candidate):
+                    continue
                 if known is None or weighed.log_evidence > known[1]:
                     best[weighed.candidate] = bank, weighed.log_evidence
     ordered = sorted(best.items(), key=lambda item: -item[1][1])[:MOST]
     return tuple(_proposed(fit, bank, h) for h, (bank, worth) in ordered if worth > 0)
+
+
+def _geometric(hypothesis: Hypothesis) -> bool:
+    """Whether it is a displacement that is always the same: an error of geometry or placement."""
+    still = all(not function.factors for function in hypothesis.functions)
+    rigid = (isinstance(COMPONENTS.get(p.component), (Move, Turn)) for p, _ in hypothesis.members)
+    seen = (p.at == CAMERA and p.component in AXES for p, _ in hypothesis.members)
+    return still and all(a or b for a, b in zip(rigid, seen, strict=True))
 
 
 def _proposed(fit: ModelFit, bank: Bank, hypothesis: Hypothesis) -> Proposition:
