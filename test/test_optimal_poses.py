@@ -143,7 +143,7 @@ def test_a_floor_and_what_is_seen_hold_for_every_kind_of_plan() -> None:
     assert (la.plan(standing, 12, floor=-9.0).q == free.q).all()
     own = boxed(np.zeros(3), np.ones(3)).arm
     assert set(bounded(own, [[2, 2, 2, 3, 3, 3]], None).keep_out) == {"lamp", "--keep-out 1"}
-    with pytest.raises(InputError, match="below the arm's foot"):
+    with pytest.raises(JobError, match="only 0 of"):  # its shoulder lies at that height
         la.plan(standing, 12, floor=0.0)
     with pytest.raises(JobError, match="only 0 of"):
         la.plan(standing, 12, seen=lambda poses: np.zeros(len(poses), dtype=bool))

@@ -21,7 +21,7 @@ from longarm_comp.core.compensation.path import (
     compensate_path,
 )
 from longarm_comp.core.compensation.result import Status
-from longarm_comp.core.compensation.retime import Limits, Timed, fastest, retimed, slopes_of
+from longarm_comp.core.compensation.retime import MotionLimits, Timed, fastest, retimed, slopes_of
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
@@ -136,7 +136,7 @@ def test_limits_are_kept_nowhere_faster_than_the_plan(arm: Arm, model: Model) ->
     plan = plan_of(arm)
     free = follow(model, plan).timed
     peak = np.abs(free.at(free.between, 1)).max(axis=0)
-    limits = Limits(0.6 * peak, np.full(arm.n, 2.0))
+    limits = MotionLimits(0.6 * peak, np.full(arm.n, 2.0))
     assert free.excess(limits) > 1.5
     timed = follow(model, plan, limits=limits).timed
     np.testing.assert_array_equal(timed.joints, free.joints)
@@ -152,7 +152,7 @@ def test_random_ways_are_timed_within_limits() -> None:
     for seed in range(10):
         rng = np.random.default_rng(seed)
         ways = np.cumsum(0.05 * rng.normal(size=(30, 4)), axis=0)
-        limits = Limits(np.full(4, 0.5), rng.uniform(1.0, 4.0, 4))
+        limits = MotionLimits(np.full(4, 0.5), rng.uniform(1.0, 4.0, 4))
         quick = fastest(ways, limits)
         slow = np.linspace(0.0, 5.0, 30)
         for timed in (quick, retimed(Timed(slow, ways, slopes_of(slow, ways)), limits)):
@@ -171,9 +171,9 @@ def test_without_toppra_only_a_path_that_is_too_fast_is_refused(
     monkeypatch.setitem(sys.modules, "toppra", None)
     times, ways = np.linspace(0.0, 1.0, 5), np.linspace(0.0, 1.0, 5)[:, None]
     path = Timed(times, ways, slopes_of(times, ways))
-    assert retimed(path, Limits(np.array([9.0]), np.array([99.0]))) is path
+    assert retimed(path, MotionLimits(np.array([9.0]), np.array([99.0]))) is path
     with pytest.raises(JobError, match=r"longarm_comp\[path\]"):
-        retimed(path, Limits(np.array([0.5]), np.array([99.0])))
+        retimed(path, MotionLimits(np.array([0.5]), np.array([99.0])))
 
 
 def test_paths_from_python_and_from_files_are_the_same(

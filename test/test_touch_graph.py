@@ -16,7 +16,7 @@ import longarm_comp as la
 from longarm_comp.cli import touch as touch_command
 from longarm_comp.core.errors import InputError
 from longarm_comp.jobs.client import ArmClient
-from longarm_comp.jobs.touch import READINGS, Touches, resting
+from longarm_comp.jobs.touch import READINGS, TouchLog, resting
 from longarm_comp.nodes.interfaces import JOINT_STATES
 
 
@@ -104,7 +104,7 @@ def test_readings_that_waited_to_be_heard_are_passed_over(
 
 def test_a_bad_touch_shows_in_the_spread() -> None:
     rows = touching(errors_of_the_drawing(), 48)
-    touches = Touches(ARM, DISTANCES)
+    touches = TouchLog(ARM, DISTANCES)
     touches.begin_with(rows)
     before = touches.spread_m()
     assert before is not None
@@ -119,4 +119,4 @@ def test_a_bad_touch_shows_in_the_spread() -> None:
 def test_rows_of_something_else_are_not_touches() -> None:
     seen = la.Session.record(ARM.mid[None], np.zeros((1, 3)))
     with pytest.raises(InputError, match="row 1: 'no touch'"):
-        Touches(ARM).begin_with(seen)
+        TouchLog(ARM).begin_with(seen)

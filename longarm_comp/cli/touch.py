@@ -11,7 +11,7 @@ from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json
 
 if TYPE_CHECKING:
-    from longarm_comp.jobs.touch import Touches
+    from longarm_comp.jobs.touch import TouchLog
 
 _HELP = "Enter: touches now; a name: the next point; plane NAME; undo; end"
 
@@ -66,11 +66,11 @@ def command(
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.errors import InputError
     from longarm_comp.jobs.client import ArmClient
-    from longarm_comp.jobs.touch import Touches, with_distances
+    from longarm_comp.jobs.touch import TouchLog, with_distances
     from longarm_comp.sessions.read import read_session
 
     declared = Arm.load(arm)
-    touches = with_distances(Touches(declared), distances, 1e-3 * tolerance_mm)
+    touches = with_distances(TouchLog(declared), distances, 1e-3 * tolerance_mm)
     if output.exists() and not resume:
         raise InputError(str(output), "session", "exists", "a new file, or --resume")
     if output.exists():
@@ -104,7 +104,7 @@ def _asked(prompt: str) -> str:
         return "end"
 
 
-def _kept(touches: Touches, output: Path) -> None:
+def _kept(touches: TouchLog, output: Path) -> None:
     """Write the rows, and say how far the last one is from its point."""
     from longarm_comp.sessions.csv import write_csv
 

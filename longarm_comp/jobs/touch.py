@@ -29,8 +29,8 @@ ENOUGH = 8
 
 
 @dataclass
-class Touches:
-    """Touches of one arm, as they are taken.
+class TouchLog:
+    """TouchLog of one arm, as they are taken.
 
     Attributes:
         arm: as declared.
@@ -148,8 +148,8 @@ def resting(client: ArmClient) -> np.ndarray:
 
 
 def with_distances(
-    touches: Touches, given: Sequence[tuple[str, str, float]], tolerance: float
-) -> Touches:
+    touches: TouchLog, given: Sequence[tuple[str, str, float]], tolerance: float
+) -> TouchLog:
     """The same with known distances (m), each known to a tolerance (m)."""
     known = tuple((one, other, length, tolerance) for one, other, length in given)
     return dataclasses.replace(touches, distances=known)

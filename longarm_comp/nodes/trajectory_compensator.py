@@ -33,7 +33,7 @@ from longarm_comp.core.compensation.path import (
     as_planned,
     compensate_path,
 )
-from longarm_comp.core.compensation.retime import Limits
+from longarm_comp.core.compensation.retime import MotionLimits
 from longarm_comp.core.effects.catalogue import load_file
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
@@ -136,7 +136,7 @@ class TrajectoryCompensator(Node):
         """Count an exception that a callback raised."""
         self._health.fault(error)
 
-    def _limits_of(self, p: Mapping[str, Any]) -> Limits:
+    def _limits_of(self, p: Mapping[str, Any]) -> MotionLimits:
         """Limits by joint. A controller that is not ours gets no trajectory without them."""
         found = []
         for name in ("max_velocity", "max_acceleration"):
@@ -147,7 +147,7 @@ class TrajectoryCompensator(Node):
             if not p["acknowledged"] and not all(given):
                 raise InputError(where(self), name, p[name], f"{allowed}, above 0")
             found.append(np.array([value or np.inf for value in given]))
-        return Limits(*found)
+        return MotionLimits(*found)
 
     def _look(self) -> None:
         if self._watch.changed():

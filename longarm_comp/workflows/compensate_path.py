@@ -15,7 +15,7 @@ from longarm_comp.core.compensation.arrive import CompensationOptions
 from longarm_comp.core.compensation.path import PlannedPath
 from longarm_comp.core.compensation.path import compensate_path as solve_path
 from longarm_comp.core.compensation.result import Method, Settling
-from longarm_comp.core.compensation.retime import Limits, Timed
+from longarm_comp.core.compensation.retime import MotionLimits, Timed
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
@@ -102,7 +102,7 @@ def compensate_path(
         times = path.columns.get("t_s")
     n = model.arm.n
     carried = np.array([p.carried(goal) for p, goal in zip(placements, goals, strict=True)])
-    limits = Limits(_each(max_velocity, n, "max_velocity"),
+    limits = MotionLimits(_each(max_velocity, n, "max_velocity"),
                     _each(max_acceleration, n, "max_acceleration"))  # fmt: skip
     start, came = (None, History.unknown(n)) if history is None else points.last(history, model)
     first = start if seed is None else np.asarray(seed, float)

@@ -19,7 +19,7 @@ from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.arrive import Arrival, CompensationOptions, compensate_move
 from longarm_comp.core.compensation.result import Method, ResidualPredictor, Status
 from longarm_comp.core.compensation.retime import (
-    Limits,
+    MotionLimits,
     Timed,
     fastest,
     retimed,
@@ -107,7 +107,7 @@ def compensate_path(
     history: History,
     context_after: Callable[[History, int], Context],
     seed: np.ndarray | None = None,
-    limits: Limits | None = None,
+    limits: MotionLimits | None = None,
     max_correction_m: float = np.inf,
     position_only: bool = False,
     options: CompensationOptions | None = None,
@@ -166,7 +166,7 @@ def compensate_path(
     if begun and start is not None:
         joints = np.vstack([start, joints.reshape(-1, arm.n)])
     corrected = _corrections(model.arm, plan, joints, int(begun), max_correction_m)
-    timed = _timed(plan, joints, limits or Limits.none(arm.n), arm)
+    timed = _timed(plan, joints, limits or MotionLimits.none(arm.n), arm)
     _keep_out(arm, timed)
     notes = dict.fromkeys(a.outcome.reason for a in arrivals if a.outcome.reason)
     return CompensatedPath(timed, tuple(arrivals), corrected, came, tuple(notes))
@@ -228,7 +228,7 @@ def _corrections(
     return moved
 
 
-def _timed(plan: PlannedPath, joints: np.ndarray, limits: Limits, arm: Arm) -> Timed:
+def _timed(plan: PlannedPath, joints: np.ndarray, limits: MotionLimits, arm: Arm) -> Timed:
     """Way-points (k, n) at the plan's times, or later where limits demand it."""
     count = len(joints)
     first = 0.0 if plan.times is None else float(plan.times[0])

@@ -21,14 +21,14 @@ _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Limits:
+class MotionLimits:
     """(n,) largest velocity (rad/s, m/s) and acceleration (rad/s^2, m/s^2); inf: none."""
 
     velocity: np.ndarray
     acceleration: np.ndarray
 
     @classmethod
-    def none(cls, n: int) -> Limits:
+    def none(cls, n: int) -> MotionLimits:
         """Of an arm of n joints whose controller keeps its limits itself."""
         return cls(np.full(n, np.inf), np.full(n, np.inf))
 
@@ -67,7 +67,7 @@ class Timed:
         share = np.linspace(1e-9, 1.0 - 1e-9, _LOOKED_AT)
         return (self.times[:-1, None] + np.diff(self.times)[:, None] * share).ravel()
 
-    def excess(self, limits: Limits) -> float:
+    def excess(self, limits: MotionLimits) -> float:
         """The largest share of a limit that velocity, or root of acceleration, takes."""
         times = self.between
         speed = np.abs(self.at(times, 1)) / limits.velocity
@@ -83,7 +83,7 @@ def slopes_of(times: np.ndarray, joints: np.ndarray) -> np.ndarray:
     return slopes
 
 
-def retimed(path: Timed, limits: Limits) -> Timed:
+def retimed(path: Timed, limits: MotionLimits) -> Timed:
     """The path within limits, at the same way-points and nowhere faster. It begins at time 0.
 
     Raises:
@@ -94,7 +94,7 @@ def retimed(path: Timed, limits: Limits) -> Timed:
     return _found(path, limits)
 
 
-def fastest(joints: np.ndarray, limits: Limits) -> Timed:
+def fastest(joints: np.ndarray, limits: MotionLimits) -> Timed:
     """The fastest way through way-points (k, n) from rest to rest.
 
     Raises:
@@ -108,7 +108,7 @@ def fastest(joints: np.ndarray, limits: Limits) -> Timed:
     return replace(_found(path, limits), stretch=1.0)
 
 
-def _found(path: Timed, limits: Limits) -> Timed:
+def _found(path: Timed, limits: MotionLimits) -> Timed:
     """Times by TOPP-RA, from rest to rest."""
     try:
         from toppra import algorithm, constraint
