@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -33,23 +34,26 @@ def test_while_it_loads(module: str) -> None:
     assert (ended.returncode, ended.stderr.lstrip()) == (130, "longarm: interrupted\n")
 
 
-def test_while_it_reads(tmp_path: Path) -> None:
-    """A file that never ends stands for long work: the command is in the middle of it."""
-    endless = tmp_path / "arm.urdf"
-    subprocess.run(["mkfifo", str(endless)], check=True)
-    words = ["import-urdf", str(endless), "--base", "a", "--tip", "b", "-o", str(tmp_path / "x")]
+def test_while_it_works(tmp_path: Path) -> None:
+    """A file of effects that takes for ever stands for long work."""
+    begun, effects = tmp_path / "begun", tmp_path / "slow.py"
+    effects.write_text(
+        "import pathlib, time\n"
+        f"pathlib.Path({str(begun)!r}).touch()\n"
+        "while True: time.sleep(0.05)\n"
+    )
     command = subprocess.Popen(
-        [sys.executable, "-m", "longarm_comp", *words],
+        [sys.executable, "-m", "longarm_comp", "effects", "--effects", str(effects)],
         stderr=subprocess.PIPE,
         text=True,
         preexec_fn=_attended,
     )
-    with endless.open("w"):  # opens when the command does
-        command.send_signal(signal.SIGINT)
-        _, said = command.communicate(timeout=60)
+    while not begun.exists() and command.poll() is None:
+        time.sleep(0.02)
+    command.send_signal(signal.SIGINT)
+    _, said = command.communicate(timeout=60)
     assert command.returncode == 130
     assert said.lstrip() == "longarm: interrupted\n"
-    assert not (tmp_path / "x").exists()
 
 
 def _attended() -> None:
