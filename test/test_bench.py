@@ -84,7 +84,7 @@ def test_calibration_against_samples(tmp_path: Path, monkeypatch: pytest.MonkeyP
     (row,) = calibration.against_samples((40,))
     assert row["us_per_sample_and_step"] > 0
     assert row["value"] > 0
-    assert "44 parameters" in str(row["note"])
+    assert "51 parameters" in str(row["note"])
 
 
 def test_a_made_session_is_what_its_name_says() -> None:

@@ -291,7 +291,7 @@ def test_what_a_command_cannot_know_is_said_in_millimetres() -> None:
     assert 0.5 * max(misses) < spread < 1.5 * max(misses)
     told = compensate(model, None, target, context=sides[0], method=Method.DEFLECTION)
     assert told.reason == ""
-    assert np.isnan(told.sigma).all()
+    assert np.linalg.norm(told.sigma) < spread
 
 
 def one_leg(way: float) -> tuple[float, ...]:

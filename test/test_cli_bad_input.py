@@ -101,7 +101,7 @@ def test_unreachable_target(work: Path, shell: Shell) -> None:
         (("1", "2", "--metod"), "--metod"),
         (("1", "2", "3", "--seed-q", "1,2"), "--seed-q"),
         (("1", "2", "3", "--method", "network"), "--predictor"),
-        ((), "X Y Z, or --targets"),
+        ((), "one of X Y Z, --targets FILE"),
     ],
 )
 def test_bad_targets(words: tuple[str, ...], said: str, work: Path, shell: Shell) -> None:

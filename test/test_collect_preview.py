@@ -157,7 +157,7 @@ def test_the_commands_show_a_plan_and_move_nothing(hobby: Path, shell: Shell) ->
     for words, text in (
         (("collect", arm, "seen.csv"), "--dry-run"),
         (("collect", arm, "seen.csv", "--dry-run", "--picture", "x.gif"), ".png"),
-        (("collect", arm, "seen.csv", "-o", "bag", "--floor", "inf"), "a height"),
+        (("collect", arm, "seen.csv", "-o", "bag", "--floor", "inf"), "a finite number"),
     ):
         assert text in shell.refused(*words)
     alone = shell.folder / "arm.yaml"

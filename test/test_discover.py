@@ -267,7 +267,7 @@ def test_a_diagnosis_adds_what_it_found_and_says_so(diagnosed: DiagnosisResult) 
 
 
 def test_what_was_found_is_in_the_written_model(diagnosed: DiagnosisResult, tmp_path: Path) -> None:
-    write_model(diagnosed.diagnosis, "0" * 64, None, tmp_path, None)
+    write_model(diagnosed.diagnosis, diagnosed.model, "0" * 64, None, tmp_path, None)
     back = load_model(tmp_path / "model.yaml", SMALL)
     q = SMALL.lower + 0.9 * (SMALL.upper - SMALL.lower)
     np.testing.assert_array_equal(back.tip(q), diagnosed.model.tip(q))

@@ -235,7 +235,7 @@ def test_a_model_says_where_the_base_stands_and_targets_are_where_it_is_seen(
     kept = load_model(tmp_path / "model.yaml", SMALL)
     q = SMALL.mid
     target = moved(Session.record([q], Model(SMALL).tip(q)[None]), TURNS[0]).xyz[0]
-    (found,) = la.compensate(kept, target, position_only=True)
+    (found,) = la.compensate(kept, target, position_only=True, frame="measured")
     reached = TURNS[0].apply(Model(SMALL).tip(found.command)) + FAR
     assert np.linalg.norm(reached - target) < 1e-3
 

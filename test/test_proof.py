@@ -122,6 +122,8 @@ def test_effects_of_a_size_that_no_arm_has_are_taken_back(monkeypatch: pytest.Mo
     """They stand in for something else; the report says which, and that it is not known."""
     rows, held_out = (session((drives.JointGain(at(2, 0.1)),), seed=s) for s in (1, 9))
     monkeypatch.setattr("longarm_comp.core.identify.plausible.INCREDIBLE", 1.8)
+    no_function = "longarm_comp.core.identify.diagnose.look_further"
+    monkeypatch.setattr(no_function, lambda *_: None)
     found = diagnose(ARM, rows, test=held_out, kinds=(JointGain,))
     assert found.search.chosen
     assert found.rolled_back

@@ -258,7 +258,7 @@ def says_how_well_the_nodes_are(stand: Stand) -> None:
     assert "tester" not in stand.words() and "another namespace" not in stand.words()
     where = Progress(7, 24, visit=6, seen=5, lost=("too far", "too far"))
     driver.collecting.publish(progress_message(where, f"/{NAMESPACE}"))
-    stand.shows("collect: 7 of 24, pose 6; marker lost at 2 of 7 poses: ")
+    stand.shows("collect: 7 of 24 poses driven; marker lost at 2 of 7 poses: ")
 
 
 def buttons_call_the_services(stand: Stand) -> None:

@@ -52,8 +52,8 @@ def command(
             "placed": evaluation.placed,
         }
         print_json({"test": str(test), "rows": rows, **facts})
-        return
-    print_rows(f"Errors on {test} ({rows[0]['n']} poses)", rows)
+    else:
+        print_rows(f"Errors on {test} ({rows[0]['n']} poses)", rows)
     for text in evaluation.notes:
         note(text)
 

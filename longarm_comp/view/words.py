@@ -110,7 +110,9 @@ def drift(state: PageState) -> str:
 def progress(job: CollectProgress, now: float) -> str:
     """How far a job is."""
     heard = f"; heard {_ago(now - job.at)} ago" if now - job.at > 5.0 else ""
-    return f"{job.job}: {job.done} of {job.of}, {job.message}{heard}"
+    count = f"{job.done} of {job.of}"
+    said = job.message if job.message.startswith(count) else f"{count}, {job.message}"
+    return f"{job.job}: {said}{heard}"
 
 
 def health(node: NodeHealth, now: float) -> list[str]:

@@ -9,6 +9,8 @@ from typing import Any
 
 import click
 
+sys.path.append(str(Path(__file__).parents[2]))  # bench, from any folder
+
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, print_rows, print_table, progress
 from longarm_comp.cli.run import run_command

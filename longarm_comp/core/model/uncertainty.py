@@ -11,17 +11,19 @@ from __future__ import annotations
 
 import base64
 import binascii
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
-from scipy.special import gammaln, ndtri
 
 LEVEL = 0.9
 """Probability of the radius that a command states."""
 _SURE = 1e-9
 """Least variance of a squared length over its square: less changes no digit that is printed."""
-_NORMAL = float(ndtri(LEVEL))
+_NORMAL = NormalDist().inv_cdf(LEVEL)
+_log_gamma = np.vectorize(math.lgamma, otypes=[float])  # SciPy loads for half a second
 Identity = tuple[object, ...]
 
 
@@ -78,7 +80,7 @@ def sizes(covariance: np.ndarray, mean: np.ndarray | None = None) -> tuple[np.nd
         variance = variance + 4.0 * np.einsum("...i,...ij,...j->...", mean, covariance, mean)
     shape = square**2 / np.maximum(variance, _SURE * square**2 + 1e-300)
     shape = np.maximum(shape, 1e-300)
-    expected = np.sqrt(square / shape) * np.exp(gammaln(shape + 0.5) - gammaln(shape))
+    expected = np.sqrt(square / shape) * np.exp(_log_gamma(shape + 0.5) - _log_gamma(shape))
     return np.where(square == 0, 0.0, expected), radius(square, variance)
 
 
