@@ -87,7 +87,13 @@ class Quantity(ABC):
 
 @dataclass(frozen=True)
 class OfPosture(Quantity):
-    """A quantity of the arm at a posture."""
+    """A quantity of the arm at a posture.
+
+    Attributes:
+        resolution: span below which it is the arm's tolerance that varies, in its unit.
+    """
+
+    resolution: ClassVar[float] = 0.0
 
     @abstractmethod
     def read(self, posture: Posture) -> Scalar:
@@ -247,6 +253,7 @@ class Span(OfPosture):
     """Distance between two bearings; row 0 is the base."""
 
     pattern: ClassVar[str] = r"distance_(\d+)_(\d+)"
+    resolution: ClassVar[float] = 1e-3  # the tolerance of a row's lengths (`dh_error`)
     plain: ClassVar[bool] = False
 
     def exists(self, arm: Arm) -> bool:

@@ -165,6 +165,10 @@ class Legendre(Shape):
         return f"P{self.order:g}({self.of})"
 
 
+MOST_TURN = 1000.0
+"""Phase of a wave over its range at most, rad: 160 periods are more than poses can show."""
+
+
 @dataclass(frozen=True)
 class Wave(Shape):
     """A harmonic of the quantity itself: so many periods in 2 pi."""
@@ -172,8 +176,9 @@ class Wave(Shape):
     order: float = 1.0
 
     def check(self) -> None:
-        if not 0 < self.order <= 1e3:
-            raise FunctionError(f"{self.word}: order {self.order}", "above 0, at most 1000")
+        if not 0 < self.order * (self.high - self.low) <= MOST_TURN:
+            allowed = f"above 0, at most {MOST_TURN:g} rad over the range of {self.of}"
+            raise FunctionError(f"{self.word}: order {self.order:g}", allowed)
 
     @property
     def formula(self) -> str:

@@ -6,21 +6,17 @@ Also in which form it brings most, between the forms that were tried.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import log_ndtr
 
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term, distinct
-from longarm_comp.core.identify.linear import Added, Marginal, Products
+from longarm_comp.core.identify.linear import Added, Marginal, Products, log_mass
 from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.model.model import slots_of
-
-LOCATED = 2.0
-"""Within an effect, a place must be this much (log) more probable with it than without."""
 
 
 def columns_at(fitted: ModelFit) -> FitColumns:
@@ -69,6 +65,12 @@ class FitColumns(CandidateColumns):
             mine = slice(start, start + len(slots_of(self.model.arm, [term])))
             start = mine.stop
             self._cross[term.variant] = turned[mine].T, cross[:, mine]
+
+    def without(
+        self, places: Container[tuple[str, str]], beside: np.ndarray | None = None
+    ) -> FitMarginal:
+        """`marginal_without` of the fit."""
+        return marginal_without(self._fitted, self, places, beside)
 
     def scaled(self, terms: Sequence[Term]) -> Scaled:
         """Columns of some terms, fitted together."""
@@ -152,7 +154,7 @@ def key(term: Term) -> tuple[str, str]:
 def marginal_without(
     fitted: ModelFit,
     columns: CandidateColumns,
-    places: set[tuple[str, str]],
+    places: Container[tuple[str, str]],
     beside: np.ndarray | None = None,
 ) -> FitMarginal:
     """Evidence on top of a fit, the terms at some places taken out of it, other columns added.
@@ -213,52 +215,13 @@ def scores(
     return cast(list[Score], made)
 
 
-def pruned(
-    fitted: ModelFit, marginal: FitMarginal, candidate: Candidate, columns: FitColumns
-) -> Candidate:
-    """A family without the places that bring less than `LOCATED`, the least first.
-
-    So a rival is compared as it would be if it had been chosen.
-    """
-    slots = candidate.slots(fitted.model.arm)
-    owner = [candidate.terms.index(s.owner) for s in slots]
-    if len(candidate.terms) < 2 or set(owner) != set(range(len(candidate.terms))):
-        return candidate
-    white = columns.scaled(candidate.terms)
-    s, t = marginal.of([white])[0]
-
-    def evidence(terms: Sequence[int]) -> float:
-        own = np.flatnonzero(np.isin(owner, terms))
-        added = Added.of(s[np.ix_(own, own)], t[own])
-        return float(_bounded(added, white.lower[own], white.upper[own]))
-
-    left = list(range(len(candidate.terms)))
-    here = evidence(left)
-    while len(left) > 1:
-        without = {k: evidence([other for other in left if other != k]) for k in left}
-        least = max(without, key=lambda k: without[k])
-        if here - without[least] >= LOCATED:
-            break
-        left.remove(least)
-        here = without[least]
-    return Candidate(candidate.name, tuple(candidate.terms[k] for k in left))
-
-
 def _bounded(added: Added, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """(...) log Bayes factors, bounds (..., k) of the parameters counted."""
     if not (np.isfinite(lower) | np.isfinite(upper)).any():
         return added.log_bayes_factor
     sd = np.sqrt(np.diagonal(added.covariance, axis1=-2, axis2=-1))
-    inside = _log_mass((lower - added.mean) / sd, (upper - added.mean) / sd)
-    return np.asarray(added.log_bayes_factor + (inside - _log_mass(lower, upper)).sum(-1))
-
-
-def _log_mass(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Log of the unit normal's mass between bounds."""
-    flip = lower > -upper  # the smaller tail, where differences keep their digits
-    low, high = np.where(flip, -upper, lower), np.where(flip, -lower, upper)
-    mass = log_ndtr(high)
-    return np.asarray(mass + np.log1p(-np.exp(np.minimum(log_ndtr(low) - mass, -1e-300))))
+    inside = log_mass((lower - added.mean) / sd, (upper - added.mean) / sd)
+    return np.asarray(added.log_bayes_factor + (inside - log_mass(lower, upper)).sum(-1))
 
 
 def _fixed(
@@ -287,31 +250,6 @@ WORTH = 0.5
 """Log evidence that a form must bring to be taken instead of the one that is there."""
 SWEEPS = 2
 """Times that every scale is gone along, where a term has several."""
-
-
-def reshaped(terms: Sequence[Term], candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Other effects at the same places, in the forms that some terms were refined to.
-
-    Only effects that have all of the terms' scales: a deadband and a play share their load gate.
-    """
-    scales = set(terms[0].scales())
-    if not scales:
-        return []
-    others: dict[str, dict[str, Term]] = {}
-    for candidate in candidates:
-        for term in candidate.terms:
-            if term.name != terms[0].name and scales <= set(term.scales()):
-                others.setdefault(term.name, {}).setdefault(term.where, term)
-    made = []
-    for name, at in others.items():
-        shaped = tuple(
-            dataclasses.replace(at[t.where], **{k: getattr(t, k) for k in scales})
-            for t in terms
-            if t.where in at
-        )
-        if len(shaped) == len(terms):
-            made.append(Candidate(name, shaped))
-    return made
 
 
 def refined(

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import lsq_linear
+from scipy.special import log_ndtr
 
 
 @dataclass(frozen=True)
@@ -169,6 +170,14 @@ class Added:
         half_log_det = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(-1)
         gain = (z * z).sum(-1) / 2
         return cls(gain - half_log_det, gain, (back @ z[..., None])[..., 0], back @ inverse)
+
+
+def log_mass(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Log of the unit normal's mass between bounds."""
+    flip = lower > -upper  # the smaller tail, where differences keep their digits
+    low, high = np.where(flip, -upper, lower), np.where(flip, -lower, upper)
+    mass = log_ndtr(high)
+    return np.asarray(mass + np.log1p(-np.exp(np.minimum(log_ndtr(low) - mass, -1e-300))))
 
 
 OUTLIER = 4.2

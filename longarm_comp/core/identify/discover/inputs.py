@@ -13,10 +13,12 @@ from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.data.commanded import is_told
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.quantities import (
+    JointPosition,
+    JointSide,
     OfPosture,
-    OfRow,
     Quantity,
     Recorded,
+    Span,
     is_column,
     quantity,
 )
@@ -25,7 +27,8 @@ from longarm_comp.core.effects.shapes import LARGEST
 ALIKE = 0.9995
 """Correlation from which on two inputs count as one."""
 LEAST_SPAN = 0.03
-"""Range of a moment or of gravity's direction, in the widest one, below which it is sag alone."""
+"""Range of a load or of gravity's direction, in the widest of its kind, below which it is sag
+alone: declared masses and lengths are right to a few percent."""
 FEW_LEVELS = 3
 """On no more positions than this nothing tells a curve of the joint from another."""
 _FINE = 50
@@ -123,11 +126,20 @@ def arm_inputs(arm: Arm, posture: Posture, session: Session) -> Arguments:
         widest[type(found)] = max(largest, float(np.ptp(values)))
         read.append((name, found, values))
     for name, found, values in read:
-        if isinstance(found, OfRow) and np.ptp(values) < LEAST_SPAN * widest[type(found)]:
+        if np.ptp(values) < _resolved(found, values, widest[type(found)]):
             continue
         _add(made, name, values, arm)
     kept = {i.name for i in made}
     return Arguments(tuple(made), tuple(n for n in ("sum_loads", *columns) if n in kept), arm.n)
+
+
+def _resolved(found: Quantity, values: np.ndarray, widest: float) -> float:
+    """The span from which on an input counts: beyond what is known of it."""
+    if isinstance(found, (JointPosition, JointSide)) or not isinstance(found, OfPosture):
+        return 0.0
+    largest = float(np.abs(values).max(initial=0.0))
+    share = 0.0 if isinstance(found, Span) else LEAST_SPAN * max(widest, LEAST_SPAN * largest)
+    return max(share, found.resolution)
 
 
 def camera_inputs(points: np.ndarray, session: Session) -> Arguments:
