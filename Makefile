@@ -1,7 +1,6 @@
 # Everything runs from .venv, which `make setup` builds from nothing out of the package registry.
 PYTHON ?= python3
 PYTEST_ARGS ?= -m 'not long' -n 2 --dist loadfile --no-loadscope-reorder
-TORCH_ARGS ?=
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -10,7 +9,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 INSTALL := $(PIP) install --quiet --no-compile
 STAMPS := $(VENV)/stamps
 
-.PHONY: setup test long fuzz lint demo docs pictures bench format system colcon clean
+.PHONY: setup test long fuzz soak lint demo docs pictures bench format system colcon clean
 
 setup: $(STAMPS)/dev
 
@@ -48,12 +47,7 @@ $(STAMPS)/stand_ins: $(STAND_INS) $(STAMPS)/interfaces
 	$(INSTALL) --no-build-isolation ./test/stand_ins
 	@touch $@
 
-# torch comes alone. Its CPU build is enough: TORCH_ARGS='--index-url ...' chooses another.
-$(STAMPS)/torch: requirements/torch.txt | $(STAMPS)/python
-	$(INSTALL) $(TORCH_ARGS) -r $<
-	@touch $@
-
-$(STAMPS)/dev: $(STAMPS)/package $(STAMPS)/stand_ins $(STAMPS)/torch
+$(STAMPS)/dev: $(STAMPS)/package $(STAMPS)/stand_ins
 	$(INSTALL) --no-build-isolation --editable '.[dev]'
 	@touch $@
 
@@ -67,6 +61,11 @@ long: setup
 # Damaged files given to every command that reads one; `make test` runs a tenth of it.
 fuzz: setup
 	LONGARM_FUZZ_RUNS=2000 $(BIN)/python -m pytest $(PYTEST_ARGS) test/test_fuzz.py
+
+# Hours of targets on a simulated arm, with random faults: SOAK_ARGS='--hours 8'.
+SOAK_ARGS ?=
+soak: setup
+	PYTHONPATH=test $(BIN)/python -m soak $(SOAK_ARGS)
 
 lint: setup
 	$(BIN)/ruff check .
@@ -92,7 +91,12 @@ pictures: setup build/demo/report.html
 build/demo/report.html: | $(STAMPS)/package
 	$(BIN)/longarm demo --out build/demo
 
-bench: setup
+# What benchmarks compare with; the tests run without.
+$(STAMPS)/bench: $(STAMPS)/dev
+	$(INSTALL) --no-build-isolation --editable '.[bench]'
+	@touch $@
+
+bench: $(STAMPS)/bench
 	$(BIN)/longarm bench -o build/bench
 
 # Debian packages: a compiler for the ROS interfaces, a browser for the test of the report's page.

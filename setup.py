@@ -37,21 +37,20 @@ RUNTIME = [
     "urdf-parser-py>=0.0.4",
 ]
 
+PEERS = ["ikpy", "mcap-ros2-support", "pytracik", "roboplan", "roboticstoolbox-python"]
 STUDIES = ["joblib>=1.4", "scikit-learn>=1.4"]
-DEVICE = ["torch>=2.2"]
 CLUSTER = ["dask[distributed]>=2024.1"]
 DOCS = ["furo>=2024.8", "myst-nb>=1.1", "pillow>=10.1", "sphinx>=7.4"]
 VIEW = ["viser==1.1.1", "websockets>=14"]  # pinned: longarm_comp/view/server.py wraps how it serves
 
 EXTRAS = {
     "test": ["pytest"],  # by this name colcon test finds that pytest runs the tests
-    "device": DEVICE,  # longarm train --device
+    "bench": PEERS,  # longarm bench, what it compares with
     "studies": STUDIES,  # longarm study table1, study loop
     "cluster": [*STUDIES, *CLUSTER],  # study loop --dask
     "docs": DOCS,  # make docs
     "view": VIEW,  # longarm view
     "dev": [
-        *DEVICE,
         *STUDIES,
         *CLUSTER,
         *DOCS,
@@ -61,9 +60,7 @@ EXTRAS = {
         "dynamixel-sdk",
         "example-robot-data",
         "hypothesis",
-        "ikpy",
         "jsonschema",
-        "mcap-ros2-support",
         "msgspec",
         "mypy",
         "packaging",
@@ -71,9 +68,6 @@ EXTRAS = {
         "playwright",
         "pytest",
         "pytest-xdist",
-        "pytracik",
-        "roboplan",
-        "roboticstoolbox-python",
         "ruff",
         "types-PyYAML",
         "vassar-feetech-servo-sdk",

@@ -26,7 +26,7 @@ from longarm_comp.core.identify.calibrate import Errors, geometry
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
-from longarm_comp.studies.real_sessions import declared
+from studies.real_sessions import declared
 
 NOISE_M = 3e-4
 SIZES = (300, 3_000, 30_000, 100_000)

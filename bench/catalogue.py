@@ -45,11 +45,8 @@ BENCHMARKS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
             "ssa_time_to_error_vs_gp_900",
         ),
         "ssa_scaling": (
-            "ssa_fitness_population_10000",
-            "ssa_fitness_samples_100000",
             "ssa_search_population_10000",
             "ssa_train_100000",
-            "ssa_fitness_cuda",
         ),
     },
     "calibration": {

@@ -7,7 +7,7 @@ import platform
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-_LIBRARIES = ("numpy", "scipy", "llvmlite", "torch", "rosbags")
+_LIBRARIES = ("numpy", "scipy", "llvmlite", "rosbags")
 
 
 def machine() -> str:

@@ -22,7 +22,7 @@ from longarm_comp.core.learn.network import (
 )
 from longarm_comp.core.learn.sparrow import SparrowResult, SparrowSearch
 from longarm_comp.core.learn.training import back_propagate
-from longarm_comp.studies.peers import train_gaussian_process, train_mlp
+from studies.peers import train_gaussian_process, train_mlp
 
 Array = NDArray[np.float64]
 SHAPE = Shape(7, 12, 3)

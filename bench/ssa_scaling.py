@@ -9,32 +9,17 @@ import numpy as np
 from bench.comparison import Result, beside, missing
 from bench.mealpy_peer import MealpyPeer
 from bench.smooth import rms_mm, smooth_set
-from bench.ssa import HIDDEN, POPULATION, standardised
-from bench.subprocess_cost import Cost, cost_of
+from bench.ssa import HIDDEN, standardised
+from bench.subprocess_cost import cost_of
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.learn.network import Shape, squared_error
-from longarm_comp.core.learn.population import fitness_on
 from longarm_comp.core.learn.sparrow import SparrowSearch
 
 SHAPE = Shape(7, HIDDEN, 3)
 
 
 # ------------------------------------------------------------------ run in processes of their own
-
-
-def fitness_rates(samples: int, population: int, device: str | None, repeats: int) -> list[float]:
-    """Fitness evaluations a second: numpy where there is no device, else torch on it."""
-    x, y = standardised(smooth_set(samples, 0, test=1))
-    flock = np.random.default_rng(0).uniform(-1, 1, (population, SHAPE.size))
-    fitness = fitness_on(device, SHAPE, x, y)
-    fitness(flock[:50])
-    rates = []
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        fitness(flock)
-        rates.append(population / (time.perf_counter() - begin))
-    return rates
 
 
 def search_rate(samples: int, population: int, iterations: int) -> float:
@@ -60,46 +45,6 @@ def train_once(samples: int, networks: int) -> dict[str, float]:
 
 
 # ------------------------------------------------------------------ rows
-
-
-def _fitness(name: str, samples: int, population: int, device: str, repeats: int = 3) -> Result:
-    ours: Cost = cost_of(__name__, "fitness_rates", samples, population, None, repeats)
-    theirs: Cost = cost_of(__name__, "fitness_rates", samples, population, device, repeats)
-    return beside(
-        name,
-        "evaluations/s",
-        ours.result,
-        f"torch on {device}",
-        theirs.result,
-        more_is_better=True,
-        grown_mb=ours.grown_mb,
-        note=f"{samples} samples, population {population}; torch grows {theirs.grown_mb:.0f} MB",
-    )
-
-
-def ssa_fitness_population_10000() -> Result:
-    """900 samples, population 10,000."""
-    return _fitness("ssa_fitness_population_10000", 900, 10_000, "cpu")
-
-
-def ssa_fitness_samples_100000() -> Result:
-    """100,000 samples, population 50."""
-    return _fitness("ssa_fitness_samples_100000", 100_000, POPULATION, "cpu")
-
-
-def ssa_fitness_cuda() -> Result:
-    """A graphics processor against numpy on one core, 900 samples, population 10,000."""
-    name = "ssa_fitness_cuda"
-    try:
-        import torch
-    except ImportError:
-        return missing(name, "numpy on one core", "torch is not installed")
-    if not torch.cuda.is_available():
-        return missing(name, "numpy on one core", "no CUDA device here: not measured")
-    there: Cost = cost_of(__name__, "fitness_rates", 900, 10_000, "cuda", 5)
-    here: Cost = cost_of(__name__, "fitness_rates", 900, 10_000, None, 5)
-    peer = "numpy on one core"
-    return beside(name, "evaluations/s", there.result, peer, here.result, more_is_better=True)
 
 
 def ssa_search_population_10000(population: int = 10_000, iterations: int = 1) -> Result:

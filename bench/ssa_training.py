@@ -18,7 +18,7 @@ import numpy as np
 from bench.comparison import Result, beside, missing
 from bench.smooth import SmoothSet, rms_mm, smooth_set
 from longarm_comp.core.learn.ensemble import train
-from longarm_comp.studies.peers import train_gaussian_process, train_mlp
+from studies.peers import train_gaussian_process, train_mlp
 
 Learner = Callable[[SmoothSet, int], Any]
 TARGET_MM = {300: 0.25, 900: 0.17}

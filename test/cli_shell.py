@@ -12,9 +12,18 @@ import yaml
 from small_arm import ARM, measured
 
 from longarm_comp.cli import run
+from longarm_comp.cli.registry import COMMANDS
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import write_csv
+from studies.commands import STUDIES
+
+MODULES = {
+    **{entry.name: f"longarm_comp.cli.{entry.module}" for entry in COMMANDS},
+    **{f"study {entry.name}": f"studies.commands.{entry.module}" for entry in STUDIES},
+}
+"""The module of each command that does something."""
+del MODULES["study"]
 
 
 class Shell:

@@ -23,7 +23,7 @@ from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.model.model import Model
-from longarm_comp.studies.real_sessions import laser_tracked
+from studies.real_sessions import laser_tracked
 
 Spoil = Callable[[Session], Session]
 ANYWHERE = BasePose("", 12.0, -15.0, 4.0, 0.7, -1.1, 1.84)

@@ -137,20 +137,10 @@ def test_training_to_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_ssa_against_samples_and_population() -> None:
-    assert all(rate > 0 for rate in ssa_scaling.fitness_rates(100, 20, None, 2))
     assert ssa_scaling.search_rate(100, 20, 2) > 0
     row = finite(ssa_scaling.ssa_train_100000(60, 120))
     assert row["rms_mm"] > 0
     assert smooth_set(60, 0).q.shape == (60, 7)
-
-
-def test_a_graphics_processor_that_is_not_there_is_said() -> None:
-    torch = pytest.importorskip("torch")
-    if torch.cuda.is_available():
-        pytest.skip("there is one")
-    row = ssa_scaling.ssa_fitness_cuda()
-    assert row["ratio"] is None
-    assert "not measured" in str(row["note"])
 
 
 def test_commands_and_imports_start() -> None:
@@ -172,7 +162,7 @@ def test_every_node_comes_up(ros_domain: int, monkeypatch: pytest.MonkeyPatch) -
 def fake(name: str) -> dict[str, object]:
     if name == "ssa_evals_vs_mealpy_300":
         raise JobError("no network")
-    if name == "ssa_fitness_cuda":
+    if name == "ssa_train_100000":
         return comparison.missing(name, "numpy", "no CUDA device here")
     return comparison.beside(name, "us", [2.0, 1.0], "p", [5.0, 6.0])
 
@@ -193,7 +183,7 @@ def test_results_as_json_and_picture(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_a_picture_without_any_ratio(tmp_path: Path) -> None:
-    plot.draw([fake("ssa_fitness_cuda")], "title", tmp_path / "a.png")
+    plot.draw([fake("ssa_train_100000")], "title", tmp_path / "a.png")
     assert (tmp_path / "a.png").stat().st_size > 1000
 
 
@@ -220,8 +210,8 @@ def test_outside_of_a_checkout_the_command_says_where_it_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """No benchmarks beside the package: those of the folder that it is run in, else one line."""
-    command = importlib.import_module("longarm_comp.cli.bench")
-    monkeypatch.setattr(command, "__file__", str(tmp_path / "a" / "b" / "c" / "bench.py"))
+    checkout = importlib.import_module("longarm_comp.cli.checkout")
+    monkeypatch.setattr(checkout, "__file__", str(tmp_path / "a" / "b" / "c" / "checkout.py"))
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.chdir(tmp_path)
     assert run(["bench", "--list"]) == 3

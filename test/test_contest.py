@@ -21,7 +21,7 @@ from longarm_comp.core.identify.discover.hold_out import borne_out, helps_betwee
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.proof import Proof
 from longarm_comp.sim.hidden import loads
-from longarm_comp.studies.discover import set_up
+from studies.discover import set_up
 
 
 def test_a_rival_at_another_part_of_the_arm_opens_a_name() -> None:

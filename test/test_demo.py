@@ -75,6 +75,8 @@ def test_the_loop_brings_the_arm_nearer_to_its_targets(ros_domain: int, tmp_path
     page = Path(report["files"]["report"]).read_text()
     assert report["diagnosis"].split(":")[0] in page
     assert "ERROR" not in noise
+    assert "poses driven, " in noise and "targets driven" in noise  # what the job does ...
+    assert "programs" not in noise  # ... and not what a node is busy with
     assert "no joint_states" not in noise
     arm = Arm.load(DemoSettings(out).arm)
     assert (arm.steps > 0).all()

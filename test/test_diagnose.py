@@ -24,7 +24,7 @@ from longarm_comp.core.model.model_file import load_model, undo
 from longarm_comp.report.record import checked
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sim.hidden import drives
-from longarm_comp.studies.real_sessions import justin, laser_tracked
+from studies.real_sessions import justin, laser_tracked
 
 GAIN = (drives.JointGain(at(2, 0.02)),)
 

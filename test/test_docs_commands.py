@@ -16,13 +16,12 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
-from cli_shell import Shell
+from cli_shell import MODULES, Shell
 from openpyxl import Workbook
 from scipy.spatial.transform import Rotation
 from test_urdf import example
 
 import longarm_comp
-from longarm_comp.cli import registry
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.effects import catalogue
@@ -41,7 +40,6 @@ YOURS = (
 )
 """Files that a reader brings, or that stand for any file."""
 _FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-_INLINE = re.compile(r"`(longarm [a-z][^`]*)`")
 
 
 @dataclass(frozen=True)
@@ -71,13 +69,12 @@ def commands(page: str) -> Iterator[Said]:
             yield Said(page, tuple(words[1:]))
 
 
-def found(words: tuple[str, ...]) -> tuple[click.Command, list[str], registry.Entry]:
-    """The command of some words, and its arguments."""
-    for entry in sorted(registry.COMMANDS, key=lambda entry: -len(entry.name)):
-        name = entry.name.split()
-        if list(words[: len(name)]) == name:
-            module = importlib.import_module(f"longarm_comp.cli.{entry.module}")
-            return module.command, list(words[len(name) :]), entry
+def found(words: tuple[str, ...]) -> tuple[click.Command, list[str], str]:
+    """The command of some words, its arguments, and its name."""
+    for name, module in MODULES.items():
+        first = name.split()
+        if list(words[: len(first)]) == first:
+            return importlib.import_module(module).command, list(words[len(first) :]), name
     raise AssertionError(f"no command: longarm {shlex.join(words)}")
 
 
@@ -114,9 +111,9 @@ def test_every_command_of_the_pages_parses_and_names_files_that_are_there(
                 made |= {Path(word) for word in line[2:]}
             continue
         said = Said(page, tuple(line[1:]))
-        command, words, entry = found(said.words)
+        command, words, name = found(said.words)
         try:
-            context = command.make_context(entry.name, words)
+            context = command.make_context(name, words)
         except (click.ClickException, longarm_comp.InputError) as error:
             raise AssertionError(f"{said}: {error}") from error
         reads, writes = read_and_written(context)
@@ -124,30 +121,10 @@ def test_every_command_of_the_pages_parses_and_names_files_that_are_there(
             known = str(path) in YOURS or (ROOT / path).exists()
             assert known or made & {path, *path.parents}, f"{said}: nothing made {path}"
         made |= {*writes}
-        if entry.name == "up":  # files that it waits for
+        if name == "up":  # files that it waits for
             made |= {Path("model.yaml"), Path("predictor.npz")}
         counted += 1
     assert counted > 50
-
-
-def test_every_command_in_the_text_exists_with_its_options() -> None:
-    counted = 0
-    for page in PAGES:
-        text = (ROOT / page).read_text("utf-8")
-        for said in _INLINE.findall(_FENCE.sub("", text)):
-            words = tuple(said.replace("\n", " ").split()[1:])
-            if words[0] not in {name for entry in registry.COMMANDS for name in entry.name.split()}:
-                raise AssertionError(f"{page}: longarm {words[0]}")
-            if words[0] in registry.GROUPS and (len(words) < 2 or "|" in words[1]):
-                continue
-            command, rest, _ = found(words)
-            options_of = {o for p in command.params for o in (*p.opts, *p.secondary_opts)}
-            for word in rest:
-                if re.match(r"--?[a-z]", word):
-                    name = re.sub(r"[^a-z-].*", "", word)
-                    assert {name, word} & {*options_of, "--help", "-h"}, f"{page}: {said}: {word}"
-            counted += 1
-    assert counted > 60
 
 
 def test_python_of_the_pages_compiles_and_names_what_there_is() -> None:

@@ -9,20 +9,20 @@ from pathlib import Path
 
 import click
 import pytest
+from cli_shell import MODULES
 
-from longarm_comp.cli.registry import COMMANDS, GROUPS
+from longarm_comp.cli.registry import GROUPS
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PAGES = [page for page in PAGES if "made" not in page.parts]
 FENCED = re.compile(r"^```[^\n]*\n(.*?)^```", re.DOTALL | re.MULTILINE)
-MODULES = {entry.name: entry.module for entry in COMMANDS}
 
 
 @cache
 def options(name: str) -> set[str]:
     """Every option of a command."""
-    command = importlib.import_module(f"longarm_comp.cli.{MODULES[name]}").command
+    command = importlib.import_module(MODULES[name]).command
     assert isinstance(command, click.Command)
     given = {o for p in command.params for o in (*p.opts, *p.secondary_opts)}
     return given | {"-h", "--help"}
@@ -43,7 +43,7 @@ def named(words: list[str]) -> str | None:
     if not words or words[0].isupper() or words[0].startswith("-"):
         return None
     first = words[0].rstrip(".,;")
-    if first not in GROUPS:
+    if first not in {*GROUPS, "study"}:
         assert first in MODULES, f"longarm {first}: no such command"
         return first
     assert len(words) > 1, f"longarm {first}: which?"

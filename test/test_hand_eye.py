@@ -172,7 +172,7 @@ def test_an_arm_that_rests_gives_a_row_for_every_new_pose(
     from longarm_comp.nodes import interfaces as graph
     from longarm_comp.nodes.stamps import stamp_of
 
-    monkeypatch.setattr(rest_sightings, "_REST_S", 0.05)
+    monkeypatch.setattr(rest_sightings, "SETTLE_S", 0.05)
     rng = np.random.default_rng(1)
     poses = ARM.lower + rng.random((4, ARM.n)) * (ARM.upper - ARM.lower)
     poses = np.vstack([poses[:2], poses[1] + 1e-5, poses[2:]])  # the third is the second again

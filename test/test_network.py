@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from bench.smooth import smooth_set
-from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.network import (
     Shape,
     forward,
@@ -19,7 +18,6 @@ from longarm_comp.core.learn.network import (
     with_ones,
     xavier_start,
 )
-from longarm_comp.core.learn.population import fitness_on
 from longarm_comp.core.learn.sparrow import SparrowSearch
 from longarm_comp.core.learn.training import back_propagate
 
@@ -69,22 +67,6 @@ def test_population_fitness_survives_saturated_units(problem):
     x, y, weights = problem
     huge = np.stack((weights * 1e4, -weights * 1e4))
     assert np.all(np.isfinite(squared_error(SHAPE, x, y)(huge)))
-
-
-def test_torch_gives_the_fitness_that_numpy_gives(problem):
-    pytest.importorskip("torch")
-    x, y, _ = problem
-    population = np.random.default_rng(2).normal(size=(70, SHAPE.size))
-    by_torch = fitness_on("cpu", SHAPE, x, y)(population)
-    np.testing.assert_allclose(by_torch, squared_error(SHAPE, x, y)(population), rtol=1e-5)
-
-
-def test_a_device_that_is_not_there_is_refused(problem):
-    pytest.importorskip("torch")
-    x, y, _ = problem
-    for device in ("cuda:99", "abacus"):
-        with pytest.raises(InputError):
-            fitness_on(device, SHAPE, x, y)
 
 
 def test_groups_cover_every_weight_once_per_input():

@@ -15,7 +15,7 @@ from longarm_comp.core.compensation.online import (
     StaleContext,
     compensate_now,
 )
-from longarm_comp.core.data.rest_pose import RestWatch
+from longarm_comp.core.data.rest import RestWatch
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.measured_tilt import MeasuredTilt
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth

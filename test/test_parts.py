@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.studies.loop import run_case
-from longarm_comp.studies.loop_cases import Case
+from studies.loop import run_case
+from studies.loop_cases import Case
 
 
 def result(arm_path: Path, *effects: str, group: str = "pair") -> dict[str, Any]:

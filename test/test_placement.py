@@ -30,7 +30,7 @@ from longarm_comp.core.identify.standing import frames
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
 from longarm_comp.sim.arm_truth import TrueArm
-from longarm_comp.studies.real_sessions import justin, laser_tracked
+from studies.real_sessions import justin, laser_tracked
 
 TURNS = [Rotation.from_rotvec([0.7, -1.1, 1.84]), Rotation.from_rotvec([-3.0, 0.3, 0.2])]
 FAR = np.array([12.0, -15.0, 4.0])

@@ -1,19 +1,15 @@
-"""What is drawn: arrows and scene of the report, figures of the studies."""
+"""What is drawn: arrows and scene of the report."""
 
 from __future__ import annotations
 
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from report_samples import named
 
-from longarm_comp.core.errors import InputError
 from longarm_comp.report import SeenRows
 from longarm_comp.report.arrows import MOST, arrows, exaggeration
-from longarm_comp.report.figures import ladder_figure, table1_figure
 from longarm_comp.report.scene import scene_json
 
 # Arrows and scene
@@ -58,36 +54,3 @@ def test_scene_has_every_stage_at_both_scales_and_shows_one(rng: np.random.Gener
     ends = np.column_stack([shown[k] for k in "xyz"])[1::10].astype(float)
     times = shown["meta"]["times"]
     assert ends == pytest.approx(rows.measured_m + times * rows.errors_m["calibrated"], abs=1e-5)
-
-
-# Figures of studies
-
-
-def test_study_figures_are_drawn_the_same_each_time(tmp_path: Path) -> None:
-    rows: Any = [
-        {"row": "Original error", "mean_abs_z_mm": [15.0, 19.0, 16.0], "paper_mm": 17.7},
-        {"row": "Gaussian process, 300", "mean_abs_z_mm": [2.0], "paper_mm": None},
-    ]
-    rungs: Any = [
-        {"model": "frames_only", "mean_mm": 25.0, "rms_mm": 28.0, "max_mm": 60.0},
-        {"model": "joint_compliance", "mean_mm": 4.6, "rms_mm": 5.1, "max_mm": 13.0},
-    ]
-    for draw, data in ((table1_figure, rows), (ladder_figure, {"justin": rungs})):
-        for ending in ("png", "svg", "pdf"):
-            assert len(draw(data, tmp_path / f"one.{ending}").read_bytes()) > 3000
-        again = draw(data, tmp_path / "two.svg").read_bytes()
-        assert again == (tmp_path / "one.svg").read_bytes()
-
-
-def test_study_figures_refuse_nothing_and_not_a_number(tmp_path: Path) -> None:
-    row: Any = {"row": "a", "mean_abs_z_mm": [1.0, float("nan")], "paper_mm": None}
-    for rows, said in (([], "at least one row"), ([row], "finite")):
-        with pytest.raises(InputError, match=said):
-            table1_figure(rows, tmp_path / "a.png")
-    with pytest.raises(InputError, match="one value an arm"):
-        table1_figure([row | {"mean_abs_z_mm": []}], tmp_path / "a.png")
-    with pytest.raises(InputError, match="rung"):
-        ladder_figure({"wam": []}, tmp_path / "a.png")
-    with pytest.raises(InputError, match="ending"):
-        table1_figure([row | {"mean_abs_z_mm": [1.0]}], tmp_path / "a.gif")
-    assert not list(tmp_path.iterdir())

@@ -20,6 +20,8 @@ ROS = (
     *("visualization_msgs", "nav_msgs", "action_msgs", "tf2_msgs", "control_msgs"),
 )
 
+IO = ("cv2", "serial", "click", "rich", "matplotlib", "plotly")
+
 # Imports point only upward in this list; modules of the core that it does not name are checked
 # through whatever they import.
 CORE_ORDER = (
@@ -42,15 +44,18 @@ class Room:
 
 
 ROOMS = {
-    "core": Room((*ROS, "cv2", "serial", "click", "rich", "matplotlib", "plotly"), only=()),
-    "devices": Room(ROS, only=("core.errors", "core.files", "core.strict_yaml")),
+    "math": Room((*ROS, *IO, "scipy"), only=()),
+    "core": Room((*ROS, *IO), only=("math",)),
+    "devices": Room(
+        ROS, only=("core.entry_points", "core.errors", "core.files", "core.strict_yaml", "math")
+    ),
     "sim": Room(ROS, only=("core.arm", "core.errors", "core.files", "core.strict_yaml", "devices")),
     "arm_folder": Room((*ROS, "click", "rich"), only=("core", "devices", "sim", "share")),
     "sessions": Room((*ROS, "nodes", "devices", "sim", "report", "workflows", "cli")),
     "report": Room((*ROS, "nodes", "devices", "sim", "workflows", "cli")),
     "workflows": Room((*ROS, "click", "rich"), only=("core", "sessions", "report", "version")),
-    "nodes": Room(("cli", "report", "workflows", "studies", "bench", "scipy", "torch")),
-    "view": Room(("click", "scipy", "torch"), only=("core", "nodes", "jobs.client")),
+    "nodes": Room(("cli", "report", "workflows", "scipy")),
+    "view": Room(("click", "scipy"), only=("core", "nodes", "jobs.client")),
 }
 
 MATHS = {
@@ -151,7 +156,9 @@ def reach(graph: dict[str, set[str]], start: str) -> set[str]:
 @cache
 def sources() -> dict[str, Path]:
     """Module name -> file; a package's own file under ``name.__init__``."""
-    files = [file for folder in (PACKAGE, "bench") for file in (ROOT / folder).rglob("*.py")]
+    files = [
+        file for folder in (PACKAGE, "bench", "studies") for file in (ROOT / folder).rglob("*.py")
+    ]
     return {".".join(file.relative_to(ROOT).with_suffix("").parts): file for file in sorted(files)}
 
 
@@ -170,7 +177,7 @@ def in_room(room: str) -> list[str]:
 
 @cache
 def graph() -> dict[str, set[str]]:
-    """The modules of the package and of the benchmarks, and what each needs of them.
+    """The modules of package, benchmarks and studies, and what each needs of them.
 
     Imports within functions and for types alone count, except those of the package's own file,
     which names what it loads when it is asked for.
@@ -234,25 +241,27 @@ def test_only_the_entry_point_imports_the_command_line() -> None:
     callers = [
         name
         for name in sources()
-        if not below(name, (f"{PACKAGE}.cli", f"{PACKAGE}.__main__"))
+        if not below(name, (f"{PACKAGE}.cli", f"{PACKAGE}.__main__", "studies.commands"))
         and any(below(entry.name, (f"{PACKAGE}.cli",)) for entry in read(name))
     ]
     assert not callers
 
 
-def test_only_its_command_imports_the_benchmarks() -> None:
+@pytest.mark.parametrize(("folder", "command"), [("bench", "bench"), ("studies", "study")])
+def test_only_its_command_imports_what_is_not_installed(folder: str, command: str) -> None:
     callers = {
         name
         for name in sources()
-        if below(name, (PACKAGE,)) and any(below(entry.name, ("bench",)) for entry in read(name))
+        if below(name, (PACKAGE,)) and any(below(entry.name, (folder,)) for entry in read(name))
     }
-    assert callers == {f"{PACKAGE}.cli.bench"}
+    assert callers == {f"{PACKAGE}.cli.{command}"}
 
 
 @pytest.mark.parametrize(
     ("room", "source"),
     [
         ("core", "import rclpy"),
+        ("math", "from longarm_comp.core.errors import InputError"),
         ("core", "def f():\n    from geometry_msgs.msg import Pose"),
         ("core", "from longarm_comp import sim"),
         ("core", "from ..nodes import kinematics"),
@@ -262,7 +271,6 @@ def test_only_its_command_imports_the_benchmarks() -> None:
         ("sim", "from longarm_comp.core.effects.creep import Creep"),
         ("sim", "import importlib\nimportlib.import_module('longarm_comp.core.ik.solver')"),
         ("nodes", "import scipy.linalg"),
-        ("nodes", "from bench import arms"),
         ("report", "from longarm_comp.nodes.kinematics import Kinematics"),
         ("workflows", "from longarm_comp.jobs.collect.run import collect"),
         ("workflows", "def f():\n    import click"),

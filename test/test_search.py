@@ -31,7 +31,7 @@ from longarm_comp.core.identify.search import SearchResult, search
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import loads
-from longarm_comp.studies.real_sessions import declared
+from studies.real_sessions import declared
 
 KINDS = (JointCompliance, JointGain, GearEccentricity, ThermalGrowth)
 

@@ -11,15 +11,15 @@ import pytest
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.devices.servo_bus import (
-    MODELS,
-    PROTOCOLS,
     BusUnplugged,
     SerialServoBus,
     ServoAlarm,
     ServoChecksum,
     ServoFault,
     ServoTimeout,
+    models,
     open_bus,
+    protocols,
 )
 from longarm_comp.devices.servo_bus.dialect import Block
 from longarm_comp.sim.servo_emulator import MotorSpec, ServoEmulator
@@ -31,8 +31,8 @@ Rig = tuple[ServoEmulator, SerialServoBus]
 
 
 def _open(protocol: str, port: str, retries: int = 2) -> SerialServoBus:
-    models = dict.fromkeys(IDS, MODELS[MODEL[protocol]])
-    return open_bus(protocol, port, 1_000_000, models, reply_timeout_s=0.15, retries=retries)
+    servos = dict.fromkeys(IDS, models()[MODEL[protocol]])
+    return open_bus(protocol, port, 1_000_000, servos, reply_timeout_s=0.15, retries=retries)
 
 
 def _until(done: Callable[[], bool], limit_s: float = 20.0) -> bool:
@@ -43,7 +43,7 @@ def _until(done: Callable[[], bool], limit_s: float = 20.0) -> bool:
     return done()
 
 
-@pytest.fixture(params=sorted(PROTOCOLS))
+@pytest.fixture(params=sorted(protocols()))
 def rig(request: pytest.FixtureRequest) -> Iterator[Rig]:
     with ServoEmulator(request.param, START, MotorSpec(overload_s=0.3)) as emulator:
         bus = _open(request.param, emulator.port)
@@ -125,7 +125,7 @@ def test_noise_and_a_late_reply_do_not_become_an_answer(rig: Rig) -> None:
 
 def test_an_answer_of_another_servo_is_not_taken(rig: Rig) -> None:
     emulator, bus = rig
-    dialect = PROTOCOLS[emulator.protocol]()
+    dialect = protocols()[emulator.protocol]()
     (frame,) = emulator._wire.take(bytearray(dialect.sync_read([4], dialect.state)))
     ((_, stray),) = emulator._wire.answer(frame, emulator._devices)
     emulator.faults.before_next(stray)
@@ -226,7 +226,7 @@ def test_unknown_protocol_and_mixed_models_are_refused() -> None:
     with pytest.raises(InputError, match="feetech, dynamixel"):
         open_bus("rs232", "/dev/null", 9600, {})
     with pytest.raises(InputError, match="servo 1"):
-        open_bus("feetech", "/dev/null", 9600, {1: MODELS["xl430-w250"]})
+        open_bus("feetech", "/dev/null", 9600, {1: models()["xl430-w250"]})
 
 
 class _Line:
@@ -251,7 +251,7 @@ class _Line:
 
 def test_dynamixel_frames_equal_the_vendor_librarys() -> None:
     dxl = pytest.importorskip("dynamixel_sdk")
-    line, packet, ours = _Line(), dxl.PacketHandler(2.0), PROTOCOLS["dynamixel"]()
+    line, packet, ours = _Line(), dxl.PacketHandler(2.0), protocols()["dynamixel"]()
     packet.syncReadTx(line, 122, 25, [1, 2, 7], 3, False)
     line.is_using = False
     goal = ours.goal_bytes(-123456, 100.0)
@@ -264,7 +264,7 @@ def test_dynamixel_frames_equal_the_vendor_librarys() -> None:
 
 def test_dynamixel_byte_stuffing_equals_the_vendor_librarys() -> None:
     dxl = pytest.importorskip("dynamixel_sdk")
-    packet, ours = dxl.PacketHandler(2.0), PROTOCOLS["dynamixel"]()
+    packet, ours = dxl.PacketHandler(2.0), protocols()["dynamixel"]()
     goal = ours.goal_bytes(0x00FDFFFF, 100.0)
     frame = ours.sync_write(Block(108, 12), {3: goal})
     plain = [0xFF, 0xFF, 0xFD, 0, 0xFE, 20, 0, 0x83, 108, 0, 12, 0, 3, *goal, 0, 0]
@@ -279,7 +279,7 @@ def test_dynamixel_byte_stuffing_equals_the_vendor_librarys() -> None:
 
 def test_feetech_frames_equal_the_vendor_librarys() -> None:
     scs = pytest.importorskip("scservo_sdk")
-    line, ours = _Line(), PROTOCOLS["feetech"]()
+    line, ours = _Line(), protocols()["feetech"]()
     servo = scs.sms_sts(line)
     servo.syncReadTx(56, 11, [1, 2, 7], 3)
     line.is_using = False
@@ -292,9 +292,9 @@ def test_feetech_frames_equal_the_vendor_librarys() -> None:
 
 
 def test_decoding_survives_any_split_of_the_bytes() -> None:
-    for protocol in PROTOCOLS:
+    for protocol in protocols():
         with ServoEmulator(protocol, START) as emulator:
-            dialect = PROTOCOLS[protocol]()
+            dialect = protocols()[protocol]()
             asked = dialect.sync_read(IDS, dialect.state)
             frames = emulator._wire.take(bytearray(asked))
             stream = b"".join(r for _, r in emulator._wire.answer(frames[0], emulator._devices))
@@ -307,11 +307,11 @@ def test_decoding_survives_any_split_of_the_bytes() -> None:
             assert replies + dialect.decode(buffer, final=True) == whole
 
 
-@pytest.mark.parametrize("protocol", sorted(PROTOCOLS))
+@pytest.mark.parametrize("protocol", sorted(protocols()))
 def test_a_whole_frame_is_found_in_any_garbage(protocol: str) -> None:
     """No false answer, no exception, and the true one is not lost behind garbage."""
     rng = random.Random(5)
-    dialect = PROTOCOLS[protocol]()
+    dialect = protocols()[protocol]()
     alphabet = (0xFF, 0xFF, 0xFF, 0xFD, 0x00, 0x55, 1, 7, 200)
     emulator = ServoEmulator(protocol, START)
     frame = emulator._wire.take(bytearray(dialect.sync_read([3], dialect.state)))[0]

@@ -14,7 +14,7 @@ import pytest
 import serial
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.devices.servo_bus import MODELS, PROTOCOLS, open_bus
+from longarm_comp.devices.servo_bus import models, open_bus, protocols
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.sim.servo_emulator import Motor, MotorSpec, ServoEmulator, read_arm
 
@@ -219,15 +219,15 @@ def test_broken_instructions_do_not_stop_it(protocol: str) -> None:
     """Instructions with a good checksum but too few parameters, unknown ones, and a flood."""
     with ServoEmulator(protocol, START) as emulator:
         port = serial.Serial(emulator.port, 1_000_000, timeout=0.2, write_timeout=0.2)
-        dialect = PROTOCOLS[protocol]()
+        dialect = protocols()[protocol]()
         for instruction in range(256):
             for params in (b"", b"\x38", b"\x38\x00", b"\xff\xff\xff\xff", bytes(40)):
                 port.write(dialect.encode(1, instruction, params))
                 port.write(dialect.encode(0xFE, instruction, params))
         assert _until(lambda: emulator.frames_heard > 1000)
         port.close()
-        models = {7: MODELS["sts3215" if protocol == "feetech" else "xl430-w250"]}
-        bus = open_bus(protocol, emulator.port, 1_000_000, models, 0.05)
+        servos = {7: models()["sts3215" if protocol == "feetech" else "xl430-w250"]}
+        bus = open_bus(protocol, emulator.port, 1_000_000, servos, 0.05)
         assert _until(lambda: bus.read([7])[7].voltage_v > 0)
         bus.close()
 

@@ -19,7 +19,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sessions.targets import Command, Targets, read_targets, write_commands
-from longarm_comp.studies.real_sessions import declared
+from studies.real_sessions import declared
 
 HEADER = "index,approach,q1,q2,q3,q4,x,y,z"
 ROW = "0,1,0.1,0.5,0.05,0.2,0.4,0.1,0.3"

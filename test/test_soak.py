@@ -1,4 +1,4 @@
-"""`longarm soak` in small, and its ledger: what must never happen is noticed."""
+"""`make soak` in small, and its ledger: what must never happen is noticed."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from std_srvs.srv import SetBool
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.jobs.soak import run
-from longarm_comp.jobs.soak.leaks import LeakWatch
-from longarm_comp.jobs.soak.ledger import Ledger
-from longarm_comp.jobs.soak.scene import Scene
-from longarm_comp.jobs.soak.setting import SoakSettings
 from longarm_comp.nodes import interfaces as graph
+from soak import run
+from soak.leaks import LeakWatch
+from soak.ledger import Ledger
+from soak.scene import Scene
+from soak.setting import SoakSettings
 
 Q = (0.1, 0.2)
 
@@ -108,9 +108,10 @@ def test_settings_are_checked(tmp_path: Path) -> None:
 
 
 def test_half_a_minute_of_faults(ros_domain: int, tmp_path: Path) -> None:
-    words = ["soak", "--hours", "0.008", "--fault-every", "2", "--seed", "2", "--json"]
+    words = ["--hours", "0.008", "--fault-every", "2", "--seed", "2", "--json"]
     done = subprocess.run(
-        [sys.executable, "-m", "longarm_comp", *words, "--out", str(tmp_path)],
+        [sys.executable, "-m", "soak", *words, "--out", str(tmp_path)],
+        cwd=Path(__file__).parent,
         capture_output=True,
         text=True,
         timeout=400,

@@ -16,7 +16,7 @@ from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
-from longarm_comp.studies import day
+from studies import day
 
 KINDS = (JointGain, GearEccentricity, FrictionHysteresis, ThermalGrowth)
 SETTING = day.DaySetting(ARM, moves=5, rows=120, again=80, warming_k=60.0, kinds=KINDS)

@@ -13,12 +13,12 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.errors import InputError
 from longarm_comp.sim.hidden.catalogue import hidden
-from longarm_comp.studies import loop
-from longarm_comp.studies.loop_cases import GROUPS, NAMES, SPOILED, Case, Design
-from longarm_comp.studies.loop_score import true_fit
-from longarm_comp.studies.loop_setting import set_up
-from longarm_comp.studies.loop_table import by_effect, failures, share, summary, wilson
-from longarm_comp.studies.loop_truth import at_one_place, places, values
+from studies import loop
+from studies.loop_cases import GROUPS, NAMES, SPOILED, Case, Design
+from studies.loop_score import true_fit
+from studies.loop_setting import set_up
+from studies.loop_table import by_effect, failures, share, summary, wilson
+from studies.loop_truth import at_one_place, places, values
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +82,7 @@ def test_geometry_errors_are_not_visible_effects(arm):
     """A joint zero is taken up by the refit whole."""
     from longarm_comp.core.data.plan import grid
     from longarm_comp.sim.measure import TrueCamera
-    from longarm_comp.studies.loop_setting import _Gauge
+    from studies.loop_setting import _Gauge
 
     rng = np.random.default_rng(5)
     gauge = _Gauge(arm, TrueCamera.of(arm), grid(arm, 60, rng).q, np.full(3, 3e-4), rng)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from small_arm import ARM
 
-from longarm_comp.studies import measurements
+from studies import measurements
 
 
 def test_every_kind_calibrates_and_a_distance_says_least() -> None:

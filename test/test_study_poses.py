@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from longarm_comp.cli.study_poses import command
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.identify.optimal_poses import OptimalPlan
-from longarm_comp.studies import poses
+from studies import poses
 
 
 @pytest.fixture(scope="module")

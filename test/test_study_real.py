@@ -11,8 +11,8 @@ from click.testing import CliRunner
 
 from longarm_comp.cli.study_real import command
 from longarm_comp.core.errors import InputError
-from longarm_comp.studies import real
-from longarm_comp.studies.real_sessions import declared, justin, laser_tracked
+from studies import real
+from studies.real_sessions import declared, justin, laser_tracked
 
 RUNGS = [
     "frames_only", "joint_zeros", "rigid", "joint_compliance", "lateral_compliance", "best",

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from longarm_comp.cli.study_table1 import command
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.compensation.compensate import Method
+from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.calibrate import Errors
-from longarm_comp.studies import table1, table1_summary
+from studies import table1, table1_summary
+from studies.commands.table1 import command
+from studies.table1_figure import table1_figure
 
 FEW = 100
 SHORT = (
@@ -180,3 +183,26 @@ def test_command_writes_table_and_figure(monkeypatch: pytest.MonkeyPatch, tmp_pa
     assert printed["rows"][0]["arms_mm"] == pytest.approx([10, 12])
     assert json.loads((tmp_path / "made" / "table1.json").read_text())["seed"] == 0
     assert (tmp_path / "made" / "table1.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_figure_is_drawn_the_same_each_time(tmp_path: Path) -> None:
+    rows: Any = [
+        {"row": "Original error", "mean_abs_z_mm": [15.0, 19.0, 16.0], "paper_mm": 17.7},
+        {"row": "Gaussian process, 300", "mean_abs_z_mm": [2.0], "paper_mm": None},
+    ]
+    for ending in ("png", "svg", "pdf"):
+        assert len(table1_figure(rows, tmp_path / f"one.{ending}").read_bytes()) > 3000
+    again = table1_figure(rows, tmp_path / "two.svg").read_bytes()
+    assert again == (tmp_path / "one.svg").read_bytes()
+
+
+def test_the_figure_refuses_nothing_and_not_a_number(tmp_path: Path) -> None:
+    row: Any = {"row": "a", "mean_abs_z_mm": [1.0, float("nan")], "paper_mm": None}
+    for rows, said in (([], "at least one row"), ([row], "finite")):
+        with pytest.raises(InputError, match=said):
+            table1_figure(rows, tmp_path / "a.png")
+    with pytest.raises(InputError, match="one value an arm"):
+        table1_figure([row | {"mean_abs_z_mm": []}], tmp_path / "a.png")
+    with pytest.raises(InputError, match="ending"):
+        table1_figure([row | {"mean_abs_z_mm": [1.0]}], tmp_path / "a.gif")
+    assert not list(tmp_path.iterdir())

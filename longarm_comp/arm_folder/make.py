@@ -17,7 +17,7 @@ from longarm_comp.arm_folder.servos import DEFAULT_MODEL, servo_section
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import parse_yaml
-from longarm_comp.devices.servo_bus import MODELS
+from longarm_comp.devices.servo_bus import models
 from longarm_comp.share import folder
 
 ARM = "arm.yaml"
@@ -72,7 +72,7 @@ def parameter_files(arm: Arm, servos: str = DEFAULT_MODEL) -> dict[str, str]:
     values: dict[str, dict[str, Any]] = {
         "servo_driver": {
             "joints": servo_section(arm, servos),
-            "bus": bus | {"protocol": MODELS[servos].protocol},
+            "bus": bus | {"protocol": models()[servos].protocol},
         },
         "stereo_bridge": head.bridge(),
         "simulated_arm": head.simulated()

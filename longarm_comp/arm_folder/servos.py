@@ -7,7 +7,7 @@ from typing import Any
 
 from longarm_comp.core.arm.arm import Arm, Joint
 from longarm_comp.core.errors import InputError
-from longarm_comp.devices.servo_bus import MODELS, ServoModel
+from longarm_comp.devices.servo_bus import ServoModel, models
 from longarm_comp.devices.servo_config import ServoConfig
 
 DEFAULT_MODEL = "sts3215"
@@ -30,13 +30,13 @@ def servo_section(arm: Arm, model: str = DEFAULT_MODEL) -> dict[str, Any]:
     Raises:
         InputError: unknown model, or a joint's range at its step is beyond the servo's turns.
     """
-    if model not in MODELS:
-        raise InputError("init", "--servos", model, ", ".join(MODELS))
+    if model not in models():
+        raise InputError("init", "--servos", model, ", ".join(models()))
     made = {
-        name: _servo(number, arm.joints[row - 1], MODELS[model])
+        name: _servo(number, arm.joints[row - 1], models()[model])
         for number, (name, row) in enumerate(zip(arm.joint_names, arm.commanded, strict=True), 1)
     }
-    protocol = MODELS[model].protocol
+    protocol = models()[model].protocol
     ServoConfig.parse({"bus": {"protocol": protocol, "port": "-"}, "joints": made}, "servos")
     return made
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
-from longarm_comp.cli import options
+from longarm_comp.cli import checkout, options
 from longarm_comp.cli.output import as_text, note, print_json, print_rows, progress
 
 _SHOWN = ("name", "value", "unit", "peer", "peer_value", "ratio", "spread")
@@ -38,7 +37,7 @@ def command(names: tuple[str, ...], output: Path | None, listed: bool, as_json: 
       longarm bench ik_single_vs_rtb_ik_lm_median --json
       longarm bench ros bags
     """
-    _find_benchmarks()
+    checkout.use("bench")
     from bench import catalogue, machine
     from bench.plot import draw
     from longarm_comp.core.files import atomic_path, write_text
@@ -73,22 +72,6 @@ def command(names: tuple[str, ...], output: Path | None, listed: bool, as_json: 
     else:
         shown = [{key: row.get(key) for key in _SHOWN} for row in results["results"]]
         print_rows(f"Benchmarks on {title}", shown)
-
-
-def _find_benchmarks() -> None:
-    """Make the folder ``bench`` importable: from beside the package, else from here.
-
-    Raises:
-        JobError: it is in neither place.
-    """
-    from longarm_comp.core.errors import JobError
-
-    for root in (Path(__file__).resolve().parents[2], Path.cwd()):
-        if (root / "bench" / "catalogue.py").is_file():
-            if str(root) not in sys.path:
-                sys.path.append(str(root))
-            return
-    raise JobError("bench is run from a checkout of the project")
 
 
 def _measured(name: str) -> dict[str, Any]:

@@ -80,7 +80,7 @@ def command(
         settings = replace(settings, hidden=hidden)
     if arm is not None:
         settings = replace(settings, arm=arm / "arm.yaml" if arm.is_dir() else arm)
-    with stop_on_signals() as stop, progress("demo") as show:
+    with stop_on_signals() as stop, progress("demo", lines=True) as show:
         result = demonstrate(settings, stop, show)
     printed = report(settings, result)
     write_text(out / "demo.json", json.dumps(printed, indent=2))

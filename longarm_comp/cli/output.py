@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +16,10 @@ import numpy as np
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+
+_QUIET_S = 10.0
+"""A reader of lines wants to know that the job goes on, not each of its steps."""
 
 
 def note(text: str) -> None:
@@ -59,10 +64,13 @@ def print_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 @contextmanager
-def progress(label: str) -> Iterator[Callable[[str, float], None]]:
-    """A progress bar on stderr, on a terminal only. Call it with a text and the share, 0 to 1."""
+def progress(label: str, lines: bool = False) -> Iterator[Callable[[str, float], None]]:
+    """A progress bar on stderr, on a terminal. Call it with a text and the share, 0 to 1.
+
+    Where stderr is no terminal nothing is said, or with ``lines`` a line now and then.
+    """
     if not sys.stderr.isatty():
-        yield lambda text, share: None
+        yield _now_and_then(label) if lines else lambda text, share: None
         return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -75,6 +83,19 @@ def progress(label: str) -> Iterator[Callable[[str, float], None]]:
             bar.update(task, description=f"{label}: {text}" if text else label, completed=share)
 
         yield update
+
+
+def _now_and_then(label: str) -> Callable[[str, float], None]:
+    """A note of what is done, at most one in `_QUIET_S`."""
+    said = -math.inf
+
+    def tell(text: str, share: float) -> None:
+        nonlocal said
+        if time.monotonic() - said >= _QUIET_S:
+            said = time.monotonic()
+            note(f"{label}: {text}")
+
+    return tell
 
 
 def _cell(value: object) -> str:

@@ -18,8 +18,11 @@ from longarm_comp.version import __version__
 class LazyGroup(click.Group):
     """A group that imports a command's module when the command is run."""
 
-    def __init__(self, entries: Sequence[Entry], name: str | None = None, help: str = "") -> None:  # noqa: A002
-        super().__init__(name=name, help=help, context_settings=_SETTINGS)
+    def __init__(
+        self, entries: Sequence[Entry], name: str, summary: str, folder: str = "longarm_comp.cli"
+    ) -> None:
+        super().__init__(name=name, help=summary, context_settings=_SETTINGS)
+        self._folder = folder
         self._entries = {entry.name: entry for entry in entries if " " not in entry.name}
         for first, summary in GROUPS.items():
             within = [e._replace(name=e.name[len(first) + 1 :]) for e in entries if _in(first, e)]
@@ -35,7 +38,7 @@ class LazyGroup(click.Group):
         entry = self._entries.get(cmd_name)
         if entry is None:
             return super().get_command(ctx, cmd_name)
-        module = importlib.import_module(f"longarm_comp.cli.{entry.module}")
+        module = importlib.import_module(f"{self._folder}.{entry.module}")
         command: click.Command = module.command
         return command
 
@@ -96,7 +99,14 @@ def _of_ros(error: ModuleNotFoundError) -> bool:
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run a command line and return the exit code.
+    """Run a command line of ``longarm`` and return the exit code."""
+    return run_command(root(), arguments, "longarm")
+
+
+def run_command(
+    command: click.Command, arguments: Sequence[str] | None = None, name: str = ""
+) -> int:
+    """Run a command and return the exit code.
 
     Errors of the package are printed as one line, and so are those of the machine: a file that
     cannot be opened, a full disk, no memory. Any other exception is a bug and is raised.
@@ -105,9 +115,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
         os.environ.setdefault(pool, "1")
     gc.set_threshold(_YOUNG, *gc.get_threshold()[1:])
     try:
-        code = root().main(
+        code = command.main(
             args=None if arguments is None else list(arguments),
-            prog_name="longarm",
+            prog_name=name,
             standalone_mode=False,
         )
     except LongarmError as error:

@@ -35,9 +35,6 @@ from longarm_comp.cli.output import note, print_json, progress
     "--hidden", type=click.IntRange(min=1), help="Hidden units; chosen by evidence if not given."
 )
 @click.option("--no-deflection", is_flag=True, help='The paper\'s "network only": rigid physics.')
-@click.option(
-    "--device", help="torch device of the sparrow search, such as cuda; numpy if not given."
-)
 @options.seed
 @options.effects
 @options.as_json
@@ -51,7 +48,6 @@ def command(
     ensemble: int,
     hidden: int | None,
     no_deflection: bool,
-    device: str | None,
     seed: int,
     as_json: bool,
 ) -> None:
@@ -78,7 +74,6 @@ def command(
             ensemble=ensemble,
             hidden=hidden,
             seed=seed,
-            device=device,
             note=note,
             progress=show,
         )

@@ -15,7 +15,7 @@ from pydantic import BaseModel, Field, ValidationError, field_validator, model_v
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import read_yaml
-from longarm_comp.devices.servo_bus import MODELS, PROTOCOLS, SerialServoBus, ServoModel, open_bus
+from longarm_comp.devices.servo_bus import SerialServoBus, ServoModel, models, open_bus, protocols
 from longarm_comp.devices.servo_joint import JointConfig, Positive, ServoSettings
 
 
@@ -31,8 +31,8 @@ class BusConfig(ServoSettings):
     @field_validator("protocol")
     @classmethod
     def _known(cls, value: str) -> str:
-        if value not in PROTOCOLS:
-            raise ValueError("one of " + ", ".join(PROTOCOLS))
+        if value not in protocols():
+            raise ValueError("one of " + ", ".join(protocols()))
         return value
 
 
@@ -74,7 +74,7 @@ class ServoConfig(ServoSettings):
             if other != name:
                 _refuse(f"{where}.servo_id", joint.servo_id, f"an id that {other} does not use")
             if joint.servo.protocol != self.bus.protocol:
-                known = [m.name for m in MODELS.values() if m.protocol == self.bus.protocol]
+                known = [m.name for m in models().values() if m.protocol == self.bus.protocol]
                 _refuse(f"{where}.model", joint.model, "one of " + ", ".join(known))
             low, high = joint.goal_range
             for field, limit in (("lower", joint.lower), ("upper", joint.upper)):

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.devices.servo_bus import MODELS, ServoModel
+from longarm_comp.devices.servo_bus import ServoModel, models
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -62,8 +62,8 @@ class JointConfig(ServoSettings):
     @field_validator("model")
     @classmethod
     def _known(cls, value: str) -> str:
-        if value not in MODELS:
-            raise ValueError("one of " + ", ".join(MODELS))
+        if value not in models():
+            raise ValueError("one of " + ", ".join(models()))
         return value
 
     @field_validator("pinion_radius_m")
@@ -89,7 +89,7 @@ class JointConfig(ServoSettings):
     @property
     def servo(self) -> ServoModel:
         """The servo's model."""
-        return MODELS[self.model]
+        return models()[self.model]
 
     @property
     def unit(self) -> str:

@@ -1,1 +1,1 @@
-"""Jobs on top of the running graph: collect, record, demo, soak."""
+"""Jobs on top of the running graph: collect, record, verify, apply, demo."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from longarm_comp.core.data.rest_pose import JOINT_REST
+from longarm_comp.core.data.rest import JOINT_REST
 from longarm_comp.core.errors import InputError
 
 

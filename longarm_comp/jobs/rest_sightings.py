@@ -9,13 +9,11 @@ from collections.abc import Callable
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.rest import JOINT_REST, SETTLE_S
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import JobError
 from longarm_comp.jobs.client import ArmClient, Interrupted
 
-_REST_S = 0.5
-_STILL = 1e-3
-"""Share of a joint's range within which it is at rest."""
 _NEW = 0.04
 """Share of a joint's range by which one joint at least must differ from every pose before."""
 _SIGHTINGS = 5
@@ -56,10 +54,10 @@ def sightings_at_rest(
             nonlocal anchor, since
             now = client.joints
             assert now is not None and anchor is not None
-            if (np.abs(now - anchor) > _STILL * span).any():
+            if (np.abs(now - anchor) > JOINT_REST).any():
                 anchor, since = now, time.monotonic()
                 client.sightings.clear()
-            if time.monotonic() - since < _REST_S:
+            if time.monotonic() - since < SETTLE_S:
                 client.sightings.clear()  # what was taken before the arm hung still
                 return False
             if any((np.abs(now - old) <= _NEW * span).all() for old in q):

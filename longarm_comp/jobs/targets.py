@@ -148,7 +148,7 @@ class TargetRunner:
         rows = []
         with self.method(method):
             for k, target in enumerate(targets):
-                progress(name, k / len(targets))
+                progress(f"{name}: {k} of {len(targets)} targets driven", k / len(targets))
                 rows.append(self._one(target))
         seen, true, status = (np.array(column) for column in zip(*rows, strict=True))
         return Trial(name, targets, seen, true, status)

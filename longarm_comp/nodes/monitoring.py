@@ -13,7 +13,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import SAME_POSE, History
 from longarm_comp.core.compensation.drift import Monitor
-from longarm_comp.core.data.rest_pose import RestPose, RestWatch
+from longarm_comp.core.data.rest import RestPose, RestWatch
 from longarm_comp.core.model.model import Model
 from longarm_comp.nodes.health import OK, WARN, Report
 from longarm_comp.nodes.messages import sighting_of

@@ -36,7 +36,7 @@ class Readiness:
         self, node: Node, worker: Worker, compute: Compensator, predictor: PredictorClient,
         *, compiled: bool,
     ) -> None:  # fmt: skip
-        self._node, self._worker = node, worker
+        self._worker = worker
         self._compute, self._predictor = compute, predictor
         self._compiled = compiled and ik.warm_up()
         self._prepared: Hashable = None
@@ -66,10 +66,8 @@ class Readiness:
             if needed != self._prepared and self._compiled:
                 self._compute.rehearse()
         finally:
-            fresh, self._prepared = needed != self._prepared, needed
+            self._prepared = needed  # also after a fault, which every target would repeat
             self._busy = False  # last: the next look would prepare the same again
-            if fresh:  # also after a fault, which every target would repeat
-                self._node.get_logger().info(f"ready: {Compiled.programs} programs compiled")
 
     def report(self) -> Report:
         """Whether the next target takes its ordinary time, for diagnostics."""

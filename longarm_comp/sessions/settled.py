@@ -7,14 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from longarm_comp.core.data.rest_pose import JOINT_REST
+from longarm_comp.core.data.rest import AFTER_S, JOINT_REST, REST_S, TIP_REST_M
 
-TIP_REST_M = 3e-3
-"""Largest distance (m) of a settled sighting from the final position of the sightings."""
-REST_S = 0.1
-"""Shortest rest (s) of the measured joints; a shorter one is only a passage."""
-AFTER_S = 0.05
-"""The tip comes to rest this long (s) after the last change of the measured joints, at most."""
 _LAST = 5
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from longarm_comp.core.data.rest_pose import JOINT_REST
+from longarm_comp.core.data.rest import JOINT_REST
 from longarm_comp.core.model.outline import exaggerated
 
 SILENT_S = 3.0

@@ -78,7 +78,6 @@ def train(
     hidden: int | None = None,
     weights: ArrayLike | None = None,
     seed: int = 0,
-    device: str | None = None,
     note: Note = log_note,
     progress: Progress = silent,
 ) -> TrainedPredictor:
@@ -96,7 +95,6 @@ def train(
         hidden: number of hidden units; chosen by evidence if not given.
         weights: (N,) precision factors of the session's rows; 0 leaves one out.
         seed: seed of all random choices.
-        device: torch device of the sparrow search, such as ``cuda``; numpy if not given.
         note: called with each finding of the admission.
         progress: called with the number of the network being trained.
 
@@ -123,7 +121,6 @@ def train(
         weights=None if weights is None else _of_rows(weights, whole.located),
         progress=lambda k, of: progress(f"{k} of {of} networks", k / of),
         provenance=origin,
-        device=device,
     )
     residual = rows[1]
     left = residual - expected(predictor, located).error

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from longarm_comp.math.points import kabsch
+
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
@@ -31,17 +33,6 @@ class Alignment:
     def angle(self) -> float:
         """Angle of the rotation, rad."""
         return float(np.arccos(np.clip((np.trace(self.rotation) - 1) / 2, -1, 1)))
-
-
-def kabsch(
-    points: np.ndarray, seen: np.ndarray, weights: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (3, 3) and offset (3,) of (N, 3) points to sightings, weighted (Kabsch 1976)."""
-    share = (weights / weights.sum())[:, None]
-    a, b = (share * points).sum(0), (share * seen).sum(0)
-    u, _, vt = np.linalg.svd((share * (seen - b)).T @ (points - a))
-    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    return rotation, b - rotation @ a
 
 
 def align(predicted: np.ndarray, measured: np.ndarray, rotation: np.ndarray) -> Alignment:

@@ -15,9 +15,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.alignment import kabsch
 from longarm_comp.core.data.kinds import across, by_name, matrices
 from longarm_comp.core.data.session import Session
+from longarm_comp.math.points import kabsch
 
 ENOUGH = 4
 """Distances to an anchor, or equations of a base, at least, to solve for it."""

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from longarm_comp.core.data.alignment import kabsch
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.model.model import Model, unstack
+from longarm_comp.math.points import kabsch
 
 TURNS, STEPS = 6, 20
 """Times that the rows are weighed again: with the markers still, and with all free."""

@@ -14,7 +14,6 @@ import inspect
 import re
 import sys
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TypeVar
 
@@ -55,6 +54,7 @@ from longarm_comp.core.effects.thermal_softening import ThermalSoftening
 from longarm_comp.core.effects.tip_offset import TipOffset
 from longarm_comp.core.effects.tip_orientation import TipOrientation
 from longarm_comp.core.effects.tip_payload import TipPayload
+from longarm_comp.core.entry_points import check_name, of_other_packages
 from longarm_comp.core.errors import InputError
 
 Kind = type[Effect] | type[Bias]
@@ -213,21 +213,9 @@ def load_file(path: str | Path) -> tuple[Kind, ...]:
 
 @cache
 def _load_entry_points() -> None:
-    for point in sorted(entry_points(group=GROUP), key=lambda p: p.name):
-        source = _source(point)
-        try:
-            kind = point.load()
-        except Exception as error:
-            said = f"{type(error).__name__}: {error}"
-            raise InputError(source, "class", said, f"{point.value} that can be loaded") from error
+    for name, kind, source in of_other_packages(GROUP):
         register(kind, source)
-        if kind.name != point.name:
-            raise InputError(source, "name", point.name, f"the effect's own, {kind.name}")
-
-
-def _source(point: EntryPoint) -> str:
-    package = f"package {point.dist.name} {point.dist.version}" if point.dist else "a package"
-    return f"{package}, entry point {point.name}"
+        check_name(name, kind.name, "effect", source)
 
 
 def _file(kind: Kind) -> str:

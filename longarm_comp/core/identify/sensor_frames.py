@@ -13,7 +13,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.alignment import kabsch
 from longarm_comp.core.data.kinds import matrices
 from longarm_comp.core.data.lifted_base import multilaterated
 from longarm_comp.core.data.measurement import posture
@@ -26,6 +25,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.linear import MAD, OUTLIER
 from longarm_comp.core.identify.placement import twist_of
 from longarm_comp.core.model.model import Model
+from longarm_comp.math.points import kabsch
 
 _ROUNDS = 4
 

@@ -19,10 +19,10 @@ from longarm_comp.core.learn.network import (
     forward,
     output_jacobian,
     sparrow_start,
+    squared_error,
     with_ones,
     xavier_start,
 )
-from longarm_comp.core.learn.population import fitness_on
 from longarm_comp.core.learn.predictor import LearnedGain, Predictor, Provenance
 from longarm_comp.core.learn.sparrow import Fitness, SparrowSearch
 from longarm_comp.core.learn.training import Fit, back_propagate
@@ -59,7 +59,6 @@ def train(
     weights: Array | None = None,
     progress: Progress | None = None,
     provenance: Provenance | None = None,
-    device: str | None = None,
 ) -> Predictor:
     """Train the paper's SSA-BP on residuals.
 
@@ -76,7 +75,6 @@ def train(
         weights: (N,) precision factors of the samples; 0 leaves one out.
         progress: called with (networks trained, largest number of networks).
         provenance: arm, session and model of the predictor; the settings are added.
-        device: torch device of the sparrow's population (``cuda``); None is numpy.
 
     Raises:
         InputError: wrong shapes, values not finite, fewer than 20 samples, all rows one pose.
@@ -96,7 +94,7 @@ def train(
     offset = np.median(y[weights > 0], axis=0)
     scale = float(np.sqrt(np.mean(np.median(np.abs(y - offset)[weights > 0], axis=0) ** 2)))
     scale = max(1.4826 * scale, 1e-9)
-    rows = _Rows(x, (y - offset) / scale, weights, init, seed, search, device)
+    rows = _Rows(x, (y - offset) / scale, weights, init, seed, search)
     sizes = HIDDEN_CHOICES if hidden is None else (hidden,)
     starts = ensemble if hidden is not None else (ensemble + 1) // 2
 
@@ -147,7 +145,7 @@ class _Rows:
     Attributes:
         x, target: (N, d) inputs and (N, 3) residual, standardised.
         weights: (N,) precision factors.
-        init, seed, search, device: as `train` has them.
+        init, seed, search: as `train` has them.
     """
 
     x: Array
@@ -156,7 +154,6 @@ class _Rows:
     init: str
     seed: int
     search: SparrowSearch
-    device: str | None
 
     def fits(
         self,
@@ -177,7 +174,7 @@ class _Rows:
         shape = Shape(self.x.shape[1], units, 3)
         rng = np.random.default_rng([self.seed, units, start])
         x, target = self.x[rows], self.target[rows]
-        begun = INITS[self.init](shape, fitness_on(self.device, shape, x, target), rng, self.search)
+        begun = INITS[self.init](shape, squared_error(shape, x, target), rng, self.search)
         return back_propagate(shape, begun, x, target, self.weights[rows])
 
     def likeliest(

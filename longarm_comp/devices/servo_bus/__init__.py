@@ -10,13 +10,11 @@ from longarm_comp.devices.servo_bus.errors import (
     ServoRejected,
     ServoTimeout,
 )
-from longarm_comp.devices.servo_bus.registry import MODELS, PROTOCOLS, open_bus
+from longarm_comp.devices.servo_bus.registry import models, open_bus, protocols
 from longarm_comp.devices.servo_bus.scan import FoundServo, Scan, scan_line, usable_ports
 from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
 
 __all__ = [
-    "MODELS",
-    "PROTOCOLS",
     "BusUnplugged",
     "FoundServo",
     "IncompleteReply",
@@ -31,7 +29,9 @@ __all__ = [
     "ServoRejected",
     "ServoState",
     "ServoTimeout",
+    "models",
     "open_bus",
+    "protocols",
     "scan_line",
     "usable_ports",
 ]

@@ -39,6 +39,8 @@ class Dialect(ABC):
     """Encoding and decoding of one protocol; stateless.
 
     Attributes:
+        name: as written in the configuration.
+        models: the servos that speak it.
         overhead: bytes of a status frame besides its data.
         model: the servo's model number.
         firmware: its version.
@@ -51,6 +53,8 @@ class Dialect(ABC):
         alarm: register of the alarms, for when the status byte only flags that there is one.
     """
 
+    name: ClassVar[str]
+    models: ClassVar[tuple[ServoModel, ...]]
     overhead: ClassVar[int]
     model: ClassVar[Block]
     firmware: ClassVar[Block]

@@ -28,6 +28,10 @@ _ALARM_BITS = {
 }
 
 
+def _x(name: str, number: int, full_load: float) -> ServoModel:
+    return ServoModel(name, "dynamixel", number, 4096, (0, 4095), (-1048575, 1048575), full_load)
+
+
 def _crc_table() -> tuple[int, ...]:
     table = []
     for byte in range(256):
@@ -44,6 +48,14 @@ _CRC_TABLE = _crc_table()
 class DynamixelX(Dialect):
     """X series (XL330, XL430, XM430, XM540) with their common control table."""
 
+    name = "dynamixel"
+    models = (
+        _x("xl330-m077", 1190, 1750.0),  # present current, 1 mA a unit
+        _x("xl330-m288", 1200, 1750.0),
+        _x("xl430-w250", 1060, 1000.0),  # present load, 0.1 % a unit
+        _x("xm430-w350", 1020, 1193.0),  # present current, 2.69 mA a unit
+        _x("xm540-w270", 1120, 2047.0),
+    )
     overhead = 11
     model = Block(0, 2)
     firmware = Block(6, 1)

@@ -1,9 +1,12 @@
-"""List of the protocols and servo models. A new protocol is one file and one line here."""
+"""The protocols and servo models: of this package, and of entry points of the group `GROUP`."""
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
+from functools import cache
 
+from longarm_comp.core.entry_points import check_name, of_other_packages
 from longarm_comp.core.errors import InputError
 from longarm_comp.devices.servo_bus.bus import SerialServoBus
 from longarm_comp.devices.servo_bus.dialect import Dialect
@@ -12,40 +15,47 @@ from longarm_comp.devices.servo_bus.feetech import FeetechSts
 from longarm_comp.devices.servo_bus.port import SerialPort
 from longarm_comp.devices.servo_bus.state import ServoModel
 
-PROTOCOLS: dict[str, type[Dialect]] = {"feetech": FeetechSts, "dynamixel": DynamixelX}
-
-_ONE_TURN = (0, 4095)
-_STS_TURNS = (-30719, 30719)
-_X_TURNS = (-1048575, 1048575)
+GROUP = "longarm_comp.servo_protocols"
+"""Group of the entry points of protocols from other packages."""
 
 
-def _sts(name: str, number: int) -> ServoModel:
-    return ServoModel(name, "feetech", number, 4096, _ONE_TURN, _STS_TURNS, 1000.0)
+@cache
+def protocols() -> dict[str, type[Dialect]]:
+    """All protocols by name.
+
+    Raises:
+        InputError: an entry point cannot be loaded, or is no protocol.
+    """
+    known: dict[str, type[Dialect]] = {kind.name: kind for kind in (FeetechSts, DynamixelX)}
+    for name, kind, source in of_other_packages(GROUP):
+        if not (isinstance(kind, type) and issubclass(kind, Dialect)) or inspect.isabstract(kind):
+            allowed = "a class of Dialect, nothing abstract"
+            raise InputError(source, "class", repr(kind), allowed)
+        check_name(name, kind.name, "protocol", source)
+        names = [kind.name, *(model.name for model in kind.models)]
+        taken = {*known, *(model.name for other in known.values() for model in other.models)}
+        for new in names:
+            if new in taken:
+                raise InputError(source, "name", new, "a name that no other protocol or servo has")
+        known[kind.name] = kind
+    return known
 
 
-def _x(name: str, number: int, full_load: float) -> ServoModel:
-    return ServoModel(name, "dynamixel", number, 4096, _ONE_TURN, _X_TURNS, full_load)
+@cache
+def models() -> dict[str, ServoModel]:
+    """The servos of all protocols, by name.
 
-
-MODELS: dict[str, ServoModel] = {
-    model.name: model
-    for model in (
-        _sts("sts3215", 777),
-        _sts("sts3250", 2825),
-        _x("xl330-m077", 1190, 1750.0),  # present current, 1 mA a unit
-        _x("xl330-m288", 1200, 1750.0),
-        _x("xl430-w250", 1060, 1000.0),  # present load, 0.1 % a unit
-        _x("xm430-w350", 1020, 1193.0),  # present current, 2.69 mA a unit
-        _x("xm540-w270", 1120, 2047.0),
-    )
-}
+    Raises:
+        InputError: as `protocols`.
+    """
+    return {model.name: model for kind in protocols().values() for model in kind.models}
 
 
 def open_bus(
     protocol: str,
     port: str,
     baudrate: int,
-    models: Mapping[int, ServoModel],
+    servos: Mapping[int, ServoModel],
     reply_timeout_s: float = 0.02,
     retries: int = 2,
 ) -> SerialServoBus:
@@ -55,12 +65,12 @@ def open_bus(
         InputError: unknown protocol, or a servo model with another protocol.
         BusUnplugged: the port cannot be opened.
     """
-    if protocol not in PROTOCOLS:
-        raise InputError("servo bus", "protocol", protocol, ", ".join(PROTOCOLS))
-    for servo_id, model in models.items():
+    if protocol not in protocols():
+        raise InputError("servo bus", "protocol", protocol, ", ".join(protocols()))
+    for servo_id, model in servos.items():
         if model.protocol != protocol:
             raise InputError(
                 "servo bus", f"servo {servo_id}", model.name, f"a model that speaks {protocol}"
             )
     line = SerialPort(port, baudrate, reply_timeout_s)
-    return SerialServoBus(line, PROTOCOLS[protocol](), models, retries)
+    return SerialServoBus(line, protocols()[protocol](), servos, retries)

@@ -9,7 +9,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.devices.servo_bus.dialect import Block, Dialect
 from longarm_comp.devices.servo_bus.exchange import Answers, BusCounters, ask
 from longarm_comp.devices.servo_bus.port import SerialPort
-from longarm_comp.devices.servo_bus.registry import MODELS, PROTOCOLS
+from longarm_comp.devices.servo_bus.registry import models, protocols
 
 ALL_IDS = range(253)
 _LOOKS, _DAMAGED = 5, 2
@@ -74,13 +74,13 @@ def scan_line(
         InputError: an unknown protocol.
         BusUnplugged: the port cannot be opened, or does not have the rate.
     """
-    if protocol is not None and protocol not in PROTOCOLS:
-        raise InputError("servo bus", "protocol", protocol, ", ".join(PROTOCOLS))
+    if protocol is not None and protocol not in protocols():
+        raise InputError("servo bus", "protocol", protocol, ", ".join(protocols()))
     asked = list(ids)
     tries = [
         (name, rate)
-        for name in ([protocol] if protocol else PROTOCOLS)
-        for rate in ([baudrate] if baudrate else PROTOCOLS[name].baudrates)
+        for name in ([protocol] if protocol else protocols())
+        for rate in ([baudrate] if baudrate else protocols()[name].baudrates)
     ]
     for k, (name, rate) in enumerate(tries):
         line = SerialPort(port, rate, reply_timeout_s)
@@ -88,7 +88,7 @@ def scan_line(
             servos = []
             for n, servo_id in enumerate(asked):
                 tell(f"{name}, {rate} bit/s, id {servo_id}", (k + n / len(asked)) / len(tries))
-                servo = _look(line, PROTOCOLS[name](), name, servo_id)
+                servo = _look(line, protocols()[name](), name, servo_id)
                 servos += [servo] if servo else []
         finally:
             line.close()
@@ -126,7 +126,7 @@ def _look(line: SerialPort, dialect: Dialect, protocol: str, servo_id: int) -> F
     return FoundServo(
         servo_id,
         number,
-        next((m.name for m in MODELS.values() if (m.protocol, m.model_number) ==
+        next((m.name for m in models().values() if (m.protocol, m.model_number) ==
               (protocol, number)), ""),
         ".".join(map(str, version.data)) if version else "",
         damaged >= _DAMAGED or doubled,

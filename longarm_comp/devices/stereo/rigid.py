@@ -14,6 +14,7 @@ import numpy as np
 
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.stereo.camera import Array
+from longarm_comp.math.points import kabsch
 
 _PASSES = 10
 
@@ -56,7 +57,7 @@ def fit_rigid(source: Array, target: Array, covariances: Array | None = None) ->
     spread = np.linalg.svd(source - source.mean(axis=0), compute_uv=False)
     if spread[1] < 1e-6 * max(spread[0], 1e-12):
         raise InputError("rigid fit", "points", "all on one line", "points that span a plane")
-    rotation, translation = _kabsch(source, target)
+    rotation, translation = kabsch(source, target, np.ones(len(source)))
     known = covariances is not None
     weights = (
         np.linalg.inv(covariances)
@@ -95,10 +96,3 @@ def cross_matrices(vectors: Array) -> Array:
     out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -z, y, -x
     out[:, 1, 0], out[:, 2, 0], out[:, 2, 1] = z, -y, x
     return out
-
-
-def _kabsch(source: Array, target: Array) -> tuple[Array, Array]:
-    mean_source, mean_target = source.mean(axis=0), target.mean(axis=0)
-    u, _, vt = np.linalg.svd((target - mean_target).T @ (source - mean_source))
-    rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
-    return rotation, mean_target - rotation @ mean_source

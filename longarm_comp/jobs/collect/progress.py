@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,7 +53,9 @@ class Progress:
     def __str__(self) -> str:
         if self.state != "running":
             return f"{self.state}: {self.why}" if self.why else self.state
-        return "; ".join(filter(None, (f"pose {self.visit}", self.losses)))
+        left = f", {self.seconds_left:.0f} s left" if math.isfinite(self.seconds_left) else ""
+        poses = f"{self.done} of {self.total} poses driven{left}"
+        return "; ".join(filter(None, (poses, self.losses)))
 
 
 class Outcomes:

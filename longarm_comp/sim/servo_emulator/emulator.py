@@ -30,7 +30,7 @@ class ServoEmulator:
     """Servos on a pseudo-terminal, moved by a thread of their own.
 
     Args:
-        protocol: ``feetech`` or ``dynamixel``.
+        protocol: ``feetech`` or ``dynamixel``, or the wire of another one.
         positions: initial position of each servo, ticks, by id.
         spec: mechanics of all servos, or of each by id; none: an unloaded STS3215.
         link: path of a symbolic link to the pseudo-terminal, updated by ``replug``.
@@ -42,16 +42,16 @@ class ServoEmulator:
 
     def __init__(
         self,
-        protocol: str,
+        protocol: str | Wire,
         positions: Mapping[int, float],
         spec: MotorSpec | Mapping[int, MotorSpec] | None = None,
         link: Path | None = None,
         load_of: LoadOf | None = None,
         baudrate: int | None = None,
     ) -> None:
-        if protocol not in WIRES:
+        if isinstance(protocol, str) and protocol not in WIRES:
             raise InputError("servo emulator", "protocol", protocol, ", ".join(WIRES))
-        self._wire = WIRES[protocol]
+        self._wire = WIRES[protocol] if isinstance(protocol, str) else protocol
         same = MotorSpec() if spec is None else spec
         specs = dict.fromkeys(positions, same) if isinstance(same, MotorSpec) else same
         self._devices: dict[int, Device] = {
@@ -66,7 +66,7 @@ class ServoEmulator:
         self._thread: threading.Thread | None = None
         self._fds: tuple[int, int] | None = None
         self._now = time.monotonic()
-        self.protocol = protocol
+        self.protocol = self._wire.name
         self.faults = WireFaults()
         self.port = ""
         self.frames_heard = 0

@@ -1,0 +1,98 @@
+"""A servo protocol from outside the package: a servo built around a microcontroller.
+
+    request  AA  1 address length n  id ... id                sum    (read)
+             AA  2 address length n  id data ... id data      sum    (write)
+    reply    55  id alarms length    data                     sum
+
+`docs/add_a_protocol.md` explains it; the tests run it against an emulated servo.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+
+from longarm_comp.devices.servo_bus.dialect import Block, Dialect, Reply
+from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoModel, ServoState
+
+READ, WRITE = 1, 2
+TOO_HOT, TOO_HEAVY = 1, 2
+
+
+class MakerServo(Dialect):
+    """Registers: model 0, firmware 2, turns 3, torque 4, goal 5, speed 7, state 9."""
+
+    name = "maker"
+    models = (ServoModel("maker-12bit", "maker", 7, 4096, (0, 4095), (-30000, 30000), 1000.0),)
+    overhead = 5
+    model = Block(0, 2)
+    firmware = Block(2, 1)
+    baudrates = (115_200,)
+    turns = Block(3, 1)
+    turns_lock = None
+    torque = Block(4, 1)
+    goal = Block(5, 4)
+    state = Block(9, 9)
+    alarm = None
+
+    def sync_read(self, ids: Sequence[int], block: Block) -> bytes:
+        """Each servo answers when those before it in the list have answered."""
+        return _request(READ, block, len(ids), bytes(ids))
+
+    def sync_write(self, block: Block, values: Mapping[int, bytes]) -> bytes:
+        """Nobody answers."""
+        data = b"".join(bytes((servo_id,)) + value for servo_id, value in values.items())
+        return _request(WRITE, block, len(values), data)
+
+    def decode(self, buffer: bytearray, final: bool) -> list[Reply]:
+        """Replies from the front of the buffer; what begins none of them is thrown away."""
+        replies: list[Reply] = []
+        while (start := buffer.find(b"\x55")) >= 0:
+            del buffer[:start]
+            end = buffer[3] + self.overhead if len(buffer) > 3 else self.overhead
+            if len(buffer) < end:
+                break
+            frame = bytes(buffer[:end])
+            intact = sum(frame[:-1]) & 0xFF == frame[-1]
+            replies.append(Reply(frame[1], frame[2], frame[4:-1] if intact else b"", intact))
+            del buffer[: end if intact else 1]
+        return replies
+
+    def refusal(self, error: int) -> int:
+        """This servo refuses nothing."""
+        return 0
+
+    def alarms(self, error: int) -> ServoAlarm:
+        """Every reply has them."""
+        return self.alarm_flags(error)
+
+    def alarm_flags(self, value: int) -> ServoAlarm:
+        """Two bits are in use."""
+        hot = ServoAlarm.OVERHEAT if value & TOO_HOT else ServoAlarm.NONE
+        return hot | (ServoAlarm.OVERLOAD if value & TOO_HEAVY else ServoAlarm.NONE)
+
+    def goal_bytes(self, ticks: int, speed_ticks_s: float) -> bytes:
+        """Position, and speed with 0 for as fast as it can."""
+        return struct.pack("<hH", ticks, min(round(speed_ticks_s), 0xFFFF))
+
+    def turns_bytes(self, many: bool) -> bytes:
+        """1 counts turns."""
+        return bytes((many,))
+
+    def state_of(self, data: bytes, alarms: ServoAlarm, model: ServoModel) -> ServoState:
+        """Position, speed, load (1/1000), voltage (0.1 V), temperature (deg C), moving."""
+        ticks, speed, load, volts, celsius, moving = struct.unpack("<hhhBBB", data)
+        return ServoState(
+            position_ticks=ticks,
+            velocity_ticks_s=float(speed),
+            load=load / model.full_load,
+            voltage_v=volts / 10.0,
+            temperature_c=float(celsius),
+            moving=bool(moving),
+            error_flags=alarms,
+        )
+
+
+def _request(kind: int, block: Block, count: int, data: bytes) -> bytes:
+    body = bytes((0xAA, kind, block.address, block.length, count)) + data
+    return body + bytes((sum(body) & 0xFF,))

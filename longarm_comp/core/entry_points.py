@@ -1,0 +1,32 @@
+"""What other packages bring: objects of a group of entry points, with their origin in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib.metadata import entry_points
+from typing import Any
+
+from longarm_comp.core.errors import InputError
+
+
+def of_other_packages(group: str) -> Iterator[tuple[str, Any, str]]:
+    """Name, object and origin of each entry point of a group, in the order of their names.
+
+    Raises:
+        InputError: one cannot be loaded; the message names the package.
+    """
+    for point in sorted(entry_points(group=group), key=lambda p: p.name):
+        package = f"package {point.dist.name} {point.dist.version}" if point.dist else "a package"
+        source = f"{package}, entry point {point.name}"
+        try:
+            found = point.load()
+        except Exception as error:
+            said = f"{type(error).__name__}: {error}"
+            raise InputError(source, "class", said, f"{point.value} that can be loaded") from error
+        yield point.name, found, source
+
+
+def check_name(entry: str, own: str, what: str, source: str) -> None:
+    """Raise InputError where an entry point has another name than what it brings."""
+    if entry != own:
+        raise InputError(source, "name", entry, f"the {what}'s own, {own}")

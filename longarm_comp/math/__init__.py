@@ -1,0 +1,1 @@
+"""Mathematics that arm and cameras share: arrays in, arrays out."""

@@ -1,1 +1,0 @@
-"""Studies that produce the figures in the documentation."""

@@ -1,0 +1,1 @@
+"""Studies that print figures of the documentation; not installed with the package."""

@@ -1,0 +1,15 @@
+"""``longarm study``: one command a file, each with a click command named `command`."""
+
+from longarm_comp.cli.registry import Entry
+
+STUDIES = (
+    Entry("table1", "table1", "The paper's Table I on simulated arms."),
+    Entry("real", "real", "Held-out errors on public data of real arms."),
+    Entry("realisable", "realisable", "Choice among the servos' steps, compared with rounding."),
+    Entry("measurements", "measurements", "Rows needed by pose, position, distance."),
+    Entry("poses", "poses", "Which poses to measure: grid, Sobol, I-optimal."),
+    Entry("day", "day", "A day of work: wear, warmth, changing payloads."),
+    Entry("discover", "discover", "Causes in no library: what finds them."),
+    Entry("loop", "loop", "Benchmark the diagnosis on simulated arms."),
+)
+"""Name, module in this folder, one line of help."""

@@ -1,0 +1,70 @@
+"""Figure of the day of work: error at the true tip over the hours, and the circumstances."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from longarm_comp.report.style import BLUE, GREEN, INK, ORANGE, PURPLE, VERMILLION, rc, save
+from studies.day import WAYS, DayOutcome
+
+_LINES = ((INK, "X", ":"), (PURPLE, "s", "-."), (ORANGE, "^", "--"), (BLUE, "o", "-"))
+
+
+def day_figure(found: Sequence[DayOutcome], path: str | os.PathLike[str]) -> Path:
+    """Mean over the days (line) and each day's hours (marks); below, temperature, payload, play.
+
+    Args:
+        found: days of equal length.
+        path: PNG to write.
+    """
+    with rc():
+        drawn = Figure(figsize=(7.6, 6.4), layout="constrained")
+        upper, *lower = drawn.subplots(4, 1, sharex=True, height_ratios=(4.6, 1, 1, 1))
+        _errors(upper, found)
+        _circumstances(lower, found)
+        save(drawn, Path(path))
+    return Path(path)
+
+
+def _errors(axes: Axes, found: Sequence[DayOutcome]) -> None:
+    t = found[0].t_h
+    hours = np.arange(int(np.ceil(t[-1])))
+    of_hour = np.floor(t)[None, :] == hours[:, None]
+    errors = 1e3 * np.stack([day.error for day in found])
+    by_hour = np.stack([errors[..., chosen].mean(axis=-1) for chosen in of_hour], axis=-1)
+    for i, (way, (color, marker, dash)) in enumerate(zip(WAYS, _LINES, strict=True)):
+        axes.plot(
+            hours + 0.5, by_hour[:, i].mean(axis=0), color=color, linestyle=dash, marker=marker,
+            label=way.name,
+        )  # fmt: skip
+        for day in by_hour[:, i]:
+            axes.plot(
+                hours + 0.5, day, color=color, linestyle="", marker=marker, markersize=3, alpha=0.35
+            )
+    asked = [h for day in found for h in day.asked_h]
+    axes.plot(
+        asked, np.full(len(asked), 0.02), transform=axes.get_xaxis_transform(), clip_on=False,
+        color=VERMILLION, marker="|", markersize=9, linestyle="", label="the monitor asks",
+    )  # fmt: skip
+    axes.set_yscale("log")
+    axes.set_ylabel("error of the true tip, mm")
+    many = "s" if len(found) > 1 else ""
+    axes.set_title(f"A day of work: mean of each hour, {len(found)} arm{many}")
+    axes.legend(ncols=2, fontsize=8)
+
+
+def _circumstances(panels: Sequence[Axes], found: Sequence[DayOutcome]) -> None:
+    day = found[0]
+    panels[0].plot(day.t_h, day.temperature_c, color=VERMILLION)
+    panels[0].set_ylabel("degC")
+    panels[1].step(day.t_h, day.payload_kg, color=GREEN, where="mid")
+    panels[1].set_ylabel("payload, kg")
+    for each in found:
+        panels[2].plot(each.t_h, 2e3 * each.play_rad, color=INK)
+    panels[2].set(ylabel="play, mrad", xlabel="hours of work")

@@ -1,0 +1,140 @@
+"""Causes that are in no library: what calibration, library, discovery and learning leave of them.
+
+Every case hides one cause of `sim/hidden/outside.py` besides errors of geometry. Errors are against
+the noise-free truth, on fresh poses of the plan that was measured and at random poses off it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.plan import grid, sobol
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.model.model import Model
+from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.hidden.base import HiddenEffect
+from longarm_comp.sim.hidden.camera import CameraEffect
+from longarm_comp.sim.hidden.catalogue import hidden
+from longarm_comp.sim.hidden.outside import outside
+from longarm_comp.sim.measure import SimulatedSession, TrueCamera, measure_session
+from longarm_comp.workflows.diagnose import DiagnosisResult, diagnose
+from longarm_comp.workflows.residual import training_rows
+from studies.loop_setting import session_of
+from studies.peers import train_gaussian_process
+
+NOTHING = "nothing"
+ROWS, REPEATS, HELD_OUT, FRESH = 240, 8, 100, 200
+PLANS = {"grid": grid, "sobol": sobol}
+_STEPS = 4
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Measured rows of a case, and fresh poses with the truth.
+
+    Attributes:
+        train, held_out: sessions.
+        on, off: fresh rows on the plan and off it, (session, (N, 3) noise-free positions in m).
+    """
+
+    train: Session
+    held_out: Session
+    on: tuple[Session, np.ndarray]
+    off: tuple[Session, np.ndarray]
+
+
+def set_up(arm: Arm, case: str, plan: str, seed: int, rows: int = ROWS) -> Setting:
+    """Hide the cause of a case, and measure.
+
+    The hold-out has as many rows of the plan as off it.
+    """
+    rng = np.random.default_rng([seed, *case.encode()])
+    off = [hidden(n, arm, 1.0, rng) for n in ("joint_zero", "dh_error", "base_pose")]
+    cause = [] if case == NOTHING else [outside(arm)[case]]
+    true = TrueArm(arm, [e for e in (*cause, *off) if isinstance(e, HiddenEffect)], steps=_STEPS)
+    eye = TrueCamera.of(arm, [e for e in cause if isinstance(e, CameraEffect)])
+
+    def measured(q: np.ndarray, repeats: int = 0, spoiled: float = 0.0) -> SimulatedSession:
+        return measure_session(true, eye, q, rng=rng, repeats=repeats, outliers=spoiled)
+
+    train = measured(PLANS[plan](arm, rows, rng).q, REPEATS, 0.005)
+    half = HELD_OUT // 2
+    both = np.concatenate([PLANS[plan](arm, half, rng).q[:half], sobol(arm, half, rng).q])
+    held_out = measured(both[rng.permutation(len(both))])
+    fresh = [measured(p(arm, FRESH, rng).q) for p in (PLANS[plan], sobol)]
+    truths = [(session_of(m, arm.n), m.truth["seen"]) for m in fresh]
+    return Setting(session_of(train, arm.n), session_of(held_out, arm.n), *truths)
+
+
+def study(
+    arm: Arm,
+    cases: Sequence[str],
+    plans: Sequence[str],
+    seeds: Sequence[int],
+    network: bool = True,
+) -> Iterator[dict[str, Any]]:
+    """A row of figures for every case, plan and seed."""
+    for case in cases:
+        for plan in plans:
+            for seed in seeds:
+                yield row(arm, case, plan, seed, network)
+
+
+def row(arm: Arm, case: str, plan: str, seed: int, network: bool) -> dict[str, Any]:
+    """Errors (rms, mm; on the plan and off it) of every stage, and what was found."""
+    setting = set_up(arm, case, plan, seed)
+    began = time.perf_counter()
+    found = diagnose(
+        arm, setting.train, test=setting.held_out, network=network, seed=seed, note=_silent
+    )
+    took = time.perf_counter() - began
+    models = found.diagnosis.models
+    library = models["calibrated" if found.diagnosis.rolled_back else "with_effects"]
+    stages = {
+        "calibrated": _errors(models["calibrated"], setting),
+        "library": _errors(library, setting),
+        "discovered": _errors(found.model, setting),
+    }
+    if network:
+        stages["network"] = _errors(found.model, setting, found.predictor)
+    bases = [models["calibrated"], *([library] if library is not models["calibrated"] else [])]
+    peers = [
+        _errors(m, setting, train_gaussian_process(*training_rows(m, setting.train), seed=seed))
+        for m in bases
+    ]
+    stages["gp"] = min(peers, key=sum)
+    made: dict[str, Any] = {"case": case, "plan": plan, "seed": seed}
+    for name, (on, off) in stages.items():
+        made[f"{name}_mm"] = f"{on:.2f} / {off:.2f}"
+    return {**made, "s": round(took), **_told(found)}
+
+
+def _errors(model: Model, setting: Setting, learned: Any = None) -> tuple[float, float]:
+    made = []
+    for rows, truth in (setting.on, setting.off):
+        predicted = model.measured(rows.q, rows.context())
+        if learned is not None:
+            expected = learned.predict(rows.q, rows.context())
+            predicted = predicted + np.where(expected.in_domain[:, None], expected.error, 0.0)
+        made.append(1e3 * float(np.sqrt(((predicted - truth) ** 2).sum(axis=1).mean())))
+    return made[0], made[1]
+
+
+def _told(found: DiagnosisResult) -> dict[str, Any]:
+    added = found.diagnosis.added
+    causes = added.found if added is not None else ()
+    return {
+        "names": ", ".join(f.name for f in found.findings),
+        "found": "; ".join(c.formula for c in causes),
+        "or": "; ".join(" or ".join(c.where[1:3]) for c in causes if len(c.where) > 1),
+    }
+
+
+def _silent(_: str) -> None:
+    """No notes of the admission."""

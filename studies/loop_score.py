@@ -1,0 +1,246 @@
+"""Scores of a diagnosis against the truth."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.catalogue import BUILT_IN, LIBRARY
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.identify.aliasing import EffectFinding
+from longarm_comp.core.identify.calibrate import declared_model, geometry
+from longarm_comp.core.identify.candidates import Term, library
+from longarm_comp.core.identify.diagnosis import Diagnosis
+from longarm_comp.core.identify.evidence import Score
+from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.model_fit import ModelFit
+from longarm_comp.core.model.model import Model
+from studies.loop_setting import LoopSetting
+from studies.loop_truth import places, values
+
+ALIKE = 10.0
+"""Loss in noise-free log likelihood below which another explanation counts as equivalent.
+
+With noise the log likelihood of such a pair differs by 10 +- 4.5: within the 3 that the
+diagnosis calls undecided about once in twenty times.
+"""
+TWINS = tuple(
+    frozenset({kind.name, other})
+    for kind in LIBRARY
+    for other in (*kind.aliases, *kind.limit_aliases)
+)
+"""Pairs of names of the same physics, as the effects declare them."""
+SHOWN = 4
+
+
+def score(setting: LoopSetting, found: Diagnosis) -> dict[str, Any]:
+    """All scores that the tables use, as plain JSON; lengths in mm."""
+    true = set(setting.case.effects)
+    names = [set(f.names) for f in found.findings]
+    best = true_fit(setting) if _knowable(setting) else None
+    errors = _errors(setting, found, best)
+    said = [
+        n | {p.name for p in f.partial_aliases} for n, f in zip(names, found.findings, strict=True)
+    ]
+    covered = all(any(t in n for n in said) for t in true)
+    sets = [f for f in found.findings if f.alternatives]
+    meant = true.union(*(family for family in TWINS if family & true))
+    named_wrong = [f.name for f in found.findings if not f.open and f.name not in meant]
+    scores: dict[str, Any] = {
+        "verdict": found.verdict,
+        "visible": [round(v, 3) for v in setting.visible],
+        "found": [list(f.names) for f in found.findings],
+        "where": [list(f.where) for f in found.findings],
+        "parts": [[f"{p.part}: {p.name}" for p in f.partial_aliases] for f in found.findings],
+        "covered": covered,
+        "exact": covered and not sets and len(names) == len(true),
+        "minimal": covered and len(names) == len(true) and _minimal(setting, sets, best),
+        "extra": sum(not n & true for n in names),
+        "wrong_name": named_wrong,
+        "wrong_single": bool(named_wrong) and found.verdict == "named",
+        "located": _located(setting, found),
+        "flag": found.structure.flag,
+        "structure": {
+            "p": found.structure.p_value,
+            "inputs": list(found.structure.inputs),
+            "size_mm": 1e3 * found.structure.size_m,
+            "share": found.structure.share_explained,
+        },
+        "rolled_back": found.rolled_back,
+        "noise_mm": (1e3 * found.search.noise.sigma).round(4).tolist(),
+        "rho": found.search.noise.rho,
+        "intervals": _intervals(setting, found),
+        "errors_mm": errors,
+        "first": _table(found.search.first),
+        "last": _table(found.search.last),
+        "threshold": found.search.threshold,
+    }
+    scores["dangerous"] = bool(
+        found.verdict == "named"
+        and named_wrong
+        and np.hypot(errors["with_effects"], errors["floor"]) > 2 * errors["floor"]
+    )
+    return scores
+
+
+def true_fit(setting: LoopSetting, session: Session | None = None) -> ModelFit:
+    """The model that holds exactly the hidden effects, in their best form, fitted.
+
+    Args:
+        setting: the case with its hidden effects.
+        session: rows; the training rows by default.
+
+    Raises:
+        InputError: an effect is in no library.
+    """
+    return _best(setting, [_forms(setting, name) for name in setting.case.effects], session)
+
+
+def _best(
+    setting: LoopSetting, menus: Sequence[list[tuple[Term, ...]]], session: Session | None = None
+) -> ModelFit:
+    """The likeliest of the combinations of one form per effect."""
+    rows = setting.train if session is None else session
+    base = declared_model(setting.arm)
+    base = base.plus(*geometry(setting.arm, rows))
+    fits = []
+    for forms in itertools.product(*menus):
+        model = base.plus(*(t for form in forms for t in form))
+        fits.append(fit(model, rows, sigma=setting.sigma, robust=session is None))
+    return min(fits, key=_misfit)
+
+
+def _misfit(fitted: ModelFit) -> float:
+    white = fitted.whitened(fitted.residual[..., None])
+    return float((white**2).sum() / 2) + 0.5 * 4.2**2 * float((fitted.weights == 0).sum())
+
+
+def _forms(setting: LoopSetting, name: str) -> list[tuple[Term, ...]]:
+    """Each form of an effect at all of its places, and all compatible forms together."""
+    known = library(setting.arm, setting.train.context(), (BUILT_IN[name],))
+    most = max(len(c.terms) for c in known.testable)
+    forms = [c.terms for c in known.testable if len(c.terms) == most]
+    every = tuple(t for form in forms for t in form)
+    together = len(forms) > 1 and len({t.place for t in every}) == len(every)
+    return [*forms, every] if together else forms
+
+
+def _knowable(setting: LoopSetting) -> bool:
+    kinds = {kind.name for kind in LIBRARY}
+    return all(name in kinds for name in setting.case.effects)
+
+
+def _errors(setting: LoopSetting, found: Diagnosis, best: ModelFit | None) -> dict[str, float]:
+    """RMS 3-D errors against the noise-free truth on fresh poses off the grid, and the noise."""
+    models: dict[str, Model] = dict(found.models)
+    if best is not None:
+        models["true_effects"] = best.model
+    errors = {
+        name: _rms(setting.clean_held_out, model, setting.held_out)
+        for name, model in models.items()
+    }
+    for name in ("with_effects", "true_effects"):
+        if name in models:
+            errors[f"{name}_train"] = _rms(setting.clean_train, models[name], setting.train)
+    errors["floor"] = 1e3 * float(np.sqrt((setting.sigma**2).sum()))
+    return errors
+
+
+def _rms(clean: np.ndarray, model: Model, session: Session) -> float:
+    error = clean - model.measured(session.q, session.context())
+    return 1e3 * float(np.sqrt((error**2).sum(axis=1).mean()))
+
+
+def _minimal(setting: LoopSetting, sets: Sequence[EffectFinding], best: ModelFit | None) -> bool:
+    """Whether no member of any set can be distinguished from the truth by these or any rows."""
+    if not sets or best is None:
+        return best is not None
+    clean = _clean(setting)
+    least = _misfit(true_fit(setting, clean))
+    true = setting.case.effects
+    for found in sets:
+        own = next((t for t in true if t in found.names), None)
+        if own is None:
+            return False
+        rest = [_forms(setting, t) for t in true if t != own]
+        for name in found.names:
+            if name != own and not any({name, own} <= family for family in TWINS):
+                other = _best(setting, [*rest, _forms(setting, name)], clean)
+                if _misfit(other) - least > ALIKE:
+                    return False
+    return True
+
+
+def _clean(setting: LoopSetting) -> Session:
+    """The training rows as they would be without noise and outliers."""
+    return dataclasses.replace(setting.train, xyz=setting.clean_train, sigma=None)
+
+
+def _located(setting: LoopSetting, found: Diagnosis) -> bool | None:
+    """Whether the strongest place of the finding that covers the effect is the true one."""
+    if not setting.case.one_place:
+        return None
+    answers = []
+    for effect in setting.effects:
+        where = places(effect, setting.arm)
+        mine = [f for f in found.findings if effect.name in f.names]
+        if len(where) == 1 and mine:
+            answers.append(bool(_said(found, mine[0], effect.name) & where))
+    return all(answers) if answers else None
+
+
+def _said(found: Diagnosis, finding: EffectFinding, name: str) -> set[str]:
+    """Places of an effect in a finding: its strongest place, or those of the alternative."""
+    if finding.name == name:
+        return {_strongest(found, finding.terms)}
+    return {w for a in finding.alternatives if a.candidate.name == name for w in a.candidate.where}
+
+
+def _strongest(found: Diagnosis, terms: tuple[Effect | Bias, ...]) -> str:
+    """Place with the largest shift of the tip."""
+    fitted = found.search.fit
+    sizes: dict[str, float] = {}
+    mine = {(t.name, t.where) for t in terms}
+    shifts: dict[str, np.ndarray] = {}
+    for k, slot in enumerate(fitted.slots):
+        if (slot.owner.name, slot.owner.where) in mine:
+            part = fitted.columns[..., k] * fitted.model.values[k]
+            shifts[slot.owner.where] = shifts.get(slot.owner.where, 0.0) + part
+    for where, shift in shifts.items():
+        sizes[where] = float(((shift - shift.mean(axis=0)) ** 2).sum())
+    return max(sizes, key=lambda w: sizes[w]) if sizes else terms[0].where
+
+
+def _intervals(setting: LoopSetting, found: Diagnosis) -> list[dict[str, Any]]:
+    """True value and 95 % interval of every found parameter that the simulator has too."""
+    rows = []
+    for effect in setting.effects:
+        true = values(effect, setting.arm)
+        if not any(f.name == effect.name for f in found.findings):
+            continue
+        for k, slot in enumerate(found.fit.slots):
+            key = slot.owner.where, slot.parameter.name
+            if slot.owner.name == effect.name and key in true:
+                i = found.confirmed.intervals[k]
+                rows.append(
+                    {
+                        "of": f"{effect.name} {key[0]} {key[1]}",
+                        "true": true[key],
+                        "value": i.value,
+                        "low": i.low,
+                        "high": i.high,
+                    }
+                )
+    return rows
+
+
+def _table(scores: Sequence[Score]) -> list[list[Any]]:
+    return [
+        [s.candidate.label, round(s.log_bayes_factor, 2), round(s.fit_gain, 2)]
+        for s in scores[:SHOWN]
+    ]

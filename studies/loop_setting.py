@@ -1,0 +1,176 @@
+"""Set-up of a case: the true arm, its measured session, and the visibility of its effects."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.plan import grid, sobol
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.identify.calibrate import declared_model, geometry
+from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.linear import Marginal
+from longarm_comp.core.identify.model_fit import ModelFit
+from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.context import TrueContext
+from longarm_comp.sim.hidden.base import HiddenEffect
+from longarm_comp.sim.hidden.camera import CameraEffect
+from longarm_comp.sim.hidden.catalogue import Hidden, hidden
+from longarm_comp.sim.measure import Noise, SimulatedSession, TrueCamera, arrival, measure_session
+from longarm_comp.sim.random_arms import random_arm
+from studies.loop_cases import SPOILED, Case
+from studies.loop_truth import at_one_place, size
+
+HELD_OUT = 100
+"""Number of further poses, uniform over the joint box."""
+CANDIDATES = 150
+"""Approximate number of hypotheses; visibility accounts for the choice among them."""
+_PLANS = {"grid": grid, "sobol": sobol}
+_STEPS = 4
+_MOST = 6.0  # times the typical size
+
+
+@dataclass(frozen=True)
+class LoopSetting:
+    """Arm, effects and data of a case.
+
+    Attributes:
+        case: the case.
+        arm: as declared.
+        effects: hidden effects besides the geometry errors.
+        visible: per effect, size that remains after a full geometry refit over the smallest
+            detectable size; 1 and more is visible.
+        train: rows to fit. held_out: fresh poses.
+        clean_train: (N, 3) without noise, m. clean_held_out: likewise.
+        sigma: (3,) true noise per axis, m.
+    """
+
+    case: Case
+    arm: Arm
+    effects: tuple[Hidden, ...]
+    visible: tuple[float, ...]
+    train: Session
+    held_out: Session
+    clean_train: np.ndarray
+    clean_held_out: np.ndarray
+    sigma: np.ndarray
+
+
+def set_up(case: Case, declared: Arm) -> LoopSetting:
+    """Draw arm, effects and noise, and measure.
+
+    Raises:
+        InputError, JobError: the arm cannot have such an effect or is not stable with it.
+    """
+    rng = case.rng
+    arm = declared if case.arm == 0 else random_arm(np.random.default_rng(case.arm), declared)
+    spoiled = SPOILED[case.spoiled]
+    repeats = case.rows // 20
+    plan = _PLANS[case.plan](arm, case.rows - 2 * repeats, rng).q
+    fresh = sobol(arm, HELD_OUT, rng).q
+    noise = Noise(0.22e-3 * case.noise, 0.28e-3 * case.noise, spoiled.rho, spoiled.tail_dof)
+    off = [hidden(n, arm, spoiled.geometry, rng) for n in ("joint_zero", "dh_error", "base_pose")]
+    head = TrueCamera.of(arm)
+    sight = np.asarray(head.axes[2])
+    sigma = np.sqrt(noise.sigma_m**2 + (noise.depth_m * sight) ** 2)
+    gauge = _Gauge(arm, head, plan, sigma, rng)
+    drawn = [gauge.sized(_drawn(name, arm, case.one_place, rng), rng) for name in case.effects]
+    effects = [effect for effect, _ in drawn]
+    on_arm = [e for e in (*effects, *off) if isinstance(e, HiddenEffect)]
+    true = TrueArm(arm, on_arm, steps=_STEPS)
+    eye = dataclasses.replace(
+        head, effects=tuple(e for e in effects if isinstance(e, CameraEffect))
+    )
+    train = measure_session(
+        true, eye, plan, rng=rng, repeats=repeats, lost=0.01, outliers=spoiled.outliers, noise=noise
+    )
+    end = float(train.columns["t_s"][-1]) + 60.0
+    held = measure_session(true, eye, fresh, rng=rng, noise=noise, start_s=end)
+    return LoopSetting(
+        case,
+        arm,
+        tuple(effects),
+        tuple(v for _, v in drawn),
+        session_of(train, arm.n),
+        session_of(held, arm.n),
+        train.truth["seen"],
+        held.truth["seen"],
+        sigma,
+    )
+
+
+def session_of(measured: SimulatedSession, n: int) -> Session:
+    """A simulated session as the diagnosis reads it."""
+    columns = dict(measured.columns)
+    q = np.column_stack([columns.pop(f"q{k + 1}") for k in range(n)])
+    xyz = np.column_stack([columns.pop(axis) for axis in "xyz"])
+    repeat = np.nan_to_num(columns.pop("repeat_id"), nan=-1.0).astype(int)
+    index, approach = columns.pop("index").astype(int), columns.pop("approach")
+    return Session.record(
+        q, xyz, index=index, approach=approach, repeat_id=repeat, columns=columns, source="study"
+    )
+
+
+def _drawn(name: str, arm: Arm, one_place: bool, rng: np.random.Generator) -> Hidden:
+    """An effect of 0.7 to 2 times its typical size."""
+    effect = hidden(name, arm, float(np.exp(rng.uniform(np.log(0.7), np.log(2.0)))), rng)
+    return at_one_place(effect, arm, rng) if one_place else effect
+
+
+class _Gauge:
+    """Size of an effect after a geometry refit, on the poses of a plan."""
+
+    def __init__(
+        self,
+        arm: Arm,
+        head: TrueCamera,
+        plan: np.ndarray,
+        sigma: np.ndarray,
+        rng: np.random.Generator,
+    ) -> None:
+        side = arrival(plan, rng.choice([-1.0, 1.0], len(plan)))
+        t = np.linspace(0.0, 16.0 * len(plan), len(plan))
+        warm = arm.reference_temperature_c - 10.0 * np.expm1(-t / 5000.0)
+        self.q, self.t_s = plan, t
+        self.context = TrueContext(side, warm, None, t)
+        self.arm, self.head = arm, head
+        self.sound = self._seen(None)
+        session = Session.record(plan, self.sound)
+        model = declared_model(arm)
+        base = model.plus(*geometry(arm, session))
+        self.fit: ModelFit = fit(base, session, sigma=sigma, robust=False)
+        self.marginal = Marginal(self.fit.design, self.fit.data)
+
+    def _seen(self, effect: Hidden | None) -> np.ndarray:
+        inside = [effect] if isinstance(effect, HiddenEffect) else []
+        outside = (effect,) if isinstance(effect, CameraEffect) else ()
+        tip = TrueArm(self.arm, inside, steps=2).tip(self.q, self.context)
+        return dataclasses.replace(self.head, effects=outside).seen(tip, self.t_s)
+
+    def visibility(self, effect: Hidden) -> float:
+        """Remaining size in units of the noise over the smallest detectable size.
+
+        Detectable is what an ideal observer finds who knows the shape of each of `CANDIDATES`
+        effects, asks for odds of 20 and pays half a log of the number of readings per
+        parameter (BIC).
+        """
+        moved = self._seen(effect)
+        white = self.fit.whitened((moved - self.sound)[..., None])[:, 0]
+        left = float(white @ self.marginal.project(white))
+        readings = 3 * len(moved)
+        needed = 2 * (math.log(CANDIDATES) + math.log(20.0))
+        needed += size(effect, self.arm) * math.log(readings)
+        return math.sqrt(max(left, 0.0) / needed)
+
+    def sized(self, effect: Hidden, rng: np.random.Generator) -> tuple[Hidden, float]:
+        """The effect scaled to a random visibility of 1.25 to 3, at most 6 times typical."""
+        wanted = float(np.exp(rng.uniform(np.log(1.25), np.log(3.0))))
+        now = self.visibility(effect)
+        if now < wanted and now > 0:
+            effect = effect.scaled(min(wanted / now, _MOST))
+            now = self.visibility(effect)
+        return effect, now

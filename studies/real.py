@@ -1,0 +1,139 @@
+"""Errors of each model on held-out rows of public measurements of real arms.
+
+DLR Agile Justin (two arms on one torso, fitted together), Barrett WAM, UR5.  The ladder is rigid
+first (beams of these arms are not declared), then torsion of the joints, then lateral elasticity of
+their seats on top, as Tenhumberg and Baeuml (HUMANOIDS 2020, 2021) have it; ``best`` is what the
+*training* rows ask for (`selection`).  "Frames only" is the base and tool placement alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from longarm_comp.core.effects.bearing_tilt import BearingTilt
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.effects.tip_offset import TipOffset
+from longarm_comp.core.identify.calibrate import (
+    Errors,
+    declared_model,
+    errors,
+    frames,
+    geometry,
+    warm,
+)
+from longarm_comp.core.identify.fit import fit_together
+from longarm_comp.core.identify.model_fit import ModelFit
+from longarm_comp.core.identify.placement import placed
+from longarm_comp.core.model.model import Slot
+from studies.real_sessions import Measured, justin, laser_tracked
+from studies.selection import select
+
+Terms = tuple[Effect | Bias, ...]
+Progress = Callable[[str], None]
+
+LAST_SHARED_ROW = 4
+"""Justin's torso; its two shoulders (row 5) and what follows are each arm's own."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """One model's errors on the test rows, all arms of the robot pooled.
+
+    Attributes:
+        model: name of the rung.
+        errors: on the test rows.
+        effects: effects of the model besides geometry.
+    """
+
+    model: str
+    errors: Errors
+    effects: tuple[str, ...] = ()
+
+
+def study(folder: Path, progress: Progress | None = None) -> dict[str, list[Line]]:
+    """Every data set of a folder.
+
+    Args:
+        folder: holds ``dlr_justin`` and ``wam_ur5``.
+        progress: called with the name of the model being fitted.
+
+    Raises:
+        InputError: a data set is missing.
+    """
+    say = progress or (lambda _: None)
+    robots = {
+        "dlr_justin": justin(folder),
+        "wam": laser_tracked(folder, "wam"),
+        "ur5": laser_tracked(folder, "ur5"),
+    }
+    return {
+        name: judged(parts, lambda text, name=name: say(f"{name}: {text}"))  # type: ignore[misc]
+        for name, parts in robots.items()
+    }
+
+
+def judged(parts: Sequence[Measured], progress: Progress | None = None) -> list[Line]:
+    """The ladder of one robot: frames only, joint zeros, rigid, and what bends; then the best."""
+    say = progress or (lambda _: None)
+
+    def every(make: Callable[[Measured], Terms]) -> list[Terms]:
+        return [make(part) for part in parts]
+
+    framed = every(lambda p: frames(p.arm, p.train))
+    zeros = every(lambda p: (*frames(p.arm, p.train), *JointZero.for_arm(p.arm)))
+    rigid = every(lambda p: geometry(p.arm, p.train))
+    torsion = every(lambda p: (*geometry(p.arm, p.train), *JointCompliance.for_arm(p.arm)))
+    lateral = [(*t, *BearingTilt.for_arm(p.arm)) for t, p in zip(torsion, parts, strict=True)]
+    rungs = {
+        "frames_only": framed,
+        "joint_zeros": zeros,
+        "rigid": rigid,
+        "joint_compliance": torsion,
+        "lateral_compliance": lateral,
+    }
+    lines: list[Line] = []
+    fits: list[ModelFit] | None = None
+    known: dict[str, list[ModelFit]] = {}
+    for name, terms in rungs.items():
+        say(name)
+        fits = _fitted(parts, terms, fits)
+        known[name] = fits
+        lines.append(_line(name, parts, fits))
+    say("selection on the training rows")
+
+    def refit(added: Sequence[Terms]) -> list[ModelFit]:
+        return _fitted(parts, [(*r, *a) for r, a in zip(rigid, added, strict=True)], known["rigid"])
+
+    _, best = select(known["rigid"], refit, say)
+    return [*lines, _line("best", parts, best)]
+
+
+def _fitted(
+    parts: Sequence[Measured], terms: Sequence[Terms], start: Sequence[ModelFit] | None
+) -> list[ModelFit]:
+    models = []
+    for k, (part, added) in enumerate(zip(parts, terms, strict=True)):
+        model = declared_model(part.arm, deflection=False).plus(*added)
+        held = placed(model, part.train) if start is None else start[k].model
+        models.append(warm(model, held))
+    pairs = [(m, p.train) for m, p in zip(models, parts, strict=True)]
+    return fit_together(pairs, _own)
+
+
+def _own(slot: Slot) -> bool:
+    """Whether a parameter belongs to one arm alone (irrelevant for a robot with one arm)."""
+    place = slot.owner.placement
+    row = place.get("row", place.get("joint"))
+    return isinstance(slot.owner, TipOffset) or (row is not None and row > LAST_SHARED_ROW)
+
+
+def _line(name: str, parts: Sequence[Measured], fits: Sequence[ModelFit]) -> Line:
+    left = [errors(f.model, p.test) for f, p in zip(fits, parts, strict=True)]
+    effects = dict.fromkeys(t.name for f in fits for t in f.model.terms if not t.geometry)
+    return Line(name, Errors.of(np.concatenate(left)), tuple(effects))

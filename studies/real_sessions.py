@@ -1,0 +1,96 @@
+"""Reads the public data sets as sessions, with their stated splits."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.spatial import Frame
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.model import Model
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One arm with its train and test rows."""
+
+    arm: Arm
+    train: Session
+    test: Session
+
+
+def declared(name: str) -> Arm:
+    """An arm file that ships with the studies."""
+    return Arm.load(Path(__file__).parent / "arms" / f"{name}.yaml")
+
+
+def _table(path: Path) -> list[dict[str, str]]:
+    try:
+        with path.open(newline="", encoding="utf-8") as handle:
+            return list(csv.DictReader(handle))
+    except OSError as error:
+        raise InputError(str(path), "file", type(error).__name__, "the public data set") from error
+
+
+def justin(folder: Path) -> list[Measured]:
+    """DLR Agile Justin, right and left arm (split: default_rng(0), 350 postures to train).
+
+    The other arm loads the torso with its own posture; its weight is one mass at its rigid
+    centre of mass in the last torso frame.
+    """
+    rows = _table(folder / "dlr_justin" / "samples.csv")
+    order = np.random.default_rng(0).permutation(500)
+    sessions = []
+    chains = {side: declared(f"justin_{side}") for side in ("right", "left")}
+    columns = {"right": range(4, 11), "left": range(11, 18)}
+    for side, other in (("right", "left"), ("left", "right")):
+        mine = [r for r in rows if r["arm"] == side]
+        numbers = np.array([int(r["sample"]) for r in mine])
+
+        def joints(kind: str, mine: list[dict[str, str]] = mine) -> np.ndarray:
+            names = [f"q{j}" for j in (1, 2, 3, *columns[kind])]
+            return np.array([[float(r[n]) for n in names] for r in mine])
+
+        mass_at = _centre_of_mass(chains[other], joints(other))
+        session = Session.record(
+            joints(side),
+            np.array([[float(r[c]) for c in "xyz"] for r in mine]),
+            index=numbers,
+            columns={f"other_arm_{c}": mass_at[:, k] for k, c in enumerate("xyz")},
+            source=f"dlr_justin {side}",
+        )
+        train = np.isin(numbers, order[:350])
+        sessions.append(Measured(chains[side], session.take(train), session.take(~train)))
+    return sessions
+
+
+def _centre_of_mass(arm: Arm, q: np.ndarray) -> np.ndarray:
+    """(N, 3) centre of mass of all beyond the fixed row 5, seen in row 4 (the last torso row)."""
+    still = tuple(m for m in arm.point_masses if m.frame > 5)
+    bare = arm.model_copy(update={"point_masses": still})
+    model = Model(bare)
+    posture = model.posture([q[:, j] for j in range(arm.n)])
+    mass, first = posture.carried
+    station = posture.frame(5)
+    world = tuple(f / mass[station] for f in first[station])
+    torso: Frame = posture.frames[posture.frame(4)]
+    return np.stack(np.broadcast_arrays(*torso.inverse().transform(world)), -1)  # type: ignore[arg-type]
+
+
+def laser_tracked(folder: Path, name: str) -> list[Measured]:
+    """Barrett WAM or UR5 by laser tracker (split by the authors: grid to train, random to test)."""
+    rows = _table(folder / "wam_ur5" / f"{name}_samples.csv")
+    arm = declared(name)
+    session = Session.record(
+        np.array([[float(r[f"q{j + 1}"]) for j in range(arm.n)] for r in rows]),
+        np.array([[float(r[c]) for c in "xyz"] for r in rows]),
+        source=f"{name}_samples.csv",
+    )
+    session = dataclasses.replace(session, labels={"role": np.array([r["set"] for r in rows])})
+    return [Measured(arm, session.where("role", "grid"), session.where("role", "random"))]

@@ -1,0 +1,266 @@
+"""The graph under test: sends a stream of targets and enters the answers in the ledger."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from trajectory_msgs.msg import JointTrajectory
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.jobs.client import ArmClient
+from longarm_comp.jobs.path import slow_path
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.messages import pose_message
+from longarm_comp.nodes.stamps import stamp_ns, stamp_of
+from longarm_comp.nodes.supervisor import Supervisor
+from longarm_interfaces.msg import Compensation
+from soak.clock import SimClock
+from soak.leaks import LeakWatch
+from soak.ledger import Ledger
+from soak.setting import NAMESPACE, SoakSettings
+
+_PATH = 2000
+_FAR = 63
+"""Targets of the path in half a swing of a joint."""
+_NEAR = 0.02  # rad, m
+_TRY_S = 3.0
+_SAMPLE_S = 1.0
+_PATIENCE_S = 60.0
+_MOST_WAITING = 50
+"""Most open targets. It is far below the depth of the topics, beyond which messages are lost."""
+
+
+@dataclass
+class Scene:
+    """The running graph, the stream of targets, and the records of both."""
+
+    setting: SoakSettings
+    arm: Arm
+    supervisor: Supervisor
+    client: ArmClient
+    rng: np.random.Generator
+    ledger: Ledger = field(default_factory=Ledger)
+    leaks: LeakWatch = field(default_factory=LeakWatch)
+    expected_deaths: Counter[str] = field(default_factory=Counter)
+    struck: Counter[str] = field(default_factory=Counter)
+    held_back: int = 0
+    driver_refusals: int = 0
+    """Trajectories that the driver received and refused."""
+    _refused: int = 0
+    _driver: int = 0
+    _driver_reports: int = 0
+    _driver_rose: bool = False
+    _driver_at: tuple[int, int] | None = None
+    _probing: bool = False
+    _probed: int = 0
+    _answer: Compensation | None = None
+    _next: float = 0.0
+    _sampled: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Subscribe to all topics that the ledger needs."""
+        node = self.client.node
+        self.clock = SimClock(node)
+        self._poses = [pose_message(m) for m in slow_path(self.arm, _PATH)]
+        self._target = graph.TARGET_POSE.publisher(node)
+        graph.COMPENSATION.subscription(node, self._on_compensation)
+        graph.JOINT_TRAJECTORY.subscription(node, self._on_trajectory)
+        graph.DIAGNOSTICS.subscription(node, self._on_diagnostics)
+
+    def _on_compensation(self, message: Compensation) -> None:
+        if self._probing:
+            self._probed, self._answer = stamp_ns(message.target.header.stamp), message
+            return
+        self.ledger.answer(
+            stamp_ns(message.target.header.stamp),
+            int(message.status),
+            int(message.status) > Compensation.OUT_OF_DOMAIN,
+            message.message,
+            tuple(message.executed.position),
+        )
+
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        if self._probing:
+            return
+        self.ledger.trajectory(tuple(message.points[-1].positions))
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name == f"/{NAMESPACE}/servo_driver: arm":
+                facts = {pair.key: pair.value for pair in status.values}
+                before, refused = self._driver, int(facts["refused"])
+                self.driver_refusals += refused - (self._refused if refused >= self._refused else 0)
+                self._refused = refused
+                self._driver = int(facts["trajectories"]) + refused
+                self._driver_rose = self._driver_rose or self._driver > before
+                self._driver_reports += 1
+
+    # ------------------------------------------------------------------ the stream
+
+    def ready(self) -> None:
+        """Wait until every node works, by sending targets that are not in the ledger.
+
+        Counting subscribers is not enough: a killed one stays matched for a while.
+        """
+        client = self.client
+        client.ready(_PATIENCE_S)
+        self._probing, self._probed, self._driver_rose = True, 0, False
+
+        def through() -> bool:
+            if not (self._probed and self._driver_rose):
+                self._publish(good=True)
+                client.spin(0.2)
+            return bool(self._probed and self._driver_rose)
+
+        client.until(through, _PATIENCE_S, "no target gets through to the servos")
+        last = self._publish(good=True)  # answered in their order: then all are
+        client.until(lambda: self._probed == last, _PATIENCE_S, "a target has no answer")
+        client.spin(1.0)
+        self._rested()
+        self._probing = False
+        self._mark()
+
+    def recover(self) -> str:
+        """Wait until the arm works: a target is answered with status 0, and the joints go there.
+
+        The targets are not in the ledger.
+
+        Returns:
+            What did not happen in time; empty if the arm works.
+        """
+        self.audit()
+        self._probing = True
+        end = time.monotonic() + self.setting.patience_s
+        tries, why = 0, "no target was answered"
+        while why and time.monotonic() < end:
+            tries += 1
+            why = self._try_target(self.ledger.sent + tries * _FAR, why)
+        self.client.spin(0.3)
+        self._rested()
+        self._probing = False
+        self._mark()
+        return why
+
+    def _try_target(self, number: int, why: str) -> str:
+        """Send one target: why it was not reached (``why`` if it had no answer), or nothing."""
+        self._answer, before = None, self.client.joints
+        stamp = self._publish(good=True, number=number)
+        if not self._within(_TRY_S, lambda: self._probed == stamp) or self._answer is None:
+            return why
+        if self._answer.status != Compensation.SUCCESS:
+            self.client.spin(0.1)
+            return f"status {self._answer.status}: {self._answer.message}"
+        goal = np.array(self._answer.executed.position)
+
+        def there() -> bool:
+            at = self.client.joints
+            return at is not None and bool(np.abs(at - goal).max() < _NEAR)
+
+        if not self._within(_TRY_S, there):
+            return "a command was sent and the joints did not go there"
+        if before is not None and np.abs(goal - before).max() < 2 * _NEAR:
+            return "the joints were there before"
+        return ""
+
+    def _within(self, seconds: float, condition: Callable[[], bool]) -> bool:
+        """Spin until a condition holds, or for so many seconds; whether it holds."""
+        end = time.monotonic() + seconds
+        self.client.until(
+            lambda: condition() or time.monotonic() > end, seconds + _PATIENCE_S, "the graph"
+        )
+        return condition()
+
+    def _rested(self) -> None:
+        """Wait for a report of the driver from after everything came to rest."""
+        wanted = self._driver_reports + 2
+        self.client.until(lambda: self._driver_reports >= wanted, _PATIENCE_S, "no /diagnostics")
+
+    def go_on(self, seconds: float) -> None:
+        """Send targets at the rate for a number of seconds."""
+        end = time.monotonic() + seconds
+        self._next = max(self._next, time.monotonic())
+        while (now := time.monotonic()) < end:
+            if now >= self._next:
+                if self.ledger.waiting < _MOST_WAITING:
+                    self._send(now)
+                else:  # the machine does not keep up
+                    self.held_back += 1
+                self._next += 1.0 / self.setting.rate_hz
+            if now - self._sampled > _SAMPLE_S:
+                self._sample(now)
+            self.client.spin(max(1e-3, min(self._next, end) - time.monotonic()))
+
+    def _send(self, now: float) -> None:
+        good = bool(self.rng.random() >= self.setting.bad_share)
+        self.ledger.target(self._publish(good=good), now, good=good)
+
+    def _publish(self, *, good: bool, number: int | None = None) -> int:
+        stamp = self.clock.stamp_ns()
+        place = self.ledger.sent if number is None else number
+        message = PoseStamped(pose=self._poses[place % _PATH])
+        message.header.frame_id, message.header.stamp = "base", stamp_of(stamp)
+        self._target.publish(message if good else bad_target(message, self.rng))
+        return stamp
+
+    def _sample(self, now: float) -> None:
+        self._sampled = now
+        for name in self.supervisor.commands:
+            self.leaks.sample(name, self.supervisor.pid(name))
+        self.leaks.sample("soak", os.getpid())
+
+    # ------------------------------------------------------------------ the ledger
+
+    def quiet(self) -> None:
+        """Wait until every target is answered; enter those that are not as lost."""
+        end = time.monotonic() + _PATIENCE_S
+        self.client.until(
+            lambda: not self.ledger.waiting or time.monotonic() > end, 2 * _PATIENCE_S, "answers"
+        )
+        self.ledger.give_up()
+        self.client.spin(0.3)
+
+    def audit(self) -> None:
+        """Wait for rest, then compare the trajectories sent and received by the driver."""
+        self.quiet()
+        self._rested()
+        if self._driver_at is not None:
+            sent, got = (
+                self.ledger.trajectories - self._driver_at[0], self._driver - self._driver_at[1],
+            )  # fmt: skip
+            if sent != got:
+                self.ledger.wrong["trajectory that the driver did not get once"] += abs(sent - got)
+        self._mark()
+
+    def _mark(self) -> None:
+        self._driver_at = self.ledger.trajectories, self._driver
+
+    def wait_back(self, node: str, before: int) -> None:
+        """Wait until a killed node runs again and is connected. Its counters restart at 0."""
+        back = lambda: self.supervisor.pid(node) != before  # noqa: E731
+        self.client.until(back, _PATIENCE_S, f"{node} is away")
+        self.ready()
+
+
+def bad_target(good: PoseStamped, rng: np.random.Generator) -> PoseStamped:
+    """A target that must be refused, with one of five faults."""
+    message = PoseStamped(header=good.header)
+    message.pose.position.x = good.pose.position.x
+    message.pose.position.y = good.pose.position.y
+    message.pose.position.z = good.pose.position.z
+    message.pose.orientation.w = 1.0
+    ways = (
+        lambda: setattr(message.pose.position, "x", float("nan")),
+        lambda: setattr(message.pose.position, "z", float("inf")),
+        lambda: setattr(message.header, "frame_id", "kitchen"),
+        lambda: setattr(message.pose.orientation, "w", 2.0),
+        lambda: setattr(message.pose.position, "y", message.pose.position.y + 30.0),
+    )
+    ways[int(rng.integers(len(ways)))]()
+    return message
