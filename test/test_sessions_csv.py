@@ -335,7 +335,7 @@ def test_commands_file_has_the_agreed_columns(tmp_path: Path) -> None:
         rows = list(csv.DictReader(file))
     assert ",".join(rows[0]) == (
         "index,status,reason,q1,q2,target_x,target_y,target_z,predicted_error_x,"
-        "predicted_error_y,predicted_error_z,sigma_mm,passes,"
+        "predicted_error_y,predicted_error_z,sigma_mm,passes,expected_mm,p90_mm,frame,"
         "approach_q1,approach_q2,run_up_q1,run_up_q2,ideal_q1,ideal_q2"
     )
     assert float(rows[0]["q2"]) == 0.2

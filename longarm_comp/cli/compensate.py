@@ -28,6 +28,11 @@ if TYPE_CHECKING:
     type=click.Choice(["none", "deflection", "network", "both"]),
     help="What to compensate; by default all that the given files allow.",
 )
+@click.option(
+    "--frame",
+    type=click.Choice(["base", "measured"]),
+    help="Frame of the targets: the arm's own base, or that of the measurements of MODEL.",
+)
 @click.option("--seed-q", help="Joints to start from, q1,..,qn (rad, m); default mid-range.")
 @click.option("--lock", multiple=True, metavar="ROW|NAME", help="Joint that stays at its seed.")
 @options.path_option(
@@ -50,6 +55,7 @@ def command(
     model: Path | None,
     predictor: Path | None,
     method: str | None,
+    frame: str | None,
     seed_q: str | None,
     lock: tuple[str, ...],
     history: Path | None,
@@ -60,10 +66,13 @@ def command(
     output: Path,
     as_json: bool,
 ) -> None:
-    """Joint commands of ARM that bring its real tip to targets (m, base frame).
+    """Joint commands of ARM that bring its real tip to targets (m).
 
-    commands.csv has one line per target. If a target fails, the line holds the reason and the exit
-    code is 3. approach_q* is the side that each joint must arrive from, run_up_q* the via point.
+    Targets say their frame, by a column or --frame: base, the arm's own, or measured, that of the
+    rows that MODEL was calibrated with. commands.csv has one line per target, with the error that
+    is expected (expected_mm, and p90_mm that 90 of 100 stay below). If a target fails, the line
+    holds the reason and the exit code is 3. approach_q* is the side that each joint must arrive
+    from, run_up_q* the via point.
 
     \b
     Examples:
@@ -94,6 +103,7 @@ def command(
         wanted,
         learned,
         method=chosen,
+        frame=frame,
         history=history,
         run_up=not no_run_up,
         seed=None if seed_q is None else _joints(seed_q, declared),
@@ -106,16 +116,19 @@ def command(
     commands = answers.lines()
     rows = [_row(c, declared.n) for c in commands]
     if as_json:
-        print_json({"output": str(output), "method": chosen.value, "commands": rows})
+        placed = {"frames": answers.frames}
+        print_json({"output": str(output), "method": chosen.value, **placed, "commands": rows})
     elif len(rows) == 1 and commands[0].q is not None:
         print_rows(f"Command (in {output})", rows)
+    for text in answers.frames:
+        note(text)
     failed = [c for c in commands if c.q is None]
     if failed:
         raise JobError(
             f"target {failed[0].index}: {failed[0].status}: {failed[0].reason}",
             failed=f"{len(failed)} of {len(commands)}",
         )
-    note(f"{len(commands)} commands in {output}")
+    note(f"{len(commands)} commands in {output}{answers.promise}")
 
 
 def _number(text: str) -> float:
@@ -147,9 +160,13 @@ def _row(c: Command, n: int) -> dict[str, object]:
     return {
         "index": c.index,
         "status": c.status,
+        "frame": c.frame,
         **({"reason": c.reason} if c.reason else {}),
         **{f"q{j}": value for j, value in enumerate(q, 1)},
         **({} if c.run_up is None else {"run_up": list(c.run_up)}),
-        "sigma_mm": None if c.sigma_m is None else 1e3 * c.sigma_m,
+        **{
+            f"{name}_mm": None if value is None else 1e3 * value
+            for name, value in (("sigma", c.sigma_m), ("expected", c.expected_m), ("p90", c.p90_m))
+        },
         "passes": c.passes,
     }

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, print_rows
+
+if TYPE_CHECKING:
+    from longarm_comp.core.identify.calibrate import Errors
 
 
 @click.command()
@@ -23,8 +27,9 @@ def command(
     """Errors of every stage on measured poses, as in the paper's Table I.
 
     Rows: the rigid declared arm, with its declared deflection, the calibrated model, and with the
-    network. At poses outside the network's training data the physics is used alone. A note appears
-    if the model or the network was fitted to the test session.
+    network. The worst rows of the last are named by their index. Every measured row counts: those
+    that do not fit the model are noted, not refused. At poses outside the network's training data
+    the physics is used alone. A note appears if the model or the network was fitted to the session.
 
     \b
     Example:
@@ -37,16 +42,21 @@ def command(
     rows = evaluation.rows
     if evaluation.fitted:
         note(f"the {' and the '.join(evaluation.fitted)} came from this session: use other poses")
-    if evaluation.placed:
-        note("the declared arm was placed by these rows first: they see it somewhere else")
     if as_json:
+        worst = {name: _worst(errors) for name, errors in evaluation.items()}
         facts = {
+            "worst": worst,
             "outside_training_data": evaluation.outside,
+            "no_gain_promised": evaluation.refused,
             "fitted_to_test": evaluation.fitted,
             "placed": evaluation.placed,
         }
         print_json({"test": str(test), "rows": rows, **facts})
         return
     print_rows(f"Errors on {test} ({rows[0]['n']} poses)", rows)
-    if evaluation.outside:
-        note(f"{evaluation.outside} poses lie outside the network's training data: physics only")
+    for text in evaluation.notes:
+        note(text)
+
+
+def _worst(errors: Errors) -> list[dict[str, float]]:
+    return [{"index": row, "error_mm": 1e3 * size} for row, size in errors.worst]

@@ -53,6 +53,8 @@ def command(
 ) -> None:
     """Train SSA-BP on the residual that the physics of ARM leaves in SESSION (CSV or bag).
 
+    A network that does not help at poses left out of its training is not written (exit code 3).
+
     \b
     Examples:
       longarm train arm.yaml samples.csv --model model.yaml -o predictor.npz
@@ -85,6 +87,10 @@ def command(
             "before": 1e3 * trained.before.mean,
             "after": 1e3 * trained.after.mean,
         },
+        "left_out_mean_mm": {
+            "before": 1e3 * trained.gain.without,
+            "after": 1e3 * trained.gain.left,
+        },
         "noise_mm": 1e3 * np.asarray(trained.noise),
         "hidden": trained.hidden,
         "inputs": list(trained.encoding.names),
@@ -92,4 +98,4 @@ def command(
     if as_json:
         print_json(facts)
         return
-    note(f"{trained.summary} (judge it with evaluate); predictor in {output}")
+    note(f"{trained.summary}; predictor in {output}")

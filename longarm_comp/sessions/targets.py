@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.target_frame import FRAMES
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.csv import UNITS, XYZ, joint_names, recorded_besides
 from longarm_comp.sessions.names import check_header, check_unknown
@@ -21,7 +22,7 @@ _UNIT_LENGTH = 1e-3  # a quaternion printed with few digits is this far from len
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """N points or poses to reach, in the base frame.
+    """N points or poses to reach.
 
     Attributes:
         index: (N,) number of each target.
@@ -31,6 +32,7 @@ class Targets:
         columns: further numbers by name, (N,) each, as in `Session.columns`.
         labels: text by name, (N,) each.
         source: file, for messages.
+        frame: (N,) ``base`` or ``measured``; blank where it is not said.
     """
 
     index: np.ndarray
@@ -40,6 +42,7 @@ class Targets:
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)
     labels: Mapping[str, np.ndarray] = field(default_factory=dict)
     source: str = "targets"
+    frame: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         """Number of targets."""
@@ -83,14 +86,17 @@ class Command:
         status: ``success``, or the kind of failure in one word.
         reason: the failure in one sentence; empty on success.
         q: commanded joints (n,), rad and m; None without success.
-        target: (3,) requested position, m.
+        target: (3,) requested position, m, in its `frame`, as `predicted_error` is.
         predicted_error: expected error (3,), m; None where none was predicted.
-        sigma_m: its standard deviation per axis, m.
+        sigma_m: standard deviation of what the command leaves, the largest of the axes, m.
         passes: pseudo-target passes used.
         approach: (n,) side that each joint must arrive from for the prediction to hold; 0 any.
         run_up: (n,) via point from which the last approach begins; None: none needed.
         ideal: (n,) joints from the physics alone, or the joints before the command was chosen
             among the servos' steps.
+        frame: ``base`` or ``measured``.
+        expected_m, p90_m: expected distance of the tip from the target, and the one that 90 of
+            100 such commands stay below, m; None where nothing says it.
     """
 
     index: int
@@ -104,10 +110,13 @@ class Command:
     approach: np.ndarray | None = None
     run_up: np.ndarray | None = None
     ideal: np.ndarray | None = None
+    frame: str = ""
+    expected_m: float | None = None
+    p90_m: float | None = None
 
 
 def read_targets(path: str | Path) -> Targets:
-    """Read ``x,y,z[,qx,qy,qz,qw][,temperature_c,payload_kg,t_s,approach][,index]``.
+    """Read ``x,y,z[,qx,qy,qz,qw][,frame][,temperature_c,payload_kg,t_s,approach][,index]``.
 
     A row with a blank quaternion leaves the orientation free; other columns are kept as
     context, as in a session.
@@ -117,7 +126,7 @@ def read_targets(path: str | Path) -> Targets:
     """
     table = read_table(path)
     required = XYZ + (QUATERNION if any(name in table.header for name in QUATERNION) else ())
-    known = (*XYZ, *QUATERNION, *UNITS, "approach", "index")
+    known = (*XYZ, *QUATERNION, *UNITS, "approach", "index", "frame")
     check_header(table.where, table.header, required)
     check_unknown(table.where, table.header, known)
     xyz = np.stack([table.lengths(name) for name in XYZ], axis=-1)
@@ -137,7 +146,11 @@ def read_targets(path: str | Path) -> Targets:
         approach = np.nan_to_num(sides)
     columns, labels = recorded_besides(table, set(known))
     index = table.integers("index") if "index" in table.cells else np.arange(len(table))
-    return Targets(index, xyz, quaternion, approach, columns, labels, table.where)
+    frame = tuple(cell.strip() for cell in table.cells.get("frame", ()))
+    for row, name in enumerate(frame):
+        if name not in ("", *FRAMES):
+            raise table.error(row, "frame", " or ".join(FRAMES))
+    return Targets(index, xyz, quaternion, approach, columns, labels, table.where, frame)
 
 
 _OF_THE_MOVE = ("approach", "run_up", "ideal")
@@ -153,13 +166,16 @@ def write_commands(path: str | Path, n: int, commands: Sequence[Command]) -> Non
         *("index", "status", "reason", *joint_names(n)),
         *("target_x", "target_y", "target_z"),
         *("predicted_error_x", "predicted_error_y", "predicted_error_z", "sigma_mm", "passes"),
+        *("expected_mm", "p90_mm", "frame"),
         *(f"{kind}_{name}" for kind in _OF_THE_MOVE for name in joint_names(n)),
     ]
     rows = []
     for c in commands:
         q = [None] * n if c.q is None else list(c.q)
+        lengths = (c.sigma_m, c.expected_m, c.p90_m)
         error = [None] * 3 if c.predicted_error is None else list(c.predicted_error)
-        sigma_mm = None if c.sigma_m is None else 1e3 * c.sigma_m
+        sigma_mm, *expected = (None if v is None else 1e3 * v for v in lengths)
         move = [value for kind in _OF_THE_MOVE for value in _cells(getattr(c, kind), n)]
-        rows.append([c.index, c.status, c.reason, *q, *c.target, *error, sigma_mm, c.passes, *move])
+        said = [c.index, c.status, c.reason, *q, *c.target, *error, sigma_mm, c.passes]
+        rows.append([*said, *expected, c.frame, *move])
     write_table(path, header, rows)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from longarm_comp.core.identify.plausible import (
     check_worth,
 )
 from longarm_comp.core.identify.standing import untold
+from longarm_comp.core.identify.uncertainty import with_uncertainty
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.version import __version__
@@ -88,8 +90,12 @@ class Calibration:
 
     @property
     def model(self) -> Model:
-        """The calibrated model."""
-        return self.fit.model
+        """The calibrated model, with the record of how good it is."""
+        return self._model
+
+    @cached_property
+    def _model(self) -> Model:
+        return with_uncertainty(self.fit)
 
     @property
     def held_out(self) -> ErrorTable:

@@ -18,6 +18,7 @@ from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.arrive import Arrival, CompensationOptions, compensate_move
 from longarm_comp.core.compensation.realisable import Lattice
 from longarm_comp.core.compensation.result import Compensation, Method, Settling, Status
+from longarm_comp.core.compensation.target_frame import Placement, placement
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.wind_up import as_fitted
@@ -34,11 +35,14 @@ class Commands(Sequence[Compensation]):
 
     Attributes:
         numbers: (N,) number of each target.
-        arrivals: result of each target, and the move for which it holds.
+        arrivals: result of each target, and the move for which it holds. Places in it are in the
+            frame of the model: that of the measurements, for a calibrated one.
+        placements: frame of each target, and where it lies for the model.
     """
 
     numbers: np.ndarray
     arrivals: tuple[Arrival, ...]
+    placements: tuple[Placement, ...]
 
     def __len__(self) -> int:
         return len(self.arrivals)
@@ -81,12 +85,29 @@ class Commands(Sequence[Compensation]):
         counts = Counter(status.name.lower() for status in self.status)
         return f"{len(self)} targets: " + ", ".join(f"{n} {name}" for name, n in counts.items())
 
+    @property
+    def frames(self) -> list[str]:
+        """Frame of the targets and placement used, a line for each that occurs."""
+        return list(dict.fromkeys(each.text for each in self.placements))
+
+    @property
+    def promise(self) -> str:
+        """How good the commands are, in words; empty where nothing says it."""
+        good = [each for each in self.results if each.success and np.isfinite(each.expected_m)]
+        if not good:
+            return ""
+        expected, within = (
+            1e3 * max(getattr(each, name) for each in good) for name in ("expected_m", "p90_m")
+        )
+        return f"; expected error up to {expected:.2f} mm, 90 % within {within:.2f} mm"
+
     def __repr__(self) -> str:
-        return f"Commands({self.summary})"
+        return f"Commands({self.summary}{self.promise})"
 
     def lines(self) -> list[Command]:
-        """The lines of commands.csv."""
-        return [_line(int(k), each) for k, each in zip(self.numbers, self.arrivals, strict=True)]
+        """The lines of commands.csv; places are in the frame of the target."""
+        rows = zip(self.numbers, self.arrivals, self.placements, strict=True)
+        return [_line(int(k), arrival, placed) for k, arrival, placed in rows]
 
     def save(self, path: FilePath) -> None:
         """Write commands.csv, with the reason where a target failed.
@@ -103,6 +124,7 @@ def compensate(
     predictor: Predictor | None = None,
     *,
     method: Method | str | None = None,
+    frame: str | None = None,
     context: Context | None = None,
     history: SessionLike | None = None,
     run_up: bool = True,
@@ -116,10 +138,13 @@ def compensate(
 
     Args:
         model: arm and effects.
-        targets: in the base frame: positions (N, 3) in m or poses (N, 4, 4), one of them, or
-            `Targets` that were read from a file. Those with an orientation are poses.
+        targets: positions (N, 3) in m or poses (N, 4, 4), one of them, or `Targets` that were
+            read from a file. Those with an orientation are poses.
         predictor: of the residual of this model, from `train` or `load_predictor`.
         method: ``none``, ``deflection``, ``network`` or ``both``; by default all that is given.
+        frame: of targets that do not say it: ``base``, the arm's own, or ``measured``, that of
+            the rows that the model was calibrated with. It may be left out where both mean the
+            same place.
         context: circumstances at the targets; `Targets` have their own. Sides of arrival that it
             holds are used.
         history: session, or its file, after which the targets are executed in their order. Its
@@ -139,8 +164,8 @@ def compensate(
         raised.
 
     Raises:
-        InputError: shapes do not fit, an option is not allowed, or the predictor belongs to
-            another arm, model or method.
+        InputError: shapes do not fit, an option is not allowed, the frame is not said and
+            matters, or the predictor belongs to another arm, model or method.
     """
     if predictor is not None:
         check_predictor(predictor, model, "compensate")
@@ -149,16 +174,17 @@ def compensate(
         allowed = f"{fitting(predictor).value}: as the predictor was trained"
         raise InputError("compensate", "method", chosen.value, allowed)
     goals, contexts, numbers = _goals(model, targets, context)
+    placements = _placements(model, targets, goals, contexts, frame or "")
     starts = None if seed is None else _starts(seed, len(goals))
     options = CompensationOptions(chosen, Settling(**settling), tuple(locked), run_up, realisable)
     at, came = (None, History.unknown(model.arm.n)) if history is None else _last(history, model)
     arrivals = []
-    for k, goal in enumerate(goals):
+    for k, (goal, placed) in enumerate(zip(goals, placements, strict=True)):
         sides = _sides(contexts[k], model.arm.n)
         arrival = compensate_move(
             model,
             predictor,
-            goal,
+            placed.carried(goal),
             start=at,
             history=came,
             context_after=partial(_after, contexts[k]),
@@ -170,7 +196,27 @@ def compensate(
         arrivals.append(arrival)
         if history is not None and arrival.outcome.success:
             at, came = arrival.outcome.command, arrival.history
-    return Commands(numbers, tuple(arrivals))
+    return Commands(numbers, tuple(arrivals), placements)
+
+
+def _placements(
+    model: Model,
+    targets: ArrayLike | Targets,
+    goals: list[np.ndarray],
+    contexts: list[Context],
+    frame: str,
+) -> tuple[Placement, ...]:
+    """Frame of every target, by its own word or by that of the call."""
+    own = targets.frame if isinstance(targets, Targets) else ()
+    where = targets.source if isinstance(targets, Targets) else "targets"
+    other = next((said for said in own if said and frame and said != frame), "")
+    if other:
+        raise InputError(where, "frame", other, f"{frame}, as asked for, or none")
+    said = own or ("",) * len(goals)
+    return tuple(
+        placement(model, goal, name or frame, str(context.labels.get("group", "")), where)
+        for goal, context, name in zip(goals, contexts, said, strict=True)
+    )
 
 
 def _after(given: Context, arrived: History) -> Context:
@@ -243,7 +289,7 @@ def _before_steps(found: Compensation) -> np.ndarray:
     return found.ideal if found.realisable is None else found.realisable.ideal
 
 
-def _line(index: int, arrival: Arrival) -> Command:
+def _line(index: int, arrival: Arrival, placed: Placement) -> Command:
     found, move = arrival.outcome, arrival.move
     sigma = float(np.max(found.sigma))
     return Command(
@@ -251,9 +297,12 @@ def _line(index: int, arrival: Arrival) -> Command:
         status=str(found.status),
         reason=found.reason,
         q=found.command if found.success else None,
-        target=found.target if found.target.ndim == 1 else found.target[:3, 3],
-        predicted_error=found.predicted_error if np.isfinite(sigma) else None,
+        frame=placed.frame,
+        target=placed.asked(found.position),
+        predicted_error=placed.back(found.predicted_error) if found.in_domain else None,
         sigma_m=sigma if np.isfinite(sigma) else None,
+        expected_m=found.expected_m if np.isfinite(sigma) else None,
+        p90_m=found.p90_m if np.isfinite(sigma) else None,
         passes=found.passes,
         approach=move.side if found.success else None,
         run_up=move.run_up if found.success else None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,12 +18,18 @@ from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.outcome import Train
+from longarm_comp.core.identify.uncertainty import uncertainty
 from longarm_comp.core.learn import ensemble as networks
 from longarm_comp.core.learn.predictor import Predictor, Provenance
 from longarm_comp.core.model.model import Model
 from longarm_comp.report.assemble import assemble, refused
 from longarm_comp.report.write import write_report
-from longarm_comp.workflows.diagnosis_files import write_model, write_next, write_predictor
+from longarm_comp.workflows.diagnosis_files import (
+    last_fit,
+    write_model,
+    write_next,
+    write_predictor,
+)
 from longarm_comp.workflows.error_table import ErrorTable
 from longarm_comp.workflows.inputs import (
     FilePath,
@@ -75,8 +81,13 @@ class DiagnosisResult:
 
     @property
     def model(self) -> Model:
-        """The model to use from now on."""
-        return self.diagnosis.model
+        """The model to use from now on, with the record of how good it is."""
+        return self._model
+
+    @cached_property
+    def _model(self) -> Model:
+        known = uncertainty(last_fit(self.diagnosis))
+        return replace(self.diagnosis.model, uncertainty=known)
 
     @property
     def predictor(self) -> Predictor | None:
@@ -110,7 +121,10 @@ class DiagnosisResult:
         """
         target = Path(folder)
         write_report(*self._assembled, target)
-        write_model(self.diagnosis, self.session_hash, self.model_before, target, self.session_file)
+        write_model(
+            self.diagnosis, self.model, self.session_hash, self.model_before, target,
+            self.session_file,
+        )  # fmt: skip
         write_predictor(self.predictor, self.session_hash, target)
         write_next(self.diagnosis, target)
 

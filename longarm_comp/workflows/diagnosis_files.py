@@ -13,8 +13,10 @@ from longarm_comp.core.files import atomic_path
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.evidence import key
 from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.learn.predictor import Predictor
+from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import StoredModel, read_stored, save_model, store
 from longarm_comp.report.drawing import SPLITS
 from longarm_comp.sessions.next_poses import FILE
@@ -28,13 +30,29 @@ MODEL_BEFORE, SESSION = "model_before", "session"
 arm; path of the session, seen from the diagnosis, empty for a session in memory."""
 
 
+def last_fit(found: Diagnosis) -> ModelFit:
+    """The fit of the model that is written."""
+    if found.added is not None:
+        return found.added.fit
+    if found.rolled_back:
+        of = found.fit
+        return fit(found.model, found.train, sigma=of.sigma, rho=of.rho, weights=of.weights)
+    return found.fit
+
+
 def write_model(
-    found: Diagnosis, session_hash: str, before: Path | None, folder: Path, session: Path | None
+    found: Diagnosis,
+    model: Model,
+    session_hash: str,
+    before: Path | None,
+    folder: Path,
+    session: Path | None,
 ) -> None:
     """Write the model. `undo` restores the version before, if one was given.
 
     Args:
         found: the diagnosis.
+        model: what it found, with the record of how good it is.
         session_hash: hash of the diagnosed session.
         before: file of the version that it replaces.
         folder: folder to write to.
@@ -42,6 +60,7 @@ def write_model(
     """
     stored = _stored(
         found,
+        model,
         session_hash,
         None if before is None else read_stored(before),
         {
@@ -92,19 +111,17 @@ def write_next(found: Diagnosis, folder: Path) -> None:
 
 
 def _stored(
-    found: Diagnosis, session_hash: str, before: StoredModel | None, sources: dict[str, str]
+    found: Diagnosis,
+    model: Model,
+    session_hash: str,
+    before: StoredModel | None,
+    sources: dict[str, str],
 ) -> StoredModel:
     """The resulting model in its stored form."""
-    model = found.model
     intervals: dict[tuple[int, str], tuple[float, float]] = {}
     spread = None
-    if found.added is not None:
-        spread = found.added.fit.standard_errors
-    elif found.rolled_back:
-        weights = found.fit.weights
-        spread = fit(
-            model, found.train, sigma=found.fit.sigma, rho=found.fit.rho, weights=weights
-        ).standard_errors
+    if found.added is not None or found.rolled_back:
+        spread = last_fit(found).standard_errors
     else:
         for k, slot in enumerate(model.slots):
             interval = found.confirmed.intervals[k]

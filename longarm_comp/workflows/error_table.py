@@ -9,7 +9,7 @@ from typing import Any
 from longarm_comp.core.identify.calibrate import Errors
 
 ERROR_COLUMNS = (
-    *("mean_mm", "commanded_mean_mm", "rms_mm", "p95_mm", "max_mm"),
+    *("mean_mm", "commanded_mean_mm", "median_mm", "rms_mm", "p95_mm", "max_mm"),
     *("mean_abs_z_mm", "variance_mm2"),
 )
 ANGLE = "mean_mrad"
@@ -54,7 +54,7 @@ class ErrorTable(Mapping[str, Errors]):
 
 
 def _row(name: str, errors: Errors, commanded: Errors) -> dict[str, Any]:
-    mm = (errors.mean, commanded.mean, errors.rms, errors.p95, errors.max, errors.mean_abs_z)
-    values = [*(1e3 * v for v in mm), 1e6 * errors.variance]
+    lengths = (errors.mean, commanded.mean, errors.median, errors.rms, errors.p95, errors.max)
+    values = [*(1e3 * v for v in (*lengths, errors.mean_abs_z)), 1e6 * errors.variance]
     row = {"model": name, "n": errors.n, **dict(zip(ERROR_COLUMNS, values, strict=True))}
     return row if errors.angle is None else {**row, ANGLE: 1e3 * errors.angle}

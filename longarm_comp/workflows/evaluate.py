@@ -12,7 +12,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors, turns
 from longarm_comp.core.identify.calibrate import Errors
-from longarm_comp.core.identify.plausible import check_placed
+from longarm_comp.core.identify.plausible import displaced
 from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.training_rows import fitted_to
@@ -41,19 +41,34 @@ class Evaluation(ErrorTable):
     Attributes:
         placed: whether the declared arm was placed by the rows first: they see it somewhere else.
         outside: number of poses outside the network's training data, where physics is used alone.
+        refused: number of further poses at which the network promises no gain over the physics.
         fitted: ``model``, ``predictor`` where it was fitted to this session (known for files).
     """
 
     outside: int = 0
+    refused: int = 0
     placed: bool = False
     fitted: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        said = super().__repr__()
+        return "\n".join([super().__repr__(), *self.notes])
+
+    @property
+    def notes(self) -> list[str]:
+        """What has to be known to read the table: the worst rows, and what was done."""
+        said = []
+        if self.errors:
+            last = list(self)[-1]
+            worst = (f"{row} ({1e3 * size:.3g} mm)" for row, size in self[last].worst)
+            said.append(f"worst rows of {last}, by index: {', '.join(worst)}")
         if self.placed:
-            said += "\nthe declared arm was placed by these rows first"
+            said.append("the declared arm was placed by these rows first: they see it elsewhere")
         if self.outside:
-            said += f"\n{self.outside} poses outside the network's training data: physics only"
+            said.append(
+                f"{self.outside} poses lie outside the network's training data: physics only"
+            )
+        if self.refused:
+            said.append(f"at {self.refused} poses the network promises no gain: physics only")
         return said
 
 
@@ -76,37 +91,40 @@ def evaluate(
         note: called with each finding of the admission.
 
     Raises:
-        InputError: the session was refused; the model or the predictor is for another arm, or
-            the predictor for another model.
-        JobError: the arm does not stand where the model says.
+        InputError: the session cannot be read, or is in other units; the model or the predictor
+            is for another arm, or the predictor for another model.
     """
     calibrated = None if model is None else physics(arm, model)
-    session = admitted(test, arm, calibrated, min_poses=1, note=note)
+    session = admitted(test, arm, calibrated, min_poses=1, note=note, judge=True)
     rigid, placed = standing(physics(arm, None, False), session)
     models = {"rigid": rigid}
     if arm.links:
         models["deflection"] = standing(physics(arm, None), session)[0]
     if calibrated is not None:
-        check_placed(calibrated, session)
+        if far := displaced(calibrated, session):
+            note(far)
         models["calibrated"] = calibrated
     taken_off = {name: np.zeros(3) for name in models}
-    outside, learned = 0, None
+    outside, refused, learned = 0, 0, None
     if predictor is not None:
         learned = predictor_of(predictor, arm, model)
         beside = learned.provenance.beside_deflection
         found = expected(learned, session)
         inside = np.asarray(found.in_domain)
-        outside = int((~inside).sum())
+        outside = int(found.outside.sum())
+        refused = int((~inside).sum()) - outside
         inside = inside & session.located[session.placed]
         beneath = physics(arm, model, beside)
         models["network"] = beneath if model is not None else standing(beneath, session)[0]
         taken_off["network"] = np.where(inside[:, None], found.error, 0.0)
     file = None if model is None or isinstance(model, Model) else Path(model)
+    numbers = session.index[session.placed]
     seen, commanded = (
         {
-            name: Errors.of(left(each, session) - taken_off[name], turns(each, session))
+            name: Errors.of(left(each, session) - taken_off[name], turns(each, session), numbers)
             for name, each in models.items()
         }
         for left in (errors, commanded_errors)
     )
-    return Evaluation(seen, commanded, outside, placed, tuple(fitted_to(session, file, learned)))
+    fitted = tuple(fitted_to(session, file, learned))
+    return Evaluation(seen, commanded, outside, refused, placed, fitted)

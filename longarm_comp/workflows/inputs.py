@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import logging
 from collections.abc import Callable
@@ -48,10 +49,13 @@ def admitted(
     model: Model | None = None,
     min_poses: int = FEW_POSES,
     note: Note = log_note,
+    *,
+    judge: bool = False,
 ) -> Session:
     """A session that passed admission. Findings of the admission are passed to ``note``.
 
-    Run-ups of unknown length are taken to be as long as the model was fitted with.
+    Run-ups of unknown length are taken to be as long as the model was fitted with. Where rows
+    judge a model, those that do not fit it are noted and not refused.
 
     Raises:
         InputError: it cannot be read, or it was refused.
@@ -59,7 +63,7 @@ def admitted(
     session = given if isinstance(given, Session) else read_session(given, arm)
     if model is not None:
         session = as_fitted(session, model)
-    admission = admit(session, arm, model, min_poses)
+    admission = admit(session, arm, model, min_poses, judge=judge)
     where = session.source if isinstance(given, Session) else given
     for finding in admission.findings:
         note(f"{where}: {finding}")
@@ -151,4 +155,5 @@ def file_hash(path: FilePath) -> str:
 
 def _digest(model: Model) -> str:
     """SHA-256 of a model's terms and values."""
-    return hashlib.sha256(store(model).model_dump_json().encode()).hexdigest()
+    bare = dataclasses.replace(model, uncertainty=None)
+    return hashlib.sha256(store(bare).model_dump_json().encode()).hexdigest()

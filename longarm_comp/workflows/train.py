@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.errors import InputError
+from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.plausible import check_placed
 from longarm_comp.core.learn import ensemble as networks
@@ -49,17 +49,17 @@ class TrainedPredictor(Predictor):
     @property
     def summary(self) -> str:
         """Result of the training in one sentence."""
-        return (
-            f"{self.samples} samples: mean error {1e3 * self.before.mean:.2f} -> "
-            f"{1e3 * self.after.mean:.2f} mm on the training rows"
-        )
+        return f"{self.samples} samples: {self.gain}"
 
     def save(self, path: FilePath) -> None:
         """Write it (npz), whole or not at all.
 
         Raises:
             InputError: the folder cannot be written.
+            JobError: it does not help beyond chance at poses that were left out of the training.
         """
+        if not self.gain.helps:
+            raise JobError(f"not written: {self.gain}; compensate with the physics alone")
         predictor_file.save(self, path)
 
     def __repr__(self) -> str:

@@ -21,6 +21,11 @@ class Box(Declared):
             raise Misdeclared("max_m", list(self.max_m), f"above min_m, {list(self.min_m)}")
         return self
 
+    def holds(self, points: np.ndarray) -> np.ndarray:
+        """(...) bool: which of points (..., 3), m, are in the box."""
+        inside = (points >= np.array(self.min_m)) & (points <= np.array(self.max_m))
+        return np.asarray(inside.all(axis=-1))
+
     def crossed(self, points: np.ndarray) -> np.ndarray:
         """(..., k - 1) bool: which segments of polylines (..., k, 3), m, are partly in the box."""
         begin, way = points[..., :-1, :], np.diff(points, axis=-2)

@@ -19,6 +19,12 @@ import numpy as np
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.spatial import Frame
+from longarm_comp.core.compensation.expected import (
+    UNKNOWN,
+    ExpectedMiss,
+    expected_miss,
+    inside_data,
+)
 from longarm_comp.core.compensation.realisable import Lattice, Realisable, Search, choose
 from longarm_comp.core.compensation.result import (
     NO_PREDICTOR,
@@ -30,6 +36,7 @@ from longarm_comp.core.compensation.result import (
     Settling,
     Status,
     missed,
+    other_unit,
     outside,
     shifted,
 )
@@ -40,6 +47,7 @@ from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.forward import tip_poses
 from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.outline import reach
 
 ContextAt = Callable[[np.ndarray], Context]
 NEARBY_STARTS = 3
@@ -107,8 +115,9 @@ def compensate(
 
     Returns:
         Invalid or unreachable targets are reported in `status`, not raised.  So is a recorded
-        quantity that an effect of the model needs and the context lacks.  Where the history of
-        the joints is not known and the tip depends on it, `sigma` and `reason` say how much.
+        quantity that an effect of the model needs and the context lacks.  `miss` says how good
+        the command is.  Where the history of the joints is not known and the tip depends on it,
+        `reason` says how much that is of it.
 
     Raises:
         InputError: the target is neither (3,) nor (4, 4); an option is not allowed.
@@ -213,7 +222,9 @@ class _Target:
         found = self._search(self.target, ik.MAX_STARTS)
         self.ideal = self.q = found.q
         if not found.ok:
-            return self._ended(Status.UNREACHABLE, missed("target", found))
+            here = self.target if self.target.ndim == 1 else self.target[:3, 3]
+            why = other_unit(here, *reach(self.model))
+            return self._ended(Status.UNREACHABLE, why or missed("target", found))
         if not task.method.learned:
             return self._ended(Status.SUCCESS)
         if task.predictor is None:
@@ -252,25 +263,34 @@ class _Target:
         )  # fmt: skip
 
     def _ended(self, status: Status, reason: str = "") -> Compensation:
-        applied = np.zeros(3) if status.physics_only else self.error
+        alone, miss, chosen = status.physics_only, UNKNOWN, None
+        applied = np.zeros(3) if alone else self.error
         command = self.q if status is Status.SUCCESS else self.ideal
-        chosen = None
         if status.success and self.task.lattice and not self.task.settling.single_pass:
             chosen = self._chosen(self.task.lattice, command, status)
             command = chosen.joints
-            applied = np.zeros(3) if status.physics_only else self.error
+            applied = np.zeros(3) if alone else self.error
             reason = "; ".join(filter(None, (reason, chosen.note)))
-        sigma = self.sigma
         if status.success:
+            miss = self._miss(command, applied, learned=self.task.method.learned and not alone)
+            if status is Status.OUT_OF_DOMAIN and inside_data(self.task.model, miss):
+                status = Status.SUCCESS
             spread, why = unknown_history(self.model, command, self.context, self.task.doubtful)
-            if why:
-                sigma = np.hypot(np.nan_to_num(sigma), spread)
+            miss = miss.beside(spread**2)
             beyond = outside_data(self.model, command, self.context)
             reason = "; ".join(filter(None, (reason, why, beyond)))
         return Compensation(
-            self.target, self.ideal, applied, sigma, self.inside, shifted(self.target, applied),
+            self.target, self.ideal, applied, miss, self.inside, shifted(self.target, applied),
             command, self.passes, status, reason, chosen,
         )  # fmt: skip
+
+    def _miss(self, command: np.ndarray, applied: np.ndarray, *, learned: bool) -> ExpectedMiss:
+        """How far off the command may be, by all that the model knows."""
+        whole = not learned and not missing_column(self.task.model, self.context)
+        model = self.task.model if whole else self.model
+        target = self.target if self.target.ndim == 1 else self.target[:3, 3]
+        sigma = self.sigma if learned else None
+        return expected_miss(model, command, self.context, target, applied, sigma)
 
     def _chosen(self, lattice: Lattice, joints: np.ndarray, status: Status) -> Realisable:
         """Realisable joints in place of some; what is learned is looked up again where they are."""

@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.expected import ExpectedMiss
 from longarm_comp.core.compensation.realisable import Realisable
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik.solver import Solution
@@ -147,8 +148,7 @@ class Compensation:
         ideal: (n,) joints that the physics alone gives.
         predicted_error: (3,) m, expected at the command (at `ideal` in the single pass); zero
             where none is applied.
-        sigma: (3,) m, standard deviation of what the command leaves: the predictor's, and what
-            the unknown history of the joints makes of it; NaN where neither is known.
+        miss: how far from the target the tip may come to rest; NaN where nothing says it.
         in_domain: the predictor answered for joints inside its training data.
         pseudo_target: ``target - predicted_error``, of the target's shape.
         command: (n,) joints to send; `ideal` where the status is no success.
@@ -161,7 +161,7 @@ class Compensation:
     target: np.ndarray
     ideal: np.ndarray
     predicted_error: np.ndarray
-    sigma: np.ndarray
+    miss: ExpectedMiss
     in_domain: bool
     pseudo_target: np.ndarray
     command: np.ndarray
@@ -169,6 +169,21 @@ class Compensation:
     status: Status
     reason: str
     realisable: Realisable | None = None
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """(3,) m, standard deviation of what the command leaves; NaN where nothing says it."""
+        return self.miss.sigma
+
+    @property
+    def expected_m(self) -> float:
+        """Expected distance of the tip from the target, m."""
+        return self.miss.expected_m
+
+    @property
+    def p90_m(self) -> float:
+        """Distance that 90 of 100 such commands stay below, m."""
+        return self.miss.p90_m
 
     @property
     def success(self) -> bool:
@@ -188,7 +203,7 @@ class Compensations:
     target: np.ndarray
     ideal: np.ndarray
     predicted_error: np.ndarray
-    sigma: np.ndarray
+    miss: tuple[ExpectedMiss, ...]
     in_domain: np.ndarray
     pseudo_target: np.ndarray
     command: np.ndarray
@@ -198,6 +213,11 @@ class Compensations:
 
     def __len__(self) -> int:
         return len(self.ideal)
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """(N, 3) m, as of `Compensation`."""
+        return np.array([miss.sigma for miss in self.miss]).reshape(-1, 3)
 
     @property
     def success(self) -> np.ndarray:
@@ -216,7 +236,7 @@ class Compensations:
             targets,
             stacked("ideal", n),
             stacked("predicted_error", 3),
-            stacked("sigma", 3),
+            tuple(row.miss for row in rows),
             np.array([row.in_domain for row in rows], bool),
             stacked("pseudo_target", *targets.shape[1:]),
             stacked("command", n),
@@ -230,7 +250,7 @@ class Compensations:
             self.target[i],
             self.ideal[i],
             self.predicted_error[i],
-            self.sigma[i],
+            self.miss[i],
             bool(self.in_domain[i]),
             self.pseudo_target[i],
             self.command[i],
@@ -251,6 +271,26 @@ def outside(reason: str) -> str:
 
 _BEYOND_M = 1e7
 """No declared length reaches so far; only a linear deflection of an arm far too weak does."""
+
+
+_UNITS = (("centimetres", 1e2), ("millimetres", 1e3))
+_BEYOND_REACH = 10.0
+"""Times its reach: no one means a target so far away, and no unit is so close to the metre."""
+
+
+def other_unit(position: np.ndarray, base: np.ndarray, reach_m: float) -> str:
+    """A guess at the unit of a target far beyond an arm's reach, as a question; else empty.
+
+    Args:
+        position: (3,) as given.
+        base: (3,) where the arm stands, m.
+        reach_m: how far the arm reaches from there, m.
+    """
+    away = math.dist(position, base)
+    if away <= _BEYOND_REACH * reach_m:
+        return ""
+    named = next((name for name, size in _UNITS if away <= size * reach_m), "metres")
+    return f"{away / reach_m:.3g} times the arm's reach away; are these {named}?"
 
 
 def missed(what: str, found: Solution) -> str:

@@ -76,8 +76,9 @@ class _Case:
 
 
 def admit(
-    session: Session, arm: Arm, model: Model | None = None, min_poses: int = FEW_POSES
-) -> Admission:
+    session: Session, arm: Arm, model: Model | None = None, min_poses: int = FEW_POSES,
+    *, judge: bool = False,
+) -> Admission:  # fmt: skip
     """Check a session against an arm.
 
     Args:
@@ -85,6 +86,7 @@ def admit(
         arm: declared arm.
         model: predicts the tip; the rigid declared arm by default.
         min_poses: least number of distinct poses with a marker.
+        judge: the rows judge the model: what does not fit it is a finding.
 
     Raises:
         InputError: the session does not fit the arm; the message names the likely mistake.
@@ -106,6 +108,7 @@ def admit(
         case = _Case(session, arm, located, predicted, physics)
         for check in _AFTER:
             findings += check(case) or ()
+        findings += _belongs(case, judge)
     return Admission(session, tuple(findings))
 
 
@@ -347,7 +350,7 @@ def _frame_of(
         yield AdmissionFinding("outliers", field, text)
 
 
-def _belongs(case: _Case) -> Iterator[AdmissionFinding]:
+def _belongs(case: _Case, judge: bool) -> Iterator[AdmissionFinding]:
     """Whether the arm makes these rows, wherever it stands; with the likely mistake if not."""
     belief = believe(case.model, case.session)
     if belief is None:
@@ -357,14 +360,16 @@ def _belongs(case: _Case) -> Iterator[AdmissionFinding]:
         yield AdmissionFinding("sign", f"q{j + 1}", text)
     if belief.belong:
         return
-    ours = f"rows of arm {case.arm.name}; nothing was changed"
+    field, value = "rows", f"{1e3 * belief.misfit:.3g} mm off the arm, wherever it stands"
     if belief.mistake:
-        size = f"{1e3 * belief.misfit:.3g} -> {1e3 * belief.undone:.3g} mm"
-        raise case.refuse("rows", f"{belief.mistake}: {size}", ours)
-    if belief.stray >= STRAYS:
-        raise case.refuse("x, y, z", f"{belief.stray:.0%} of the rows are far off the others", ours)
-    size = f"{1e3 * belief.misfit:.3g} mm off the arm, wherever it stands"
-    raise case.refuse("rows", f"{size}, as if shuffled", ours)
+        value = f"{belief.mistake}: {1e3 * belief.misfit:.3g} -> {1e3 * belief.undone:.3g} mm"
+    elif belief.stray >= STRAYS:
+        field, value = "x, y, z", f"{belief.stray:.0%} of the rows are far off the others"
+    else:
+        value += ", as if shuffled"
+    if not judge:
+        raise case.refuse(field, value, f"rows of arm {case.arm.name}; nothing was changed")
+    yield AdmissionFinding("belonging", field, value)
 
 
 def _base(arm: Arm, turned: Alignment) -> str:
@@ -392,8 +397,4 @@ _BEFORE: tuple[Callable[[_Case], Iterable[AdmissionFinding] | None], ...] = (
     _constant,
     _copies,
 )
-_AFTER: tuple[Callable[[_Case], Iterable[AdmissionFinding] | None], ...] = (
-    _lengths,
-    _frame,
-    _belongs,
-)
+_AFTER: tuple[Callable[[_Case], Iterable[AdmissionFinding] | None], ...] = (_lengths, _frame)

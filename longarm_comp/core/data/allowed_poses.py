@@ -28,12 +28,13 @@ Allowed = Callable[[Plan], np.ndarray]
 def above(arm: Arm, height_m: float) -> Arm:
     """The arm with a floor at a height (m, base frame) among its keep-out boxes.
 
+    A floor above the arm's foot is a safety height: the arm rises above it once and stays there.
+
     Raises:
-        InputError: the arm's foot does not stand above it.
+        InputError: it is no height.
     """
-    foot = arm.base.xyz_m[2]
-    if not height_m < foot:
-        raise InputError("floor", "--floor", height_m, f"below the arm's foot, z = {foot:g} m")
+    if not -_FAR < height_m < _FAR:
+        raise InputError("floor", "--floor", height_m, f"a height, {-_FAR:g} to {_FAR:g} m")
     floor = Box(min_m=(-_FAR, -_FAR, -_FAR), max_m=(_FAR, _FAR, height_m))
     return arm.model_copy(update={"keep_out": {**arm.keep_out, FLOOR: floor}})
 

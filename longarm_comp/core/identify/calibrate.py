@@ -21,6 +21,9 @@ from longarm_comp.core.identify.standing import frames, standing, with_frames
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 
+WORST = 5
+"""Rows that are named as the worst."""
+
 
 @dataclass(frozen=True)
 class Errors:
@@ -29,7 +32,7 @@ class Errors:
     `mean`, `rms`, `p95`, `max` are of the 3-D length; `mean_abs_z` and `variance` (average of
     the three axes') are the columns of the paper's Table I.  They are NaN where no row says where
     the tip is.  `angle` is the mean turn of the measured against the predicted axes, None where no
-    row measured them.
+    row measured them.  `median` is that of the lengths, `worst` the longest, each with its row.
     """
 
     n: int
@@ -40,6 +43,8 @@ class Errors:
     mean_abs_z: float
     variance: float
     angle: float | None = None
+    median: float = float("nan")
+    worst: tuple[tuple[int, float], ...] = ()
 
     @property
     def said(self) -> str:
@@ -49,8 +54,13 @@ class Errors:
         return f"{1e3 * self.angle:.2f} mrad"
 
     @classmethod
-    def of(cls, error: np.ndarray, turn: np.ndarray | None = None) -> Errors:
-        """From (N, 3) errors in m, and (M, 3) turns in rad."""
+    def of(
+        cls,
+        error: np.ndarray,
+        turn: np.ndarray | None = None,
+        numbers: np.ndarray | None = None,
+    ) -> Errors:
+        """From (N, 3) errors in m, (M, 3) turns in rad, and the (N,) numbers of the rows."""
         mean_turn = None
         if turn is not None and len(turn):
             mean_turn = float(np.linalg.norm(turn, axis=1).mean())
@@ -58,6 +68,7 @@ class Errors:
             nan = float("nan")
             return cls(0, nan, nan, nan, nan, nan, nan, mean_turn)
         length = np.linalg.norm(error, axis=1)
+        numbers = np.arange(len(error)) if numbers is None else numbers
         return cls(
             len(error),
             float(length.mean()),
@@ -67,6 +78,8 @@ class Errors:
             float(np.abs(error[:, 2]).mean()),
             float(error.var(axis=0).mean()),
             mean_turn,
+            float(np.median(length)),
+            tuple((int(numbers[k]), float(length[k])) for k in np.argsort(-length)[:WORST]),
         )
 
 

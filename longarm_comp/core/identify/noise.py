@@ -73,6 +73,16 @@ def from_repeats(model: Model, session: Session) -> NoiseEstimate | None:
     Returns:
         The noise, infinite in channels of too few repeats; None where all have too few.
     """
+    size, degrees = repeat_scatter(model, session)
+    enough = degrees >= ENOUGH_REPEATS
+    if not enough.any():
+        return None
+    sigma = np.where(enough, np.maximum(size, 1e-7), np.inf)
+    return NoiseEstimate(sigma, "repeats", 0.0, float(degrees[enough].min()))
+
+
+def repeat_scatter(model: Model, session: Session) -> tuple[np.ndarray, np.ndarray]:
+    """(d,) standard deviation of repeats, as `from_repeats` has it, and its degrees of freedom."""
     seen = session.take(session.seen)
     texts = [np.unique(seen.labels[k], return_inverse=True)[1] for k in PLACES if k in seen.labels]
     keys = np.column_stack([seen.pose_id, seen.approach, *texts])
@@ -86,12 +96,8 @@ def from_repeats(model: Model, session: Session) -> NoiseEstimate | None:
     robust = MAD * median(np.abs(scatter)) / np.sqrt(np.maximum(mean(share), 1e-9))
     kept = (np.nan_to_num(np.abs(scatter)) <= OUTLIER * np.maximum(robust, 1e-9)).all(axis=1)
     degrees = np.nansum(share[kept], axis=0)
-    enough = degrees >= ENOUGH_REPEATS
-    if not enough.any():
-        return None
     size = np.sqrt(np.nansum(scatter[kept] ** 2, axis=0) / np.maximum(degrees, 1e-9))
-    sigma = np.where(enough, np.maximum(size, 1e-7), np.inf)
-    return NoiseEstimate(sigma, "repeats", 0.0, float(degrees[enough].min()))
+    return size, degrees
 
 
 def _deviations(values: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

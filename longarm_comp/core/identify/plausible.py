@@ -74,7 +74,7 @@ def check_carries_over(
 
 
 def check_placed(model: Model, session: Session) -> None:
-    """Errors are shown, and what a model leaves is learned, only where the arm is where it says.
+    """What a model leaves is learned only where the arm is where it says.
 
     Args:
         model: predicts.
@@ -83,12 +83,8 @@ def check_placed(model: Model, session: Session) -> None:
     Raises:
         JobError: the base, or the tip, is somewhere else.
     """
-    _check_place(
-        model,
-        session,
-        "the arm is {:.3g} mm from where the model puts it; "
-        "calibrate first, which solves where base and tip are, and use that model",
-    )
+    if far := displaced(model, session):
+        raise JobError(far, session=session.source)
 
 
 def check_fits(model: Model, session: Session) -> None:
@@ -101,19 +97,31 @@ def check_fits(model: Model, session: Session) -> None:
     Raises:
         JobError: it is not, so the rows are not this arm's.
     """
-    _check_place(
-        model,
-        session,
-        "{:.3g} mm is left after calibration; the rows are not this arm's: "
-        "look at their order, the units and the names of joints and anchors",
+    if off := _off(model, session):
+        raise JobError(
+            f"{1e3 * off:.3g} mm is left after calibration; the rows are not this arm's: "
+            "look at their order, the units and the names of joints and anchors",
+            session=session.source,
+        )
+
+
+def displaced(model: Model, session: Session) -> str:
+    """How far the arm is from where a model puts it, in words; empty where it is there."""
+    off = _off(model, session)
+    return (
+        f"the arm is {1e3 * off:.3g} mm from where the model puts it; "
+        "calibrate first, which solves where base and tip are, and use that model"
+        if off
+        else ""
     )
 
 
-def _check_place(model: Model, session: Session, text: str) -> None:
-    """Refuse a misplaced arm with a text that takes its median error (mm)."""
+def _off(model: Model, session: Session) -> float:
+    """Median error of a misplaced arm, m; 0 of one that is in its place."""
     rows = session.take(session.placed)
-    if len(rows) >= ENOUGH and misplaced(model, rows):
-        raise JobError(text.format(1e3 * _median(errors(model, rows))), session=session.source)
+    if len(rows) < ENOUGH or not misplaced(model, rows):
+        return 0.0
+    return _median(errors(model, rows))
 
 
 def check_noise(sigma: np.ndarray, session: Session) -> None:

@@ -60,7 +60,7 @@ class SessionProblem:
         noise = np.full(len(seen.channels), np.nan) if sigma is None else np.asarray(sigma, float)
         empty = np.empty(0)
         return cls(
-            dataclasses.replace(model, arrivals=seen.arrivals),
+            dataclasses.replace(model, arrivals=seen.arrivals, uncertainty=None),
             seen,
             context,
             unstack(seen.q),

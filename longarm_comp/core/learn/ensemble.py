@@ -220,7 +220,7 @@ def _calibrated(
     score = (np.abs(left) / np.sqrt(epistemic + draft.noise**2))[used]
     level = min(1.0, np.ceil(0.9 * (len(score) + 1)) / len(score))
     widen = np.quantile(score, level, axis=0) / _Z90
-    alone = np.sqrt(np.mean(y[used] ** 2, axis=0))
+    alone = np.quantile(np.abs(y[used]), level, axis=0) / _Z90
     _, variance = draft._mean_and_variance(probe)
     limit = 4.0 * float(np.quantile(variance.max(axis=1), 0.99))
     gain = LearnedGain.of(y[used], left[used])

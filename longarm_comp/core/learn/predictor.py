@@ -8,9 +8,9 @@ Intell. 74). Linearised leave-one-out residuals are too small by a third where n
 
 Outside the training region the predictor refuses: ``in_domain`` is False and ``reason`` says why.
 So it does where ``sigma`` says that its prediction leaves no less than the physics alone left over
-the training rows (``alone``): between the levels of a coarse grid a network may know nothing. And
-everywhere, where the rows left out do not show a ``gain`` beyond chance: a network that learned
-noise adds it.
+the training rows (``alone``, by the same 90 % intervals): between the levels of a coarse grid a
+network may know nothing. And everywhere, where the rows left out do not show a ``gain`` beyond
+chance: a network that learned noise adds it.
 """
 
 from __future__ import annotations
@@ -43,6 +43,8 @@ class Prediction:
     in_domain: NDArray[np.bool_]  # (N,)
     reason: list[str]  # (N,) empty where in domain
     doubt: Array  # (N,) epistemic variance as a share of the largest that is trusted
+    outside: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
+    """(N,) outside the training data: one reason among others not to be in domain."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,7 @@ class Predictor:
     noise: Array  # (3,) m
     widen: Array  # (3,) conformal factor
     variance_limit: float  # m^2, largest epistemic variance still trusted
-    alone: Array = field(default_factory=lambda: np.full(3, np.inf))  # (3,) m, RMS of the residual
+    alone: Array = field(default_factory=lambda: np.full(3, np.inf))  # (3,) m, sigma without it
     gain: LearnedGain = field(default_factory=LearnedGain)
     provenance: Provenance = field(default_factory=Provenance)
 
@@ -160,8 +162,8 @@ class Predictor:
             epistemic = epistemic + self._unknown_context(raw, x)
         sigma = self.widen * np.sqrt(epistemic + self.noise**2)
         largest = epistemic.max(axis=1)
-        inside, reason = self._domain(raw, largest, sigma)
-        return Prediction(error, sigma, inside, reason, largest / self.variance_limit)
+        inside, outside, reason = self._domain(raw, largest, sigma)
+        return Prediction(error, sigma, inside, reason, largest / self.variance_limit, outside)
 
     def _outputs(self, x: Array) -> Array:
         """Standardised outputs (M, N, 3) of the members for standardised inputs (N, d)."""
@@ -198,7 +200,7 @@ class Predictor:
 
     def _domain(
         self, raw: Array, variance: Array, sigma: Array
-    ) -> tuple[NDArray[np.bool_], list[str]]:
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], list[str]]:
         low, high = self.box
         outside = (raw < low) | (raw > high)  # NaN, not known, is neither
         unsure = variance > self.variance_limit
@@ -206,10 +208,11 @@ class Predictor:
         left = np.linalg.norm(sigma, axis=1)
         useless = left >= without
         unproven = np.full(len(raw), not self.gain.helps)
-        bad = unsure | useless | unproven | outside.any(axis=1)
+        away = unsure | outside.any(axis=1)
+        bad = away | useless | unproven
         reason = [""] * len(raw)
         if not bad.any():
-            return ~bad, reason
+            return ~bad, away, reason
         names = raw_names(self.encoding.joints, self.encoding.context)
         for row in np.flatnonzero(bad):
             parts = [
@@ -230,4 +233,4 @@ class Predictor:
             if unproven[row]:
                 parts.append(str(self.gain))
             reason[row] = "; ".join(parts)
-        return ~bad, reason
+        return ~bad, away, reason

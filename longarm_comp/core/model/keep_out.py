@@ -59,11 +59,17 @@ def keeper(model: Model, names: list[str], where: str) -> Callable[[np.ndarray],
 
 
 def boxes_entered(model: Model, q: np.ndarray) -> list[str]:
-    """For each of the postures q (M, n): the box of arm.yaml that the arm is in, and where."""
+    """For each of the postures q (M, n): the box of arm.yaml that the arm is in, and where.
+
+    A box that the arm's foot stands in, as a floor above the foot, is left once: what comes after
+    must stay out, and so must the tip.
+    """
     lines = outline(model, q)
     found = [""] * len(q)
     for name, box in model.arm.keep_out.items():
         parts = box.crossed(lines)
+        leaves = ~box.holds(lines[:, -1]) & box.holds(lines[:, 0])
+        parts &= ~(np.logical_and.accumulate(parts, axis=-1) & leaves[:, None])
         for k in np.flatnonzero(parts.any(axis=-1)):
             near = ", ".join(f"{number:.3g}" for number in lines[k, np.argmax(parts[k]) + 1])
             found[k] = found[k] or f"{name}: the arm would enter it near {near} m"

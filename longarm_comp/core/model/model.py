@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -24,6 +24,7 @@ from longarm_comp.core.arm.posture import PLACEMENT, Chain, Lumped, Posture, Twi
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter
 from longarm_comp.core.model.tip_motion import Reseen, TipMotion, TwistChange, moved, stack
+from longarm_comp.core.model.uncertainty import ModelUncertainty
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,8 @@ class Model:
         elements_per_beam: number of elements of each beam.
         arrivals: per commanded joint, number of fitted rows that arrived from above (-1) and
             from below (+1); empty if not recorded.
+        uncertainty: how far off its tip may be; None for an arm as declared, and for a model
+            that nothing is known of.
     """
 
     arm: Arm
@@ -65,6 +68,7 @@ class Model:
     passes: int = 3
     elements_per_beam: int = 2
     arrivals: tuple[tuple[int, int], ...] = ()
+    uncertainty: ModelUncertainty | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:
         counts = Counter(term.name for term in self.terms)

@@ -23,11 +23,15 @@ from longarm_comp.core.effects.catalogue import effect_class, origin
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import atomic_path
-from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model import Model, slots_of
+from longarm_comp.core.model.uncertainty import ModelUncertainty, read, triangular, written
 from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, read_yaml
 
 MOST_PASSES, MOST_ELEMENTS = 50, 64
 """More load passes, or more elements a beam, change no digit and take minutes."""
+
+Three = tuple[float, float, float]
+Square = tuple[Three, Three, Three]
 
 AS_DECLARED = 0
 """Version of a file that holds the arm as declared, for a first change to be undone."""
@@ -71,6 +75,17 @@ class StoredBase(Declared):
     rpy_deg: tuple[float, float, float]
 
 
+class StoredUncertainty(Declared):
+    """How far off the tip may be (`ModelUncertainty`). Parameters in the order of the file."""
+
+    factor: list[str] = Field(description="triangle of the covariance, rows in base 64")
+    stretch: float = Field(ge=1.0)
+    structure_m2: Square
+    noise_m2: Square
+    largest_m: float = Field(ge=0.0)
+    rows: int = Field(ge=0)
+
+
 class StoredModel(Declared):
     """The whole file. All keys are required, so that a truncated file is detected."""
 
@@ -87,6 +102,7 @@ class StoredModel(Declared):
     placement: dict[str, StoredBase] = Field(
         default_factory=dict, description="for people and other programs; `geometry` is what counts"
     )
+    uncertainty: StoredUncertainty | None = None
 
 
 def store(
@@ -141,8 +157,36 @@ def store(
         provenance={**(provenance or {}), **_sources(model)},
         arrivals=model.arrivals,
         placement=_bases(model),
+        uncertainty=_stored_uncertainty(model),
         **sides,
     )
+
+
+def _stored_uncertainty(model: Model) -> StoredUncertainty | None:
+    """What the model's record says, its parameters in the order in which `restore` has them."""
+    known = model.uncertainty
+    if known is None:
+        return None
+    row = {identity: k for k, identity in enumerate(known.slots)}
+    order = [slot.identity for slot in slots_of(model.arm, _in_file(model))]
+    factor = np.zeros((len(order), known.factor.shape[1]))
+    for k, identity in enumerate(order):
+        if identity in row:
+            factor[k] = known.factor[row[identity]]
+    return StoredUncertainty(
+        factor=written(triangular(factor)),
+        stretch=known.stretch,
+        structure_m2=known.structure.tolist(),
+        noise_m2=known.noise.tolist(),
+        largest_m=known.largest_m,
+        rows=known.rows,
+    )
+
+
+def _in_file(model: Model) -> list[Effect | Bias]:
+    """The terms as they stand in the file, and in a model that is read from it."""
+    first = [e for e in model.effects if e.geometry]
+    return [*first, *(e for e in model.effects if not e.geometry), *model.biases]
 
 
 def _bases(model: Model) -> dict[str, StoredBase]:
@@ -280,13 +324,37 @@ def restore(stored: StoredModel, arm: Arm, where: str) -> Model:
             if not p.lower <= value <= p.upper:
                 raise InputError(where, field, value, f"{p.lower}..{p.upper}")
         terms.append(term)
-    return Model(
+    model = Model(
         arm,
         tuple(t for t in terms if isinstance(t, Effect)),
         tuple(t for t in terms if isinstance(t, Bias)),
         stored.passes,
         stored.elements_per_beam,
         _arrivals(stored, arm, where),
+    )
+    return dataclasses.replace(model, uncertainty=_uncertainty(stored, model, where))
+
+
+def _uncertainty(stored: StoredModel, model: Model, where: str) -> ModelUncertainty | None:
+    given, slots = stored.uncertainty, model.slots
+    if given is None:
+        return None
+    if len(given.factor) != len(slots):
+        allowed = f"{len(slots)}, one a parameter"
+        raise InputError(where, "uncertainty.factor", f"{len(given.factor)} lines", allowed)
+    try:
+        factor = read(given.factor)
+    except ValueError as error:
+        allowed = "base 64 of as many 32-bit numbers as its number"
+        raise InputError(where, "uncertainty.factor", str(error), allowed) from None
+    structure, noise = np.array(given.structure_m2), np.array(given.noise_m2)
+    for name, square in (("structure_m2", structure), ("noise_m2", noise)):
+        least, size = np.linalg.eigvalsh(square).min(), np.abs(square).max()
+        if least < -1e-9 * size or not np.allclose(square, square.T, atol=1e-9 * size):
+            raise InputError(where, f"uncertainty.{name}", "no covariance", "a covariance, m^2")
+    names = tuple(slot.identity for slot in slots)
+    return ModelUncertainty(
+        names, factor, given.stretch, structure, noise, given.largest_m, given.rows
     )
 
 

@@ -17,6 +17,18 @@ def outline(model: Model, q: np.ndarray, context: Context | None = None) -> np.n
     return np.stack([np.broadcast_to(point, shape) for point in points], axis=-2)
 
 
+def reach(model: Model) -> tuple[np.ndarray, float]:
+    """Where the arm stands (3,), and how far the tip can be from there at most, m.
+
+    It is the length of its outline with every slide driven out.
+    """
+    arm = model.arm
+    line = outline(model, arm.mid)
+    slides = [arm.joints[row - 1].type == "prismatic" for row in arm.commanded]
+    length = np.linalg.norm(np.diff(line, axis=0), axis=1).sum()
+    return line[0], float(length + (arm.upper - arm.lower)[slides].sum())
+
+
 def exaggerated(hanging: np.ndarray, declared: np.ndarray, factor: float) -> np.ndarray:
     """Points (k, 3) of an arm whose sag is enlarged by a factor."""
     drawn: np.ndarray = declared + factor * (hanging - declared)

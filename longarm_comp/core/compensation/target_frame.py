@@ -1,0 +1,121 @@
+"""The frame of targets: the arm's own base, or the frame in which the rows were measured.
+
+A calibrated model says where the base stands in the frame of the measurements, and computes there.
+A target given in the base is carried over.  Where nobody said the frame, both have to mean the same
+place, to within what an arm as declared is good for; else the targets are refused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.spatial import roll_pitch_yaw
+from longarm_comp.core.compensation.expected import expected_miss
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.model import Model
+
+BASE, MEASURED = "base", "measured"
+FRAMES = (BASE, MEASURED)
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Where a target lies for the model.
+
+    Attributes:
+        frame: of the target, ``base`` or ``measured``.
+        motion: (4, 4) from the frame of the target to that of the model.
+        base: (4, 4) the base in the frame of the measurements.
+        solved: whether a calibration found it there.
+    """
+
+    frame: str
+    motion: np.ndarray
+    base: np.ndarray
+    solved: bool
+
+    @property
+    def text(self) -> str:
+        """Frame and placement in one line."""
+        turned = (f"{np.degrees(v):.2f}" for v in roll_pitch_yaw(self.base[:3, :3]))
+        at = ", ".join(f"{v:.4f}" for v in self.base[:3, 3])
+        how = "by calibration" if self.solved else "as arm.yaml declares"
+        return (
+            f"targets in the frame {self.frame}; the base stands at {at} m, "
+            f"rpy {', '.join(turned)} deg in the frame of the measurements, {how}"
+        )
+
+    def carried(self, target: np.ndarray) -> np.ndarray:
+        """A target (3,) or (4, 4) in the frame of the model."""
+        if target.ndim == 2:
+            return np.asarray(self.motion @ target)
+        return np.asarray(self.motion[:3, :3] @ target + self.motion[:3, 3])
+
+    def asked(self, position: np.ndarray) -> np.ndarray:
+        """A position (3,) of the model in the frame of the target, m."""
+        return self.back(position - self.motion[:3, 3])
+
+    def back(self, vector: np.ndarray) -> np.ndarray:
+        """A vector (3,) of the model in the frame of the target."""
+        return np.asarray(self.motion[:3, :3].T @ vector)
+
+
+def placement(
+    model: Model, target: np.ndarray, frame: str = "", group: str = "", where: str = "targets"
+) -> Placement:
+    """Where a target lies for a model.
+
+    Args:
+        model: calibrated, or the arm as declared.
+        target: (3,) m or (4, 4).
+        frame: ``base``, ``measured``, or nothing where nobody said it.
+        group: rows of the measurements that the target belongs to, where the base was moved.
+        where: file of the target, for messages.
+
+    Raises:
+        InputError: no such frame or group; nobody said the frame, and it matters; the frame of
+            the measurements is asked for, and nothing says where the base stands in it.
+    """
+    if frame not in ("", *FRAMES):
+        raise InputError(where, "frame", frame, " or ".join(FRAMES))
+    declared = model.arm.base.frame().matrix()
+    found: dict[str, np.ndarray] = {}
+    for effect in model.effects:
+        stands = effect.base(model.arm)
+        if stands is not None:
+            found[str(effect.placement.get("group", ""))] = stands.matrix()
+    if len(found) > 1 and group not in found and frame != MEASURED:
+        names = ", ".join(str(name) for name in found)
+        raise InputError(where, "group", group or "missing", f"{names}: the base stood in several")
+    base = found.get(group, declared) if len(found) > 1 else next(iter(found.values()), declared)
+    motion, still = base @ np.linalg.inv(declared), np.eye(4)
+    if frame == MEASURED:
+        if not found and model.arm.tolerance.base is None:
+            allowed = f"{BASE}, or a calibrated model, which says where the base stands"
+            raise InputError(where, "frame", frame, allowed)
+        return Placement(MEASURED, still, base, bool(found))
+    if frame == BASE:
+        return Placement(BASE, motion, base, bool(found))
+    point = target[:3, 3] if target.ndim == 2 else target
+    away = float(np.linalg.norm(motion[:3, :3] @ point + motion[:3, 3] - point))
+    if away > _declared_p90(model.arm):
+        raise InputError(
+            where,
+            "frame",
+            "not said",
+            f"{BASE} (the arm's own) or {MEASURED} (that of the measurements), by a column frame "
+            f"or --frame: the calibration found the base elsewhere, {1e3 * away:.4g} mm apart at "
+            "the first target",
+        )
+    return Placement(MEASURED if found else BASE, still, base, bool(found))
+
+
+def _declared_p90(arm: Arm) -> float:
+    """What the arm as declared is good for, in the middle of its ranges, m."""
+    model = Model(arm)
+    tip = model.tip(arm.mid)
+    return expected_miss(model, arm.mid, Context.empty(), tip, np.zeros(3)).p90_m

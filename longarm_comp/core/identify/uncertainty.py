@@ -1,0 +1,210 @@
+"""How good a fitted model is where it was not fitted: the record that every command reads.
+
+The posterior of a fit is too sure where the model's form is not quite right: what it lacks is
+alike from row to row, so many rows count as few.  Therefore rows are left out, a part of one
+joint's range at a time and in small random parts, and what the fit would then have missed them by
+is computed from the design (no fit is repeated).  Two numbers are judged by it: how much the
+posterior is stretched, and what no parameter explains.  90 % of the rows left out lie inside the
+radius that they give (split conformal; Vovk 2015, Ann. Math. Artif. Intell. 74).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.identify.arm_share import arm_share
+from longarm_comp.core.identify.linear import whiten
+from longarm_comp.core.identify.model_fit import ModelFit, priors
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.uncertainty import LEVEL, ModelUncertainty, radius, sizes, triangular
+
+PARTS, SMALL = 4, 20
+"""Parts of a joint's range, and random parts, that are left out one at a time."""
+MOST = 1000
+"""Rows that are left out, at most, evenly over the session: they tell 90 % to one percent."""
+FEWEST = 20
+"""Rows with a position, at least, of which a 90 % radius can be told."""
+HALVINGS = 30
+"""Of the range of the rest: to nine digits."""
+STRETCHES = np.geomspace(1.0, 100.0, 13)
+"""Variances tried over the posterior's: to ten times its standard deviation."""
+
+
+def with_uncertainty(fit: ModelFit) -> Model:
+    """The fitted model with the record of how good it is."""
+    made = dataclasses.replace(fit.model, uncertainty=uncertainty(fit))
+    made.__dict__["chain"] = fit.model.chain
+    return made
+
+
+def uncertainty(fit: ModelFit) -> ModelUncertainty:
+    """What a fit does not know, judged at rows that are left out of it."""
+    left = LeftOut.of(fit)
+    if left is None:
+        noise, stretch, structure = _noise_of_lengths(fit), 1.0, np.zeros((3, 3))
+    else:
+        spread = fit.residual[(fit.weights > 0) & fit.session.located][:, :3]
+        noise = (1.0 - arm_share(fit)) * np.diag((spread**2).mean(axis=0))
+        stretch, structure = left.judged(noise)
+    made = ModelUncertainty(
+        tuple(slot.identity for slot in fit.slots),
+        _factor(fit.covariance, priors(fit.slots)),
+        stretch,
+        structure,
+        noise,
+        largest_m=0.0,
+        rows=int((fit.weights > 0).sum()),
+    )
+    return dataclasses.replace(made, largest_m=_largest(fit, made))
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """Rows that are left out of a fit, each several times.
+
+    Attributes:
+        error: (M, 3) m, measured - predicted without them.
+        covariance: (M, 3, 3) m^2, what the parameters fitted without them bring.
+        count: (M,) weight of each; one row's weights sum to 1.
+    """
+
+    error: np.ndarray
+    covariance: np.ndarray
+    count: np.ndarray
+
+    @classmethod
+    def of(cls, fit: ModelFit) -> LeftOut | None:
+        """Of a fit to positions; None where too few rows hold one."""
+        kept = np.flatnonzero((fit.weights > 0) & fit.session.located)
+        if fit.session.blocks[0].kind != "position" or len(kept) < FEWEST:
+            return None
+        whole = whiten(
+            np.concatenate([fit.columns * priors(fit.slots), fit.residual[..., None]], axis=-1),
+            fit.weights, fit.sigma, 0.0, fit.session.mask,
+        ).reshape((fit.weights > 0).sum(), fit.width, -1)  # fmt: skip
+        here = np.searchsorted(np.flatnonzero(fit.weights > 0), kept)
+        gram = np.einsum("ncp,ncq->pq", whole[..., :-1], whole[..., :-1])
+        gram += np.eye(len(gram))
+        length = fit.sigma[:3] / np.sqrt(fit.weights[kept])[:, None]
+        judged = np.unique(np.linspace(0, len(kept) - 1, MOST).round().astype(int))
+        errors, covariances, counts = [], [], []
+        for division, share in _divisions(fit.session.q[kept]):
+            for part in np.unique(division):
+                out = division == part
+                a = whole[here[out]]
+                flat = a.reshape(-1, a.shape[-1])
+                inverse = np.linalg.inv(gram - flat[:, :-1].T @ flat[:, :-1])
+                shift = inverse @ (flat[:, :-1].T @ flat[:, -1])
+                mine = np.isin(np.flatnonzero(out), judged)
+                a, scale = a[mine, :3], length[out][mine]
+                missed = a[..., -1] + a[..., :-1] @ shift
+                carried = a[..., :-1] @ inverse @ np.swapaxes(a[..., :-1], 1, 2)
+                errors.append(missed * scale)
+                covariances.append(carried * scale[:, :, None] * scale[:, None, :])
+                counts.append(np.full(len(a), share))
+        return cls(*(np.concatenate(each) for each in (errors, covariances, counts)))
+
+    def judged(self, noise: np.ndarray) -> tuple[float, np.ndarray]:
+        """Stretch of the posterior, and what the arm does besides (3, 3) m^2.
+
+        For every stretch the rest is what brings 90 % inside.  Among these the stretch is kept
+        whose radii are the tightest (pinball loss), so that they are wide where the errors are.
+
+        Args:
+            noise: (3, 3) m^2, of the measurement.
+        """
+        shape = np.einsum("n,ni,nj->ij", self.count, self.error, self.error)
+        shape /= np.trace(shape) or 1.0
+        size = np.linalg.norm(self.error, axis=1)
+        found = []
+        for stretch in STRETCHES:
+            radii = _Radii.of(stretch * self.covariance + noise, shape)
+            rest = self._rest(radii, size)
+            beyond = size - radii.at(rest)
+            loss = self.count @ np.maximum(LEVEL * beyond, (LEVEL - 1.0) * beyond)
+            found.append((float(loss), float(stretch), rest))
+        _, stretch, rest = min(found)
+        return stretch, rest * shape
+
+    def _rest(self, radii: _Radii, size: np.ndarray) -> float:
+        """Trace of the rest with which `LEVEL` of the rows are inside, m^2; 0 where more are."""
+        wanted = LEVEL * (self.count.sum() + 1.0)
+
+        def enough(rest: float) -> bool:
+            return float(self.count @ (size <= radii.at(rest))) >= wanted
+
+        low, high = 0.0, float((size**2).max())
+        if enough(low):
+            return low
+        for _ in range(HALVINGS):
+            rest = 0.5 * (low + high)
+            low, high = (low, rest) if enough(rest) else (rest, high)
+        return high
+
+
+class _Radii(NamedTuple):
+    """The radii of rows left out for any rest of one shape.
+
+    Mean and variance of the squared length are quadratic in the rest; these are the coefficients.
+    """
+
+    square: np.ndarray
+    own: np.ndarray
+    both: np.ndarray
+    shape: float
+
+    @classmethod
+    def of(cls, covariance: np.ndarray, shape: np.ndarray) -> _Radii:
+        """From covariances (M, 3, 3), m^2, and the shape (3, 3) of the rest, of trace 1."""
+        return cls(
+            np.trace(covariance, axis1=1, axis2=2),
+            2.0 * np.einsum("nij,nji->n", covariance, covariance),
+            4.0 * np.einsum("nij,ji->n", covariance, shape),
+            2.0 * float(np.einsum("ij,ji->", shape, shape)),
+        )
+
+    def at(self, rest: float) -> np.ndarray:
+        """(M,) m."""
+        return radius(self.square + rest, self.own + rest * self.both + rest**2 * self.shape)
+
+
+def _divisions(q: np.ndarray) -> Iterator[tuple[np.ndarray, float]]:
+    """Parts (N,) that the rows are left out in, and the weight of a row in each division.
+
+    Half of the weight is with places, half with rows amid the others, as targets are.
+    """
+    moving = [q[:, j] for j in range(q.shape[1]) if np.ptp(q[:, j]) > 0.0]
+    for values in moving:
+        place = np.argsort(np.argsort(values, kind="stable"))
+        yield place * PARTS // len(q), 0.5 / len(moving)
+    drawn = np.random.default_rng(0).permutation(len(q))
+    yield drawn * min(SMALL, len(q)) // len(q), 0.5 if moving else 1.0
+
+
+def _factor(covariance: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """A triangle whose product with itself is a covariance (p, p)."""
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return scale[:, None] * triangular(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _noise_of_lengths(fit: ModelFit) -> np.ndarray:
+    """(3, 3) m^2 of a row, where no position tells what it leaves: what the lengths leave."""
+    lengths = fit.noise_m[fit.metres > 0]
+    return (float((lengths**2).mean()) if len(lengths) else 0.0) * np.eye(3)
+
+
+def _largest(fit: ModelFit, made: ModelUncertainty) -> float:
+    """Expected error of the tip, the largest over the fitted rows, m."""
+    mine = [k for k, slot in enumerate(fit.slots) if isinstance(slot.owner, Effect)]
+    rows = fit.session.located & (fit.weights > 0)
+    if not rows.any() or fit.session.blocks[0].kind != "position":
+        return 0.0
+    columns = fit.columns[rows][:, :3, mine]
+    covariance = made.carried(columns, [fit.slots[k].identity for k in mine]) + made.structure
+    return float(sizes(covariance)[0].max())

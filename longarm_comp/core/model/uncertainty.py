@@ -1,0 +1,122 @@
+"""How far off the tip may be: what a fitted model keeps of the rows that it was fitted to.
+
+The error of the tip has two parts.  The parameters are known to their covariance, which
+`Model.columns` carries to the tip at any joints: it grows away from the rows.  What no parameter
+explains is the same everywhere: structure of the arm, and noise of the measurement, which is no
+error of the tip.  `core/identify/uncertainty.py` makes the record, `core/compensation/expected.py`
+reads it.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import gammaln, ndtri
+
+LEVEL = 0.9
+"""Probability of the radius that a command states."""
+_NORMAL = float(ndtri(LEVEL))
+Identity = tuple[object, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ModelUncertainty:
+    """What is not known of a fitted model.
+
+    Attributes:
+        slots: identities of the fitted parameters (`Slot.identity`).
+        factor: (p, r), the parameters' covariance is ``factor @ factor.T``.
+        stretch: variance at rows that were left out over what the covariance says; 1 where the
+            model's form is right.
+        structure: (3, 3) m^2, what the arm does besides and no parameter explains.
+        noise: (3, 3) m^2, of the measurement: in every measured row, and no error of the tip.
+        largest_m: expected error of the tip, the largest over the fitted rows, m.
+        rows: number of fitted rows.
+    """
+
+    slots: tuple[Identity, ...]
+    factor: np.ndarray
+    stretch: float
+    structure: np.ndarray
+    noise: np.ndarray
+    largest_m: float
+    rows: int
+
+    def carried(self, columns: np.ndarray, slots: Sequence[Identity]) -> np.ndarray:
+        """(N, 3, 3) m^2 that the parameters bring to the tip.
+
+        Args:
+            columns: (N, 3, k) of the tip by some parameters.
+            slots: (k,) their identities. Those that were not fitted count as known.
+        """
+        row = {identity: k for k, identity in enumerate(self.slots)}
+        held = [k for k, identity in enumerate(slots) if identity in row]
+        moved = columns[..., held] @ self.factor[[row[slots[k]] for k in held]]
+        return np.asarray(self.stretch * moved @ np.swapaxes(moved, -1, -2))
+
+
+def sizes(covariance: np.ndarray, mean: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Expected length of a normal error, and the length that it stays below in 90 of 100 cases.
+
+    Args:
+        covariance: (..., 3, 3) m^2.
+        mean: (..., 3) m, of an error that is known; zero by default.
+
+    Returns:
+        (...) m each.
+    """
+    square = np.trace(covariance, axis1=-2, axis2=-1)
+    variance = 2.0 * np.einsum("...ij,...ji->...", covariance, covariance)
+    if mean is not None:
+        square = square + (mean**2).sum(-1)
+        variance = variance + 4.0 * np.einsum("...i,...ij,...j->...", mean, covariance, mean)
+    shape = square**2 / np.maximum(variance, 1e-12 * square**2 + 1e-300)
+    size = np.sqrt(square / np.maximum(shape, 1e-300)) * np.exp(
+        gammaln(shape + 0.5) - gammaln(shape)
+    )
+    return np.where(square > 0, size, 0.0), radius(square, variance)
+
+
+def radius(square: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Length below which 90 of 100 errors stay, by mean and variance of the squared length, m.
+
+    The squared length is taken to be gamma distributed (Satterthwaite 1946, Biometrics Bull. 2),
+    its cube root normal (Wilson and Hilferty 1931, PNAS 17): right to 2 % for any covariance.
+    """
+    spread = variance / np.maximum(9.0 * square**2, 1e-300)
+    return np.asarray(np.sqrt(square * (1.0 - spread + _NORMAL * np.sqrt(spread)) ** 3))
+
+
+def triangular(factor: np.ndarray) -> np.ndarray:
+    """(p, p) lower triangle with the same product with itself as a factor (p, r)."""
+    wide = np.zeros((len(factor), max(factor.shape)))
+    wide[:, : factor.shape[1]] = factor
+    return np.asarray(np.linalg.qr(wide.T, mode="r")).T
+
+
+def written(factor: np.ndarray) -> list[str]:
+    """A lower triangle as text, a row a line: 32-bit numbers, little-endian, in base 64."""
+    rows = factor.astype("<f4")
+    return [base64.b64encode(rows[k, : k + 1].tobytes()).decode() for k in range(len(rows))]
+
+
+def read(lines: Sequence[str]) -> np.ndarray:
+    """The triangle that `written` wrote.
+
+    Raises:
+        ValueError: a line is not what it wrote, with its number.
+    """
+    made = np.zeros((len(lines), len(lines)))
+    for k, line in enumerate(lines):
+        try:
+            row = np.frombuffer(base64.b64decode(line, validate=True), "<f4")
+        except (binascii.Error, ValueError):
+            row = np.zeros(0)
+        if len(row) != k + 1 or not np.isfinite(row).all():
+            raise ValueError(f"line {k + 1}")
+        made[k, : k + 1] = row
+    return made
