@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -45,7 +46,13 @@ def header(t: float = 0.0, frame: str = "base") -> Any:
     return types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame)
 
 
-def command(put: Any, t: float, *points: list[float], names: tuple[str, ...] | None = None) -> None:
+def command(
+    put: Any,
+    t: float,
+    *points: list[float],
+    names: tuple[str, ...] | None = None,
+    stamp: float = 0.0,
+) -> None:
     """Command the arm through these points, a second apart."""
     types = message_types().types
     none = np.array([])
@@ -61,17 +68,22 @@ def command(put: Any, t: float, *points: list[float], names: tuple[str, ...] | N
     ]
     names = ARM.joint_names if names is None else names
     kind = "trajectory_msgs/msg/JointTrajectory"
-    put("joint_trajectory", kind, t, header=header(), joint_names=list(names), points=made)
+    put("joint_trajectory", kind, t, header=header(stamp), joint_names=list(names), points=made)
 
 
-def state(put: Any, t: float, q: list[float]) -> None:
-    """The joints as read back, in another order and with one that is not the arm's."""
+def row_said(put: Any, t: float, **row: Any) -> None:
+    """What `collect` says of a visit."""
+    put("session_row", "std_msgs/msg/String", t, data=json.dumps(row))
+
+
+def state(put: Any, t: float, q: list[float], late: float = 0.0) -> None:
+    """The joints as read back at t, in another order and with one that is not the arm's."""
     none = np.array([])
     names = [*reversed(ARM.joint_names), "gripper"]
     position = np.array([*reversed(q), 0.3])
     kind = "sensor_msgs/msg/JointState"
     put(
-        "joint_states", kind, t, header=header(t), name=names, position=position,
+        "joint_states", kind, t + late, header=header(t), name=names, position=position,
         velocity=none, effort=none,
     )  # fmt: skip
 

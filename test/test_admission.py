@@ -148,7 +148,7 @@ def test_some_blank_is_noted(session: Session) -> None:
     xyz = session.xyz.copy()
     xyz[:8] = np.nan
     (finding,) = admit(with_xyz(session, xyz), ARM).findings
-    assert finding.message == "marker lost in 8 rows (10%)"
+    assert finding.message == "nothing measured in 8 rows (10%)"
 
 
 def test_one_row(session: Session) -> None:

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import errno
+import itertools
+import os
 import shutil
-from collections.abc import Callable
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +24,15 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.effects.joint_zero import JointZero
-from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.errors import InputError, JobError, LongarmError
 from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.learn.predictor import LearnedGain
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored, save_model, store
 from longarm_comp.report import record
-from longarm_comp.workflows.apply import apply, undo
+from longarm_comp.workflows.apply import apply
+from longarm_comp.workflows.at_work import undo
 from longarm_comp.workflows.changes import changes
 from longarm_comp.workflows.inputs import admitted, file_hash, load_predictor
 from longarm_comp.workflows.train import TrainedPredictor, train
@@ -67,6 +74,11 @@ def at_work(tmp_path: Path) -> Path:
     return tmp_path / "work" / "model.yaml"
 
 
+def kept_of(model: Path) -> str:
+    """Name of the predictor that was trained with a model, while it is not at work."""
+    return f"predictor.of_{file_hash(model)[:12]}.npz"
+
+
 def bytes_of(folder: Path) -> dict[str, bytes]:
     return {p.name: p.read_bytes() for p in sorted(folder.iterdir())}
 
@@ -88,7 +100,7 @@ def test_a_first_diagnosis_on_the_declared_arm_and_back(
     assert read_stored(model).version == 0
     q = ARM.mid[None]
     np.testing.assert_array_equal(load_model(model, ARM).tip(q), declared_model(ARM).tip(q))
-    assert sorted(bytes_of(model.parent)) == ["model.yaml", "predictor.undone.npz"]
+    assert sorted(bytes_of(model.parent)) == ["model.yaml", kept_of(folder / "model.yaml")]
     assert "previous version" in shell.refused("undo", model)
     apply(folder, ARM, model, network=False)  # the declared arm is at work, as it was diagnosed
     assert model.read_bytes() == (folder / "model.yaml").read_bytes()
@@ -119,7 +131,8 @@ def test_undo_restores_model_and_predictor_byte_for_byte(
     second = diagnosed("second", before=model, model=wider)
     done = apply(second, ARM, model)
     assert done.version == 2
-    assert done.set_aside == model.parent / "predictor.previous.npz"
+    assert done.set_aside is not None
+    assert done.set_aside.name == kept_of(model.parent / "model.previous.yaml")
     load_predictor(model.parent / "predictor.npz", ARM, model)
     assert undo(model) == model.parent / "predictor.npz"
     after = bytes_of(model.parent)
@@ -132,6 +145,157 @@ def test_undo_restores_model_and_predictor_byte_for_byte(
     undo(model)
     after = bytes_of(model.parent)
     assert {name: after[name] for name in before} == before
+
+
+# ------------------------------------------------------------------ broken off anywhere
+
+
+STEPS = ("replace", "unlink")
+"""Of `os`: what changes a folder. Bytes are written to files that nobody reads yet."""
+
+
+class Broken(BaseException):
+    """The process ended here."""
+
+
+@contextmanager
+def stopping(at: int, how: Callable[[], Any], before: bool) -> Iterator[list[str]]:
+    """`how` is called before or after the step of this number; yields the steps made."""
+    made: list[str] = []
+    real = {name: getattr(os, name) for name in STEPS}
+
+    def step(name: str) -> Callable[..., None]:
+        def run(*given: Any, **named: Any) -> None:
+            made.append(name)
+            if before and len(made) == at:
+                how()
+            real[name](*given, **named)
+            if not before and len(made) == at:
+                how()
+
+        return run
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name in STEPS:
+            patch.setattr(os, name, step(name))
+        yield made
+
+
+def full() -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def broken() -> None:
+    raise Broken
+
+
+class Versions:
+    """An arm with version 1 and its predictor at work, version 0 before, and a diagnosis for 2."""
+
+    def __init__(self, diagnosed: Callable[..., Path], tmp_path: Path) -> None:
+        self.model = at_work(tmp_path)
+        self.predictor = self.model.parent / "predictor.npz"
+        apply(diagnosed("first"), ARM, self.model)
+        wider = FOUND.with_values(1.5 * FOUND.values)
+        self.second = diagnosed("second", before=self.model, model=wider)
+        self.one = self.model.read_bytes(), self.predictor.read_bytes()
+        self.two = (self.second / "model.yaml").read_bytes()
+        self.trained = train(
+            ARM, self.second.parent / "samples.csv", model=self.second / "model.yaml"
+        )
+        self.start = bytes_of(self.model.parent)
+
+    def again(self) -> None:
+        """The folder as at the beginning."""
+        shutil.rmtree(self.model.parent)
+        self.model.parent.mkdir()
+        for name, content in self.start.items():
+            (self.model.parent / name).write_bytes(content)
+
+    def apply(self, network: bool) -> None:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("longarm_comp.workflows.apply.train", lambda *a, **k: self.trained)
+            apply(self.second, ARM, self.model, network=network)
+
+    def check(self, network: bool) -> None:
+        """Whatever happened, what is at work is whole, and the way on and the way back are open."""
+        applied = self.model.read_bytes() == self.two
+        if not applied:
+            assert (self.model.read_bytes(), self.predictor.read_bytes()) == self.one
+            self.apply(network)
+        assert self.model.read_bytes() == self.two
+        undo(self.model)
+        assert (self.model.read_bytes(), self.predictor.read_bytes()) == self.one
+
+
+@pytest.fixture
+def versions(diagnosed: Callable[..., Path], tmp_path: Path) -> Versions:
+    return Versions(diagnosed, tmp_path)
+
+
+@pytest.mark.parametrize("network", [True, False])
+@pytest.mark.parametrize(
+    ("how", "ending"), [(full, (OSError, LongarmError)), (broken, Broken)], ids=["full", "killed"]
+)
+def test_apply_broken_off_anywhere_loses_nothing(
+    how: Callable[[], Any], ending: Any, network: bool, versions: Versions
+) -> None:
+    with stopping(0, how, True) as steps:
+        versions.apply(network)
+    count = len(steps)
+    assert count >= 6
+    for at, before in itertools.product(range(1, count + 1), (True, False)):
+        versions.again()
+        with contextlib.suppress(ending), stopping(at, how, before):  # a file may be gone already
+            versions.apply(network)
+        versions.check(network)
+
+
+def test_undo_broken_off_anywhere_is_finished_by_the_next(versions: Versions) -> None:
+    versions.apply(network=True)
+    applied = bytes_of(versions.model.parent)
+    with stopping(0, broken, True) as steps:
+        undo(versions.model)
+    count = len(steps)
+    assert count >= 3
+    for at, before in itertools.product(range(1, count + 1), (True, False)):
+        versions.start, kept = applied, versions.start
+        versions.again()
+        versions.start = kept
+        with contextlib.suppress(Broken), stopping(at, broken, before):
+            undo(versions.model)
+        with contextlib.suppress(InputError):  # it was finished
+            undo(versions.model)
+        assert (versions.model.read_bytes(), versions.predictor.read_bytes()) == versions.one
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_a_process_that_is_killed_loses_nothing(before: bool, versions: Versions) -> None:
+    """As above with a process that really ends, without any clean-up."""
+    for at in range(1, 9):
+        versions.again()
+        child = os.fork()
+        if not child:
+            with stopping(at, lambda: os.kill(os.getpid(), signal.SIGKILL), before):
+                versions.apply(network=True)
+            os._exit(0)
+        os.waitpid(child, 0)
+        versions.check(network=True)
+
+
+def test_a_second_change_finishes_the_first(versions: Versions, tmp_path: Path) -> None:
+    """Killed with the model replaced and the predictor not, the predictor that fits comes next."""
+    with stopping(0, broken, True) as steps:
+        versions.apply(network=True)
+    for at in range(1, len(steps) + 1):
+        versions.again()
+        with contextlib.suppress(Broken), stopping(at, broken, False):
+            versions.apply(network=True)
+        if versions.model.read_bytes() != versions.two:
+            continue
+        with pytest.raises(InputError, match="at work already"):
+            versions.apply(network=True)
+        load_predictor(versions.predictor, ARM, versions.model)
 
 
 def test_a_diagnosis_older_than_the_model_at_work_is_refused(
@@ -254,8 +418,8 @@ def test_files_that_are_no_predictors_are_left_alone_by_undo(
     model = at_work(tmp_path)
     apply(diagnosed(), ARM, model, network=False)
     np.savez(model.parent / "other.npz", a=np.arange(3))
-    (model.parent / "broken.previous.npz").write_bytes(b"no archive")
+    (model.parent / "broken.of_0123456789ab.npz").write_bytes(b"no archive")
     assert undo(model) is None
-    assert {"other.npz", "broken.previous.npz"} <= set(bytes_of(model.parent))
+    assert {"other.npz", "broken.of_0123456789ab.npz"} <= set(bytes_of(model.parent))
     with pytest.raises(InputError):
         predictor_file.load(model.parent / "other.npz")

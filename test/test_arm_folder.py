@@ -226,6 +226,14 @@ def test_check_names_a_missing_file(shell: Shell, hobby: Path, name: str) -> Non
     assert levels(folder, "missing") == [name]
 
 
+def test_half_a_file_is_missing_the_rest(shell: Shell, hobby: Path) -> None:
+    folder = copied(hobby, shell.folder / "mine")
+    file = folder / "stereo_bridge.yaml"
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join(lines[: len(lines) // 2]))
+    assert levels(folder, "missing") == ["stereo_bridge.yaml"]
+
+
 def test_what_was_measured_is_no_longer_listed(shell: Shell, hobby: Path) -> None:
     folder = copied(hobby, shell.folder / "mine")
     before = levels(folder, "unmeasured")

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import csv
+import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from cli_shell import Shell
 from small_arm import ARM
 
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.learn import predictor_file
 from longarm_comp.sessions.csv import read_csv, write_csv
 
 
@@ -120,3 +124,47 @@ def test_arm_that_is_none(work: Path, shell: Shell) -> None:
     Path("typo.yaml").write_text(text.replace("convention", "convntion"))
     line = shell.refused("calibrate", "typo.yaml", work / "samples.csv")
     assert "convntion" in line or "convention" in line
+
+
+NONSENSE = {
+    "a noise that is no number": ("plan", "--kind", "i-optimal", "-n", 5, "--noise-mm", "nan"),
+    "an endless noise": ("plan", "--kind", "i-optimal", "-n", 5, "--noise-mm", "inf"),
+    "no noise": ("plan", "--kind", "i-optimal", "-n", 5, "--noise-mm", "1e-300"),
+    "no floor": ("plan", "--kind", "sobol", "-n", 5, "--floor=-inf"),
+    "a box without end": ("plan", "--kind", "grid", "-n", 5, "--keep-out", 0, 0, 0, "inf", 1, 1),
+    "a share that is none": ("calibrate", "samples.csv", "--fraction", "nan"),
+    "a row of 5,000 digits": ("compensate", 0.4, 0.1, 0.3, "--lock", "7" * 5000),
+    "a row of other digits": ("compensate", 0.4, 0.1, 0.3, "--lock", "\N{SUPERSCRIPT TWO}"),
+}
+
+
+@pytest.mark.parametrize("words", NONSENSE.values(), ids=NONSENSE)
+def test_numbers_that_are_nonsense_are_refused(
+    words: tuple[object, ...], work: Path, shell: Shell
+) -> None:
+    shutil.copy(work / "samples.csv", shell.folder / "samples.csv")
+    first, *rest = words
+    assert shell(first, work / "arm.yaml", *rest) == 2
+    assert "Traceback" not in shell.err and len(shell.err) < 1000
+
+
+def test_a_file_of_effects_that_leaves_is_refused(work: Path, shell: Shell) -> None:
+    (shell.folder / "effects.py").write_text("import sys\nsys.exit(0)\n")
+    assert "SystemExit" in shell.refused("effects", "--effects", "effects.py")
+
+
+@pytest.mark.parametrize("name", ["gain", "noise", "widen", "alone", "weights"])
+@pytest.mark.parametrize("value", [np.inf, -np.inf, 1e308, np.nan])
+def test_a_predictor_with_numbers_that_are_nonsense_is_refused(
+    name: str, value: float, work: Path, tmp_path: Path
+) -> None:
+    with np.load(work / "predictor.npz") as data:
+        arrays = {key: data[key] for key in data.files}
+    arrays[name] = arrays[name].copy()
+    arrays[name].flat[0] = value
+    np.savez(tmp_path / "predictor.npz", **arrays)
+    if name in ("gain", "alone") and value == np.inf:  # not known
+        predictor_file.load(tmp_path / "predictor.npz")
+        return
+    with pytest.raises(InputError, match=name):
+        predictor_file.load(tmp_path / "predictor.npz")

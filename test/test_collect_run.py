@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -32,9 +33,15 @@ from longarm_comp.jobs.collect.progress import Progress
 from longarm_comp.jobs.collect.run import Collected, collect
 from longarm_comp.jobs.measurement_schedule import visits
 from longarm_comp.jobs.pace import Pace
+from longarm_comp.jobs.recorder import Recorder
 from longarm_comp.sessions.read import read_session
 from longarm_interfaces.msg import DriverState
 
+KINDS = {
+    "tip_measured": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "joint_states": "sensor_msgs/msg/JointState",
+    "joint_trajectory": "trajectory_msgs/msg/JointTrajectory",
+}
 QUICK = Pace(sightings=1, dwell_s=0.1, move_s=0.05)
 
 
@@ -101,6 +108,57 @@ def test_what_is_lost_has_its_likely_cause_and_the_graph_is_told(
     console.print(table(arm, shown[-2]))
     told = console.export_text()
     assert "6 of 6" in told and "time left" in told and "marker lost at" in told
+
+
+def held_back(topic: str, for_s: float) -> Callable[..., None]:
+    """`Recorder.put` of a busy machine, which hears one topic so much later; inf: never."""
+    put, waiting = Recorder.put, list[tuple[float, bytes, str]]()
+
+    def late(recorder: Recorder, name: str, kind: str, raw: bytes) -> None:
+        now = time.monotonic()
+        if name.endswith(topic):
+            waiting.append((now + for_s, raw, name))
+        else:
+            put(recorder, name, kind, raw)
+        while waiting and waiting[0][0] <= now:
+            _, old, its = waiting.pop(0)
+            put(recorder, its, KINDS[topic], old)
+
+    return late
+
+
+@pytest.mark.parametrize("topic", ["tip_measured", "joint_states", "joint_trajectory"])
+def test_what_is_recorded_late_is_waited_for(
+    topic: str, stage: QuickArm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Recorder, "put", held_back(topic, 0.7))
+    done = run(tmp_path / "bag", sobol(ARM, 5, 1))
+    session = read_session(tmp_path / "bag", ARM)
+    assert (done.made, done.unseen) == (5, {}) and session.index.tolist() == list(range(5))
+    tips = declared_model(ARM).tip(session.q)
+    np.testing.assert_allclose(session.xyz, tips, atol=1e-6)
+
+
+def test_what_is_never_recorded_is_told_and_a_blank_row(
+    stage: QuickArm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Recorder, "put", held_back("tip_measured", float("inf")))
+    shown: list[Progress] = []
+    pace = replace(QUICK, look_s=0.2)
+    with ArmClient(ARM, name="collect") as client:
+        todo = visits(sobol(ARM, 4, 1), ARM, shuffle=False)
+        collect(client, todo[:1], tmp_path / "bag", pace=QUICK)  # nothing at all is no session
+        monkeypatch.undo()
+        collect(client, todo[:2], tmp_path / "bag", pace=QUICK, resume=True)
+        monkeypatch.setattr(Recorder, "put", held_back("tip_measured", float("inf")))
+        done = collect(
+            client, todo, tmp_path / "bag", pace=pace, resume=True, progress=shown.append
+        )
+    session = read_session(tmp_path / "bag", ARM)
+    assert session.index.tolist() == list(range(4)) and done.made == 2
+    assert session.seen.tolist() == [False, True, False, False]
+    assert set(done.unseen) == {2, 3} and set(session.lost) == {0, 2, 3}
+    assert "lost at 2 of 2" in shown[-1].losses
 
 
 def test_it_pauses_after_a_pose_and_goes_on(stage: QuickArm, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bag_robot import STORAGES, command, header, refusal, robot, sighting, state
+from bag_robot import STORAGES, command, header, refusal, robot, row_said, sighting, state
 from rosbags.typesys import get_types_from_msg
 from scipy.spatial.transform import Rotation
 from sensed_arm import only, read, sensed
@@ -18,7 +18,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.sessions.bag import read_bag
 from longarm_comp.sessions.bag_info import bag_info
 from longarm_comp.sessions.bag_write import write_bag
-from longarm_comp.sessions.csv import read_csv
+from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sessions.message_types import message_types
 from longarm_comp.sessions.read import read_session
 from longarm_comp.sessions.settled import Sighting, settled
@@ -120,8 +120,8 @@ def _still_from(readings: list[float], sighted: dict[float, float]) -> float:
         for t, x in sighted.items()
     ]
     found = settled(seen, times, np.array(readings)[:, None], 0.0)
-    assert found is not None
-    return float(found.xyz[0])
+    assert found.sighting is not None
+    return float(found.sighting.xyz[0])
 
 
 def test_a_joint_that_still_creeps_to_its_end_is_not_at_rest() -> None:
@@ -166,6 +166,59 @@ def test_the_settled_sightings_are_averaged(tmp_path: Path, rng: np.random.Gener
     assert np.allclose(session.sigma[:, 0], [1e-3 / np.sqrt(7), 1e-3 / np.sqrt(4)])
     assert session.approach.tolist() == [[0, 0, 0, 0], [1, -1, 0, 0]]
     assert session.index.tolist() == [0, 1]
+
+
+def test_what_a_busy_machine_records_late_is_put_where_it_happened(tmp_path: Path) -> None:
+    """The arm stands from 1.3 s on and is seen till 1.8 s; the joints are recorded in a burst."""
+    first, second = [0.1, 0.5, 0.05, 0.2], [0.2, 0.4, 0.05, 0.2]
+    with robot(tmp_path / "bag") as put:
+        command(put, 1.0, first)
+        for k in range(5):
+            sighting(put, 1.4 + k / 10, [0.4, 0.1, 0.3])
+        for k in range(8):
+            state(put, 1.1 + k / 10, [min(1.0, (k + 1) / 3) * v for v in first], late=1.0 - k / 11)
+        row_said(put, 2.3, index=0)
+        command(put, 3.4, second, stamp=2.5)
+        for k in range(8):  # on its way before the recorder heard why
+            state(put, 2.6 + k / 10, [min(1.0, (k + 1) / 3) * v for v in second])
+            sighting(put, 2.65 + k / 10, [0.5 if k > 2 else 0.45, 0.1, 0.3])
+        row_said(put, 3.6, index=1)
+    session = read_bag(tmp_path / "bag", ARM)
+    np.testing.assert_allclose(session.xyz[:, 0], [0.4, 0.5])
+    assert not session.lost
+
+
+def test_a_measurement_that_failed_is_a_row_and_says_why(tmp_path: Path) -> None:
+    """Without a word that it was to be measured, the first two would be passages."""
+    q = [0.1, 0.5, 0.05, 0.2]
+    poses = [[k / 10, *q[1:]] for k in range(5)]
+    with robot(tmp_path / "bag") as put:
+        command(put, 1.0, poses[0])  # nothing is seen
+        command(put, 2.0, poses[1])
+        for k in range(8):  # never at rest
+            state(put, 2.1 + k / 20, [k / 10, *q[1:]])
+            sighting(put, 2.12 + k / 20, [0.4, 0.1, 0.3])
+        command(put, 3.0, poses[2])
+        sighting(put, 3.2, [np.nan] * 3)
+        command(put, 4.0, poses[3])
+        sighting(put, 4.1, [0.4, 0.1, 0.3])
+        for k in range(4):
+            state(put, 4.2 + k / 10, [min(3, k + 2) / 10, *q[1:]])
+        command(put, 5.0, poses[4])
+        sighting(put, 5.5, [0.4, 0.1, 0.3], sd=1e-3)
+        for k in range(5):
+            row_said(put, k + 1.9, index=k)
+    session = read_bag(tmp_path / "bag", ARM)
+    assert session.index.tolist() == [0, 1, 2, 3, 4]
+    assert session.q.tolist() == poses
+    assert session.seen.tolist() == [False] * 4 + [True]
+    assert list(session.lost) == [0, 1, 2, 3]
+    said = "no sighting", "did not rest", "marker lost", "on the way"
+    assert all(words in why for words, why in zip(said, session.lost.values(), strict=True))
+    assert session.sigma is not None  # the blank rows do not cost the others theirs
+    assert session.sigma[4] == pytest.approx(1e-3)
+    write_csv(session, tmp_path / "rows.csv")
+    np.testing.assert_array_equal(read_csv(tmp_path / "rows.csv", ARM).sigma, session.sigma)
 
 
 def test_directions_come_from_commands_that_only_pass(tmp_path: Path) -> None:
@@ -270,9 +323,9 @@ def test_a_marker_that_is_seen_on_the_way_only_is_lost(lost_told: bool) -> None:
     joints = np.minimum(times, 1.0)[:, None]
     moving = [at(0.3, 0.1, 0, 0), at(0.8, 0.4, 0, 0)]
     resting = [at(1.4, *[np.nan] * 3), at(1.9, *[np.nan] * 3)] if lost_told else []
-    lost = settled([*moving, *resting], times, joints, 0.0)
-    assert lost is not None
+    lost, why = settled([*moving, *resting], times, joints, 0.0)
+    assert lost is not None and "on the way" in why
     assert np.isnan(lost.xyz).all() and np.isnan(lost.quaternion).all()
-    found = settled([*moving, *resting, at(1.95, 0.7, 0, 0)], times, joints, 0.0)
-    assert found is not None
+    found, why = settled([*moving, *resting, at(1.95, 0.7, 0, 0)], times, joints, 0.0)
+    assert found is not None and not why
     np.testing.assert_allclose(found.xyz, [0.7, 0, 0])

@@ -115,10 +115,11 @@ def test_joint_states_are_read_as_the_parser_reads_them(
     for _ in range(3):
         for order in orders:
             for values in (rng.standard_normal(len(order)), np.zeros(len(order))):
+                stamped = header(float(rng.random()), frame)
                 raw = bytes(
                     types.serialize_cdr(
                         types.types[KIND](
-                            header=header(float(rng.random()), frame),
+                            header=stamped,
                             name=order,
                             position=values,
                             velocity=values,
@@ -129,7 +130,8 @@ def test_joint_states_are_read_as_the_parser_reads_them(
                 )
                 at = dict(zip(order, values, strict=True))
                 known = all(name in at for name in names)
-                assert read(raw) == (tuple(at[name] for name in names) if known else None)
+                ns = stamped.stamp.sec * 10**9 + stamped.stamp.nanosec
+                assert read(raw) == (ns, tuple(at[name] for name in names) if known else None)
 
 
 def test_a_recording_is_endless_and_in_the_order_of_time() -> None:

@@ -182,7 +182,7 @@ def stand(tmp_path: Path, demo_arm_path: Path) -> Iterator[Stand]:
         made = Stand(stage, Driver(node, stage.node, Arm.load(demo_arm_path)), page, view)
         page.on("pageerror", lambda error: made.faults.append(str(error)))
         page.on("requestfailed", lambda request: made.faults.append(request.url))
-        stage.spin(lambda: "?token=" in stage.output(view), within=PATIENCE_S)
+        stage.spin(lambda: "?code=" in stage.output(view), within=PATIENCE_S)
         with served(stage):
             page.goto(stage.output(view).strip())
             yield made

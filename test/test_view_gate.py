@@ -96,12 +96,16 @@ def test_it_listens_on_the_loopback_address_alone(page: Page) -> None:
 
 def test_the_link_sets_the_cookie_and_hides_the_token(page: Page) -> None:
     link = page.gate.link(page.port)
-    assert link.startswith(f"{page.origin}/?token=") and page.gate.token not in repr(page.gate)
+    assert link.startswith(f"{page.origin}/?code=") and page.gate.token not in link
+    assert page.gate.token not in repr(page.gate) and link.partition("=")[2] not in repr(page.gate)
     response = page.get(link.removeprefix(page.origin))
     assert (response.status, response.getheader("Location")) == (303, "/")
     cookie = response.getheader("Set-Cookie", "")
     assert cookie.startswith(f"longarm_view_{page.port}={page.gate.token};")
     assert "HttpOnly" in cookie and "SameSite=Strict" in cookie
+    assert page.get(link.removeprefix(page.origin)).status == 403  # it opens the page once
+    other = page.gate.link(page.port).removeprefix(page.origin)
+    assert other != link.removeprefix(page.origin) and page.get(other).status == 303
     assert Gate().token != page.gate.token and len(page.gate.token) >= 32
 
 
@@ -121,8 +125,10 @@ def test_the_page_may_talk_to_its_server_alone_and_is_not_framed(page: Page) -> 
     ("path", "headers", "status"),
     [
         ("/", {}, 403),
-        ("/?token=wrong", {}, 403),
-        ("/?token=", {}, 403),
+        ("/?code=wrong", {}, 403),
+        ("/?code=", {}, 403),
+        ("/?code=TOKEN", {}, 403),
+        ("/?code=CODE&code=CODE", {}, 403),
         ("/", {"Cookie": "longarm_view_PORT=wrong"}, 403),
         ("/", {"Cookie": "longarm_view=TOKEN"}, 403),
         ("/", {"Cookie": "longarm_view_PORT; ;=;l(o=1"}, 403),
@@ -130,9 +136,9 @@ def test_the_page_may_talk_to_its_server_alone_and_is_not_framed(page: Page) -> 
         ("/", {"Cookie": "COOKIE", "Host": "127.0.0.1:1"}, 403),
         ("/", {"Cookie": "COOKIE", "Host": "127.0.0.1"}, 403),
         ("/", {"Cookie": "COOKIE", "Origin": "http://evil.example"}, 403),
-        ("/?token=TOKEN", {"Host": "evil.example:PORT"}, 403),
-        ("/?token=TOKEN", {"Origin": "http://evil.example"}, 403),
-        ("/other?token=TOKEN", {}, 403),
+        ("/?code=CODE", {"Host": "evil.example:PORT"}, 403),
+        ("/?code=CODE", {"Origin": "http://evil.example"}, 403),
+        ("/other?code=CODE", {}, 403),
         ("/?websocket=ws://evil.example", {"Cookie": "COOKIE"}, 404),
         ("/../setup.py", {"Cookie": "COOKIE"}, 404),
         ("/", {"Cookie": "COOKIE"}, 200),
@@ -142,6 +148,7 @@ def test_the_page_may_talk_to_its_server_alone_and_is_not_framed(page: Page) -> 
 def test_requests(page: Page, path: str, headers: dict[str, str], status: int) -> None:
     def filled(text: str) -> str:
         text = text.replace("COOKIE", page.cookie["Cookie"])
+        text = text.replace("CODE", page.gate.link(page.port).partition("=")[2])
         return text.replace("TOKEN", page.gate.token).replace("PORT", str(page.port))
 
     response = page.get(filled(path), **{name: filled(text) for name, text in headers.items()})

@@ -140,6 +140,10 @@ def _of_cameras(folder: Path, arm: Arm, look: bool) -> list[Finding]:
         found += faults
         if given is not None:
             found += _strangers(node, given)
+            lacking = [name for name in own_parameters(node) if name not in given]
+            if lacking:
+                said = f"the file is incomplete: {', '.join(lacking)}; longarm init writes all"
+                found.append(missing(f"{node}.yaml", said))
             read[node] = own_parameters(node) | given
     if "stereo_bridge" not in read or any(finding.blocks for finding in found):
         return found

@@ -58,7 +58,7 @@ def write_sheet(board: Printed, path: Path) -> str:
     """Write the page as PDF and return the paper's name."""
     paper, figure = sheet(board)
     with atomic_path(path) as partial:
-        figure.savefig(partial, format="pdf")
+        figure.savefig(partial, format="pdf", metadata={"Creator": "longarm"})
     return paper
 
 

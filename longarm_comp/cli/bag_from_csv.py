@@ -7,14 +7,14 @@ from typing import Literal
 
 import click
 
-from longarm_comp.cli import options
+from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note
 
 
 @click.command()
 @options.arm
 @options.session
-@options.output(None, "Bag folder to write.")
+@options.output(None, "Bag folder to write.", outputs.left_to_the_command)
 @click.option(
     "--storage", type=click.Choice(["mcap", "sqlite3"]), default="mcap", show_default=True
 )

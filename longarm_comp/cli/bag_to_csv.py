@@ -6,14 +6,14 @@ from pathlib import Path
 
 import click
 
-from longarm_comp.cli import options
+from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json
 
 
 @click.command()
 @options.arm
 @click.argument("bag", type=click.Path(path_type=Path), metavar="BAG")
-@options.output("samples.csv", "Session to write.")
+@options.output("samples.csv", "Session to write.", outputs.SESSION)
 @click.option("--namespace", help="Which arm, where the bag holds several.")
 @options.as_json
 def command(arm: Path, bag: Path, output: Path, namespace: str | None, as_json: bool) -> None:

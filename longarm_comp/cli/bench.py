@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from longarm_comp.cli import checkout, options
+from longarm_comp.cli import checkout, options, outputs
 from longarm_comp.cli.output import as_text, note, print_json, print_rows, progress
 
 _SHOWN = ("name", "value", "unit", "peer", "peer_value", "ratio", "spread")
@@ -15,11 +15,10 @@ _SHOWN = ("name", "value", "unit", "peer", "peer_value", "ratio", "spread")
 
 @click.command()
 @click.argument("names", nargs=-1, metavar="[NAMES]")
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),  # type: ignore[type-var]
-    help="Folder for results.json and results.png.",
+@options.written(
+    "-o/--output",
+    "Folder for results.json and results.png.",
+    outputs.folder("results.json", "results.png", told_by="results.json"),
 )
 @click.option("--list", "listed", is_flag=True, help="Only list the benchmarks.")
 @options.as_json

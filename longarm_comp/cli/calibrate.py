@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from longarm_comp.cli import options
+from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, print_rows, print_table, progress
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 @click.command()
 @options.arm
 @options.session
-@options.output("model.yaml", "Calibrated model to write.")
+@options.output("model.yaml", "Calibrated model to write.", outputs.MODEL)
 @click.option(
     "--effect",
     "effects",

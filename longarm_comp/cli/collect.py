@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from longarm_comp.cli import options
+from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, print_table
 
 if TYPE_CHECKING:
@@ -22,9 +22,9 @@ _LOOK_S = 0.2
 @click.command()
 @options.arm
 @click.argument("poses", type=click.Path(path_type=Path), metavar="POSES")
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="Bag folder to record.")
+@options.written("-o/--output", "Bag folder to record.", outputs.left_to_the_command)
 @click.option("--dry-run", is_flag=True, help="Move nothing; say what the plan would do.")
-@options.path_option("--picture", "Also draw the plan: FILE.png, .svg or .pdf.")
+@options.written("--picture", "Also draw the plan: FILE.png, .svg or .pdf.", outputs.PICTURE)
 @options.floor
 @click.option(
     "--sides",

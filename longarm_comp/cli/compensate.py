@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from longarm_comp.cli import options
+from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, print_rows
 
 if TYPE_CHECKING:
@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.sessions.targets import Command
+
+
+_ROW_DIGITS = 9  # more are no row's, and no number that Python reads
 
 
 @click.command(context_settings={"ignore_unknown_options": True})
@@ -45,7 +48,7 @@ if TYPE_CHECKING:
     "--realisable/--no-realisable", default=True, show_default=True,
     help="Choose joints together among the steps that ARM declares; off for paths.",
 )  # fmt: skip
-@options.output("commands.csv", "Joint commands to write.")
+@options.output("commands.csv", "Joint commands to write.", outputs.COMMANDS)
 @options.effects
 @options.as_json
 def command(
@@ -107,7 +110,7 @@ def command(
         history=history,
         run_up=not no_run_up,
         seed=None if seed_q is None else _joints(seed_q, declared),
-        locked=[int(v) if v.isdigit() else v for v in lock],
+        locked=[int(v) if v.isdecimal() and len(v) <= _ROW_DIGITS else v for v in lock],
         position_only=position_only,
         single_pass=single_pass,
         realisable=realisable,

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from longarm_comp.cli import options
+from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, print_rows, print_table, progress
 
 STEPS = 6.0
@@ -21,8 +21,12 @@ STEPS = 6.0
 @options.path_option("--model", "Known model; its effects are never added twice.")
 @options.seed
 @click.option("--no-network", is_flag=True, help="Train no network on the remaining error.")
-@options.output("diagnosis", "Folder to write.")
-@options.path_option("--write-effect", "Also write what was found without a name, for --effects.")
+@options.output("diagnosis", "Folder to write.", outputs.DIAGNOSIS, outputs.diagnosed)
+@options.written(
+    "--write-effect",
+    "Also write what was found without a name, for --effects.",
+    outputs.EFFECTS,
+)
 @options.effects
 @options.as_json
 def command(

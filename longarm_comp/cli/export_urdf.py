@@ -7,14 +7,14 @@ from pathlib import Path
 
 import click
 
-from longarm_comp.cli import options
+from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, print_rows
 
 
 @click.command()
 @options.arm
 @options.path_option("--model", "Calibrated model.yaml.", required=True)
-@options.output("calibrated.urdf", "URDF to write.")
+@options.output("calibrated.urdf", "URDF to write.", outputs.URDF)
 @click.option("--group", default="", help="Base placement, where the model has several.")
 @click.option("--marker", default="", help="Marker that is the link tip, instead of the arm's tip.")
 @options.effects

@@ -6,13 +6,18 @@ from pathlib import Path
 
 import click
 
-from longarm_comp.cli import options
+from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, print_rows
 
 
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path), metavar="FILE")
-@options.output("samples.csv", "Session to write; the mapping is written beside it.")
+@options.output(
+    "samples.csv",
+    "Session to write; the mapping is written beside it.",
+    outputs.SESSION,
+    lambda path: [path.with_suffix(".mapping.yaml")],
+)
 @click.option("--units", default="", metavar="mm,deg", help="Units of columns that name none.")
 @click.option(
     "--map", "given", multiple=True, metavar="A=q1,...",

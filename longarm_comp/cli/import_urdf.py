@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from longarm_comp.cli import options
+from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note
 
 
@@ -14,7 +14,7 @@ from longarm_comp.cli.output import note
 @click.argument("urdf", type=click.Path(path_type=Path), metavar="URDF")
 @click.option("--base", required=True, metavar="LINK", help="Fixed link.")
 @click.option("--tip", required=True, metavar="LINK", help="Link that is commanded and measured.")
-@options.output("arm.yaml", "Arm to write.")
+@options.output("arm.yaml", "Arm to write.", outputs.never)
 def command(urdf: Path, base: str, tip: str, output: Path) -> None:
     """Write an arm.yaml for the chain of URDF from --base to --tip.
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from longarm_comp.cli import options
+from longarm_comp.cli import options, outputs
 from longarm_comp.cli.agreed import agreed
 from longarm_comp.cli.output import note, print_json, print_rows, progress
 
@@ -19,7 +19,7 @@ SHOWN = ("run", "n", "refused", "mean_mm", "rms_mm", "p95_mm", "max_mm", "mean_a
 
 @click.command()
 @options.arm
-@options.output(None, "Folder for sessions, diagnoses and the page.")
+@options.output(None, "Folder for sessions, diagnoses and the page.", outputs.left_to_the_command)
 @click.option("--yes", is_flag=True, help="Apply every diagnosis without asking.")
 @click.option("--rounds", default=3, show_default=True, help="Rounds at most.")
 @click.option("--poses", default=180, show_default=True, help="Poses to measure in a round.")

@@ -8,6 +8,8 @@ from typing import Any
 
 import click
 
+from longarm_comp.cli.outputs import Kind, Output
+
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 _PATH = click.Path(path_type=Path)  # type: ignore[type-var]
@@ -71,8 +73,10 @@ effect_files = _effects(expose=True)
 """The same for a command that passes the files on; its parameter is `effect_files`."""
 
 
-def output(default: str | None, what: str) -> Decorator:
-    """``-o PATH``."""
+def output(
+    default: str | None, what: str, kind: Kind, beside: Callable[[Path], list[Path]] = lambda p: []
+) -> Decorator:
+    """``-o PATH``; what of it may be overwritten says `outputs`."""
     return click.option(
         "-o",
         "--output",
@@ -81,7 +85,15 @@ def output(default: str | None, what: str) -> Decorator:
         required=default is None,
         show_default=default is not None,
         help=what,
+        cls=Output,
+        kind=kind,
+        beside=beside,
     )
+
+
+def written(name: str, what: str, kind: Kind) -> Decorator:
+    """An option that names a further file or folder to write."""
+    return click.option(*name.split("/"), type=_PATH, help=what, cls=Output, kind=kind)
 
 
 def path_option(name: str, what: str, required: bool = False) -> Decorator:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from longarm_comp.cli import options
+from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--noise-mm",
-    type=click.FloatRange(min=0, min_open=True),
+    type=click.FloatRange(min=1e-6, max=1e3),  # a nanometre to a metre
     default=0.3,
     show_default=True,
     help="Noise of a length, where nothing was measured yet.",
@@ -63,8 +63,8 @@ if TYPE_CHECKING:
 @click.option(
     "--seen", is_flag=True, help="Only poses at which the cameras of ARM's folder see the marker."
 )
-@options.path_option("--picture", "Also draw the plan: FILE.png, .svg or .pdf.")
-@options.output("poses.csv", "Plan to write.")
+@options.written("--picture", "Also draw the plan: FILE.png, .svg or .pdf.", outputs.PICTURE)
+@options.output("poses.csv", "Plan to write.", outputs.POSES)
 @options.seed
 @options.as_json
 def command(

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import click
 
-from longarm_comp.cli import options
+from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json
 
 
 @click.command()
-@options.output(None, "Bag folder to record.")
+@options.output(None, "Bag folder to record.", outputs.left_to_the_command)
 @click.option("--images", is_flag=True, help="Also record images and camera calibrations.")
 @click.option("--duration", type=float, help="Stop after this time, s.")
 @click.option("--resume", is_flag=True, help="Add to an existing bag.")

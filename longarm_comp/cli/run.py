@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import click
 
+from longarm_comp.cli.outputs import guarded
 from longarm_comp.cli.registry import COMMANDS, GROUPS, Entry
 from longarm_comp.core.errors import JobError, LongarmError
 from longarm_comp.version import __version__
@@ -40,7 +41,7 @@ class LazyGroup(click.Group):
             return super().get_command(ctx, cmd_name)
         module = importlib.import_module(f"{self._folder}.{entry.module}")
         command: click.Command = module.command
-        return command
+        return guarded(command, cmd_name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Print the list of commands without importing any."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from longarm_comp.cli import board_options, options
+from longarm_comp.cli import board_options, options, outputs
 from longarm_comp.cli.output import note
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path), metavar="[DIR]", required=False)
 @board_options.board(None)
-@options.output("marker.pdf", "Page to print.")
+@options.output("marker.pdf", "Page to print.", outputs.PICTURE)
 def command(
     folder: Path | None,
     board: str | None,

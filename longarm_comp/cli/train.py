@@ -7,7 +7,7 @@ from typing import Literal
 
 import click
 
-from longarm_comp.cli import options
+from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, progress
 
 
@@ -15,7 +15,7 @@ from longarm_comp.cli.output import note, print_json, progress
 @options.arm
 @options.session
 @options.model
-@options.output("predictor.npz", "Predictor to write.")
+@options.output("predictor.npz", "Predictor to write.", outputs.PREDICTOR)
 @click.option("--init", type=click.Choice(["ssa", "xavier"]), default="ssa", show_default=True)
 @click.option(
     "--inputs",

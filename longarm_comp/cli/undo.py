@@ -21,7 +21,7 @@ def command(model: Path) -> None:
     Example:
       longarm undo model.yaml
     """
-    from longarm_comp.workflows.apply import undo
+    from longarm_comp.workflows.at_work import undo
 
     back = undo(model)
     note(f"{model} is the previous version again")

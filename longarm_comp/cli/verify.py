@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from longarm_comp.cli import options
+from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import as_text, note, print_json, print_rows, progress
 
 
@@ -21,8 +21,11 @@ from longarm_comp.cli.output import as_text, note, print_json, print_rows, progr
 @options.pace
 @options.namespace
 @options.seed
-@click.option("-o", "--output", type=click.Path(path_type=Path),
-              help="Folder for verify.json and verify.png.")  # fmt: skip
+@options.written(
+    "-o/--output",
+    "Folder for verify.json and verify.png.",
+    outputs.folder("verify.json", "verify.png", told_by="verify.json"),
+)
 @options.effects
 @options.as_json
 def command(

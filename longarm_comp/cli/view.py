@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import click
 
 from longarm_comp.cli import options
@@ -22,7 +24,7 @@ def command(namespace: str, port: int, show: bool) -> None:
 
     Arm as declared and as it hangs, target, tip and errors, charts, health of the nodes, progress
     of `collect`, and buttons for hold, software stop and reset. Only this machine reaches the page,
-    and only with the link that is printed: it holds a token that is new with every start.
+    and only with the link that is printed, which opens it once, in one browser.
 
     \b
     Examples:
@@ -39,10 +41,10 @@ def command(namespace: str, port: int, show: bool) -> None:
         raise JobError(f"longarm view needs {error.name}: {wanted}") from error
     from longarm_comp.view.run import view
 
-    def opened(link: str) -> None:
-        click.echo(link)
+    def opened(link: Callable[[], str]) -> None:
+        click.echo(link())
         if show:
-            click.launch(link)
+            click.launch(link())
 
     with stop_on_signals() as stop:
         view(namespace, port, stop, opened)

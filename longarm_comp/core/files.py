@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -12,6 +13,20 @@ from pathlib import Path
 from longarm_comp.core.errors import InputError, JobError
 
 _STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+
+
+def check_regular(path: str | os.PathLike[str]) -> None:
+    """Refuse what is neither a file nor a folder: a pipe or a device has no end to read up to.
+
+    Raises:
+        InputError: it exists and is something else.
+    """
+    try:
+        mode = os.stat(path).st_mode
+    except (OSError, ValueError):  # missing or unreadable: who opens it says so
+        return
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise InputError(path, "file", "a pipe, a socket or a device", "a regular file")
 
 
 @contextmanager

@@ -16,6 +16,7 @@ from typing import Any
 import yaml
 
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import check_regular
 
 MOST_BYTES = 8_000_000
 MOST_VALUES = 200_000
@@ -77,6 +78,7 @@ def read_yaml(path: str | Path) -> Any:
             or nesting without bound; with the field and the line.
     """
     where = str(path)
+    check_regular(path)
     try:
         with open(path, "rb") as file:
             raw = file.read(MOST_BYTES + 1)

@@ -12,7 +12,8 @@ from longarm_comp.core.errors import JobError
 from longarm_comp.jobs.client import GraphClient, Interrupted
 from longarm_comp.jobs.parameters import read_parameters
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.workflows.apply import Applied, apply, undo
+from longarm_comp.workflows.apply import Applied, apply
+from longarm_comp.workflows.at_work import undo
 from longarm_comp.workflows.inputs import Note, Progress, log_note, silent
 
 _PATIENCE_S = 60.0

@@ -246,8 +246,12 @@ class ArmClient(GraphClient):
 
     # ------------------------------------------------------------------ moving
 
-    def send(self, path: np.ndarray, move_s: float = 0.5) -> None:
-        """Command way-points (k, n) with a stop at each. The driver keeps its limits."""
+    def send(self, path: np.ndarray, move_s: float = 0.5) -> int:
+        """Command way-points (k, n) with a stop at each. The driver keeps its limits.
+
+        Returns:
+            The stamp (ns) of the command.
+        """
         points = []
         for k, q in enumerate(path, 1):
             whole = int(k * move_s)
@@ -260,7 +264,9 @@ class ArmClient(GraphClient):
         self._sent, self._refused, self._reached = self._sent + 1, "", False
         sent = JointTrajectory(joint_names=list(self.arm.joint_names), points=points)
         sent.header.frame_id = self._id
+        sent.header.stamp = self.node.get_clock().now().to_msg()
         self._trajectory.publish(sent)
+        return stamp_ns(sent.header.stamp)
 
     def arrive(
         self,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 import threading
 import time
 from collections.abc import Sequence
@@ -16,7 +15,9 @@ from rclpy.signals import SignalHandlerOptions
 
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.interfaces import Topic
+from longarm_comp.sessions.bag import Message
 from longarm_comp.sessions.bag_segments import SegmentedBag
+from longarm_comp.sessions.moment import moment, stamp_of_raw
 from longarm_comp.sessions.offered import offered
 
 SESSION_TOPICS = (
@@ -34,7 +35,6 @@ IMAGE_TOPICS = (graph.LEFT_IMAGE, graph.RIGHT_IMAGE, graph.LEFT_INFO, graph.RIGH
 _DEPTH = 2000
 _DRAIN_S, _AT_ONCE = 5.0, 20
 _SEGMENT_S = 20.0
-_CLOCKS_APART_NS = 60 * 10**9
 
 
 class Recorder:
@@ -55,11 +55,13 @@ class Recorder:
         segment_s: float = _SEGMENT_S,
     ) -> None:
         self._node, self._bag, self._segment_s = node, bag, segment_s
-        self._waiting: list[tuple[str, str, int, bytes]] = []
+        self._waiting: list[Message] = []
         self._stamped: set[str] = set()
         self._held = {node.resolve_topic_name(topic.name) for topic in HELD_TOPICS}
         self._since = time.monotonic()
         self.counts: dict[str, int] = {}
+        self.newest: dict[str, int] = {}
+        """The latest time (ns) that a message of a topic was about."""
         for topic in topics:
             self._subscribe(topic)
 
@@ -77,7 +79,9 @@ class Recorder:
 
     def put(self, topic: str, kind: str, raw: bytes) -> None:
         """Take a serialised message that was just received; ``topic`` is its full name."""
-        self._waiting.append((topic, kind, time.time_ns(), raw))
+        received = time.time_ns()
+        self._waiting.append((topic, kind, received, raw))
+        self.newest[topic] = max(self.newest.get(topic, 0), self._moment(topic, received, raw))
 
     def keep(self, *, since_ns: int = 0, finish: bool = False) -> None:
         """Write the waiting messages.
@@ -86,9 +90,7 @@ class Recorder:
             since_ns: leave out messages about earlier times, but for those that still hold.
             finish: finish the segment, so that they are in the readable bag at once.
         """
-        for topic, kind, received, raw in self._waiting:
-            if topic not in self._held and self._moment(topic, received, raw) < since_ns:
-                continue
+        for topic, kind, received, raw in self.about(since_ns):
             self._bag.write(topic, kind, received, raw)
             self.counts[topic] = self.counts.get(topic, 0) + 1
         self._waiting.clear()
@@ -96,18 +98,23 @@ class Recorder:
             self._bag.finish_segment()
             self._since = time.monotonic()
 
+    def about(self, since_ns: int) -> list[Message]:
+        """Waiting messages about this time (ns) and later, and those that still hold."""
+        return [
+            entry
+            for entry in self._waiting
+            if entry[0] in self._held or self._moment(entry[0], entry[2], entry[3]) >= since_ns
+        ]
+
     def _moment(self, topic: str, received: int, raw: bytes) -> int:
-        """Time (ns) of a message: its header's stamp if it is of this clock, else its receipt."""
+        """Time (ns) of a message."""
         if topic not in self._stamped:
             return received
-        seconds, rest = struct.unpack_from("<iI" if raw[1] & 1 else ">iI", raw, 4)
-        stamp = int(seconds) * 10**9 + int(rest)
-        return stamp if abs(stamp - received) < _CLOCKS_APART_NS else received
+        return moment(stamp_of_raw(raw), received)
 
-    @property
-    def waiting(self) -> int:
-        """Messages that wait."""
-        return len(self._waiting)
+    def waits(self, topic: str = "") -> int:
+        """Messages that wait, of one topic or of all."""
+        return sum(entry[0] == topic or not topic for entry in self._waiting)
 
     def drop(self) -> None:
         """Drop the waiting messages, but for those that still hold."""
@@ -135,8 +142,8 @@ def _type_name(kind: type) -> str:
 def _drain(executor: SingleThreadedExecutor, recorder: Recorder) -> None:
     """Take what has arrived and was not taken yet, at most for some seconds."""
     end, before = time.monotonic() + _DRAIN_S, -1
-    while recorder.waiting > before and time.monotonic() < end:
-        before = recorder.waiting
+    while recorder.waits() > before and time.monotonic() < end:
+        before = recorder.waits()
         for _ in range(_AT_ONCE):
             executor.spin_once(timeout_sec=0.0)
 

@@ -248,4 +248,5 @@ def _outliers(diagnosis: Diagnosis) -> list[dict[str, Any]]:
         ratio = float(np.max(np.abs(fit.residual[row]) / noise[row]))
         why = f"{1e3 * length:.1f} mm off, {ratio:.0f} standard deviations on its worst axis"
         rows.append({"index": int(fit.session.index[row]), "why": why})
-    return rows
+    lost = fit.session.lost.items()
+    return rows + [{"index": index, "why": f"not measured: {why}"} for index, why in lost]

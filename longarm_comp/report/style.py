@@ -63,11 +63,12 @@ RC: Any = {
     "ytick.color": INK,
 }
 
-_UNDATED: Any = {
-    "svg": {"Date": None, "Creator": None},
-    "png": {"Software": None},
-    "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+SIGNED: Any = {
+    "svg": {"Date": None, "Creator": "longarm"},
+    "png": {"Software": "longarm"},
+    "pdf": {"CreationDate": None, "Creator": "longarm", "Producer": None},
 }
+"""Files that a command may overwrite tell that it wrote them."""
 
 
 def rc() -> AbstractContextManager[None]:
@@ -79,7 +80,7 @@ def svg(drawn: Figure) -> bytes:
     """The figure as SVG; the same figure gives the same bytes."""
     held = io.BytesIO()
     _lay_out(drawn)
-    drawn.savefig(held, format="svg", dpi=150, metadata=_UNDATED["svg"])
+    drawn.savefig(held, format="svg", dpi=150, metadata={"Date": None, "Creator": None})
     return held.getvalue()
 
 
@@ -88,7 +89,7 @@ def save(drawn: Figure, path: Path) -> None:
     kind = path.suffix.removeprefix(".").lower()
     _lay_out(drawn)
     with atomic_path(path) as partial:
-        drawn.savefig(partial, format=kind, dpi=150, metadata=_UNDATED[kind])
+        drawn.savefig(partial, format=kind, dpi=150, metadata=SIGNED[kind])
 
 
 def _lay_out(drawn: Figure) -> None:

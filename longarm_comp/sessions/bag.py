@@ -1,10 +1,11 @@
 """Reads a session from a rosbag2 folder (mcap or sqlite3).
 
 A row is a command and the mean of the sightings after the arm has settled, up to the next command.
-A command without a sighting, or at which the measured joints did not rest, gives no row.  Like the
-via points of a trajectory, it determines from which side the joints arrive.  A sighting at NaN is
-a lost marker.  Temperature and payload hold until the next message.  Recorded `session_row`
-messages add index, repeats, labels and further columns.
+A command without a sighting, or at which the measured joints did not rest, gives no row, unless a
+`session_row` says that it was a measurement: then the row is blank, and `Session.lost` says why.
+Like the via points of a trajectory, it determines from which side the joints arrive.  A sighting
+at NaN is a lost marker.  Temperature and payload hold until the next message.  Recorded
+`session_row` messages add index, repeats, labels and further columns.
 
 Topics are found by the last part of their name, so any namespace will do.  Other topics and
 unknown types are ignored.
@@ -12,7 +13,7 @@ unknown types are ignored.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -29,6 +30,9 @@ from longarm_comp.sessions.joint_states import JointStates
 from longarm_comp.sessions.message_buffer import TYPES, MessageBuffer
 from longarm_comp.sessions.message_types import message_types
 from longarm_comp.sessions.rows import Rows
+
+Message = tuple[str, str, int, bytes]
+"""Topic, type, time of recording (ns), serialised."""
 
 
 def read_bag(path: str | Path, arm: Arm, namespace: str | None = None) -> Session:
@@ -103,18 +107,33 @@ def _read_messages(
         raise InputError(where, "topics", topics, ", ".join(TYPES))
     has_rows = any(_name(c) == "session_row" and c.msgcount for c in chosen.values())
     buffer = MessageBuffer(arm, where, reader.start_time, every_command=has_rows)
+    raw = reader.messages(connections=list(chosen.values()))
+    recorded = ((c.topic, c.msgtype, stamp, data) for c, stamp, data in raw)
+    return buffer, _rows(recorded, buffer)
+
+
+def read_visit(messages: Sequence[Message], arm: Arm) -> Session:
+    """The rows of messages of one namespace that are not in a bag yet, as `read_bag` reads them.
+
+    Raises:
+        InputError: as `read_bag`.
+    """
+    known = [m for m in messages if TYPES.get(m[0].rpartition("/")[2]) == m[1]]
+    begin = min((received for _, _, received, _ in known), default=0)
+    return _rows(known, MessageBuffer(arm, "recording", begin, every_command=True)).session()
+
+
+def _rows(messages: Iterable[Message], buffer: MessageBuffer) -> Rows:
     rows = Rows(buffer)
-    for name, stamp, message in _messages(reader, list(chosen.values()), arm, where):
+    for name, stamp, message in _decoded(messages, buffer.arm, buffer.where):
         buffer.take(name, stamp, message)
         if name == "joint_trajectory":
             rows.close()
     rows.close(everything=True)
-    return buffer, rows
+    return rows
 
 
-def _messages(
-    reader: Reader, connections: list[Connection], arm: Arm, where: str
-) -> Iterator[tuple[str, int, Any]]:
+def _decoded(messages: Iterable[Message], arm: Arm, where: str) -> Iterator[tuple[str, int, Any]]:
     """Last part of the topic's name, time of recording (ns), message; in the order of time."""
     types = message_types()
     decoders: dict[str, Callable[[bytes], Any]] = {
@@ -122,8 +141,8 @@ def _messages(
     }
     decoders["joint_states"] = JointStates(arm.joint_names, types)
     try:
-        for connection, stamp, raw in reader.messages(connections=connections):
-            name = _name(connection)
+        for topic, _, stamp, raw in messages:
+            name = topic.rpartition("/")[2]
             yield name, stamp, decoders[name](raw)
     except Exception as error:  # as in open_bag; what the caller raises does not come here
         raise _broken(where, error) from error

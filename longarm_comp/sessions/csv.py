@@ -190,7 +190,7 @@ def _sigma(table: Table) -> np.ndarray | None:
         if any(name in table.cells for name in names):
             check_header(table.where, table.header, names)
             unit = "m, above 0" if power == 1.0 else "m^2, above 0"
-            made = [table.numbers(name, unit, False, lambda v: v > 0) for name in names]
+            made = [table.numbers(name, unit, True, lambda v: v > 0) for name in names]
             return np.stack(made, axis=-1) ** power
     return None
 

@@ -15,6 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from rosbags.typesys.store import Typestore
 
+from longarm_comp.sessions.moment import stamp_of_raw
+
 KIND = "sensor_msgs/msg/JointState"
 _ENCODING, _STAMP = slice(0, 4), 12  # the header's stamp ends here
 _MOST_LAYOUTS = 8
@@ -44,8 +46,11 @@ class JointStates:
         self._names, self._types = tuple(names), types
         self._layouts: list[_Layout] = []
 
-    def __call__(self, raw: bytes) -> Numbers | None:
-        """Positions (n,) in the arm's order; None where the message lacks one of its joints."""
+    def __call__(self, raw: bytes) -> tuple[int, Numbers | None]:
+        """Stamp (ns) and positions (n,) in the arm's order; None where one of its joints lacks."""
+        return stamp_of_raw(raw), self._positions(raw)
+
+    def _positions(self, raw: bytes) -> Numbers | None:
         for known in self._layouts:
             if raw[_STAMP : known.begin] == known.head and raw[_ENCODING] == known.encoding:
                 if known.pick is None:

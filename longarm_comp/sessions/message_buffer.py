@@ -21,6 +21,7 @@ from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.errors import InputError
+from longarm_comp.sessions.moment import moment
 from longarm_comp.sessions.settled import Sighting
 
 TYPES = {
@@ -33,9 +34,6 @@ TYPES = {
     "session_row": "std_msgs/msg/String",
 }
 """Topics that are read, by last name, and their types."""
-
-CLOCKS_APART = 60.0
-"""Seconds between stamp and recording above which the stamp belongs to another clock."""
 
 
 class SessionRow(BaseModel):
@@ -78,7 +76,7 @@ class Held:
 
 @dataclass
 class MessageBuffer:
-    """The messages that may still be needed. All times are in s from `start_ns`.
+    """The messages that may still be needed. All times are in s from `start_ns` (`moment`).
 
     `take` stores a message of a topic in `TYPES`, or raises `InputError`.
 
@@ -111,10 +109,19 @@ class MessageBuffer:
         self._readers = {name: getattr(self, f"_{name}") for name in TYPES}
         self._times, self._joints = array("d"), array("d")
         self._sent: np.ndarray | None = None
+        self._received_ns = self.start_ns
 
     def take(self, topic: str, stamp_ns: int, message: Any) -> None:
         """Read one message of the topic whose name ends in this."""
-        self._readers[topic]((stamp_ns - self.start_ns) * 1e-9, message)
+        self._received_ns = stamp_ns
+        self._readers[topic](self._since_start(stamp_ns), message)
+
+    def _since_start(self, ns: int) -> float:
+        return (ns - self.start_ns) * 1e-9
+
+    def _moment(self, stamp_ns: int) -> float:
+        """Time (s) of the message at hand."""
+        return self._since_start(moment(stamp_ns, self._received_ns))
 
     def sightings_between(self, begin: float, end: float) -> list[Sighting]:
         """Sightings taken after `begin` and before `end`."""
@@ -159,14 +166,18 @@ class MessageBuffer:
             or len(q) > 1
             or np.abs(q[0] - self._sent).max() >= SAME_POSE
         ):
-            self.commands.append((t, q))
+            self.commands.append((min(t, self._moment(_stamp_ns(message))), q))  # not one to come
             self._sent = q[-1]
 
-    def _joint_states(self, t: float, positions: tuple[float, ...] | None) -> None:
-        """Positions in the arm's order, from `JointStates`; None: not of this arm."""
+    def _joint_states(self, t: float, told: tuple[int, tuple[float, ...] | None]) -> None:
+        """Stamp and positions in the arm's order, from `JointStates`; None: not of this arm."""
+        stamp_ns, positions = told
         if positions is not None and self.commands:
-            self._times.append(t)
-            self._joints.extend(positions)
+            at = self._moment(stamp_ns)
+            place = bisect_right(self._times, at)  # nearly always the end
+            self._times.insert(place, at)
+            n = self.arm.n
+            self._joints[place * n : place * n] = array("d", positions)
 
     def _tip_measured(self, t: float, message: Any) -> None:
         p = message.pose.pose.position
@@ -176,9 +187,7 @@ class MessageBuffer:
         covariance = np.asarray(message.pose.covariance, dtype=float)
         variance = covariance[[0, 7, 14]]
         turned, turn_variance = self._orientation(t, message.pose.pose.orientation, covariance)
-        stamp = message.header.stamp
-        taken = (stamp.sec * 10**9 + stamp.nanosec - self.start_ns) * 1e-9
-        taken = taken if abs(taken - t) < CLOCKS_APART else t
+        taken = self._moment(_stamp_ns(message))
         insort(self.sightings, Sighting(taken, xyz, variance, turned, turn_variance), key=_time)
         self.sighted = True
         self.frames.add(message.header.frame_id)
@@ -225,6 +234,11 @@ class MessageBuffer:
 
     def _error(self, what: str, t: float, value: object, allowed: str) -> InputError:
         return InputError(self.where, f"{what} at {t:.3f} s", value, allowed)
+
+
+def _stamp_ns(message: Any) -> int:
+    stamp = message.header.stamp
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
 def _time(record: tuple[Any, ...]) -> float:

@@ -12,8 +12,9 @@ from longarm_comp.core.arm.history import History
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.session import INCLINATION, Session
 from longarm_comp.core.errors import InputError
-from longarm_comp.sessions.message_buffer import CLOCKS_APART, MessageBuffer, SessionRow
-from longarm_comp.sessions.settled import Sighting, settled
+from longarm_comp.sessions.message_buffer import MessageBuffer, SessionRow
+from longarm_comp.sessions.moment import CLOCKS_APART
+from longarm_comp.sessions.settled import Sighting, nowhere, settled
 
 
 class Rows:
@@ -29,6 +30,7 @@ class Rows:
         self._made: list[Sighting] = []
         self._told: list[SessionRow] = []
         self._index: list[int] = []
+        self._lost: dict[int, str] = {}
         self._held: list[dict[str, float]] = []
         self._passed = False
 
@@ -50,16 +52,19 @@ class Rows:
         buffer = self._buffer
         begin, points = buffer.commands.popleft()
         sightings, rows = buffer.sightings_between(begin, end), buffer.rows_between(begin, end)
-        seen = settled(sightings, *buffer.states_between(begin, end), begin)
+        seen, why = settled(sightings, *buffer.states_between(begin, end), begin)
         row = rows[0][1] if rows else SessionRow()
+        passed = seen is None
+        if seen is None and rows:  # a measurement was meant: it is a row, and says why it is blank
+            seen = nowhere(rows[0][0])
         last = self._index[-1] if self._index else -1
         number = row.index if row.index is not None else last + 1
-        gap = seen and self._index and not self._passed and not 0 <= number - last <= 1
+        gap = not passed and self._index and not self._passed and not 0 <= number - last <= 1
         if gap:
             self._at, self._history = None, History.unknown(buffer.arm.n)
         self._history = self._history.after(points, self._at).told(_sides(row, buffer))
         self._at = points[-1]
-        self._passed = seen is None
+        self._passed = passed
         if seen is not None:
             self._q.append(self._at)
             self._came.append(self._history)
@@ -67,6 +72,8 @@ class Rows:
             self._made.append(seen)
             self._told.append(row)
             self._index.append(number)
+            if why:
+                self._lost[number] = why
             self._held.append({name: held.at(seen.t) for name, held in buffer.columns.items()})
         buffer.forget(end)
 
@@ -81,6 +88,7 @@ class Rows:
             allowed = "a sighting per command"
             raise InputError(buffer.where, "tip_measured", "none after a command", allowed)
         variance = np.array([seen.variance for seen in self._made])
+        blank = np.array([np.isnan(seen.xyz).any() for seen in self._made])
         columns = {"t_s": np.array([seen.t for seen in self._made])}
         for name, held in buffer.columns.items():
             columns[name] = np.array([row.get(name, held.first) for row in self._held])
@@ -94,12 +102,15 @@ class Rows:
             legs=np.array([came.legs for came in self._came]),
             told=np.array(self._sides),
             repeat_id=np.array([row.repeat_id for row in self._told]),
-            sigma=np.sqrt(variance) if (variance > 0).all() else None,
+            sigma=np.sqrt(np.where(blank[:, None] & (variance <= 0), np.nan, variance))
+            if (variance[~blank] > 0).all() and not blank.all()
+            else None,
             columns=columns,
             labels=_told([row.labels for row in self._told]),
             source=buffer.where,
             readings=readings,
             sigmas=self._sigmas(),
+            lost=self._lost,
         )
 
     def _readings(self) -> dict[str, np.ndarray]:

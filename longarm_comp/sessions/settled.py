@@ -9,6 +9,8 @@ import numpy as np
 
 from longarm_comp.core.data.rest import AFTER_S, JOINT_REST, REST_S, TIP_REST_M
 
+NO_REST = f"the joints did not rest for {REST_S} s"
+"""Why there is no position, where that is not the cameras' matter."""
 _LAST = 5
 
 
@@ -30,9 +32,27 @@ class Sighting(NamedTuple):
     turn_variance: float
 
 
+class Settled(NamedTuple):
+    """What was seen of the arm after a command.
+
+    Attributes:
+        sighting: of the arm at rest, its position NaN where the marker was lost; None: the arm
+            only passed.
+        why: why there is no position; empty where there is one.
+    """
+
+    sighting: Sighting | None
+    why: str = ""
+
+
+def nowhere(t: float) -> Sighting:
+    """A sighting at `t` (s) that measured nothing."""
+    return Sighting(t, np.full(3, np.nan), np.zeros(3), np.full(4, np.nan), 0.0)
+
+
 def settled(
     sightings: Sequence[Sighting], times: np.ndarray, joints: np.ndarray, begin: float
-) -> Sighting | None:
+) -> Settled:
     """The mean of the settled sightings between a command at `begin` (s) and the next one.
 
     The arm is at rest once the measured joints stay at their final values (`JOINT_REST`) and the
@@ -47,26 +67,26 @@ def settled(
 
     Returns:
         Mean time, position and orientation, and the variances of the mean. The position is NaN
-        if the marker was lost in all of those at rest. None without a sighting, or if the joints
-        did not come to rest.
+        if the marker was lost in all of those at rest. No sighting at all where there was none,
+        or the joints did not come to rest.
     """
     if not sightings:
-        return None
+        return Settled(None, "no sighting came")
     seen = [s for s in sightings if not np.isnan(s.xyz).any()]
     if not seen:
-        return sightings[-1]
+        return Settled(sightings[-1], "marker lost")
     rest = begin
     if len(times):
         moving = np.flatnonzero((np.abs(joints - joints[-1]) > JOINT_REST).any(axis=1))
         rest = float(times[moving[-1]]) if len(moving) else begin
         if max(times[-1], sightings[-1].t) - rest < REST_S:
-            return None
+            return Settled(None, NO_REST)
         still = _still(times, joints, rest)
-        since = ([s for s in seen if s.t >= t] for t in (still + AFTER_S, still, rest))
+        arrived = float(times[moving[-1] + 1]) if len(moving) else begin
+        since = ([s for s in seen if s.t >= t] for t in (still + AFTER_S, still, arrived))
         seen = next(filter(None, since), [])
         if not seen:  # it was seen on the way only
-            nowhere, untold = np.full(3, np.nan), np.full(4, np.nan)
-            return sightings[-1]._replace(xyz=nowhere, quaternion=untold)
+            return Settled(nowhere(sightings[-1].t), "marker seen on the way only")
     last = np.median([s.xyz for s in seen[-_LAST:]], axis=0)
     kept: list[Sighting] = []
     for s in reversed(seen):
@@ -76,13 +96,14 @@ def settled(
             break
     kept = kept or seen[-1:]
     n = len(kept)
-    return Sighting(
+    mean = Sighting(
         sum(s.t for s in kept) / n,
         np.mean([s.xyz for s in kept], axis=0),
         np.sum([s.variance for s in kept], axis=0) / n**2,
         _mean_turn([s.quaternion for s in kept]),
         sum(s.turn_variance for s in kept) / n**2,
     )
+    return Settled(mean)
 
 
 def _still(times: np.ndarray, joints: np.ndarray, rest: float) -> float:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import atomic_path
+from longarm_comp.core.files import atomic_path, check_regular
 
 LARGEST = 1e30
 """Larger numbers are no measurement; their squares leave the range of numbers."""
@@ -108,6 +108,7 @@ def read_table(path: str | Path) -> Table:
         InputError: it cannot be read, is empty, has no row, or a row has a wrong number of cells.
     """
     where = str(path)
+    check_regular(path)
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
             reader = csv.reader(file, strict=True)

@@ -2,8 +2,9 @@
 
 Any page that a browser on this machine opens can send requests to a loopback address. So a request
 is served only if it was sent to this server by name (`Host`, against DNS rebinding), from this page
-(`Origin`, which every WebSocket of a browser carries) and with the cookie that the link with the
-token sets.
+(`Origin`, which every WebSocket of a browser carries) and with the cookie. A link holds a code that
+is exchanged for the cookie once: a browser is given it on its command line, which everybody on the
+machine can read.
 """
 
 from __future__ import annotations
@@ -24,15 +25,22 @@ LOOPBACK = "127.0.0.1"
 _NAMES = (LOOPBACK, "localhost")
 
 
+def _drawn() -> str:
+    return secrets.token_urlsafe(24)
+
+
 @dataclass(frozen=True)
 class Gate:
-    """Refuses whoever has no token. A new one is drawn for every start."""
+    """Refuses whoever has no token, which is the cookie's value. Every start has a new one."""
 
-    token: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
+    token: str = field(default_factory=_drawn, repr=False)
+    _codes: set[str] = field(default_factory=set, repr=False)
 
     def link(self, port: int) -> str:
-        """The address to open; it sets the cookie."""
-        return f"http://{LOOPBACK}:{port}/?token={self.token}"
+        """An address to open once; it sets the cookie."""
+        code = _drawn()
+        self._codes.add(code)
+        return f"http://{LOOPBACK}:{port}/?code={code}"
 
     def guarded(self, serve: Serve) -> Serve:
         """The server's function of HTTP requests and WebSocket handshakes, behind the gate."""
@@ -44,10 +52,10 @@ class Gate:
             if why:
                 return connection.respond(HTTPStatus.FORBIDDEN, f"longarm view: {why}\n")
             where = urlsplit(request.path)
-            if where.path == "/" and self._is_token(*parse_qs(where.query).get("token", [])):
+            if where.path == "/" and self._redeemed(*parse_qs(where.query).get("code", [])):
                 return self._welcome(port)
             if not self._is_token(*_cookies(request.headers, _cookie(port))):
-                why = "open the link that `longarm view` printed; every start has a new one"
+                why = "open the link that `longarm view` printed; it opens the page once"
                 return connection.respond(HTTPStatus.FORBIDDEN, f"longarm view: {why}\n")
             if where.query:  # the viewer would connect to the server that ?websocket= names
                 return connection.respond(HTTPStatus.NOT_FOUND, "longarm view: no such page\n")
@@ -68,6 +76,14 @@ class Gate:
         if not origins and "Upgrade" in headers:
             return "a WebSocket needs an Origin"
         return ""
+
+    def _redeemed(self, *given: str) -> bool:
+        """Whether this is a code of a link that was not used before; it is now."""
+        try:
+            self._codes.remove(*given)
+        except (KeyError, TypeError):  # unknown, another request was quicker; none or several
+            return False
+        return True
 
     def _is_token(self, *given: str) -> bool:
         return len(given) == 1 and secrets.compare_digest(given[0].encode(), self.token.encode())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 
 from longarm_comp.jobs.client import GraphClient
 from longarm_comp.view.commands import Commands
@@ -19,20 +20,22 @@ _DRAWN_S, _CHART_S = 0.2, 0.5
 """Between two pictures; charts are sent whole, so rarely."""
 
 
-def view(namespace: str, port: int, stop: threading.Event, opened: Callable[[str], None]) -> None:
+def view(
+    namespace: str, port: int, stop: threading.Event, opened: Callable[[Callable[[], str]], None]
+) -> None:
     """Show the graph of a namespace until ``stop`` is set.
 
     Args:
         port: of the page, on the loopback address; the next free one where it is taken, and any
             free one for 0.
-        opened: gets the link to the page, which holds its token.
+        opened: gets what draws a link to the page; each opens it once.
     """
     gate = Gate()
     with serving(port, gate) as server, GraphClient(namespace, stop, "view") as client:
         listener, commands = Listener(client.node), Commands(client.node)
         panel = Panel(server, commands.press, client.node.get_namespace())
         scene, trace = Scene(server), Trace()
-        opened(gate.link(server.get_port()))
+        opened(partial(gate.link, server.get_port()))
         drawn = charted = 0.0
         while not stop.is_set():
             client.executor.spin_once(timeout_sec=0.02)

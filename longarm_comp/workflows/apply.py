@@ -1,7 +1,6 @@
 """A diagnosis put to work: model.yaml replaced by its version, the predictor trained again.
 
-`undo` restores both. A predictor belongs to one version of the model; one that does not fit the
-version at work is set aside beside it and comes back with its version.
+`at_work.undo` restores both.
 """
 
 from __future__ import annotations
@@ -13,12 +12,11 @@ from pathlib import Path
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.core.learn import predictor_file
-from longarm_comp.core.model import model_file
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import AS_DECLARED, read_stored, restore, save_model, store
 from longarm_comp.report.record import DiagnosisReport, read_report
+from longarm_comp.workflows.at_work import finish, put_to_work
 from longarm_comp.workflows.changes import Change, changes
 from longarm_comp.workflows.diagnosis_files import MODEL, MODEL_BEFORE, PREDICTOR, SESSION
 from longarm_comp.workflows.inputs import Note, Progress, admitted, file_hash, log_note, silent
@@ -95,9 +93,10 @@ def apply(
         raise JobError(f"{diagnosis}: nothing to apply: {nothing}", verdict=report.verdict)
     stored = read_stored(made)
     after = restore(stored, arm, str(made))
+    target = predictor or model.parent / PREDICTOR
+    finish(model, target)
     before = _before(stored.provenance, made, model, arm)
     rows = _session(stored.provenance, diagnosis, session, before, arm, note)
-    target = predictor or model.parent / PREDICTOR
     trained = train(arm, rows, model=made, seed=seed, note=note, progress=progress) if (
         network
     ) else None  # fmt: skip
@@ -109,10 +108,7 @@ def apply(
     changed = changes(before, after, seen.q, seen.context())
     if not model.is_file():
         save_model(model, store(declared_model(arm), version=AS_DECLARED))
-    aside = _set_aside(target)
-    model_file.put(model, made.read_bytes())
-    if trained is not None:
-        trained.save(target)
+    aside = put_to_work(model, made.read_bytes(), target, trained)
     return Applied(
         model,
         stored.version,
@@ -168,32 +164,6 @@ def mean_errors(report: DiagnosisReport) -> tuple[Pair | None, Pair | None]:
     return (before.commanded_mean_mm, after.commanded_mean_mm), seen
 
 
-def undo(model: Path) -> Path | None:
-    """Restore the version of a model before, byte for byte, and the predictor that belonged to it.
-
-    Predictors are looked for beside the model. One that belonged to the version taken back is
-    set aside.
-
-    Returns:
-        The predictor that came back; None where there is none.
-
-    Raises:
-        InputError: there is no previous version.
-    """
-    discarded = file_hash(model) if model.is_file() else ""
-    model_file.undo(model)
-    restored = file_hash(model)
-    for file in sorted(model.parent.glob("*.npz")):
-        if _trained_with(file) == discarded:
-            os.replace(file, file.with_name(f"{file.stem}.undone.npz"))
-    for kept in sorted(model.parent.glob("*.previous.npz")):
-        if _trained_with(kept) == restored:
-            back = kept.with_name(kept.name.replace(".previous.npz", ".npz"))
-            os.replace(kept, back)
-            return back
-    return None
-
-
 def _before(provenance: dict[str, str | int | float], made: Path, model: Path, arm: Arm) -> Model:
     """The model at work, which must be the one that was diagnosed."""
     diagnosed = provenance.get(MODEL_BEFORE)
@@ -237,20 +207,3 @@ def _session(
         wanted = f"the session diagnosed, {str(provenance.get('session_hash'))[:12]}"
         raise InputError(path, "sha256 of the rows", rows.hash[:12], wanted)
     return rows
-
-
-def _set_aside(predictor: Path) -> Path | None:
-    if not predictor.is_file():
-        return None
-    kept = predictor.with_name(f"{predictor.stem}.previous{predictor.suffix}")
-    os.replace(predictor, kept)
-    return kept
-
-
-def _trained_with(path: Path) -> str | None:
-    """SHA-256 of the model that a predictor was trained with; None: another kind of file."""
-    try:
-        settings = predictor_file.load(path).provenance.settings
-    except InputError:
-        return None
-    return str(settings.get("model_hash", ""))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from longarm_comp.cli import options
+from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import print_json, print_rows, progress
 
 
@@ -24,8 +24,10 @@ from longarm_comp.cli.output import print_json, print_rows, progress
 )
 @options.seed
 @options.as_json
-@click.option(
-    *("-o", "--output"), type=click.Path(path_type=Path), help="Folder for day.json and day.png."
+@options.written(
+    "-o/--output",
+    "Folder for day.json and day.png.",
+    outputs.folder("day.json", "day.png", told_by="day.json"),
 )
 def command(
     arm: Path | None,

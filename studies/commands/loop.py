@@ -6,12 +6,16 @@ from pathlib import Path
 
 import click
 
-from longarm_comp.cli import options
+from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, print_rows, progress
 
 
 @click.command()
-@options.output(None, "JSON-lines file, one line per case. Cases in it are not run again.")
+@options.output(
+    None,
+    "JSON-lines file, one line per case. Cases in it are not run again.",
+    outputs.marked(b"{"),
+)
 @options.path_option("--arm", "arm.yaml of the declared arm; the demonstration's by default.")
 @click.option("--groups", default="none,single,pair,removed,outside", show_default=True)
 @click.option("--effects", help="Canonical names, separated by commas; all by default.")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from longarm_comp.cli import options
+from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, print_rows, progress
 
 
@@ -34,10 +34,11 @@ from longarm_comp.cli.output import note, print_json, print_rows, progress
 )
 @options.seed
 @options.as_json
-@click.option(
-    *("-o", "--output"), type=click.Path(path_type=Path),
-    help="Folder for table1.json and table1.png.",
-)  # fmt: skip
+@options.written(
+    "-o/--output",
+    "Folder for table1.json and table1.png.",
+    outputs.folder("table1.json", "table1.png", told_by="table1.json"),
+)
 def command(
     arm: Path | None,
     count: int,

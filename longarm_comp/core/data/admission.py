@@ -8,6 +8,7 @@ joint that never moved, lost markers, gross outliers) is reported as a finding.
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
@@ -258,7 +259,10 @@ def _measured_at_all(case: _Case) -> Iterator[AdmissionFinding]:
         yield AdmissionFinding("blanks", "x, y, z", text)
     if lost:
         share = lost / len(case.session)
-        yield AdmissionFinding("blanks", field, f"marker lost in {lost} rows ({share:.0%})")
+        why = Counter(case.session.lost.values())
+        causes = ", ".join(f"{cause} in {count}" for cause, count in why.most_common())
+        text = f"nothing measured in {lost} rows ({share:.0%})"
+        yield AdmissionFinding("blanks", field, f"{text}: {causes}" if causes else text)
 
 
 def _constant(case: _Case) -> Iterator[AdmissionFinding]:
@@ -311,8 +315,9 @@ def _lengths(case: _Case) -> None:
     if not 0.4 < ratio < 2.5:
         allowed = f"positions in m that spread as arm {case.arm.name} does, {expected:.4g} m"
         raise case.refuse("x, y, z", f"spread {found:.4g}", allowed)
-    if case.seen.sigma is not None and np.median(case.seen.sigma) > 0.2 * expected:
-        value = float(np.median(case.seen.sigma))
+    stated = np.zeros(0) if case.seen.sigma is None else case.seen.sigma
+    value = float(np.median(stated[np.isfinite(stated)])) if np.isfinite(stated).any() else 0.0
+    if value > 0.2 * expected:
         raise case.refuse("sigma_x, sigma_y, sigma_z", value, "metres, well below the arm's reach")
 
 

@@ -50,6 +50,8 @@ class Session(MeasuredRows):
             NaN was not. `orientation`: x, y, z, w; `distance`: m, to the row's `anchor`.
         sigmas: standard deviations of these, by kind, (N,) each in m or rad.
         blocks: the channels of the equations; a part of a session keeps those of the whole.
+        lost: why rows of the recording hold no measurement, by index, where that is known; a part
+            of a session keeps those of the whole.
     """
 
     index: np.ndarray
@@ -66,6 +68,7 @@ class Session(MeasuredRows):
     readings: Mapping[str, np.ndarray] = field(default_factory=dict)
     sigmas: Mapping[str, np.ndarray] = field(default_factory=dict)
     blocks: tuple[ChannelBlock, ...] = ()
+    lost: Mapping[int, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check the shapes and freeze the arrays."""

@@ -197,7 +197,7 @@ def load_file(path: str | Path) -> tuple[Kind, ...]:
         module = sys.modules[name] = importlib.util.module_from_spec(spec)
         try:
             spec.loader.exec_module(module)
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             del sys.modules[name]
             said = f"{type(error).__name__}: {error}"
             raise InputError(path, "effects", said, "a Python file that can be executed") from error

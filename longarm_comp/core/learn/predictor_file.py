@@ -25,6 +25,9 @@ VERSION = 1
 _MOST_BYTES = 256_000_000
 """An ensemble of the widest networks is a tenth of this."""
 
+_LARGEST = 1e6
+"""Inputs, weights and lengths (m) are far below it: no arm is a thousand kilometres long."""
+
 _ARRAYS = (
     "kept", "mean", "input_scale", "lower", "upper", "weights", "posterior", "offset", "noise",
     "widen",
@@ -102,15 +105,15 @@ def load(
         value = arrays[name]
         if value.shape != shape or value.dtype.kind != "f":
             raise InputError(path, name, f"{value.dtype} {value.shape}", f"floats {shape}")
-        if not np.isfinite(value).all():
-            raise InputError(path, name, "NaN or infinite", "finite numbers")
+        if not (np.abs(value) <= _LARGEST).all():
+            raise InputError(path, name, "NaN or too large", f"numbers up to {_LARGEST:g}")
     if not (arrays["input_scale"] > 0).all():
         raise InputError(path, "input_scale", arrays["input_scale"].min(), "> 0")
     alone = arrays.get("alone", np.full(3, np.inf))  # files of earlier versions hold none
-    if alone.shape != (3,) or alone.dtype.kind != "f" or not (alone >= 0).all():
+    if alone.shape != (3,) or alone.dtype.kind != "f" or not _lengths(alone, alone >= 0):
         raise InputError(path, "alone", alone.tolist(), "three lengths of 0 m or more")
     gain = arrays.get("gain", np.array(dataclasses.astuple(LearnedGain())))
-    if gain.shape != (3,) or gain.dtype.kind != "f" or np.isnan(gain).any():
+    if gain.shape != (3,) or gain.dtype.kind != "f" or not _lengths(gain):
         raise InputError(path, "gain", gain.tolist(), "three lengths in m")
     if arm_hash is not None and header["arm_hash"] != arm_hash:
         raise InputError(path, "arm_hash", header["arm_hash"], f"{arm_hash} (the arm in use)")
@@ -135,6 +138,12 @@ def load(
             header["arm_hash"], header["session_hash"], names, header["settings"]
         ),
     )
+
+
+def _lengths(values: NDArray[Any], fits: NDArray[Any] | bool = True) -> bool:
+    """Whether these are lengths; infinite is what is unknown."""
+    known = np.isposinf(values) | (np.abs(values) <= _LARGEST)
+    return bool((known & fits).all())
 
 
 def belongs(predictor: Predictor, path: str | os.PathLike[str], model_hash: str, to: str) -> None:

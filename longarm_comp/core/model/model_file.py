@@ -229,23 +229,58 @@ def save_model(path: str | Path, stored: StoredModel) -> None:
 def put(path: str | Path, content: bytes) -> None:
     """Write a model file's bytes atomically. An existing file becomes the previous version.
 
+    It is first kept beside both, so that broken off anywhere both versions are still there.
+
     Raises:
         InputError: the folder cannot be written.
     """
     path = Path(path)
+    settle(path)
     if os.path.isfile(path):  # False in an unreadable folder; writing then raises
-        with atomic_path(previous(path)) as partial:
+        with atomic_path(_before(path)) as partial:
             partial.write_bytes(path.read_bytes())
     with atomic_path(path) as partial:
         partial.write_bytes(content)
+    settle(path)
+
+
+def settle(path: str | Path) -> None:
+    """Finish a `put` that was broken off: what it kept is the previous version, or not needed.
+
+    Raises:
+        InputError: a file cannot be moved.
+    """
+    path = Path(path)
+    kept = _before(path)
+    if not os.path.isfile(kept):
+        return
+    if os.path.isfile(path) and path.read_bytes() == kept.read_bytes():  # nothing was replaced
+        kept.unlink()
+    else:
+        _move(kept, previous(path))
 
 
 def previous(path: str | Path) -> Path:
     """Path of the previous version. Raises InputError where the path names no file."""
+    return _beside(path, "previous")
+
+
+def _before(path: Path) -> Path:
+    return _beside(path, "before")
+
+
+def _beside(path: str | Path, what: str) -> Path:
     path = Path(path)
     if not path.name:
         raise InputError(str(path), "model", "a folder", "a file")
-    return path.with_name(f"{path.stem}.previous{path.suffix}")
+    return path.with_name(f"{path.stem}.{what}{path.suffix}")
+
+
+def _move(path: Path, to: str | Path) -> None:
+    try:
+        os.replace(path, to)
+    except OSError as error:
+        raise InputError(str(to), "file", error.strerror, "a file that may be replaced") from error
 
 
 def undo(path: str | Path) -> None:
@@ -254,16 +289,12 @@ def undo(path: str | Path) -> None:
     Raises:
         InputError: there is no previous version, it is no model, or it cannot be moved.
     """
+    settle(path)
     kept = previous(path)
     if not kept.is_file():
         raise InputError(str(path), "previous version", "missing", f"a file {kept.name}")
     read_stored(kept)
-    try:
-        os.replace(kept, path)
-    except OSError as error:
-        raise InputError(
-            str(path), "file", error.strerror, "a file that may be replaced"
-        ) from error
+    _move(kept, path)
 
 
 def read_stored(path: str | Path) -> StoredModel:

@@ -14,6 +14,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.client import GraphClient
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.stereo_bridge import MARKER_LOST
+from longarm_comp.sessions.settled import NO_REST
 
 
 class Causes:
@@ -34,8 +35,10 @@ class Causes:
         graph.RIGHT_INFO.subscription(client.node, lambda m: self._on_info("right", m))
         graph.DIAGNOSTICS.subscription(client.node, self._on_diagnostics)
 
-    def of(self, q: np.ndarray) -> str:
-        """The likely cause at joints q (n,)."""
+    def of(self, q: np.ndarray, recorded: str = "") -> str:
+        """The likely cause at joints q (n,); ``recorded`` is what the recording says."""
+        if recorded == NO_REST:
+            return recorded
         why = "" if self._view is None else self._view.unseen(self._model.pose(q[None]))[0]
         if why:
             return why

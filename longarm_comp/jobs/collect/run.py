@@ -19,6 +19,7 @@ from std_msgs.msg import Float64, String
 from std_srvs.srv import SetBool
 
 from longarm_comp.arm_folder.visible import View
+from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.keep_out import entered
@@ -31,6 +32,7 @@ from longarm_comp.jobs.measurement_schedule import Visit
 from longarm_comp.jobs.pace import Pace
 from longarm_comp.jobs.recorder import Recorder
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.sessions.bag import read_visit
 from longarm_comp.sessions.bag_segments import SegmentedBag
 
 _FRESH_S = 0.05  # a sighting shall be taken this long after the joints came to rest
@@ -168,29 +170,55 @@ class _Run:
 
     def _make(self, visit: Visit) -> None:
         """Drive to one pose, look, and keep it; again where the driver was held meanwhile."""
-        client, begun_s = self._client, time.monotonic()
+        begun_s = time.monotonic()
         while True:
             self._recorder.drop()
             if visit.payload_kg is not None:
                 self._payload.publish(Float64(data=visit.payload_kg))
-            begun = time.time_ns()
             try:
-                tips = _visit(client, visit, self._pace)
+                row = self._visit_row(visit)
                 break
             except DriverStopped as stopped:
                 if not stopped.held:
                     raise
                 self._wait_for_driver(str(stopped))
                 begun_s = time.monotonic()
-        if tips:
+        if row.located[0]:
             self.seen += 1
-            self._error_mm = self._causes.error_mm(visit.q, np.mean(tips, axis=0))
+            self._error_mm = self._causes.error_mm(visit.q, row.xyz[0])
         else:
-            self.lost[visit.index] = self._causes.of(visit.q)
-        _tell_visit(client, self._recorder, visit)
-        self._recorder.keep(since_ns=begun)
+            self.lost[visit.index] = self._causes.of(visit.q, row.lost.get(visit.index, ""))
         self._driving_s += time.monotonic() - begun_s
         self._tell()
+
+    def _visit_row(self, visit: Visit) -> Session:
+        """Drive to one pose, look, and keep it; the row as the bag holds it.
+
+        What counts is what was recorded: where the recorder has not heard as much as the client,
+        it is waited for.
+        """
+        client, pace, recorder = self._client, self._pace, self._recorder
+        begun, tips = _visit(client, visit, pace)
+        _tell_visit(client, recorder, visit)
+        topics = "joint_trajectory", "tip_measured", "joint_states"
+        names = [client.node.resolve_topic_name(topic) for topic in topics]
+        last = client.sightings[-1][0] if tips else 0
+        end, read_at = time.monotonic() + pace.look_s, 0
+
+        def complete() -> Session | None:
+            nonlocal read_at
+            command, tip, joints = (recorder.newest.get(name, 0) for name in names)
+            late = not tips or time.monotonic() > end
+            if command < begun or (not late and (min(tip, joints) < last or tip == read_at)):
+                return None
+            read_at = tip
+            rows = read_visit(recorder.about(begun), client.arm)
+            row = rows.take(np.flatnonzero(rows.index == visit.index)[-1:])
+            return row if late or row.located[0] else None
+
+        row: Session = client.until(complete, pace.look_s + 60.0, "recording")
+        recorder.keep(since_ns=begun)
+        return row
 
     def _next(self, left: list[Visit]) -> Visit | None:
         """The first visit whose way from here is free; where there is none, all are blocked."""
@@ -257,15 +285,15 @@ def _hear_circumstances(client: ArmClient, recorder: Recorder) -> None:
     )  # fmt: skip
 
 
-def _visit(client: ArmClient, visit: Visit, pace: Pace) -> list[np.ndarray]:
-    """Drive to one pose and look; the sightings (3,), m."""
+def _visit(client: ArmClient, visit: Visit, pace: Pace) -> tuple[int, list[np.ndarray]]:
+    """Drive to one pose and look; when it was sent there (ns), and the sightings (3,), m."""
     client.driver_takes()
     start = client.joints
-    client.send(visit.path, pace.move_s)
+    begun = client.send(visit.path, pace.move_s)
     client.spin(0.05)  # the driver has taken it up when its joints move
     tolerance = np.full(client.arm.n, pace.tolerance)
     now = client.arrive(visit.path, tolerance, pace.dwell_s, pace.arrive_s, start)
-    return client.look(now + int(_FRESH_S * 1e9), pace.sightings, pace.look_s)
+    return begun, client.look(now + int(_FRESH_S * 1e9), pace.sightings, pace.look_s)
 
 
 def _tell_visit(client: ArmClient, recorder: Recorder, visit: Visit) -> None:

@@ -1,0 +1,189 @@
+"""The one rule for what commands write: no input is overwritten, and of what exists only its kind.
+
+A file of the kind that is written there (its first and last bytes tell) is replaced. A file that
+people edit, like arm.yaml, and whatever else exists, stays without ``--force``. Links are followed.
+Inputs are regular files or folders: a pipe or a device has no end that a reader could check. And
+numbers are finite.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+
+_LOOKED_AT = 4096
+Kind = Callable[[Path], bool]
+"""Whether a file that exists is one that the command would write, and may be replaced."""
+
+
+def never(path: Path) -> bool:
+    """Of what people go on to edit."""
+    return False
+
+
+def marked(*marks: bytes) -> Kind:
+    """A file in whose first or last bytes all of these stand."""
+
+    def ours(path: Path) -> bool:
+        ends = _ends(path)
+        return all(mark in ends for mark in marks)
+
+    return ours
+
+
+def table(*columns: str, without: str = "") -> Kind:
+    """A table whose header begins with ``index`` and has these columns."""
+
+    def ours(path: Path) -> bool:
+        header = _ends(path).split(b"\n")[0].decode("utf-8", "replace").strip().split(",")
+        fits = header[0] == "index" and set(columns) <= set(header)
+        return fits and without not in header
+
+    return ours
+
+
+def folder(*names: str, told_by: str = "", schema: str = "") -> Kind:
+    """A folder that has no file of these names, or one that the command wrote before."""
+
+    def ours(path: Path) -> bool:
+        if not path.is_dir():
+            return False
+        if not any((path / name).exists() for name in names):
+            return True
+        try:
+            told = json.loads((path / told_by).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return False
+        return not schema or (isinstance(told, dict) and told.get("schema") == schema)
+
+    return ours
+
+
+def left_to_the_command(path: Path) -> bool:
+    """Of folders and bags that the command itself refuses where they exist, or resumes."""
+    return True
+
+
+MODEL = marked(b"# Written by longarm")
+PREDICTOR = marked(b"PK\x03\x04", b"header.npy")
+URDF = marked(b"<robot", b"written by longarm export-urdf")
+SESSION = table("q1", "repeat_id")
+POSES = table("q1", without="repeat_id")
+COMMANDS = table("q1", "status", "predicted_error_x")
+PICTURE = marked(b"longarm")
+EFFECTS = marked(b'"""Effects that a diagnosis of')
+_DIAGNOSED = "report.json", "report.html", "model.yaml", "predictor.npz"
+DIAGNOSIS = folder(*_DIAGNOSED, told_by="report.json", schema="longarm/diagnosis/1")
+
+
+def diagnosed(path: Path) -> list[Path]:
+    """Files of a diagnosis in its folder."""
+    return [path / name for name in _DIAGNOSED]
+
+
+def _ends(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            head = file.read(_LOOKED_AT)
+            file.seek(max(0, path.stat().st_size - _LOOKED_AT))
+            return head + file.read(_LOOKED_AT)
+    except OSError:
+        return b""
+
+
+class Output(click.Option):
+    """An option that names what is written.
+
+    Args:
+        kind: of the file or folder.
+        beside: files that are written as well.
+    """
+
+    def __init__(
+        self,
+        *words: Any,
+        kind: Kind,
+        beside: Callable[[Path], list[Path]] = lambda path: [],
+        **named: Any,
+    ) -> None:
+        super().__init__(*words, **named)
+        self.kind, self.beside = kind, beside
+
+
+def guarded(command: click.Command, name: str) -> click.Command:
+    """The command, which keeps the rule before it does anything."""
+    outputs = [p for p in command.params if isinstance(p, Output)]
+    if any(isinstance(p, click.Option) and "--force" in p.opts for p in command.params):
+        return command  # made before
+    if outputs:
+        what = "Overwrite what exists, also an input."
+        command.params.append(click.Option(["--force"], is_flag=True, help=what))
+    run = command.callback
+    assert run is not None
+
+    def checked(*, force: bool = False, **given: Any) -> Any:
+        _check(name, command.params, given, force)
+        return run(**given)
+
+    command.callback = checked
+    return command
+
+
+def _check(name: str, params: list[click.Parameter], given: dict[str, Any], force: bool) -> None:
+    from longarm_comp.core.errors import InputError
+    from longarm_comp.core.files import check_regular
+
+    inputs = [p for p in params if not isinstance(p, Output)]
+    outputs = [p for p in params if isinstance(p, Output)]
+    read = [path for p in inputs for path in _paths(given.get(p.name or ""))]
+    for path in read:
+        check_regular(path)
+    for p in params:
+        for value in _numbers(given.get(p.name or "")):
+            if not math.isfinite(value):
+                raise InputError(name, p.opts[0], value, "a finite number")
+    for option in outputs:
+        for path in _paths(given.get(option.name or "")):
+            check_regular(path)
+            for made in () if force else (path, *option.beside(path)):
+                word = option.opts[0]
+                for other in read:
+                    if _same(made, other):
+                        raise InputError(
+                            name, word, f"{made} is the input {other}",
+                            "another file, or --force",
+                        )  # fmt: skip
+                if made == path and made.exists() and not option.kind(made):
+                    raise InputError(
+                        name, word, f"{made} exists and is not what {name} writes",
+                        "a file that does not exist, or --force",
+                    )  # fmt: skip
+
+
+def _paths(value: Any) -> Iterator[Path]:
+    if isinstance(value, Path):
+        yield value
+    elif isinstance(value, tuple | list):
+        for part in value:
+            yield from _paths(part)
+
+
+def _numbers(value: Any) -> Iterator[float]:
+    if isinstance(value, float):
+        yield value
+    elif isinstance(value, tuple | list):
+        for part in value:
+            yield from _numbers(part)
+
+
+def _same(one: Path, other: Path) -> bool:
+    """Whether both are one file, links followed; or a folder that is written holds the other."""
+    try:
+        return one.samefile(other)
+    except OSError:  # one does not exist
+        return one.resolve() == other.resolve()

@@ -1,0 +1,132 @@
+"""Model and predictor at work, changed together, and taken back.
+
+A predictor belongs to one version of the model. Beside `predictor.npz`, which is at work, others
+are kept under the model that they were trained with, `predictor.of_<hash>.npz`: no step overwrites
+what another version needs. What is new is written first, what no longer fits is set aside last.
+A change that was broken off anywhere leaves a model and a predictor that fit, or the model alone;
+the next change finishes it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from pathlib import Path
+from typing import Protocol
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import atomic_path
+from longarm_comp.core.learn import predictor_file
+from longarm_comp.core.model import model_file
+from longarm_comp.workflows.inputs import file_hash
+
+_HASH = 12
+_KEPT = re.compile(rf"\.of_[0-9a-f]{{{_HASH}}}$")
+
+
+class Saved(Protocol):
+    """A predictor that can be written."""
+
+    def save(self, path: Path) -> None:
+        """Write it, whole or not at all."""
+
+
+def put_to_work(
+    model: Path, content: bytes, predictor: Path, trained: Saved | None = None
+) -> Path | None:
+    """Replace the model at work, and with it the predictor.
+
+    Args:
+        model: file at work; where it exists it becomes the previous version.
+        content: of the new version.
+        predictor: file at work; it need not exist.
+        trained: with the new version; None: no predictor is at work then.
+
+    Returns:
+        Where the predictor before is kept; None where there was none.
+
+    Raises:
+        InputError: a folder cannot be written. JobError: the disk is full.
+    """
+    finish(model, predictor)
+    aside = _keep(predictor)
+    new = hashlib.sha256(content).hexdigest()
+    if trained is not None:
+        trained.save(_kept(predictor, new))
+    else:
+        _kept(predictor, new).unlink(missing_ok=True)  # of an earlier time that was taken back
+    model_file.put(model, content)
+    finish(model, predictor)
+    if aside is not None and trained is None:
+        os.replace(predictor, aside)
+    _forget(model, predictor)
+    return aside
+
+
+def undo(model: Path) -> Path | None:
+    """Restore the version of a model before, byte for byte, and the predictor that belonged to it.
+
+    Predictors are looked for beside the model. One that belonged to the version taken back is
+    set aside. Broken off, it is finished by calling it again.
+
+    Returns:
+        The predictor that came back; None where there is none.
+
+    Raises:
+        InputError: there is no previous version.
+    """
+    at_work = [p for p in sorted(model.parent.glob("[!.]*.npz")) if _trained_with(p) is not None]
+    names = sorted({p.with_name(_KEPT.sub("", p.stem) + p.suffix) for p in at_work})
+    discarded = file_hash(model) if model.is_file() else ""
+    back = [name for name in names if finish(model, name)]
+    if not (back and not model_file.previous(model).is_file()):
+        model_file.undo(model)
+        back = [name for name in names if finish(model, name)]
+        for name in names:
+            if name.is_file() and _trained_with(name) == discarded:
+                os.replace(name, _kept(name, discarded))
+    return back[0] if back else None
+
+
+def finish(model: Path, predictor: Path) -> bool:
+    """Finish a change that was broken off; whether a predictor is at work again by it."""
+    model_file.settle(model)
+    fits = _kept(predictor, file_hash(model)) if model.is_file() else None
+    if fits is None or not fits.is_file():
+        return False
+    _keep(predictor)
+    os.replace(fits, predictor)
+    return True
+
+
+def _keep(predictor: Path) -> Path | None:
+    """A copy of the predictor at work under its model's name; None where there is none."""
+    if not predictor.is_file():
+        return None
+    aside = _kept(predictor, _trained_with(predictor) or file_hash(predictor))
+    with atomic_path(aside) as partial:
+        partial.write_bytes(predictor.read_bytes())
+    return aside
+
+
+def _forget(model: Path, predictor: Path) -> None:
+    """Remove predictors of versions that `undo` no longer reaches."""
+    versions = [path for path in (model, model_file.previous(model)) if path.is_file()]
+    needed = {_kept(predictor, file_hash(path)) for path in versions}
+    for path in predictor.parent.glob(f"{predictor.stem}.of_*{predictor.suffix}"):
+        if _KEPT.search(path.stem) and path not in needed and _trained_with(path):
+            path.unlink()
+
+
+def _kept(predictor: Path, of: str) -> Path:
+    return predictor.with_name(f"{predictor.stem}.of_{of[:_HASH]}{predictor.suffix}")
+
+
+def _trained_with(path: Path) -> str | None:
+    """SHA-256 of the model that a predictor was trained with; None: another kind of file."""
+    try:
+        settings = predictor_file.load(path).provenance.settings
+    except InputError:
+        return None
+    return str(settings.get("model_hash", ""))
