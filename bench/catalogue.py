@@ -98,6 +98,7 @@ BENCHMARKS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
             "ros_share_ik_ms",
             "ros_share_node_ms",
             "ros_sustained_rate_vs_echo_hz",
+            "ros_flood_compensate_p99_ms",
             "ros_composed_target_to_trajectory_vs_echo_p50_ms",
             "ros_composed_target_to_trajectory_vs_echo_p99_ms",
             "ros_composed_compensate_vs_echo_p50_ms",

@@ -12,6 +12,7 @@ error.  The node is the remainder (threads, executors, messages).
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -32,6 +33,8 @@ PEER = "bare rclpy echo of the same messages"
 BLOCKS, PER_BLOCK = 8, 50
 BURST = 80  # below every queue on the way
 BURSTS = 3
+FLOOD_HZ, FLOOD_S = 1000, 10
+ROOT = Path(__file__).parents[1]
 
 
 @dataclass(frozen=True)
@@ -115,6 +118,31 @@ def ros_plain_target_to_trajectory_vs_echo_p99_ms() -> Result:
     """The slow ones."""
     f = figures("plain")
     return _beside("ros_plain_target_to_trajectory_vs_echo_p99_ms", f.topic, f.topic_echo, 99)
+
+
+def ros_flood_compensate_p99_ms() -> Result:
+    """Round trip of `compensate` beside a flood of targets."""
+    from bench.ros_calls import Calls
+
+    arm = demo_arm()
+    with _graph(arm, "processes") as calls_on:
+        calls: Calls = calls_on(Calls)
+        calls.warm_up()
+        words = ["-m", "bench.flood", str(FLOOD_HZ), str(FLOOD_S), "--ros-args"]
+        space = f"__ns:={calls.namespace}"
+        flood = subprocess.Popen(
+            [sys.executable, *words, "-r", space], cwd=ROOT, stdout=subprocess.PIPE, text=True
+        )
+        calls.flooded()
+        times: list[float] = []
+        while flood.poll() is None:
+            times.append(1e3 * calls.alone(len(times)))
+        sent = int(flood.communicate()[0])
+    p99 = float(np.percentile(times, 99))
+    return alone(
+        "ros_flood_compensate_p99_ms", "ms", [p99], f"beside {FLOOD_HZ} targets a second",
+        calls=len(times), p50=float(np.median(times)), targets=sent,
+    )  # fmt: skip
 
 
 def ros_share_dds_ms() -> Result:

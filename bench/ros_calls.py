@@ -131,6 +131,24 @@ class Calls:
             raise JobError(f"a target of the benchmark was refused: {answer.message}")
         return seconds
 
+    def alone(self, i: int) -> float:
+        """`compensate` whatever else is published."""
+        request = Compensate.Request(target=self._poses[i % _POSES])
+        seconds, answer = self._call(self._compensate, request)
+        if answer.status != Compensate.Response.SUCCESS:
+            raise JobError(f"a target of the benchmark was refused: {answer.message}")
+        return seconds
+
+    def flooded(self) -> None:
+        """Wait until targets of somebody else are answered."""
+        count = self._compensations
+        self._until(lambda: self._compensations > count, 60.0)
+
+    @property
+    def namespace(self) -> str:
+        """Of the graph."""
+        return str(self._client.node.get_namespace())
+
     def service_echo(self, i: int) -> float:
         """The same through the echo."""
         request = Compensate.Request(target=self._poses[i % _POSES])

@@ -9,14 +9,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from builtin_interfaces.msg import Duration
+from builtin_interfaces.msg import Duration, Time
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from nodes_bench import Bench, bench, own_graph
-from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.orders import Stamps, order_id
 from longarm_comp.sim.servo_emulator import MotorSpec, ServoEmulator, read_arm
 from longarm_interfaces.msg import DriverState, Motion
 
@@ -57,6 +57,7 @@ class Rig:
         self.said = stage.collect(graph.DRIVER_STATE)
         self.diagnostics = stage.collect(graph.DIAGNOSTICS)
         self.trajectories = graph.JOINT_TRAJECTORY.publisher(stage.node)
+        self.stamps, self.ids = Stamps(stage.node), dict[str, list[str]]()
         self.process = self.start()
 
     def start(self, patience_s: float = 5.0, clock: str = "system") -> subprocess.Popen[str]:
@@ -85,24 +86,31 @@ class Rig:
         """Where the emulated joints really stand."""
         return self.arm.values(self.emulator.positions())
 
-    def send(self, name: str = "", **goal: float) -> None:
+    def send(self, name: str = "", stamp: Time | None = None, **goal: float) -> str:
+        """Send a trajectory that this test calls so; the id by which the driver tells of it."""
         point = JointTrajectoryPoint(
             positions=list(goal.values()), time_from_start=Duration(nanosec=200_000_000)
         )
         self.stage.connected(self.trajectories)
-        self.trajectories.publish(
-            JointTrajectory(header=Header(frame_id=name), joint_names=list(goal), points=[point])
-        )
+        sent = JointTrajectory(joint_names=list(goal), points=[point])
+        sent.header.stamp = self.stamps.next() if stamp is None else stamp
+        self.ids.setdefault(name, []).append(order_id(sent))
+        self.trajectories.publish(sent)
+        return order_id(sent)
+
+    def told_of(self, name: str) -> list[Motion]:
+        """What the driver has told of the trajectories of that name, or of that id."""
+        return [motion for motion in self.motions if motion.id in self.ids.get(name, [name])]
 
     def events(self, name: str) -> list[int]:
-        """What the driver has told of the trajectory of that id."""
-        return [motion.event for motion in self.motions if motion.id == name]
+        """The same, as events."""
+        return [motion.event for motion in self.told_of(name)]
 
     def becomes(self, name: str, *events: int) -> Motion:
         """Wait until this, and nothing else, has become of a trajectory; the last message."""
         self.stage.spin(lambda: len(self.events(name)) >= len(events))
         assert self.events(name) == list(events)
-        return next(motion for motion in reversed(self.motions) if motion.id == name)
+        return self.told_of(name)[-1]
 
     def is_in(self, state: int) -> DriverState:
         """Wait until the driver tells that state."""
@@ -116,9 +124,9 @@ class Rig:
 
         self.stage.spin(there)
 
-    def goes(self, **goal: float) -> None:
+    def goes(self, stamp: Time | None = None, **goal: float) -> None:
         """Send until it is on its way: the driver's subscription may still be connecting."""
-        self.send(**goal)
+        self.send(stamp=stamp, **goal)
         self.arrives(**goal)
 
     def told(self, part: str) -> str:
@@ -153,6 +161,7 @@ class Rig:
     def in_order(self) -> Rig:
         """Forget what was said; running, and started again where a test ended it."""
         del self.diagnostics[:], self.motions[:]
+        self.ids.clear()
         if self.process.poll() is not None:
             self.start()
         self.is_idle()

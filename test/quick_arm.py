@@ -19,6 +19,7 @@ from trajectory_msgs.msg import JointTrajectory
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.orders import order_id
 from longarm_interfaces.msg import DriverState, Motion
 
 _PERIOD_S = 0.03
@@ -73,7 +74,7 @@ class QuickArm:
         self._pauses.call_async(SetBool.Request(data=on))
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
-        told = Motion(id=message.header.frame_id, event=Motion.ACCEPTED)
+        told = Motion(id=order_id(message), event=Motion.ACCEPTED)
         if self._state != DriverState.READY:
             told.event, told.message = Motion.REFUSED, "held"
         else:

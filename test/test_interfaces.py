@@ -42,6 +42,7 @@ SPEC = {
         "success": "boolean",
         "status": "uint8",
         "message": "string",
+        "id": "string",
         "ideal": "sensor_msgs/JointState",
         "command": "sensor_msgs/JointState",
         "run_up": "sensor_msgs/JointState",

@@ -25,6 +25,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_message, trajectory_message
+from longarm_comp.nodes.orders import order_id
 from longarm_interfaces.msg import DriverState, Motion
 from longarm_interfaces.srv import Compensate
 
@@ -55,7 +56,7 @@ class Driver:
     def _on_trajectory(self, message: JointTrajectory) -> None:
         self.got.append(message)
         if self.answers:
-            self.tell(self.event, message.header.frame_id, message)
+            self.tell(self.event, order_id(message), message)
         else:
             self.tell(Motion.REFUSED, "a trajectory of another one")
 
@@ -138,7 +139,7 @@ def test_nothing_is_called_sent_or_accepted_that_was_not(
     says(STATUS.NOT_ACCEPTED, "refused it: the fake says so", executed=True)
     driver.event = Motion.ACCEPTED
     answer = says(STATUS.SUCCESS, "", executed=True)
-    names = answer.command.header.frame_id, stories[-1].id, driver.got[-1].header.frame_id
+    names = answer.id, stories[-1].id, order_id(driver.got[-1])
     assert names[0] and len(set(names)) == 1
     assert len({story.id for story in stories}) == len(stories)
 
@@ -185,7 +186,8 @@ def test_what_the_driver_accepted_is_the_history_of_the_joints(
     ask = request(target, arm, execute=True)
     stage.spin(lambda: stage.call(client, ask).status == STATUS.NOT_ACCEPTED)  # it knows of "c"
     doubts(True)
-    way = trajectory_message(arm, sweep(arm, arm.mid), 0.1)
+    now = stage.node.get_clock().now().to_msg()
+    way = trajectory_message(arm, sweep(arm, arm.mid), 0.1, now)
     for event in (Motion.BROKEN_OFF, Motion.REPLACED):
         driver.event = Motion.REFUSED
         got = len(driver.got)

@@ -279,7 +279,8 @@ def test_a_drifted_arm_is_noticed_and_the_command_named(
 
         def warned() -> bool:
             q = arm.mid + 0.1 * (rng.random(arm.n) - 0.5) * (arm.upper - arm.lower)
-            sender.publish(trajectory_message(arm, q[None], 0.1))
+            now = stage.node.get_clock().now().to_msg()
+            sender.publish(trajectory_message(arm, q[None], 0.1, now))
             station.tips.clear()
             stage.spin(lambda: len(station.tips) > 5, within=30.0)
             return station.told("kinematics: monitor")[0] == WARN

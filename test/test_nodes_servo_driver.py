@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import signal
+import time
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +17,14 @@ from builtin_interfaces.msg import Time
 from driver_rig import Rig
 from lifecycle_msgs.msg import Transition
 from rcl_interfaces.srv import DescribeParameters
+from rclpy.duration import Duration as Lapse
 from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.orders import order_id
 from longarm_interfaces.msg import DriverState, Motion
 
 
@@ -70,13 +74,77 @@ def test_bad_trajectories_move_nothing_and_are_counted(rig: Rig) -> None:
     )
     for goal in bad:
         rig.send("bad", **goal)
-    rig.trajectories.publish(JointTrajectory(joint_names=["boom"], points=[JointTrajectoryPoint()]))
+    empty = JointTrajectory(joint_names=["boom"], points=[JointTrajectoryPoint()])
+    empty.header.stamp = rig.stamps.next()
+    rig.trajectories.publish(empty)
 
     rig.stage.spin(lambda: rig.refused() == already + len(bad) + 1)
     rig.becomes("bad", *[Motion.REFUSED] * len(bad))
-    assert "elbow" in next(motion for motion in rig.motions if motion.id == "bad").message
+    assert "elbow" in rig.told_of("bad")[0].message
     assert rig.joints() == pytest.approx(before, abs=1e-5)
     rig.goes(boom=0.02)
+
+
+def test_orders_that_are_old_withdrawn_or_unstamped_move_nothing(rig: Rig) -> None:
+    rig.goes(shoulder=0.2)
+    before = rig.joints()
+    now = rig.stage.node.get_clock().now()
+    for name, stamp, words in (
+        ("old", now - Lapse(seconds=3600), "3600."),
+        ("future", now + Lapse(seconds=3600), "in the future"),
+        ("unstamped", None, "header.stamp: 0"),
+    ):
+        rig.send(name, Time() if stamp is None else stamp.to_msg(), shoulder=0.6)
+        assert words in rig.becomes(name, Motion.REFUSED).message
+    withdrawals = graph.WITHDRAWN.publisher(rig.stage.node)
+    rig.stage.connected(withdrawals)
+    soon = rig.stamps.next()
+    asked = JointTrajectory(joint_names=["shoulder"], points=[JointTrajectoryPoint()])
+    asked.points[0].positions, asked.points[0].time_from_start.sec = [0.9], 20
+    asked.header.stamp = soon
+    rig.trajectories.publish(asked)
+    name = order_id(asked)
+    rig.stage.spin(lambda: rig.events(name) == [Motion.ACCEPTED])
+    withdrawals.publish(String(data="of somebody else"))
+    withdrawals.publish(String(data=name))  # it is on its way
+    rig.becomes(name, Motion.ACCEPTED, Motion.REPLACED)
+    rig.becomes(f"{name} withdrawn", Motion.ACCEPTED, Motion.REACHED)
+    rig.trajectories.publish(asked)  # it comes too late
+    assert (
+        "withdrawn" in rig.becomes(name, Motion.ACCEPTED, Motion.REPLACED, Motion.REFUSED).message
+    )
+    assert rig.joints() == pytest.approx(before, abs=0.1)
+    rig.goes(shoulder=0.0)
+
+
+def test_a_driver_that_was_away_moves_nothing_that_came_meanwhile(rig: Rig) -> None:
+    """Stopped and continued, at rest and on the way."""
+    rig.goes(shoulder=0.0)
+    away = 3.0  # more than order_max_age_s
+
+    def stopped(*sent: tuple[str, Time | None]) -> None:
+        rig.process.send_signal(signal.SIGSTOP)
+        for name, stamp in sent:
+            rig.send(name, stamp, shoulder=0.8)
+        end = time.monotonic() + away
+        rig.stage.spin(lambda: time.monotonic() > end)
+        rig.process.send_signal(signal.SIGCONT)
+
+    stopped(("meanwhile", None))
+    assert "s old" in rig.becomes("meanwhile", Motion.REFUSED).message
+    assert rig.joints()["shoulder"] == pytest.approx(0.0, abs=1e-3)
+    rig.is_idle()
+    way = JointTrajectory(joint_names=["shoulder"], points=[JointTrajectoryPoint()])
+    way.points[0].positions, way.points[0].time_from_start.sec = [0.9], 20
+    way.header.stamp = rig.stamps.next()
+    rig.trajectories.publish(way)
+    rig.stage.spin(lambda: rig.joints()["shoulder"] > 0.05)
+    stopped()
+    told = rig.becomes(order_id(way), Motion.ACCEPTED, Motion.BROKEN_OFF)
+    assert "was away" in told.message
+    assert rig.joints()["shoulder"] < 0.3
+    rig.is_in(DriverState.READY)
+    rig.goes(shoulder=0.0)
 
 
 def test_emergency_stop_lets_go_until_it_is_released(rig: Rig) -> None:
@@ -174,7 +242,7 @@ def test_a_killed_driver_leaves_the_arm_standing_and_its_successor_needs_no_cloc
     rig.start(clock="nobody's")
     rig.is_idle()
     assert rig.joints()["shoulder"] == pytest.approx(0.3, abs=1e-3)
-    rig.send("timeless", shoulder=0.1)
+    rig.send("timeless", Time(nanosec=1), shoulder=0.1)
     rig.becomes("timeless", Motion.ACCEPTED, Motion.REACHED)
     assert rig.states[-1].header.stamp == Time()  # the node's clock stands at 0
     rig.arrives(shoulder=0.1)
@@ -187,7 +255,7 @@ def test_a_killed_driver_leaves_the_arm_standing_and_its_successor_needs_no_cloc
             return bool(rig.states) and rig.states[-1].header.stamp.sec == second
 
         rig.stage.spin(at)
-        rig.goes(shoulder=0.0 if second == 50 else 1e-4 * second)
+        rig.goes(rig.states[-1].header.stamp, shoulder=0.0 if second == 50 else 1e-4 * second)
     rig.process.send_signal(signal.SIGINT)
     assert rig.process.wait(timeout=10) == 0
 

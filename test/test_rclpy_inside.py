@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import threading
+import time
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
@@ -83,8 +84,11 @@ def test_a_worker_hears_serves_asks_and_counts_either_way(stage: Bench, direct: 
     threads = set()
 
     def serve(
-        request: PredictError.Request, reply: Callable[[PredictError.Response], None]
-    ) -> None:
+        request: PredictError.Request, reply: Callable[[PredictError.Response], None],
+        sent: float | None,
+    ) -> None:  # fmt: skip
+        assert sent is None or time.monotonic() - 60.0 < sent <= time.monotonic()
+        assert (sent is not None) is direct
         threads.add(threading.current_thread())
         reply(PredictError.Response(sigma=2.0 * request.temperature_c))
 

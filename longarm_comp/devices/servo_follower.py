@@ -154,12 +154,16 @@ class TrajectoryFollower:
     def hold(self, on: bool) -> None:
         """Stop smoothly, stay with the torque on and take no trajectory, until it is released."""
         if on and not self._held:
-            if self._state is FollowerState.TRACKING and self._set is not None:
-                self._way = self._taken_over(self._braking(self._set), self._set)
-                self._way_time = 0.0
-            self._settled = True  # the trajectory is not followed to its end
-            self._say(EventKind.HELD, "held: it stays where it is")
+            self.break_off(EventKind.HELD, "held: it stays where it is")
         self._held = on
+
+    def break_off(self, kind: EventKind, why: str) -> None:
+        """Stop smoothly. The trajectory is not followed to its end."""
+        if self._state is FollowerState.TRACKING and self._set is not None:
+            self._way = self._taken_over(self._braking(self._set), self._set)
+            self._way_time = 0.0
+        self._settled = True
+        self._say(kind, why)
 
     def estop(self) -> None:
         """Send no goals until ``reset``. The caller switches the torque off."""

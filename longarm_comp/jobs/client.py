@@ -26,6 +26,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_of, sighting_of
+from longarm_comp.nodes.orders import Stamps, order_id
 from longarm_comp.nodes.stamps import stamp_ns
 from longarm_interfaces.msg import DriverState, Motion
 
@@ -51,7 +52,10 @@ class DriverStopped(JobError):  # noqa: N818
 
     def __init__(self, state: DriverState) -> None:
         self.held = state.state == DriverState.HOLDING
-        super().__init__(f"the driver {_STOPPED[state.state]}", said=state.message or "nothing")
+        leads_on = "`longarm status` tells more, `longarm reset` leads on"
+        super().__init__(
+            f"the driver {_STOPPED[state.state]} ({leads_on})", said=state.message or "nothing"
+        )
 
 
 _STOPPED = {
@@ -182,7 +186,8 @@ class ArmClient(GraphClient):
         graph.JOINT_STATES.subscription(self.node, self._on_joints)
         graph.TIP_MEASURED.subscription(self.node, self._on_tip)
         self._driver: DriverState | None = None
-        self._sent, self._refused, self._reached = 0, "", False
+        self._stamps = Stamps(self.node)
+        self._sent, self._refused, self._reached = "", "", False
         graph.MOTION.subscription(self.node, self._on_motion)
         self._states = graph.DRIVER_STATE.subscription(self.node, self._on_state)
 
@@ -199,11 +204,15 @@ class ArmClient(GraphClient):
         del self.sightings[:-200]
 
     def ready(self, within_s: float = 30.0, *, tip: bool = True) -> None:
-        """Wait for joint states, a ready driver and, with ``tip``, a sighting of the tip."""
+        """Wait for joint states, a ready driver and, with ``tip``, a sighting of the tip.
+
+        Raises:
+            DriverStopped: the driver is held, in fault or in emergency stop.
+        """
         running = "does `longarm up` run, in this namespace and ROS_DOMAIN_ID?"
         self.until(lambda: self.joints is not None, within_s, f"no joint_states ({running})")
         self.until(self._driver_hears, within_s, "no driver listens to joint_trajectory")
-        self.until(self._driver_takes, within_s, "the driver is not ready")
+        self.until(self.driver_takes, within_s, "the driver is not ready (`longarm status`)")
         if tip:
             pictures = "do the cameras publish left|right/image_raw and camera_info?"
             self.until(lambda: self.sightings, within_s, f"no tip_measured ({pictures})")
@@ -225,14 +234,9 @@ class ArmClient(GraphClient):
         self._driver = message
 
     def _on_motion(self, message: Motion) -> None:
-        if message.id == self._id:
+        if message.id == self._sent:
             self._reached |= message.event == Motion.REACHED
             self._refused = message.message if message.event == Motion.REFUSED else ""
-
-    @property
-    def _id(self) -> str:
-        """Of the last trajectory that was sent."""
-        return f"{self.node.get_name()} {self._sent}"
 
     def driver_takes(self) -> bool:
         """Whether the driver takes trajectories.
@@ -261,10 +265,9 @@ class ArmClient(GraphClient):
                     positions=q.tolist(), velocities=[0.0] * self.arm.n, time_from_start=after
                 )
             )
-        self._sent, self._refused, self._reached = self._sent + 1, "", False
         sent = JointTrajectory(joint_names=list(self.arm.joint_names), points=points)
-        sent.header.frame_id = self._id
-        sent.header.stamp = self.node.get_clock().now().to_msg()
+        sent.header.stamp = self._stamps.next()
+        self._sent, self._refused, self._reached = order_id(sent), "", False
         self._trajectory.publish(sent)
         return stamp_ns(sent.header.stamp)
 

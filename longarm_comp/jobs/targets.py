@@ -154,12 +154,18 @@ class TargetRunner:
         return Trial(name, targets, seen, true, status)
 
     def ask(self, target: np.ndarray, *, execute: bool) -> Compensate.Response:
-        """The answer for a target (3,), m. A request that moves the arm is sent once."""
+        """The answer for a target (3,), m.
+
+        A request that moves the arm is sent once, and again where it was too old to move it.
+        """
         pose = PoseStamped()
         pose.header.frame_id = self._frame
         pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = target.tolist()
         request = Compensate.Request(target=pose, position_only=True, execute=execute)
-        return self._client.call(self._compensate, request, again=not execute)
+        answer = self._client.call(self._compensate, request, again=not execute)
+        if answer.status == Compensate.Response.STALE_TARGET:  # nothing was moved
+            answer = self._client.call(self._compensate, request, again=not execute)
+        return answer
 
     def _one(self, target: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
         client, pace = self._client, self._pace

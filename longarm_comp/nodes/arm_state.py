@@ -17,6 +17,7 @@ from longarm_comp.core.compensation.online import Readings
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_of, tilt_of
+from longarm_comp.nodes.orders import untimely
 from longarm_comp.nodes.stamps import stamp_ns
 
 NO_JOINTS = "no joint_states yet"
@@ -90,10 +91,7 @@ class ArmState:
 
     def untimely(self, stamp: int, max_age_s: float) -> str:
         """Why a message of that stamp (ns) is too old, or of the future; empty if it is not."""
-        age = 1e-9 * (self._clock.now().nanoseconds - stamp)
-        if abs(age) <= max_age_s:
-            return ""
-        return f"is {age:.1f} s old" if age > 0 else f"lies {-age:.1f} s in the future"
+        return untimely(self._clock, stamp, max_age_s)
 
     def _on_temperature(self, message: Temperature) -> None:
         self._read("temperature", {"temperature_c": message.temperature})

@@ -111,7 +111,7 @@ class DriverLink:
         if not self.acknowledged:
             return ""
         if self._answer is None:
-            return "sent, but the driver has not acknowledged it; the arm may still move"
+            return "sent, but the driver has not acknowledged it in time: withdrawn"
         refused = self._answer.event == Motion.REFUSED
         return f"the driver refused it: {self._answer.message}" if refused else ""
 

@@ -87,8 +87,9 @@ class ErrorPredictor(Node):
         self._health.fault(error)
 
     def _on_predict(
-        self, request: PredictError.Request, reply: Callable[[PredictError.Response], None]
-    ) -> None:
+        self, request: PredictError.Request, reply: Callable[[PredictError.Response], None],
+        sent: float | None,
+    ) -> None:  # fmt: skip
         response = self.answer(request)
         reply(response)
         self.publish(response)

@@ -16,7 +16,6 @@ from typing import Any, Protocol
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from std_msgs.msg import Header
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.devices.servo_arm import JointReading
@@ -43,8 +42,8 @@ class Site(Protocol):
     def set_points(self) -> Mapping[str, float]:
         """Where each joint should be now, rad or m; empty while none is driven."""
 
-    def take(self, message: JointTrajectory) -> None:
-        """Check and follow a trajectory; what becomes of it is told by its id."""
+    def take(self, message: JointTrajectory, name: str) -> None:
+        """Check and follow a trajectory; what becomes of it is told by its id ``name``."""
 
 
 class FollowServer:
@@ -110,12 +109,7 @@ class FollowServer:
 
     def _take(self, name: str, asked: JointTrajectory) -> None:
         self._told[name] = None
-        self._site.take(
-            JointTrajectory(
-                header=Header(stamp=asked.header.stamp, frame_id=name),
-                joint_names=asked.joint_names, points=asked.points,
-            )
-        )  # fmt: skip
+        self._site.take(asked, name)
 
     async def _halt(self, name: str) -> None:
         """Stop smoothly, and wait until the arm is at rest or does not obey."""

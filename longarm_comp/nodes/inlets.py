@@ -19,6 +19,7 @@ from longarm_comp.nodes.interfaces import Service, Topic
 from longarm_comp.nodes.loss import QueueWatch
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.rclpy_inside import DirectInlets, missing
+from longarm_comp.nodes.stamps import sent_s
 
 DIRECT = Param("direct", True, "the worker takes messages itself; false: rclpy's executor does")
 """A parameter of the nodes with a worker that hears or serves."""
@@ -44,8 +45,15 @@ class Inlets(Protocol):
     def hear(self, topic: Topic, callback: Callable[[Any], None]) -> None:
         """Subscribe to a topic. Before `start`."""
 
-    def serve(self, service: Service, callback: Callable[[Any, Any], None]) -> None:
-        """Offer a service. The callback gets the request and a function that replies."""
+    def hear_raw(self, topic: Topic, callback: Callable[[bytes, float], None]) -> None:
+        """The same; the callback gets bytes, and when they were sent (monotonic s)."""
+
+    def serve(self, service: Service, callback: Callable[[Any, Any, float | None], None]) -> None:
+        """Offer a service.
+
+        The callback gets the request, a function that replies, and when the request was sent
+        (monotonic s; None where this is not told).
+        """
 
     def caller(self, service: Service) -> Caller:
         """A client of a service, for the same thread."""
@@ -68,7 +76,7 @@ class Inlets(Protocol):
         """Sleep until a message or a request arrives, or `wake`."""
 
     def empty(self, at_most: int) -> None:
-        """Run the callbacks of everything received."""
+        """Run the callbacks of everything received, requests first."""
 
 
 def inlets(node: Node, *, direct: bool) -> Inlets:
@@ -102,20 +110,27 @@ class PlainInlets:
 
     def hear(self, topic: Topic, callback: Callable[[Any], None]) -> None:
         """Subscribe to a topic."""
+        self._hear(topic, lambda message, _: callback(message), raw=False)
+
+    def hear_raw(self, topic: Topic, callback: Callable[[bytes, float], None]) -> None:
+        """The same; the callback gets bytes, and when they were sent (monotonic s)."""
+        self._hear(topic, callback, raw=True)
+
+    def _hear(self, topic: Topic, callback: Callable[[Any, float], None], *, raw: bool) -> None:
         lost, unfit, watch = _Told(), _Told(), QueueWatch(topic.depth)
         self._losses.append((lost, watch))
         self._unfit.append(unfit)
 
         def took(message: Any, info: Any) -> None:
             watch.took(info["publication_sequence_number"] or 0, info["received_timestamp"])
-            self._enter(partial(callback, message))
+            self._enter(partial(callback, message, sent_s(info["source_timestamp"])))
 
         told = SubscriptionEventCallbacks(
             message_lost=lost, incompatible_qos=unfit, use_default_callbacks=False
         )
-        topic.subscription(self._node, took, self._group, events=told)
+        topic.subscription(self._node, took, self._group, events=told, raw=raw)
 
-    def serve(self, service: Service, callback: Callable[[Any, Any], None]) -> None:
+    def serve(self, service: Service, callback: Callable[[Any, Any, float | None], None]) -> None:
         """Offer a service."""
 
         async def asked(request: Any, response: Any) -> Any:
@@ -126,7 +141,7 @@ class PlainInlets:
                 future.set_result(answer)
                 executor.wake()
 
-            self._enter(lambda: callback(request, reply))
+            self._enter(lambda: callback(request, reply, None))
             return await future
 
         service.server(self._node, asked, self._group)

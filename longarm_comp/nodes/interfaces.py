@@ -85,14 +85,21 @@ class Topic:
         group: CallbackGroup | None = None,
         listens: ReliabilityPolicy | None = None,
         events: SubscriptionEventCallbacks = _UNHEARD_SUBSCRIPTION,
+        depth: int | None = None,
+        *,
+        raw: bool = False,
     ) -> Any:
-        """Create a subscription on a node; ``listens`` replaces the topic's own reliability."""
+        """Create a subscription on a node.
+
+        ``listens`` and ``depth`` replace the topic's own; ``raw``: messages come as bytes.
+        """
         qos = QoSProfile(
-            depth=self.depth, reliability=listens or self.listens, durability=self._durability
-        )
+            depth=depth or self.depth, reliability=listens or self.listens,
+            durability=self._durability,
+        )  # fmt: skip
         return node.create_subscription(
             self.type, self.name, callback, qos,
-            callback_group=group, event_callbacks=events,
+            callback_group=group, event_callbacks=events, raw=raw,
         )  # fmt: skip
 
 
@@ -141,6 +148,13 @@ JOINT_STATES = Topic(
 )
 MOTION = Topic(
     "motion", Motion, 2000, RELIABLE, "what became of every trajectory, told by the driver"
+)
+WITHDRAWN = Topic(
+    "withdrawn",
+    String,
+    10,
+    RELIABLE,
+    "id of a trajectory that moves nothing any more",
 )
 DRIVER_STATE = Topic(
     "servo_driver/state", DriverState, 1, RELIABLE, "whether the driver takes trajectories",
@@ -211,7 +225,7 @@ FOLLOW = Action(
 HAS_FOLLOW = FollowJointTrajectory is not None
 
 TOPICS: tuple[Topic, ...] = (
-    *(TARGET_POSE, JOINT_TRAJECTORY, COMPENSATION, JOINT_STATES, MOTION, DRIVER_STATE),
+    *(TARGET_POSE, JOINT_TRAJECTORY, WITHDRAWN, COMPENSATION, JOINT_STATES, MOTION, DRIVER_STATE),
     PREDICTED_ERROR,
     TIP_MEASURED,
     *(LEFT_IMAGE, RIGHT_IMAGE, LEFT_COMPRESSED, RIGHT_COMPRESSED, LEFT_INFO, RIGHT_INFO),

@@ -170,13 +170,10 @@ def seconds(message: Duration) -> float:
 
 
 def trajectory_message(
-    arm: Arm, points: np.ndarray, move_time_s: float, name: str = ""
+    arm: Arm, points: np.ndarray, move_time_s: float, stamp: Time
 ) -> JointTrajectory:
-    """Way-points (k, n), each ``move_time_s`` after the one before. The stamp 0 means now.
-
-    ``name`` is the id by which the driver says what became of it.
-    """
-    message = JointTrajectory(header=Header(frame_id=name), joint_names=list(arm.joint_names))
+    """Way-points (k, n), each ``move_time_s`` after the one before; ``stamp``: sent when."""
+    message = JointTrajectory(header=Header(stamp=stamp), joint_names=list(arm.joint_names))
     for k, q in enumerate(points.tolist(), 1):
         after = duration(k * move_time_s)
         message.points.append(JointTrajectoryPoint(positions=q, time_from_start=after))
@@ -184,7 +181,7 @@ def trajectory_message(
 
 
 def trajectory_of(message: JointTrajectory) -> devices.JointTrajectory:
-    """The trajectory for the servo side. It starts now: the header's stamp is not used."""
+    """The trajectory for the servo side. It starts when it is taken up."""
     points = tuple(
         devices.TrajectoryPoint(
             seconds(point.time_from_start),
@@ -279,12 +276,12 @@ def compensation_message(
 def response_of(answer: Answer, arm: Arm, base_frame: str) -> Compensate.Response:
     """The response to a `compensate` request."""
     response = Compensate.Response(
-        success=answer.status.success, status=int(answer.status), message=answer.message
-    )
+        success=answer.status.success, status=int(answer.status), message=answer.message,
+        id=answer.name,
+    )  # fmt: skip
     _fill(response, answer, arm, base_frame)
     if answer.status.success and answer.arrival is not None and answer.outcome is not None:
         response.command = joints_message(arm, answer.outcome.command, answer.target.header.stamp)
-        response.command.header.frame_id = answer.name
         response.approach = [int(side) for side in answer.arrival.move.side]
     return response
 

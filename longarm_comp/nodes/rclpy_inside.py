@@ -26,6 +26,7 @@ from rclpy.subscription import Subscription
 from longarm_comp.nodes.interfaces import Service as ServiceName
 from longarm_comp.nodes.interfaces import Topic
 from longarm_comp.nodes.loss import SequenceWatch
+from longarm_comp.nodes.stamps import sent_s
 
 CHECKED = "7.1"
 """Version of rclpy (Jazzy) that these calls were checked against, by the tests."""
@@ -97,7 +98,7 @@ class DirectInlets:
     def __init__(self, node: Node) -> None:
         self._node, self._aside = node, _Aside()
         self._bell = GuardCondition(None, None, context=node.context)
-        self._topics: list[tuple[Subscription, SequenceWatch]] = []
+        self._topics: list[tuple[Subscription, SequenceWatch, Callable[[Any, float], None]]] = []
         self._losses: list[tuple[_Event, SequenceWatch]] = []
         self._services: list[Service] = []
         self._unfit: list[_Event] = []
@@ -107,14 +108,27 @@ class DirectInlets:
 
     def hear(self, topic: Topic, callback: Callable[[Any], None]) -> None:
         """Subscribe to a topic. Before `start`."""
-        made = topic.subscription(self._node, callback, self._aside)
+        self._hear(topic, lambda message, _: callback(message), raw=False)
+
+    def hear_raw(self, topic: Topic, callback: Callable[[bytes, float], None]) -> None:
+        """The same; the callback gets bytes, and when they were sent (monotonic s)."""
+        self._hear(topic, callback, raw=True)
+
+    def _hear(self, topic: Topic, callback: Callable[[Any, float], None], *, raw: bool) -> None:
+        made = topic.subscription(self._node, lambda message: None, self._aside, raw=raw)
         watch = SequenceWatch()
-        self._topics.append((made, watch))
+        self._topics.append((made, watch, callback))
         self._losses.append((_Event(made, _LOST), watch))
         self._unfit.append(_Event(made, _UNFIT))
 
-    def serve(self, service: ServiceName, callback: Callable[[Any, Any], None]) -> None:
-        """Offer a service. The callback gets the request and a function that replies."""
+    def serve(
+        self, service: ServiceName, callback: Callable[[Any, Any, float | None], None]
+    ) -> None:
+        """Offer a service.
+
+        The callback gets the request, a function that replies, and when the request was sent
+        (monotonic s).
+        """
         self._services.append(service.server(self._node, callback, self._aside))
 
     def caller(self, service: ServiceName) -> DirectCaller:
@@ -152,7 +166,7 @@ class DirectInlets:
         """Sleep until a message or a request arrives, or `wake`."""
         self._set.clear_entities()
         self._set.add_guard_condition(self._bell.handle)
-        for topic, _ in self._topics:
+        for topic, *_ in self._topics:
             self._set.add_subscription(topic.handle)
         for service in self._services:
             self._set.add_service(service.handle)
@@ -160,7 +174,15 @@ class DirectInlets:
 
     def empty(self, at_most: int) -> None:
         """Run the callbacks of everything received, so that no middleware queue overflows."""
-        for topic, watch in self._topics:
+        for service in self._services:
+            for _ in range(at_most):
+                with service.handle:
+                    request, header = service.handle.service_take_request(service.srv_type.Request)
+                if header is None:
+                    break
+                reply = partial(_send, service, header)
+                service.callback(request, reply, sent_s(header.source_timestamp))
+        for topic, watch, callback in self._topics:
             depth = max(at_most, topic.qos_profile.depth)
             numbers: list[int] = []
             for _ in range(depth):
@@ -169,15 +191,8 @@ class DirectInlets:
                 if taken is None:
                     break
                 numbers.append(taken[1]["publication_sequence_number"] or 0)
-                topic.callback(taken[0])
+                callback(taken[0], sent_s(taken[1]["source_timestamp"]))
             watch.taken(numbers, full=len(numbers) >= topic.qos_profile.depth > 1)
-        for service in self._services:
-            for _ in range(at_most):
-                with service.handle:
-                    request, header = service.handle.service_take_request(service.srv_type.Request)
-                if header is None:
-                    break
-                service.callback(request, partial(_send, service, header))
 
 
 def _send(service: Service, header: Any, response: Any) -> None:

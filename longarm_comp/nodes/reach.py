@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections import deque
 from typing import Any, Protocol
 
@@ -61,8 +62,7 @@ class ReachServer:
         self._node, self._period_s = node, feedback_s
         self._turns: deque[object] = deque()
         self._ticks = Ticks(node, feedback_s)
-        self._told: dict[str, Motion] = {}
-        self._following: set[str] = set()
+        self._told: dict[str, Motion] = {}  # by trajectory, since the goal at hand was begun
         self._server = ActionServer(
             node, graph.REACH.type, graph.REACH.name, self._serve,
             callback_group=ReentrantCallbackGroup(),
@@ -71,16 +71,8 @@ class ReachServer:
 
     def told(self, motion: Motion) -> None:
         """Take what the driver says of a trajectory; from any thread."""
-        if motion.id in self._following and motion.event != Motion.ACCEPTED:
+        if self._turns and motion.event != Motion.ACCEPTED:
             self._told.setdefault(motion.id, motion)
-
-    def follow(self, name: str) -> None:
-        """Keep what the driver will say of the trajectory of that id, before it is sent."""
-        self._following.add(name)
-
-    def _forget(self, name: str) -> None:
-        self._following.discard(name)
-        self._told.pop(name, None)
 
     # ------------------------------------------------------------------ one goal
 
@@ -91,6 +83,7 @@ class ReachServer:
                 target=goal.request.target, position_only=goal.request.position_only, execute=True
             )
         )
+        fresh = not self._site.targets.stale(request)
         self._turns.append(turn)
         try:
             while self._turns[0] is not turn:
@@ -99,6 +92,8 @@ class ReachServer:
                     return Reach.Result(message="cancelled before it was begun", **_unseen())
                 self._feedback(goal, Reach.Feedback.WAITING, None)
                 await self._ticks.next()
+            if fresh:  # waiting for its turn, of which the client is told, makes it no older
+                request.since = time.monotonic()
             return await self._reach(goal, request)
         finally:
             self._turns.remove(turn)
@@ -108,8 +103,7 @@ class ReachServer:
             goal.abort()
             status = Compensate.Response.NO_DRIVER
             return Reach.Result(status=status, message=self._site.no_driver, **_unseen())
-        before = self._site.sighted
-        self.follow(request.name)
+        before, self._told = self._site.sighted, {}
         asked = self._site.targets.execute(request)
         if asked is None:
             goal.abort()
@@ -121,16 +115,12 @@ class ReachServer:
             status=int(answer.status), message=answer.message, id=answer.name, **_unseen()
         )
         if not answer.status.success or answer.outcome is None:
-            self._forget(request.name)
             goal.abort()
             return result
         command = answer.outcome.command
         result.command = joints_message(self._arm, command, answer.target.header.stamp)
-        try:
-            if not await self._moves(goal, answer.name, command, result):
-                return result
-        finally:
-            self._forget(answer.name)
+        if not await self._moves(goal, answer.name, command, result):
+            return result
         await self._looks(goal, command, before, result)
         result.success = True
         self._at_rest(result)
@@ -142,12 +132,9 @@ class ReachServer:
         halted = False
         while (motion := self._told.get(name)) is None and not self._site.no_driver:
             if goal.is_cancel_requested and not halted:
-                halted, name = True, f"{name} halt"
-                self.follow(name)
-                self._site.targets.halt(name)
+                halted, name = True, self._site.targets.halt()
             self._feedback(goal, Reach.Feedback.MOVING, command)
             await self._ticks.next()
-        self._forget(name)
         if motion is not None and motion.event == Motion.REACHED and not halted:
             return True
         self._at_rest(result)

@@ -30,10 +30,12 @@ from longarm_comp.devices.servo_bus import BusUnplugged, IncompleteReply
 from longarm_comp.devices.servo_config import BusConfig, FollowerConfig, ServoConfig
 from longarm_comp.devices.servo_follower import Accepted, Event, EventKind, FollowerState, KeepsOut
 from longarm_comp.devices.servo_joint import JointConfig
+from longarm_comp.nodes import intake
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.driver_messages import bus_report, motion_message, readings_message
 from longarm_comp.nodes.follow import FollowServer
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
+from longarm_comp.nodes.intake import Intake
 from longarm_comp.nodes.messages import trajectory_of
 from longarm_comp.nodes.params import Param, declare, nested, overrides, redeclare
 from longarm_comp.nodes.runner import run
@@ -46,6 +48,7 @@ PARAMS = (
     Param("autostart", True, "configure and activate by itself, and again after a failure"),
     Param("retry_s", 1.0, "pause between two such attempts", 0.1, 60.0),
     Param("patience_s", 5.0, "no servos at the start are an error only after it", 0.0, 600.0),
+    *intake.PARAMS,
     PERIOD,
 )
 SECTIONS = {"bus": BusConfig, "joints": JointConfig, "follower": FollowerConfig}
@@ -82,7 +85,8 @@ class ServoDriver(LifecycleNode):
         self._joint_states = graph.JOINT_STATES.publisher(self)
         self._motions = graph.MOTION.publisher(self)
         self._states = graph.DRIVER_STATE.publisher(self)
-        graph.JOINT_TRAJECTORY.subscription(self, self.take)
+        self._max_age_s, self._cycled = p["order_max_age_s"], time.monotonic()
+        self._intake = Intake(self, self, self._max_age_s, unstamped=p["unstamped"])
         self._follow = FollowServer(self, self) if graph.HAS_FOLLOW else None
         graph.ESTOP.server(self, self._on_estop)
         graph.HOLD.server(self, self._on_hold)
@@ -210,7 +214,11 @@ class ServoDriver(LifecycleNode):
         self._tell_change()
 
     def _drive(self, arm: ServoArm) -> None:
-        cycle = self._last = arm.cycle(time.monotonic())
+        now = time.monotonic()
+        away, self._cycled = now - self._cycled, now
+        if self.following and away > self._max_age_s:
+            arm.follower.break_off(EventKind.SHORT, f"the driver was away for {away:.1f} s")
+        cycle = self._last = arm.cycle(now)
         if cycle.joints:
             self._joint_states.publish(self._joints())
         else:
@@ -249,16 +257,24 @@ class ServoDriver(LifecycleNode):
         """Where each joint should be now, rad or m; empty while none is driven."""
         return self._arm.follower.set_points if self._arm is not None else {}
 
-    def take(self, message: JointTrajectory) -> None:
-        """Check and follow a trajectory; what becomes of it is told by its id."""
-        name = message.header.frame_id
+    @property
+    def following(self) -> str:
+        """Id of the trajectory that is being followed; empty while none is."""
+        moving = self._arm is not None and self._arm.follower.state is FollowerState.TRACKING
+        return self._motion if moving else ""
+
+    def take(self, message: JointTrajectory, name: str) -> None:
+        """Check and follow a trajectory; what becomes of it is told by its id ``name``."""
         if not self._active:
-            self._refuse(name, "the driver is not active")
+            self.refuse(name, "the driver is not active")
+            return
+        if why := self._intake.too_old(message):
+            self.refuse(name, why)
             return
         try:
             accepted = self._machine.accept(trajectory_of(message), time.monotonic())
         except LongarmError as error:
-            self._refuse(name, str(error))
+            self.refuse(name, str(error))
             return
         self._counts["trajectories"] += 1
         if accepted.replaces:
@@ -267,7 +283,8 @@ class ServoDriver(LifecycleNode):
         self._tell(Motion.ACCEPTED, name, taken=accepted)
         self._tell_change()
 
-    def _refuse(self, name: str, why: str) -> None:
+    def refuse(self, name: str, why: str) -> None:
+        """Tell that a trajectory is not taken up."""
         self._counts["refused"] += 1
         self._refusal = why
         self._tell(Motion.REFUSED, name, why)

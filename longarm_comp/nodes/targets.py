@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import time
 import uuid
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -11,7 +13,9 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
+from rclpy.serialization import deserialize_message
 from rclpy.task import Future
+from std_msgs.msg import String
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.compensation.compensate import Status
@@ -26,6 +30,7 @@ from longarm_comp.nodes.messages import (
     response_of,
     trajectory_message,
 )
+from longarm_comp.nodes.orders import Freshness, Stamps, order_id
 from longarm_comp.nodes.params import Param
 from longarm_comp.nodes.stamps import stamp_ns
 from longarm_comp.nodes.worker import Worker
@@ -39,13 +44,17 @@ PARAMS = (
 )
 
 
+_Sent = tuple[bytes, float]
+"""A message of `target_pose` as it came, and when it was sent (monotonic s)."""
+
+
 @dataclass
 class Request:
-    """One target in work: its id, the request, why it is stale (empty if not), and its answer."""
+    """One target in work: its id, the request, since when (monotonic s) it is, its answer."""
 
     name: str
     message: Compensate.Request
-    stale: str
+    since: float
     answer: Answer | None = None
     sent: bool = False
     accepted: bool = False
@@ -54,8 +63,8 @@ class Request:
 class Targets:
     """Takes targets of the topic, the service and the action, and answers them on a worker.
 
-    The latest target on the topic wins: one that waits is answered with SUPERSEDED when another
-    one comes. The service and the action keep their order.
+    The latest target on the topic wins: one that waits is superseded when another one comes. It
+    is told of when nothing else waits. The service and the action come first, in their order.
 
     Args:
         node, arm, p: the node, its arm and the values of its parameters.
@@ -81,40 +90,63 @@ class Targets:
         self._move_time_s, self._acknowledge_s = p["move_time_s"], p["acknowledge_s"]
         self._max_age_s = p["target_max_age_s"]
         self._run, self._numbers = uuid.uuid4().hex[:8], itertools.count(1)
-        self._latest: Request | None = None
+        self._latest: _Sent | None = None
+        self._passed: deque[_Sent] = deque()
+        self._untold = 0
+        self._fresh, self._stamps = Freshness(node, self._max_age_s), Stamps(node)
         self._broken = ""  # the last fault of this software, until a target succeeds
         self._trajectory = graph.JOINT_TRAJECTORY.publisher(node)
         self._compensation = graph.COMPENSATION.publisher(node)
-        worker.inlets.hear(graph.TARGET_POSE, self._on_target)
+        self._withdrawals = graph.WITHDRAWN.publisher(node)
+        worker.idle = self._idle
+        worker.inlets.hear_raw(graph.TARGET_POSE, self._on_target)
         worker.inlets.serve(graph.COMPENSATE, self._on_compensate)
 
-    def asked(self, message: Compensate.Request) -> Request:
-        """A target that comes in now."""
-        stamp = stamp_ns(message.target.header.stamp)
+    def asked(self, message: Compensate.Request, sent: float | None = None) -> Request:
+        """A target that is taken now; ``sent`` when (monotonic s), where that is known."""
+        since = time.monotonic() - self._fresh.away_s if sent is None else sent
+        return Request(f"{self._run}-{next(self._numbers)}", message, since)
+
+    def stale(self, request: Request) -> str:
+        """Why a target is too old to be carried out now, in words; empty if it is not."""
+        stamp = stamp_ns(request.message.target.header.stamp)
         why = self._state.untimely(stamp, self._max_age_s) if stamp else ""
-        return Request(f"{self._run}-{next(self._numbers)}", message, why)
+        age_s = time.monotonic() - request.since
+        if not why and request.message.execute and age_s > self._max_age_s:
+            return f"the target was sent {age_s:.1f} s ago, allowed {self._max_age_s:g} s"
+        return why and f"the target's stamp {why}, allowed {self._max_age_s:g} s"
 
-    def _on_target(self, message: PoseStamped) -> None:
+    def _on_target(self, message: bytes, sent: float) -> None:
+        if self._latest is not None:
+            self._passed.append(self._latest)
+        if len(self._passed) > graph.TARGET_POSE.depth:
+            self._passed.popleft()
+            self._untold += 1
+        self._latest = message, sent
+
+    def _idle(self) -> bool:
+        """Serve the latest target of the topic, else tell of one that it has superseded."""
+        (taken, late), self._latest = (self._latest, False), None
+        if taken is None:
+            if not self._passed:
+                return False
+            taken, late = self._passed.popleft(), True
+        pose = deserialize_message(taken[0], PoseStamped)
         free = self._node.get_parameter("position_only").value
-        request = self.asked(Compensate.Request(target=message, position_only=free, execute=True))
-        earlier, self._latest = self._latest, request
-        if earlier is not None:  # its turn is taken over
-            self._refuse(earlier, Status.SUPERSEDED, "a later target came before it was begun")
-            self._publish_answer(earlier)
-        elif not self._worker.submit(self._serve_latest):
-            self._latest = None
-            self._refuse_busy(request)
-
-    def _serve_latest(self) -> None:
-        request, self._latest = self._latest, None
-        if request is not None:
+        asked = Compensate.Request(target=pose, position_only=free, execute=True)
+        request = self.asked(asked, taken[1])
+        if late:
+            self._refuse(request, Status.SUPERSEDED, "a later target came before it was begun")
+        else:
             self._serve(request)
-            self._publish_answer(request)
+        self._publish_answer(request)
+        return True
 
     def _on_compensate(
-        self, message: Compensate.Request, reply: Callable[[Compensate.Response], None]
-    ) -> None:
-        request = self.asked(message)
+        self, message: Compensate.Request, reply: Callable[[Compensate.Response], None],
+        sent: float | None,
+    ) -> None:  # fmt: skip
+        request = self.asked(message, sent)
 
         def answer() -> None:
             try:
@@ -148,8 +180,7 @@ class Targets:
 
     def _serve(self, request: Request) -> Answer:
         """Compute and send, on the worker's thread. The caller publishes the answer afterwards."""
-        if request.stale:
-            why = f"the target's stamp {request.stale}, allowed {self._max_age_s:g} s"
+        if why := self.stale(request):
             return self._refuse(request, Status.STALE_TARGET, why)
         request.answer = self._compensator.answer(request.name, request.message)
         if request.message.execute and request.answer.status.success:
@@ -158,21 +189,22 @@ class Targets:
 
     def _send(self, request: Request, answer: Answer) -> Answer:
         """Send the joints and wait for the driver to say whether it takes them."""
-        assert answer.arrival is not None
-        self._driver.expect(request.name)
-        self._trajectory.publish(
-            trajectory_message(
-                self._arm, answer.arrival.move.points, self._move_time_s, request.name
-            )
-        )
+        arrival = answer.arrival
+        assert arrival is not None
+        stamp = self._stamps.next()  # before it is judged: what happens later, the driver judges
+        if why := self.stale(request):
+            return self._refuse(request, Status.STALE_TARGET, why)
+        message = trajectory_message(self._arm, arrival.move.points, self._move_time_s, stamp)
+        answer = replace(answer, name=order_id(message))
+        self._driver.expect(answer.name)
+        self._trajectory.publish(message)
         request.sent = True
-        self._worker.take(lambda: self._driver.answered, self._acknowledge_s)
-        why = self._driver.not_accepted
-        if why:
+        if not self._worker.take(lambda: self._driver.answered, self._acknowledge_s):
+            self._withdrawals.publish(String(data=answer.name))
+        if why := self._driver.not_accepted:
             return replace(answer, status=Status.NOT_ACCEPTED, message=why)
         request.accepted = True
-        outcome = answer.arrival.outcome
-        self._aimed(outcome.command, outcome.position)
+        self._aimed(arrival.outcome.command, arrival.outcome.position)
         return answer
 
     def _publish_answer(self, request: Request) -> None:
@@ -195,9 +227,11 @@ class Targets:
             answer.status.name, "" if answer.status is Status.SUCCESS else answer.message
         )
 
-    def halt(self, name: str) -> None:
-        """Stop the arm smoothly: a trajectory without points."""
-        self._trajectory.publish(trajectory_message(self._arm, np.empty((0, 0)), 0.0, name))
+    def halt(self) -> str:
+        """Stop the arm smoothly: a trajectory without points. Its id."""
+        message = trajectory_message(self._arm, np.empty((0, 0)), 0.0, self._stamps.next())
+        self._trajectory.publish(message)
+        return order_id(message)
 
     # ------------------------------------------------------------------ diagnostics
 
@@ -205,8 +239,10 @@ class Targets:
         """What became of the targets, for diagnostics."""
         facts: dict[str, object] = {
             **self._tally.counts,
-            "waiting": self._worker.waiting,
+            "waiting": self._worker.waiting + (self._latest is not None),
+            "superseded, not told yet": len(self._passed),
             "last refusal": self._tally.last,
+            "superseded without a story": self._untold,
             "lost on the way": self._worker.inlets.lost,
             "publishers of another QoS": self._worker.inlets.unfit,
         }

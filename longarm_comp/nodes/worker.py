@@ -31,6 +31,7 @@ class Worker:
         direct: whether it takes messages and requests itself, past the executor.
 
     Attributes:
+        idle: called while no job waits; does a piece of what can wait, and says whether it did.
         inlets: topics, services and clients whose callbacks run on the thread, before the next
             job. They are declared before `start`.
     """
@@ -51,6 +52,7 @@ class Worker:
         self._capacity = capacity
         self._closing = False
         self._thread: threading.Thread | None = None
+        self.idle: Callable[[], bool] = lambda: False
         self.inlets = inlets(node, direct=direct)
 
     @property
@@ -95,13 +97,15 @@ class Worker:
     def take(self, until: Callable[[], bool], within_s: float) -> bool:
         """Take messages and requests, inside a job, until a condition holds; whether it does."""
         end = time.monotonic() + within_s
-        while not (done := until()) and not self._closing:
-            left = end - time.monotonic()
-            if left <= 0.0:
-                break
-            self.inlets.wait(left)
+        while not self._closing:
+            left = end - time.monotonic()  # this process may be stopped anywhere below
             self.inlets.empty(self._capacity)
-        return done
+            if until():
+                return True
+            if left <= 0.0:
+                return False
+            self.inlets.wait(left)
+        return until()
 
     def close(self) -> None:
         """Finish the current job and drop the others."""
@@ -116,7 +120,7 @@ class Worker:
                 self.inlets.empty(self._capacity)
                 if self._jobs:
                     self._jobs.popleft()()
-                else:
+                elif not self.idle():
                     self.inlets.wait()
             except Exception as error:  # reported; the worker goes on with the next job
                 self._on_error(error)

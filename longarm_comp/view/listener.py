@@ -17,20 +17,11 @@ from visualization_msgs.msg import MarkerArray
 
 from longarm_comp.core.compensation.result import Status
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.driver_messages import STATES
 from longarm_comp.nodes.messages import sighting_of
 from longarm_comp.nodes.monitoring import EVIDENCE
 from longarm_comp.view.state import Answer, Part, Picture, Progress, State, Tip, true_to_scale
 from longarm_interfaces.msg import Compensation, DriverState
-
-_DRIVER = {
-    DriverState.UNCONFIGURED: "not configured",
-    DriverState.INACTIVE: "inactive: torque off",
-    DriverState.READY: "ready",
-    DriverState.MOVING: "moving",
-    DriverState.HOLDING: "held: torque on, trajectories refused",
-    DriverState.FAULT: "in fault: torque on, trajectories refused",
-    DriverState.ESTOP: "stopped: torque off, trajectories refused",
-}
 
 
 class Listener:
@@ -77,7 +68,7 @@ class Listener:
         self._heard()
 
     def _on_driver(self, message: DriverState) -> None:
-        words = _DRIVER.get(message.state, f"in the unknown state {message.state}")
+        words = STATES.get(message.state, f"in the unknown state {message.state}")
         self._heard(driver=(words, message.message))
 
     def _on_answer(self, message: Compensation) -> None:

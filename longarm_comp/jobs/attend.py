@@ -1,0 +1,172 @@
+"""What a person asks of a running arm: how it stands, hold, stop, go on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from std_srvs.srv import SetBool, Trigger
+
+from longarm_comp.core.errors import JobError
+from longarm_comp.jobs.client import GraphClient
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.driver_messages import STATES
+from longarm_comp.nodes.interfaces import Service
+from longarm_interfaces.msg import DriverState
+
+DRIVER = "servo_driver"
+_PATIENCE_S = 5.0
+_LEVELS = ("ok", "warning", "error", "stale")
+
+_LEAVE: Mapping[int, tuple[Service, Any]] = {
+    DriverState.ESTOP: (graph.ESTOP, SetBool.Request(data=False)),
+    DriverState.FAULT: (graph.RESET, Trigger.Request()),
+    DriverState.HOLDING: (graph.HOLD, SetBool.Request(data=False)),
+}
+"""What leads out of a state in which the arm is stopped."""
+
+_NEXT = {
+    DriverState.UNCONFIGURED: "longarm servo scan",
+    DriverState.INACTIVE: f"ros2 lifecycle set {DRIVER} activate",
+    **dict.fromkeys(_LEAVE, "longarm reset"),
+}
+
+
+@dataclass(frozen=True)
+class Trouble:
+    """A part of a node that is not well, in its own words; level: warning, error or stale."""
+
+    node: str
+    part: str
+    level: str
+    message: str
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How an arm stands.
+
+    Attributes:
+        driver: state of the driver, and why; empty where none is on the graph.
+        nodes: that have reported on /diagnostics.
+        troubles: of their parts.
+        next: command that leads on; empty where none is needed.
+    """
+
+    driver: str
+    why: str
+    nodes: tuple[str, ...]
+    troubles: tuple[Trouble, ...]
+    next: str
+
+
+class Attendant:
+    """Hears an arm's driver and the reports of its nodes."""
+
+    def __init__(self, client: GraphClient) -> None:
+        self._client, self._namespace = client, client.node.get_namespace().rstrip("/")
+        self._driver: DriverState | None = None
+        self._reports: dict[str, dict[str, tuple[int, str]]] = {}
+        self._states = graph.DRIVER_STATE.subscription(client.node, self._on_state)
+        graph.DIAGNOSTICS.subscription(client.node, self._on_diagnostics)
+
+    def _on_state(self, message: DriverState) -> None:
+        self._driver = message
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            node, colon, part = status.name.partition(": ")
+            name = node.removeprefix(f"{self._namespace}/")
+            if colon and name != node and "/" not in name:
+                told = ord(status.level), status.message
+                self._reports.setdefault(name, {})[part] = told
+
+    def standing(self) -> Standing:
+        """How the arm stands, as soon as every node of it that is on the graph has reported.
+
+        Raises:
+            JobError: there is no graph. Interrupted: the client was stopped.
+        """
+        client, where = self._client, self._namespace or "/"
+        own = client.node.get_name()
+
+        def there() -> set[str]:
+            found = client.node.get_node_names_and_namespaces()
+            here = {name for name, space in found if space == where and name != own}
+            return here & KNOWN
+
+        running = "does `longarm up` run, in this ROS_DOMAIN_ID?"
+        client.until(there, _PATIENCE_S, f"no node of an arm in namespace {where} ({running})")
+
+        def heard() -> bool:
+            named = there()
+            driver = self._driver is not None or DRIVER not in named
+            return driver and named <= set(self._reports)
+
+        try:
+            client.until(heard, _PATIENCE_S, "reports")
+        except JobError as late:
+            if client.stop.is_set():
+                raise
+            silent = sorted(there() - set(self._reports))
+            for name in silent:
+                self._reports[name] = {"process": (3, f"does not report: {late}")}
+        return self._standing()
+
+    def _standing(self) -> Standing:
+        driver = self._driver
+        troubles = tuple(
+            Trouble(node, part, _LEVELS[min(level, 3)], message)
+            for node, parts in sorted(self._reports.items())
+            for part, (level, message) in parts.items()
+            if level
+        )
+        words = STATES.get(driver.state, f"in the unknown state {driver.state}") if driver else ""
+        why = driver.message if driver else f"no {DRIVER} is on the graph"
+        step = _NEXT.get(driver.state, "") if driver else "longarm up ARM"
+        if step == "longarm reset" and self._namespace:
+            step += f" --namespace {self._namespace[1:]}"
+        return Standing(words, why, tuple(sorted(self._reports)), troubles, step)
+
+    # ------------------------------------------------------------------ asking
+
+    def hold(self) -> str:
+        """Stop smoothly and stay, with torque on. What the driver said."""
+        return self._ask(graph.HOLD, SetBool.Request(data=True))
+
+    def stop(self) -> str:
+        """Torque off now. What the driver said."""
+        return self._ask(graph.ESTOP, SetBool.Request(data=True))
+
+    def reset(self) -> str:
+        """Leave an emergency stop, a fault and a hold, whichever there are.
+
+        Raises:
+            JobError: no driver, or it refuses: the cause persists.
+        """
+        said = "nothing to reset"
+        for state, (service, request) in _LEAVE.items():
+            if self._state() == state:
+                said = self._ask(service, request)
+                self._driver = None
+        return said
+
+    def _state(self) -> int:
+        """The driver's state, told anew where something was asked of it."""
+        client = self._client
+        missing = f"no {DRIVER} tells its state: does `longarm up` run, in this namespace?"
+        driver = client.until(lambda: self._driver, _PATIENCE_S, missing)
+        return int(driver.state)
+
+    def _ask(self, service: Service, request: Any) -> str:
+        made = service.client(self._client.node, of=DRIVER)
+        answer = self._client.call(made, request, _PATIENCE_S, again=True)
+        if not answer.success:
+            raise JobError(f"the driver refuses: {answer.message}")
+        return str(answer.message)
+
+
+KNOWN = {"kinematics", "error_predictor", "stereo_bridge", DRIVER, "simulated_arm"}
+"""Nodes of an arm."""

@@ -1,0 +1,84 @@
+"""Orders that move joints: their stamp and id, and how old one may be when it is carried out."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from array import array
+
+from builtin_interfaces.msg import Time
+from rclpy.clock import Clock
+from rclpy.node import Node
+from trajectory_msgs.msg import JointTrajectory
+
+from longarm_comp.nodes.stamps import stamp_ns, stamp_of
+from longarm_comp.nodes.steady import steady_timer
+
+
+def order_id(message: JointTrajectory) -> str:
+    """Id of a trajectory, the same for its sender and for whoever receives it."""
+    content = hashlib.blake2s("\n".join(message.joint_names).encode(), digest_size=6)
+    for point in message.points:
+        after = point.time_from_start
+        content.update(array("q", [after.sec, after.nanosec]).tobytes())
+        for values in (point.positions, point.velocities, point.accelerations):
+            content.update(array("d", values).tobytes() + b"|")
+    return f"{stamp_ns(message.header.stamp)}-{content.hexdigest()}"
+
+
+class Stamps:
+    """Stamps of a node's orders: now, and later than the one before also where its clock stands."""
+
+    def __init__(self, node: Node) -> None:
+        self._clock, self._last = node.get_clock(), 0
+
+    def next(self) -> Time:
+        """The stamp of the next order."""
+        self._last = max(int(self._clock.now().nanoseconds), self._last + 1)
+        return stamp_of(self._last)
+
+
+def untimely(clock: Clock, stamp: int, max_age_s: float) -> str:
+    """Why a message of that stamp (ns) is too old, or of the future; empty if it is not."""
+    age = 1e-9 * (clock.now().nanoseconds - stamp)
+    if abs(age) <= max_age_s:
+        return ""
+    return f"is {age:.1f} s old" if age > 0 else f"lies {-age:.1f} s in the future"
+
+
+class Freshness:
+    """How old an order may be that a node takes now.
+
+    A stamp tells it, on a clock that runs. Without one it waited at most for as long as the node
+    was away, stopped or overloaded: a timer on the node's executor watches that.
+    """
+
+    def __init__(self, node: Node, max_age_s: float) -> None:
+        self._clock, self.max_age_s = node.get_clock(), max_age_s
+        self._turned = time.monotonic()
+        self._away_s, self._back = 0.0, self._turned - 2.0 * max_age_s
+        steady_timer(node, _TURNS * max_age_s, self._turn)
+
+    def _turn(self) -> None:
+        now = time.monotonic()
+        if now - self._turned > self.max_age_s:
+            self._away_s, self._back = now - self._turned, now
+        self._turned = now
+
+    @property
+    def away_s(self) -> float:
+        """What was taken now may have waited for so long, s."""
+        now = time.monotonic()
+        return max(now - self._turned, self._away_s if now - self._back < self.max_age_s else 0.0)
+
+    def too_old(self, stamp: Time) -> str:
+        """Why an order is too old to be carried out, in words; empty if it is not."""
+        ns = stamp_ns(stamp)
+        why = untimely(self._clock, ns, self.max_age_s) if ns else ""
+        if not why and (not ns or self._clock.ros_time_is_active) and self.away_s > self.max_age_s:
+            why = f"may be {self.away_s:.1f} s old: so long was this node away"
+        return f"the order {why}, allowed {self.max_age_s:g} s" if why else ""
+
+
+_TURNS = 0.1
+"""Period of the watch, as a share of the age allowed."""

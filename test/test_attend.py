@@ -1,0 +1,84 @@
+"""`longarm status`, `hold`, `stop` and `reset`, on the real driver."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from cli_shell import Shell
+from driver_rig import Rig
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.jobs.client import ArmClient, DriverStopped
+from longarm_interfaces.msg import DriverState
+
+TWO_JOINTS = Arm.parse(
+    {
+        "name": "rig", "convention": "mdh_craig", "tip": {"frame": 2, "position_m": [0.3, 0, 0]},
+        "joints": [
+            {"id": 1, "name": "shoulder", "type": "revolute", "limits_deg": [-28, 57]},
+            {"id": 2, "name": "boom", "type": "prismatic", "alpha_deg": 90, "limits_m": [0, 0.1]},
+        ],
+    },
+    "the rig's arm",
+)  # fmt: skip
+
+
+@pytest.fixture
+def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Shell:
+    return Shell(tmp_path, capsys)
+
+
+def test_an_arm_is_held_stopped_and_goes_on(rig: Rig, shell: Shell) -> None:
+    found = shell.json("status")
+    assert (found["driver"], found["next"]) == ("ready", "") and "servo_driver" in found["nodes"]
+    rig.goes(shoulder=0.3)
+    assert shell("hold") == 0 and "torque on" in shell.err
+    rig.is_in(DriverState.HOLDING)
+    assert rig.driving()
+    assert shell.json("status")["next"] == "longarm reset"
+    assert shell("stop") == 0 and rig.free()
+    assert shell("status") == 0
+    assert "stopped: torque off" in shell.out and "Next: longarm reset" in shell.out
+    assert shell("reset") == 0 and rig.driving()  # of the stop, and of the hold before it
+    rig.is_in(DriverState.READY)
+    rig.is_idle()
+    rig.goes(shoulder=0.1)
+    assert shell("reset") == 0 and "nothing to reset" in shell.err
+
+
+def test_a_fault_is_told_with_its_cause_and_stays_until_it_is_cured(rig: Rig, shell: Shell) -> None:
+    rig.emulator.block(1)
+    rig.send("blocked", shoulder=0.9)
+    rig.is_in(DriverState.FAULT)
+    found = shell.json("status")
+    assert "shoulder" in found["why"] and found["next"] == "longarm reset"
+    assert any(t["level"] == "error" and "shoulder" in t["message"] for t in found["troubles"])
+    rig.emulator.block(1, False)
+    assert shell("reset") == 0
+    rig.is_in(DriverState.READY)
+    rig.emulator.unplug()
+    rig.stage.spin(lambda: "unplugged" in rig.told("servo bus"))
+    assert "unplugged" in str(shell.json("status")["troubles"])
+    rig.emulator.replug()
+    rig.stage.spin(lambda: rig.told("servo bus") == "every servo answers")
+    shell("reset")
+
+
+@pytest.mark.parametrize("name", ["status", "hold", "stop", "reset"])
+def test_without_an_arm_the_command_says_so(rig: Rig, shell: Shell, name: str) -> None:
+    assert "servo_driver" in (said := shell.refused(name, "--namespace", "moon", code=3)) or (
+        "longarm up" in said
+    )
+
+
+def test_a_job_names_the_state_of_a_stopped_driver_at_once(rig: Rig, shell: Shell) -> None:
+    assert shell("hold") == 0
+    with ArmClient(TWO_JOINTS) as client:
+        client.until(lambda: client.joints is not None, 30.0, "joints")
+        with pytest.raises(DriverStopped, match="longarm reset"):
+            client.ready(600.0, tip=False)
+    assert shell("reset") == 0

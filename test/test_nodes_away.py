@@ -1,0 +1,196 @@
+"""`kinematics` that is stopped and continued, and drowned in targets: what still moves the arm."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from nodes_bench import Bench, bench
+from publishing import publishing
+from rclpy.action import ActionClient
+from test_nodes_driver_link import ARM, Driver
+from test_nodes_kinematics import pose, request
+from trajectory_msgs.msg import JointTrajectory
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.jobs.client import GraphClient
+from longarm_comp.jobs.path import slow_path
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.orders import order_id
+from longarm_interfaces.action import Reach
+from longarm_interfaces.msg import Motion
+from longarm_interfaces.srv import Compensate
+
+STATUS = Compensate.Response
+MAX_AGE_S = 1.0
+
+
+@pytest.fixture
+def arm() -> Arm:
+    return Arm.load(ARM)
+
+
+@pytest.fixture
+def stage(ros_domain: int) -> Iterator[Bench]:
+    with bench() as made:
+        yield made
+
+
+class Stand:
+    """A node of `kinematics` and a driver that takes what it sends."""
+
+    def __init__(self, stage: Bench, arm: Arm, **parameters: object) -> None:
+        self.stage, self.arm = stage, arm
+        self.driver = Driver(stage, arm)
+        self.driver.instances = ("a",)
+        self.node = stage.start("kinematics", {
+            "arm": ARM, "acknowledged": True, "method": "deflection", "run_up": False,
+            "diagnostics_period_s": 0.1, "target_max_age_s": MAX_AGE_S, **parameters,
+        })  # fmt: skip
+        self.target = declared_model(arm).pose(arm.mid)
+        self.client = graph.COMPENSATE.client(stage.node)
+        self.stories = stage.collect(graph.COMPENSATION)
+        self.health = stage.collect(graph.DIAGNOSTICS)
+
+    def goes(self) -> None:
+        """Wait until a target is sent and accepted; then forget it."""
+        ask = request(self.target, self.arm, execute=True)
+        self.stage.spin(lambda: self.stage.call(self.client, ask).success)
+        self.stage.spin(lambda: self.stories and self.stories[-1].accepted)
+        del self.driver.got[:], self.stories[:]
+
+    def facts(self) -> dict[str, int]:
+        """The counts of the next report."""
+        del self.health[:]
+
+        def told() -> list[dict[str, int]]:
+            return [
+                {v.key: int(v.value) for v in status.values if v.value.isdecimal()}
+                for array in self.health
+                for status in array.status
+                if status.name == "/kinematics: targets"
+            ]
+
+        return self.stage.spin(told)[-1]
+
+
+def passes(stage: Bench, seconds: float) -> None:
+    end = time.monotonic() + seconds
+    stage.spin(lambda: time.monotonic() > end)
+
+
+@pytest.mark.parametrize("direct", [True, False])
+def test_what_its_clients_gave_up_meanwhile_moves_nothing(
+    stage: Bench, arm: Arm, direct: bool
+) -> None:
+    stand = Stand(stage, arm, direct=direct)
+    targets = graph.TARGET_POSE.publisher(stage.node)
+    reach = ActionClient(stage.node, Reach, graph.REACH.name)
+    stage.connected(targets)
+    stage.spin(reach.server_is_ready)
+    stand.goes()
+    stand.node.send_signal(signal.SIGSTOP)
+    unstamped = pose(stand.target)
+    asked = stand.client.call_async(request(stand.target, arm, execute=True))
+    targets.publish(unstamped)
+    goal = reach.send_goal_async(Reach.Goal(target=unstamped))
+    passes(stage, 2.0 * MAX_AGE_S)
+    stand.node.send_signal(signal.SIGCONT)
+    stage.spin(lambda: asked.done() and goal.done())
+    ended = goal.result().get_result_async()
+    stage.spin(ended.done)
+    reached = ended.result().result.status
+    silent = reached == STATUS.NO_DRIVER  # on a busy machine: neither has it heard of the driver
+    stage.spin(lambda: len(stand.stories) == 3 - silent)
+    said = [(s.status, s.message) for s in stand.stories]
+    assert asked.result().status == STATUS.STALE_TARGET
+    assert silent or reached == STATUS.STALE_TARGET
+    assert all(status == STATUS.STALE_TARGET and "sent" in why for status, why in said)
+    assert not stand.driver.got
+    stand.goes()
+
+
+def test_an_answer_that_came_while_it_was_stopped_counts(stage: Bench, arm: Arm) -> None:
+    stand = Stand(stage, arm, acknowledge_s=0.3)
+    withdrawn = stage.collect(graph.WITHDRAWN)
+    stand.goes()
+    took = stand.driver.tell
+
+    def stops(event: int, name: str, taken: JointTrajectory | None = None) -> None:
+        stand.node.send_signal(signal.SIGSTOP)
+        took(event, name, taken)
+
+    stand.driver.tell = stops  # type: ignore[method-assign]
+    asked = stand.client.call_async(request(stand.target, arm, execute=True))
+    stage.spin(lambda: stand.driver.got)
+    passes(stage, 1.0)
+    stand.node.send_signal(signal.SIGCONT)
+    stage.spin(asked.done)
+    assert asked.result().success and not withdrawn
+    assert asked.result().id == order_id(stand.driver.got[-1])
+
+
+def test_what_was_not_accepted_is_withdrawn(stage: Bench, arm: Arm) -> None:
+    stand = Stand(stage, arm, acknowledge_s=0.3)
+    withdrawn = stage.collect(graph.WITHDRAWN)
+    stand.goes()
+    stand.driver.answers = False
+    answer = stage.call(stand.client, request(stand.target, arm, execute=True))
+    assert answer.status == STATUS.NOT_ACCEPTED and "withdrawn" in answer.message
+    stage.spin(lambda: withdrawn)
+    assert [w.data for w in withdrawn] == [order_id(t) for t in stand.driver.got]
+    sent = stand.driver.got[-1].header.stamp
+    assert 1e9 * sent.sec + sent.nanosec == pytest.approx(time.time_ns(), abs=60e9)
+    stand.driver.answers, stand.driver.event = True, Motion.REFUSED
+    answer = stage.call(stand.client, request(stand.target, arm, execute=True))
+    assert answer.status == STATUS.NOT_ACCEPTED and len(withdrawn) == 1
+
+
+def test_a_flood_of_targets_starves_neither_a_service_nor_the_last_of_them(
+    stage: Bench, arm: Arm
+) -> None:
+    """Some 1,000 a second for ten seconds, beside requests."""
+    stand = Stand(stage, arm, target_max_age_s=60.0)
+    stand.goes()
+    before = stand.facts()
+    poses = [pose(matrix) for matrix in slow_path(arm, 97)]
+    sent = [0]
+    publishers: list[object] = []
+
+    def flood(client: GraphClient, step: int) -> None:
+        if not publishers:
+            publishers.append(graph.TARGET_POSE.publisher(client.node))
+        if sent[0] < 10_000 and publishers[0].get_subscription_count():
+            for _ in range(20):
+                publishers[0].publish(poses[sent[0] % len(poses)])
+                sent[0] += 1
+
+    asked = 0
+    ask = request(stand.target, arm)
+    with publishing(flood):
+        stage.spin(lambda: sent[0])
+        while sent[0] < 10_000:
+            answer = stage.call(stand.client, ask)
+            assert answer.success, answer.message
+            asked += 1
+        moved = len(stand.driver.got)
+
+        def accounted() -> bool:
+            facts, counted = stand.facts(), 0
+            for name, count in facts.items():
+                if name.isupper() or name in ("superseded without a story", "lost on the way"):
+                    counted += count - before.get(name, 0)
+            return counted == sent[0] + asked and not facts["superseded, not told yet"]
+
+        stage.spin(accounted, within=120.0)
+    assert asked > 10 and moved > 10
+    last = slow_path(arm, 97)[(sent[0] - 1) % 97]
+    reached = np.array(stand.driver.got[-1].points[-1].positions)
+    np.testing.assert_allclose(declared_model(arm).tip(reached), last[:3, 3], atol=1e-5)
