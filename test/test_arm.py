@@ -217,9 +217,17 @@ def test_tolerances_become_priors(arm: Arm) -> None:
         return {p.name: p.prior for p in DhError(row=row).parameters(arm)}
 
     half = math.radians(0.5)
-    assert priors(1) == {"a": 2e-3, "alpha": half, "beta": half, "d": 1e-3, "theta": 0.0}
+    turned = {"alpha": half, "beta": half, "theta": 0.0}
+    assert priors(1) == {"a": 2e-3, "b": 2e-3, "d": 1e-3, **turned}
     assert priors(2)["d"] == 0.0  # a slide's own zero is joint_zero's
-    assert priors(4) == {"a": 1e-3, "alpha": 4e-3, "beta": 4e-3, "d": 5e-4, "theta": 4e-3}
+    assert priors(4) == {
+        "a": 1e-3,
+        "b": 1e-3,
+        "alpha": 4e-3,
+        "beta": 4e-3,
+        "d": 5e-4,
+        "theta": 4e-3,
+    }
 
 
 def put(data: dict[str, Any], path: str, value: Any) -> dict[str, Any]:

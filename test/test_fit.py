@@ -16,6 +16,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.base_pose import BasePose
+from longarm_comp.core.effects.dh_error import DhError
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
@@ -344,3 +345,23 @@ def test_stated_noise_that_the_rows_do_not_show_counts_for_nothing(
     found = fit(blank(truth), rows)
     assert set(found.weights) <= {0.0, 1.0}
     assert (found.uneven(rows) == 1.0).all()
+
+
+def test_a_link_laid_along_y_has_its_length_recovered(rng: np.random.Generator) -> None:
+    rows = [
+        {"id": 1, "type": "revolute", "d_m": 0.2, "limits_deg": [-90, 90]},
+        {"id": 2, "type": "fixed", "pose": {"xyz_m": [0.0, 0.4, 0.0]}},
+        {"id": 3, "type": "revolute", "limits_deg": [-90, 90]},
+        {"id": 4, "type": "fixed", "pose": {"xyz_m": [0.0, 0.3, 0.0], "rpy_deg": [90, 0, 0]}},
+        {"id": 5, "type": "revolute", "limits_deg": [-90, 90]},
+    ]
+    tip = {"frame": 5, "position_m": [0.1, 0.0, 0.05]}
+    arm = Arm.parse({"name": "y", "convention": "mdh_craig", "tip": tip, "joints": rows}, "y")
+    true = Model(arm, (DhError(row=3, b=1e-3),))
+    q = rng.uniform(arm.lower, arm.upper, (200, arm.n))
+    seen = true.tip(q) + 2e-5 * rng.standard_normal((200, 3))
+    found = fit(Model(arm, geometry(arm, empty(arm))), Session.record(q, seen)).model
+    asked = rng.uniform(arm.lower, arm.upper, (50, arm.n))
+    assert np.abs(found.tip(asked) - true.tip(asked)).max() < 5e-5
+    along = {e.row: e.b for e in found.effects if isinstance(e, DhError)}
+    assert along[2] + along[3] == pytest.approx(1e-3, abs=2e-5)

@@ -25,6 +25,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.sessions.message_types import message_types
 from longarm_comp.sessions.offered import offered
+from longarm_comp.sessions.touches import write_touches
 
 STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 PERIOD_S = 10.0  # between rows of a session that has no times
@@ -61,6 +62,7 @@ def write_bag(
         Writer(folder, version=9, storage_plugin=STORAGE[storage]) as writer,
     ):
         _Recorder(writer, arm, namespace).write(session)
+        write_touches(session.touch_distances, folder)
 
 
 @contextmanager

@@ -1,11 +1,11 @@
 """A session as a CSV file (samples.csv, test.csv).
 
 Required: ``q1..qn`` (rad, m, the commanded joints in the order of the arm) and something
-measured: ``x,y,z`` (m), ``qx,qy,qz,qw``, ``distance`` (m, with ``anchor``); blank is not measured
-(`sessions/csv_readings.py`).  Known besides: ``index, t_s, temperature_c, payload_kg,
-approach, repeat_id, sigma_x..z, cov_xx..zz, role, group, marker, incl_<frame>_x/_y`` and
-``approach_q1..qn`` (the direction per joint, where one for all joints does not do),
-``run_up_q1..qn`` (where each joint came from last).
+measured: ``x,y,z`` (m), ``qx,qy,qz,qw``, ``distance`` (m, with ``anchor``), ``touch`` or ``plane``
+(names of what the tip touched); blank is not measured (`sessions/csv_readings.py`).  Known besides:
+``index, t_s, temperature_c, payload_kg, approach, repeat_id, sigma_x..z, cov_xx..zz, role, group,
+marker, incl_<frame>_x/_y`` and ``approach_q1..qn`` (the direction per joint, where one for all
+joints does not do), ``run_up_q1..qn`` (where each joint came from last).
 
 A further column is kept as context, numbers as numbers and text as labels, unless its name
 comes close to a known one: then it is an error that says which.
@@ -35,11 +35,12 @@ from longarm_comp.sessions.csv_readings import (
 )
 from longarm_comp.sessions.names import check_header, check_unknown
 from longarm_comp.sessions.table import Table, read_table, write_table
+from longarm_comp.sessions.touches import write_touches
 
 SIGMA = ("sigma_x", "sigma_y", "sigma_z")
 VARIANCE = ("cov_xx", "cov_yy", "cov_zz")
 UNITS = {"t_s": "s", "temperature_c": "degrees Celsius", "payload_kg": "kg"}
-LABELS = ("role", "group", "marker", "anchor", "sensor")
+LABELS = ("role", "group", "marker", "anchor", "sensor", "touch", "plane")
 _INDEX = ("index", "approach", "repeat_id")
 _COVARIANCE = (*VARIANCE, "cov_xy", "cov_xz", "cov_yz")
 
@@ -83,7 +84,7 @@ def read_csv(path: str | Path, arm: Arm, joint_columns: Sequence[str] | None = N
 
 
 def write_csv(session: Session, path: str | Path) -> None:
-    """Write a session; `read_csv` gives the same one back.
+    """Write a session; `read_session` gives the same one back.
 
     Raises:
         InputError: the folder cannot be written to.
@@ -101,6 +102,7 @@ def write_csv(session: Session, path: str | Path) -> None:
     columns.update({k: v for k, v in session.columns.items() if k not in columns})
     columns.update(session.labels)
     write_table(path, list(columns), zip(*columns.values(), strict=True))
+    write_touches(session.touch_distances, Path(path).parent)
 
 
 def joint_names(n: int) -> tuple[str, ...]:

@@ -25,7 +25,7 @@ READ = tuple(
 
 def check_measured(table: Table) -> None:
     """Raise `InputError` where a table measures nothing, or a coordinate's name is misspelt."""
-    first = [cell for kind in FURTHER for cell in kind.cells[:1]]
+    first = [(*kind.cells, kind.label)[0] for kind in FURTHER]
     for name in XYZ:
         others = [n for n in table.header if n not in XYZ]
         if name not in table.header and nearest(name, others):
@@ -52,12 +52,12 @@ def read_readings(table: Table) -> tuple[dict[str, np.ndarray], dict[str, np.nda
     """
     readings, sigmas = {}, {}
     for kind in FURTHER:
-        if any(name in table.cells for name in kind.cells):
+        if any(name in table.cells for name in kind.cells):  # none of a kind that a text measures
             readings[kind.name] = _read(table, kind)
             if kind.sigma in table.cells:
                 unit = f"{kind.unit}, above 0"
                 sigmas[kind.name] = table.numbers(kind.sigma, unit, True, lambda v: v > 0)
-        elif kind.sigma in table.cells:
+        elif kind.sigma and kind.sigma in table.cells:
             check_header(table.where, table.header, kind.cells)
     return readings, sigmas
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
 from longarm_comp.sessions.csv import read_csv
+from longarm_comp.sessions.touches import read_touches
 
 
 def read_session(path: str | Path, arm: Arm) -> Session:
     """A CSV file, or a rosbag2: its folder or a ``.mcap`` or ``.db3`` file.
+
+    ``touches.yaml`` beside it says what is known of the points that it touched.
 
     Raises:
         InputError: it cannot be read in the format of its name.
@@ -19,5 +23,7 @@ def read_session(path: str | Path, arm: Arm) -> Session:
     if path.is_dir() or path.suffix in (".mcap", ".db3"):
         from longarm_comp.sessions.bag import read_bag  # a CSV needs none of its libraries
 
-        return read_bag(path, arm)
-    return read_csv(path, arm)
+        session = read_bag(path, arm)
+    else:
+        session = read_csv(path, arm)
+    return dataclasses.replace(session, touch_distances=read_touches(path))

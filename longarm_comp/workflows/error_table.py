@@ -15,6 +15,9 @@ ERROR_COLUMNS = (
 ANGLE = "mean_mrad"
 """Column of the mean error of the orientation, where it was measured."""
 
+SPREAD = "spread_mm"
+"""Column of the mean distance from the touched points, where points were touched."""
+
 
 @dataclass(frozen=True, repr=False)
 class ErrorTable(Mapping[str, Errors]):
@@ -57,4 +60,5 @@ def _row(name: str, errors: Errors, commanded: Errors) -> dict[str, Any]:
     lengths = (errors.mean, commanded.mean, errors.median, errors.rms, errors.p95, errors.max)
     values = [*(1e3 * v for v in (*lengths, errors.mean_abs_z)), 1e6 * errors.variance]
     row = {"model": name, "n": errors.n, **dict(zip(ERROR_COLUMNS, values, strict=True))}
-    return row if errors.angle is None else {**row, ANGLE: 1e3 * errors.angle}
+    further = {ANGLE: errors.angle, SPREAD: errors.spread}
+    return {**row, **{name: 1e3 * v for name, v in further.items() if v is not None}}

@@ -10,7 +10,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.commanded import commanded_errors
-from longarm_comp.core.data.measurement import errors, turns
+from longarm_comp.core.data.measurement import errors, spreads, turns
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.plausible import displaced
 from longarm_comp.core.identify.standing import standing
@@ -121,7 +121,12 @@ def evaluate(
     numbers = session.index[session.placed]
     seen, commanded = (
         {
-            name: Errors.of(left(each, session) - taken_off[name], turns(each, session), numbers)
+            name: Errors.of(
+                left(each, session) - taken_off[name],
+                turns(each, session),
+                numbers,
+                spreads(each, session),
+            )
             for name, each in models.items()
         }
         for left in (errors, commanded_errors)

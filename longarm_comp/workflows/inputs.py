@@ -73,6 +73,8 @@ def admitted(
 def physics(arm: Arm, given: ModelLike | None, deflection: bool = True) -> Model:
     """The calibrated model, or the declared arm; without sag if ``deflection`` is False.
 
+    What its session alone knew, as where a touched point was, is left out.
+
     Raises:
         InputError: the model is of another arm, or its file cannot be read.
     """
@@ -82,6 +84,7 @@ def physics(arm: Arm, given: ModelLike | None, deflection: bool = True) -> Model
     if model.arm.hash != arm.hash:
         found = f"of arm {model.arm.name} {model.arm.hash[:12]}"
         raise InputError("model", "arm", found, f"a model of {arm.name} {arm.hash[:12]}")
+    model = model.lasting()
     return model if deflection else rigid(model)
 
 

@@ -5,6 +5,7 @@ from longarm_comp.cli.registry import Entry
 STUDIES = (
     Entry("table1", "table1", "The paper's Table I on simulated arms."),
     Entry("real", "real", "Held-out errors on public data of real arms."),
+    Entry("touch", "touch", "Real arms that touched sockets, places held out."),
     Entry("realisable", "realisable", "Choice among the servos' steps, compared with rounding."),
     Entry("measurements", "measurements", "Rows needed by pose, position, distance."),
     Entry("poses", "poses", "Which poses to measure: grid, Sobol, I-optimal."),

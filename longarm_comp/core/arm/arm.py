@@ -27,6 +27,7 @@ from longarm_comp.core.arm.measuring import (
     Marker,
     Placements,
     Sensors,
+    TouchDistances,
 )
 from longarm_comp.core.arm.pose import NonNegative, Pose, Positive, Vec3
 from longarm_comp.core.arm.spatial import IDENTITY, Frame, rpy_frame
@@ -187,6 +188,9 @@ class Arm(Declared):
     markers: dict[str, Marker] = Field(default_factory=dict)
     anchors: dict[str, Anchor] = Field(default_factory=dict)
     sensors: Sensors = Field(default_factory=dict)
+    touch_distances: TouchDistances = Field(
+        default=(), description="known ones between touched points: [name, name, m] (, sd)"
+    )
     keep_out: dict[str, Box] = Field(default_factory=dict)
     tolerance: Placements = Placements()
 

@@ -64,6 +64,25 @@ class Inclinometer(Declared):
 Sensors = dict[str, Annotated[CameraSensor | Inclinometer, Field(discriminator="kind")]]
 
 
+PRINTED = 1e-4
+"""Tolerance (m) of a known distance where none is given: of a printed or drilled part."""
+KnownDistance = tuple[str, str, float, float]
+"""Names of two touched points, their distance (m), its standard deviation (m)."""
+TouchDistances = tuple[tuple[str, str, Positive] | tuple[str, str, Positive, Positive], ...]
+"""The same as a file declares it; the last may be absent."""
+
+
+def known_distances(declared: TouchDistances) -> tuple[KnownDistance, ...]:
+    """Declared distances, all with a tolerance."""
+    return tuple((d[0], d[1], d[2], d[3] if len(d) == 4 else PRINTED) for d in declared)
+
+
+class Touches(Declared):
+    """`touches.yaml`, beside a session: what is known of the points that it touched."""
+
+    touch_distances: TouchDistances = Field(description="[name, name, m] or [name, name, m, sd]")
+
+
 Spread = Positive | tuple[Positive, Positive, Positive]
 """One standard deviation for all three components, or one each."""
 

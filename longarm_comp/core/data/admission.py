@@ -16,6 +16,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.spatial import Frame, roll_pitch_yaw
+from longarm_comp.core.data.admission_finding import AdmissionFinding
 from longarm_comp.core.data.alignment import (
     Alignment,
     align,
@@ -24,6 +25,7 @@ from longarm_comp.core.data.alignment import (
 )
 from longarm_comp.core.data.belonging import STRAYS, believe
 from longarm_comp.core.data.session import INCLINATION, Session
+from longarm_comp.core.data.touch_checks import check_touches
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 
@@ -35,25 +37,6 @@ _TURN = 2 * np.pi
 _MANY = 5.0  # times a joint's largest value, and more, are another unit
 _MOSTLY = 0.5  # of its rows blank: an inclinometer that is left out instead of the rows
 _TILTED = np.radians(20.0)
-
-
-@dataclass(frozen=True)
-class AdmissionFinding:
-    """A limitation of a session that is admitted.
-
-    Attributes:
-        check: name of the check that found it.
-        field: the columns or rows concerned.
-        message: description in one sentence.
-    """
-
-    check: str
-    field: str
-    message: str
-
-    def __str__(self) -> str:
-        """One line."""
-        return f"{self.field}: {self.message}"
 
 
 @dataclass(frozen=True)
@@ -251,7 +234,7 @@ def _exchanged(arm: Arm, q: np.ndarray, j: int) -> str:
 
 def _measured_at_all(case: _Case) -> Iterator[AdmissionFinding]:
     lost = int((~case.session.seen).sum())
-    field = ", ".join(cell for kind in case.session.kinds for cell in kind.cells)
+    field = ", ".join(c for kind in case.session.kinds for c in kind.cells or (kind.label,))
     if lost == len(case.session):
         raise case.refuse(field, f"blank in all {lost} rows", "measured tip positions (m)")
     if not case.session.placed.any():
@@ -273,6 +256,10 @@ def _constant(case: _Case) -> Iterator[AdmissionFinding]:
     for name, values in case.session.columns.items():
         if len(case.session) > 1 and np.ptp(values) == 0:
             yield AdmissionFinding("constant", name, "never changed: what it causes cannot be told")
+
+
+def _touches(case: _Case) -> Iterable[AdmissionFinding]:
+    return check_touches(case.session, case.arm)
 
 
 def _copies(case: _Case) -> Iterator[AdmissionFinding]:
@@ -399,6 +386,7 @@ _BEFORE: tuple[Callable[[_Case], Iterable[AdmissionFinding] | None], ...] = (
     _joint_units,
     _order,
     _measured_at_all,
+    _touches,
     _constant,
     _copies,
 )

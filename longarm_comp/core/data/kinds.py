@@ -45,7 +45,9 @@ class Kind(ABC):
         scalars: names of its k equations.
         unit: of the equations, ``m`` or ``rad``.
         turns: whether the prediction depends on the tip's axes.
-        label: text column that every reading needs, or empty.
+        label: text column that every reading needs, or empty. Where there are no cells, a row
+            with a text measures that the tip was there.
+        takes: rows that it takes to solve what a text names, where there are no cells.
         sigma: column of its standard deviation in a file, or empty.
     """
 
@@ -55,6 +57,7 @@ class Kind(ABC):
     unit: ClassVar[str] = "m"
     turns: ClassVar[bool] = False
     label: ClassVar[str] = ""
+    takes: ClassVar[int] = 0
     sigma: ClassVar[str] = ""
 
     def measured(self, values: np.ndarray) -> np.ndarray:
@@ -65,6 +68,10 @@ class Kind(ABC):
     def wrong(self, values: np.ndarray) -> tuple[np.ndarray, str]:
         """(N,) which readings cannot be, and what is allowed instead."""
         return np.zeros(len(values), dtype=bool), ""
+
+    def framed(self, arm: Arm) -> bool:
+        """Whether it measures in a frame of its own, in which the base is to be placed."""
+        return True
 
     @abstractmethod
     def equations(
@@ -125,6 +132,10 @@ class Distance(Kind):
     def wrong(self, values: np.ndarray) -> tuple[np.ndarray, str]:
         return values[:, 0] <= 0, "above 0 (m)"
 
+    def framed(self, arm: Arm) -> bool:
+        """Not if all anchors are to be solved: their frame is the base itself."""
+        return any(anchor.xyz_m is not None for anchor in arm.anchors.values())
+
     def equations(
         self, motion: TipMotion, values: np.ndarray, arm: Arm, labels: Labels
     ) -> Equations:
@@ -168,7 +179,47 @@ class Ray(Kind):
         return Equations(residual, pull @ columns, pull)
 
 
-KINDS: Mapping[str, Kind] = {k.name: k for k in (Position(), Orientation(), Distance(), Ray())}
+class Touch(Kind):
+    """The tip touched a point: all rows of one name touched the same one, which may be anywhere."""
+
+    name = "touch"
+    cells = ()
+    scalars = ("touch_x", "touch_y", "touch_z")
+    label = "touch"
+    takes = 1
+
+    def framed(self, arm: Arm) -> bool:
+        return False
+
+    def equations(
+        self, motion: TipMotion, values: np.ndarray, arm: Arm, labels: Labels
+    ) -> Equations:
+        away, columns = motion.point(self.name)
+        return Equations(-away, columns, np.broadcast_to(np.eye(3), (*away.shape, 3)))
+
+
+class Plane(Kind):
+    """The tip touched a plane: all rows of one name the same one, which may be anywhere."""
+
+    name = "plane"
+    cells = ()
+    scalars = ("plane_z",)
+    label = "plane"
+    takes = 3
+
+    def framed(self, arm: Arm) -> bool:
+        return False
+
+    def equations(
+        self, motion: TipMotion, values: np.ndarray, arm: Arm, labels: Labels
+    ) -> Equations:
+        point, columns = motion.point(self.name)
+        return Equations(-point[:, 2:], columns[:, 2:], motion.pull(self.name)[:, 2:])
+
+
+KINDS: Mapping[str, Kind] = {
+    k.name: k for k in (Position(), Orientation(), Distance(), Ray(), Touch(), Plane())
+}
 """Every kind by name; positions come first in the channels of a session."""
 
 

@@ -128,6 +128,13 @@ class MeasuredRows:
         told = self.measured & np.isfinite(whole) & (whole > 0)
         return np.where(told, whole, np.nan)
 
+    def named(self, kind: Kind) -> tuple[str, ...]:
+        """The texts beside its readings of one kind, each once: anchors, touched points."""
+        if kind.label not in self.labels:
+            return ()
+        held = kind.measured(self.reading(kind)).any(axis=1)
+        return tuple(str(name) for name in np.unique(self.labels[kind.label][held]))
+
     @cached_property
     def claimed(self) -> dict[str, float]:
         """Median of `stated` by channel, of those in which a row states any."""
@@ -145,18 +152,21 @@ class MeasuredRows:
         return np.asarray(np.exp(logs.sum(axis=1) / np.maximum(known.sum(axis=1), 1)))
 
     def reading(self, kind: Kind) -> np.ndarray:
-        """(N, c) readings of one kind, NaN where not measured."""
+        """(N, c) readings of one kind, NaN where not measured; (N, 1) of 0 where a text says it."""
         if kind.name == "position":
             return self.xyz
+        if not kind.cells:
+            texts = self.labels.get(kind.label, np.full(len(self.xyz), ""))
+            return np.where(texts == "", np.nan, 0.0)[:, None]
         absent = np.full((len(self.xyz), len(kind.cells)), np.nan)
         return self.readings.get(kind.name, absent)
 
     def _check_readings(self, n_rows: int) -> None:
         readings: dict[str, np.ndarray] = {}
         for name, given in self.readings.items():
-            if name not in KINDS or name == "position":
-                known = ", ".join(k for k in KINDS if k != "position")
-                raise InputError(self.source, f"readings {name}", "unknown kind", known)
+            known = [k for k, v in KINDS.items() if k != "position" and v.cells]
+            if name not in known:
+                raise InputError(self.source, f"readings {name}", "unknown kind", ", ".join(known))
             kind = KINDS[name]
             values = np.asarray(given, dtype=float)
             check_shape(self.source, name, values, (n_rows, len(kind.cells)))
@@ -184,11 +194,10 @@ class MeasuredRows:
     def _blocks(self) -> tuple[ChannelBlock, ...]:
         """One block a kind, or a kind and sensor where several sensors measured."""
         names = np.unique(self.labels.get("sensor", np.array([""])))
-        kinds = [k for k in KINDS if k == "position" and np.isfinite(self.xyz).any()]
-        kinds = [*kinds, *(k for k in KINDS if k in self.readings)] or ["position"]
+        held = {k: v.measured(self.reading(v)).any(axis=1) for k, v in KINDS.items()}
+        kinds = [k for k in KINDS if held[k].any()] or ["position"]
         if len(names) < 2:
             return tuple(ChannelBlock(kind) for kind in kinds)
-        held = {k: KINDS[k].measured(self.reading(KINDS[k])).any(axis=1) for k in kinds}
         mine = {str(name): self.labels["sensor"] == name for name in names}
         return tuple(ChannelBlock(k, s) for k in kinds for s in mine if (held[k] & mine[s]).any())
 

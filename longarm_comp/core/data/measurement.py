@@ -6,6 +6,7 @@ such an equation says nothing in a least-squares problem.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.data.kinds import KINDS, Equations
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.data.touched import completed
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.model.model import Model, Slot
 from longarm_comp.core.model.tip_motion import TipMotion
@@ -34,6 +36,8 @@ def equations(
         at: the model's posture at these rows.
         slots: the parameters.
     """
+    slots = model.slots if slots is None else slots
+    model = completed(model, session, at)
     return _stacked(model.motion(at, slots, session.turns), session, model)
 
 
@@ -41,6 +45,7 @@ def shifts(
     model: Model, session: Session, at: Posture, terms: Sequence[Effect | Bias]
 ) -> np.ndarray:
     """(N, d, k) change of the prediction by each of k terms outside the model."""
+    model = completed(model, session, at)
     return _stacked(model.added(at, terms, session.turns), session, model).columns
 
 
@@ -79,6 +84,22 @@ def errors(model: Model, session: Session, near: Posture | None = None) -> np.nd
     found = equations(model, placed, at, ())
     moved = np.linalg.pinv(found.pull, rcond=1e-6) @ found.residual[..., None]
     return np.where(placed.located[:, None], positions, moved[..., 0])
+
+
+def spreads(model: Model, session: Session) -> np.ndarray:
+    """(M,) distance of the predicted tip from the touched point, m, of the M rows of a touch.
+
+    The points are solved from these rows alone.
+    """
+    rows = session.take(session.reading(KINDS["touch"])[:, 0] == 0.0)
+    if not len(rows):
+        return np.zeros(0)
+    labels = {k: v for k, v in rows.labels.items() if k not in ("plane", "sensor")}
+    blank = np.full(rows.xyz.shape, np.nan)
+    alone = dataclasses.replace(
+        rows, xyz=blank, sigma=None, readings={}, sigmas={}, labels=labels, blocks=()
+    )
+    return np.asarray(np.linalg.norm(errors(model.lasting(), alone), axis=1))
 
 
 def turns(model: Model, session: Session) -> np.ndarray:

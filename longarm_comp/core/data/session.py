@@ -18,6 +18,7 @@ import numpy as np
 
 from longarm_comp.core.arm.context import LEGS, PER_JOINT, Context
 from longarm_comp.core.arm.history import SAME_POSE, History, recorded, sides_told
+from longarm_comp.core.arm.measuring import KnownDistance
 from longarm_comp.core.data.measured_rows import ChannelBlock, MeasuredRows, check_shape
 from longarm_comp.core.errors import InputError
 
@@ -49,6 +50,7 @@ class Session(MeasuredRows):
         readings: what else was measured, by kind (`core/data/kinds.py`), (N, c) each; a row of
             NaN was not. `orientation`: x, y, z, w; `distance`: m, to the row's `anchor`.
         sigmas: standard deviations of these, by kind, (N,) each in m or rad.
+        touch_distances: known ones between touched points (`core/data/touched.py`).
         blocks: the channels of the equations; a part of a session keeps those of the whole.
         lost: why rows of the recording hold no measurement, by index, where that is known; a part
             of a session keeps those of the whole.
@@ -67,6 +69,7 @@ class Session(MeasuredRows):
     told: np.ndarray = field(default_factory=lambda: np.zeros(0))
     readings: Mapping[str, np.ndarray] = field(default_factory=dict)
     sigmas: Mapping[str, np.ndarray] = field(default_factory=dict)
+    touch_distances: tuple[KnownDistance, ...] = ()
     blocks: tuple[ChannelBlock, ...] = ()
     lost: Mapping[int, str] = field(default_factory=dict)
 
@@ -124,6 +127,7 @@ class Session(MeasuredRows):
         source: str = "session",
         readings: Mapping[str, np.ndarray] | None = None,
         sigmas: Mapping[str, np.ndarray] | None = None,
+        touch_distances: Sequence[KnownDistance] = (),
     ) -> Session:
         """From rows in the order of recording; how each joint arrived is derived.
 
@@ -162,6 +166,7 @@ class Session(MeasuredRows):
             sides_told(q, approach, begun),
             readings or {},
             sigmas or {},
+            tuple(touch_distances),
         )
 
     def taken(self, lengths: np.ndarray) -> Session:
@@ -253,6 +258,8 @@ class Session(MeasuredRows):
             if values is not None:
                 digest.update(f"{name}{values.shape}".encode())
                 digest.update(np.ascontiguousarray(values).tobytes())
+        if self.touch_distances:
+            digest.update(repr(self.touch_distances).encode())
         for name in sorted(self.labels):
             digest.update("\0".join([name, *self.labels[name]]).encode())
         return digest.hexdigest()

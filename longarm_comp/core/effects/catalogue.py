@@ -43,6 +43,7 @@ from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.link_mass import LinkMass
 from longarm_comp.core.effects.link_stiffness import LinkStiffness
 from longarm_comp.core.effects.measured_tilt import MeasuredTilt
+from longarm_comp.core.effects.plane_place import PlanePlace
 from longarm_comp.core.effects.prismatic_pitch import PrismaticPitch
 from longarm_comp.core.effects.sensor_place import SensorPlace
 from longarm_comp.core.effects.servo_droop import ServoDroop
@@ -54,6 +55,8 @@ from longarm_comp.core.effects.thermal_softening import ThermalSoftening
 from longarm_comp.core.effects.tip_offset import TipOffset
 from longarm_comp.core.effects.tip_orientation import TipOrientation
 from longarm_comp.core.effects.tip_payload import TipPayload
+from longarm_comp.core.effects.touch_beside import TouchBeside
+from longarm_comp.core.effects.touch_place import TouchPlace
 from longarm_comp.core.entry_points import check_name, of_other_packages
 from longarm_comp.core.errors import InputError
 
@@ -71,6 +74,9 @@ _OURS: tuple[Kind, ...] = (
     TipOrientation,
     AnchorPlace,
     SensorPlace,
+    TouchPlace,
+    TouchBeside,
+    PlanePlace,
     CameraPose,
     LinkDeflection,
     JointCompliance,

@@ -20,8 +20,9 @@ from longarm_comp.core.effects.effect import Effect, Parameter, parameter, place
 class DhError(Effect):
     """Manufacturing and assembly errors of one row.
 
-    ``a`` and ``alpha`` act along and about ``x_{i-1}``, ``beta`` about ``y_{i-1}`` (Hayati's
-    parameter, which parallel axes need), ``d`` and ``theta`` along and about ``z_i``.
+    ``a`` and ``alpha`` act along and about ``x_{i-1}``, ``b`` and ``beta`` along and about
+    ``y_{i-1}`` (``beta`` is Hayati's parameter, which parallel axes need; ``b`` is the length of a
+    link that a fixed transform lays along y), ``d`` and ``theta`` along and about ``z_i``.
     The set is redundant on purpose; priors hold it.  What is the joint's own zero
     (`joint_zero`) is held here.
     """
@@ -35,6 +36,7 @@ class DhError(Effect):
 
     row: int = place(rows)
     a: float = parameter("m", "link length error along x_{i-1}", prior=1e-3)
+    b: float = parameter("m", "link offset error along y_{i-1}", prior=1e-3)
     alpha: float = parameter("rad", "twist error about x_{i-1}", prior=4e-3)
     beta: float = parameter("rad", "tilt error about y_{i-1}", prior=4e-3)
     d: float = parameter("m", "offset error along z_i", prior=1e-3)
@@ -47,6 +49,7 @@ class DhError(Effect):
         turn = joint.tolerance.theta_deg
         priors = {
             "a": joint.tolerance.a_m or 1e-3,
+            "b": joint.tolerance.a_m or 1e-3,
             "alpha": math.radians(angle) if angle else 4e-3,
             "beta": math.radians(angle) if angle else 4e-3,
             "d": joint.tolerance.d_m or 1e-3,
@@ -62,8 +65,8 @@ class DhError(Effect):
         return [tuple(cls(row=j.id) for j in arm.joints)]
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
-        """``[a 0 0; alpha beta 0]`` in frame i-1, ``[0 0 d; 0 0 theta]`` in frame i."""
+        """``[a b 0; alpha beta 0]`` in frame i-1, ``[0 0 d; 0 0 theta]`` in frame i."""
         return {
-            posture.frame(self.row - 1): (self.a, 0.0, 0.0, self.alpha, self.beta, 0.0),
+            posture.frame(self.row - 1): (self.a, self.b, 0.0, self.alpha, self.beta, 0.0),
             posture.frame(self.row): (0.0, 0.0, self.d, 0.0, 0.0, self.theta),
         }

@@ -154,6 +154,7 @@ class _Term:
             the report says by itself.
         needs: recorded inputs that every instance needs.
         geometry: always fitted, and never "named" by a diagnosis.
+        passing: a fact of one session (where a touched point was): no model.yaml holds it.
         seen_only: moves the frame of the measurements, and gravity with it.
         continuous: changes little for a small motion of the joints.
         loaded: depends on the loads, so that it must be iterated as the arm sags.
@@ -177,6 +178,7 @@ class _Term:
     action: ClassVar[str] = "Look for its cause at that place."
     needs: ClassVar[tuple[str, ...]] = ()
     geometry: ClassVar[bool] = False
+    passing: ClassVar[bool] = False
     seen_only: ClassVar[bool] = False
     loaded: ClassVar[bool] = False
     continuous: ClassVar[bool] = True

@@ -9,7 +9,7 @@ import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.commanded import commanded_errors
-from longarm_comp.core.data.measurement import errors, turns
+from longarm_comp.core.data.measurement import errors, spreads, turns
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.dh_error import DhError
 from longarm_comp.core.effects.effect import Bias, Effect
@@ -33,6 +33,8 @@ class Errors:
     the three axes') are the columns of the paper's Table I.  They are NaN where no row says where
     the tip is.  `angle` is the mean turn of the measured against the predicted axes, None where no
     row measured them.  `median` is that of the lengths, `worst` the longest, each with its row.
+    `spread` is the mean distance of the tips from the touched points, solved
+    from the same rows; None where nothing was touched.
     """
 
     n: int
@@ -45,6 +47,7 @@ class Errors:
     angle: float | None = None
     median: float = float("nan")
     worst: tuple[tuple[int, float], ...] = ()
+    spread: float | None = None
 
     @property
     def said(self) -> str:
@@ -59,14 +62,18 @@ class Errors:
         error: np.ndarray,
         turn: np.ndarray | None = None,
         numbers: np.ndarray | None = None,
+        spread: np.ndarray | None = None,
     ) -> Errors:
-        """From (N, 3) errors in m, (M, 3) turns in rad, and the (N,) numbers of the rows."""
+        """From (N, 3) errors in m, (M, 3) turns in rad, the (N,) numbers of the rows, and (K,)
+        distances from touched points in m.
+        """
         mean_turn = None
+        about = float(spread.mean()) if spread is not None and len(spread) else None
         if turn is not None and len(turn):
             mean_turn = float(np.linalg.norm(turn, axis=1).mean())
         if not len(error):
             nan = float("nan")
-            return cls(0, nan, nan, nan, nan, nan, nan, mean_turn)
+            return cls(0, nan, nan, nan, nan, nan, nan, mean_turn, spread=about)
         length = np.linalg.norm(error, axis=1)
         numbers = np.arange(len(error)) if numbers is None else numbers
         return cls(
@@ -80,12 +87,13 @@ class Errors:
             mean_turn,
             float(np.median(length)),
             tuple((int(numbers[k]), float(length[k])) for k in np.argsort(-length)[:WORST]),
+            about,
         )
 
 
 def errors_of(model: Model, session: Session) -> Errors:
     """Errors of a model over the rows of a session, of positions and of orientations."""
-    return Errors.of(errors(model, session), turns(model, session))
+    return Errors.of(errors(model, session), turns(model, session), spreads(model, session))
 
 
 @dataclass(frozen=True)

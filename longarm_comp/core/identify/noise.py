@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import fdtri
 
+from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.measurement import equations, posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify import linear
@@ -24,7 +25,7 @@ ALLOWED = 1e-3
 """Chance of an axis, one of several in every session, to be noisier than its repeats allow."""
 MOST_STEPS = 60
 """Of the noise and the size of the library's effects together."""
-PLACES = ("group", "marker", "sensor", "anchor")
+PLACES = ("group", "marker", *dict.fromkeys(k.label for k in KINDS.values() if k.label))
 """Text columns that say what is measured, and from where."""
 
 
@@ -91,13 +92,24 @@ def repeat_scatter(model: Model, session: Session) -> tuple[np.ndarray, np.ndarr
         values = seen.xyz
     else:
         residual = equations(model, seen, posture(model, seen), ()).residual
-        values = np.where(seen.measured, residual, np.nan)
+        values = np.where(seen.measured & _told(seen), residual, np.nan)
     scatter, share = _deviations(values, group.reshape(-1))
     robust = MAD * median(np.abs(scatter)) / np.sqrt(np.maximum(mean(share), 1e-9))
     kept = (np.nan_to_num(np.abs(scatter)) <= OUTLIER * np.maximum(robust, 1e-9)).all(axis=1)
     degrees = np.nansum(share[kept], axis=0)
     size = np.sqrt(np.nansum(scatter[kept] ** 2, axis=0) / np.maximum(degrees, 1e-9))
     return size, degrees
+
+
+def _told(rows: Session) -> np.ndarray:
+    """(N, d) which channels a repeat tells something in.
+
+    Where the reading is that the joints stand so, the same joints again are no second reading.
+    """
+    again = np.ones(len(rows), dtype=bool)
+    again[np.unique(rows.q, axis=0, return_index=True)[1]] = False
+    stood = np.array([not KINDS[b.kind].cells for b in rows.blocks for _ in b.channels])
+    return ~(again[:, None] & stood)
 
 
 def _deviations(values: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

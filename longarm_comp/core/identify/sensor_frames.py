@@ -1,4 +1,4 @@
-"""What the sensors of a session leave open: axes of tracked bodies, places of anchors.
+"""What the sensors of a session leave open: axes of tracked bodies, places of anchors and points.
 
 Each is a camera-side term with a prior that leaves it free, so its start must be close: it is
 computed in closed form from the rows that it is in.
@@ -13,7 +13,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.kinds import matrices
+from longarm_comp.core.data import touched
+from longarm_comp.core.data.kinds import KINDS, matrices
 from longarm_comp.core.data.lifted_base import multilaterated
 from longarm_comp.core.data.measurement import posture
 from longarm_comp.core.data.session import Session
@@ -34,14 +35,12 @@ def sensor_frames(arm: Arm, session: Session) -> tuple[Bias, ...]:
     """The terms that a session's measurements need besides base and tip."""
     made: list[Bias] = []
     made += [TipOrientation(marker=m, sensor=s) for m, s in _bodies(arm, session)]
-    if "distance" in session.readings:
-        measured = np.isfinite(session.readings["distance"][:, 0])
-        for name in sorted(set(session.labels["anchor"][measured])):
-            held = arm.anchors.get(name)
-            if held is None or held.xyz_m is None:
-                made.append(AnchorPlace(anchor=str(name)))
+    for name in session.named(KINDS["distance"]):
+        held = arm.anchors.get(name)
+        if held is None or held.xyz_m is None:
+            made.append(AnchorPlace(anchor=name))
     made += [SensorPlace(sensor=name) for name in _sensors(session)[1:]]
-    return tuple(made)
+    return (*made, *touched.unknowns(arm, session))
 
 
 def _bodies(arm: Arm, session: Session) -> list[tuple[str, str]]:
@@ -71,11 +70,9 @@ def _sensors(session: Session) -> list[str]:
 def framed(arm: Arm, session: Session) -> bool:
     """Whether the rows measure in a frame of their own, in which the base is to be placed.
 
-    Distances to anchors that are all to be solved do not: their frame is the base itself.
+    Touches do not, nor distances to anchors that are all to be solved: their frame is the base.
     """
-    if set(session.readings) != {"distance"} or np.isfinite(session.xyz).any():
-        return True
-    return any(anchor.xyz_m is not None for anchor in arm.anchors.values())
+    return any(kind.framed(arm) for kind in session.kinds)
 
 
 def started(model: Model, session: Session) -> Model:
@@ -94,7 +91,11 @@ def started(model: Model, session: Session) -> Model:
     bodies = (
         _turned(t, model, session) if isinstance(t, TipOrientation) else t for t in model.biases
     )
-    return dataclasses.replace(model, biases=tuple(bodies))
+    model = dataclasses.replace(model, biases=tuple(bodies))
+    if not any(term.passing for term in model.biases):
+        return model
+    tips = model.tip(session.q, session.context())
+    return dataclasses.replace(model, biases=touched.started(model.biases, tips, session))
 
 
 def _moved(term: SensorPlace, model: Model, session: Session) -> SensorPlace:

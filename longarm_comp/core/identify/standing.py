@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.data.measurement import errors, turns
+from longarm_comp.core.data.measurement import errors, posture, turns
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.base_pose import BasePose
 from longarm_comp.core.effects.effect import Bias, Effect
@@ -14,10 +14,13 @@ from longarm_comp.core.effects.tip_orientation import TipOrientation
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.placement import placed
 from longarm_comp.core.identify.sensor_frames import framed, reference, sensor_frames, started
+from longarm_comp.core.identify.size import size_told
 from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.tip_motion import stack
 
 MISPLACED = 0.25
-"""Median error, as a share of the tips' spread (or in rad), of an arm that stands elsewhere."""
+"""Median error, as a share of the way that its frames travel (or in rad), of an arm that stands
+elsewhere.  A tip that touches a point does not travel; the arm behind it does."""
 UNTOLD = 0.1
 """Posterior standard deviation, in that of a prior that knows nothing, of what rows do not tell."""
 _H = 1e-6
@@ -63,19 +66,22 @@ def misplaced(model: Model, session: Session) -> bool:
     if not session.placed.any():
         return bool(session.turned.any()) and _median(turns(model, session)) > MISPLACED
     rows = session.take(session.placed)
-    tips = model.tip(rows.q, rows.context())
-    return _median(errors(model, rows)) > MISPLACED * _median(tips - np.median(tips, axis=0))
+    at = posture(model, rows)
+    frames = [stack(frame.p) for frame in (*at.frames, model.tip_frame(at))]
+    travel = max(_median(p - np.median(p, axis=0)) for p in frames if p.ndim == 2)
+    return _median(errors(model, rows)) > MISPLACED * travel
 
 
 def untold(fit: ModelFit) -> tuple[str, ...]:
     """What of bases, markers and sensors the fitted rows do not tell: ``base: x, y, turn about z``.
 
-    It was left where it was declared.  A base's directions are those of the measurements' frame.
+    The size of the arm may be among it.  It was left where it was declared.  A base's directions
+    are those of the measurements' frame.
     """
     found = []
     for k, term in enumerate(fit.model.terms):
         mine = [i for i, slot in enumerate(fit.slots) if slot.term == k and slot.parameter.unknown]
-        if not mine:
+        if not mine or term.passing:
             continue
         names = [fit.slots[i].parameter.name for i in mine]
         covariance = fit.covariance[np.ix_(mine, mine)]
@@ -88,7 +94,7 @@ def untold(fit: ModelFit) -> tuple[str, ...]:
         if open_.any():
             which = ", ".join(name for name, left in zip(names, open_, strict=True) if left)
             found.append(f"{term.where}: {which}")
-    return tuple(found)
+    return (*found, *(() if size_told(fit) else ("the size of the arm",)))
 
 
 def _motion(base: BasePose, arm: Arm) -> np.ndarray:

@@ -113,6 +113,11 @@ class Model:
         known = {(t.name, t.where) for t in self.terms}
         return self.plus(*(t for t in terms if (t.name, t.where) not in known))
 
+    def lasting(self) -> Model:
+        """A copy without facts of one session, as where a touched point was."""
+        kept = [t for t in self.terms if not t.passing]
+        return self if len(kept) == len(self.terms) else self._with_terms(kept)
+
     def _with_terms(self, terms: Sequence[Effect | Bias]) -> Model:
         model = dataclasses.replace(
             self,

@@ -130,6 +130,8 @@ def store(
             half[slot.term, slot.parameter.name] = 1.96 * float(se)
     sides: dict[str, list[StoredTerm]] = {"geometry": [], "effects": [], "camera": []}
     for number, term in enumerate(model.terms):
+        if term.passing:
+            continue
         parameters = {}
         for p in term.parameters(model.arm):
             value = float(getattr(term, p.name))

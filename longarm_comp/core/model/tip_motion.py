@@ -89,6 +89,17 @@ class TipMotion:
         )
         return spatial.scale(0.5 / _H, spatial.sub(up, down))
 
+    def pull(self, kind: str) -> np.ndarray:
+        """(N, 3, 3) derivative of the reported point by the tip's position."""
+        ends = [
+            [self.sensor.seen(spatial.add(self.frame.p, spatial.scale(s, axis)), self.context, kind)
+             for s in (_H, -_H)]
+            for axis in IDENTITY[:3]
+        ]  # fmt: skip
+        return _together(
+            self.frame.p, [spatial.scale(0.5 / _H, spatial.sub(up, down)) for up, down in ends]
+        )[1]
+
     def axes(self) -> tuple[np.ndarray, np.ndarray]:
         """Reported axes of the tip (N, 3, 3) and their turn (rad) by each parameter (N, 3, p).
 

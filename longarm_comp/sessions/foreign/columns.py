@@ -25,13 +25,13 @@ JOINT = "joint"
 _JOINT = re.compile(r"(?:q|j|joint|axis|a|theta)0*(\d{1,3})")
 _XYZ = re.compile(r"(?:p|pos|position|tip|tcp|meas|measured|measurement|marker)?([xyz])")
 _EXACT = re.compile(
-    r"index|repeat_id|approach(_q\d+)?|run_up_q\d+|sigma_([xyz]|rot)|cov_[xyz]{2}|distance|anchor"
+    r"index|repeat_id|approach(_q\d+)?|run_up_q\d+|sigma_([xyz]|rot)|cov_[xyz]{2}|distance|anchor|touch|plane"
     r"|ray_[xyz]|sensor|incl_\w+_[xy]|q[xyzw]|t_s|temperature_c|payload_kg|role|group|marker"
 )
 _TURNED = re.compile(
     r"(?:q(?:uat(?:ernion)?)?_?[wxyz0]|quat.*|roll|pitch|yaw|r[xyz]|[abc]|o[xyz]|euler.*|rot.*)"
 )
-TEXTS = (*LABELS, "anchor", "sensor")
+TEXTS = LABELS
 
 
 @dataclass(frozen=True)

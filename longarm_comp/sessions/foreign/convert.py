@@ -218,7 +218,7 @@ def _complete(where: str, cells: Cells, sources: list[Column], arm: Arm | None) 
         hint = f"q1..q{len(wanted)}" if wanted else "q1..qn"
         allowed = f"{hint}; name them with --map COLUMN=q1,... (columns: {', '.join(cells.names)})"
         raise InputError(where, "joints", found, allowed)
-    if not {*XYZ, "distance", "ray_x", *QUATERNION} & set(names):
+    if not {*XYZ, "distance", "ray_x", "touch", "plane", *QUATERNION} & set(names):
         allowed = f"x, y, z; name them with --map COLUMN=x,... (columns: {', '.join(cells.names)})"
         raise InputError(where, "measurement", "none", allowed)
 

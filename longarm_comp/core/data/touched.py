@@ -1,0 +1,173 @@
+"""Points and planes that the tip touched: facts of a session, solved with all else.
+
+Some points may be at known distances from each other.  Each such group has one point that may be
+anywhere (`touch_place`); every other is beside one that is placed before it (`touch_beside`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.measuring import KnownDistance, known_distances
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.data.kinds import KINDS
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.effect import Bias
+from longarm_comp.core.effects.plane_place import PlanePlace
+from longarm_comp.core.effects.touch_beside import TouchBeside
+from longarm_comp.core.effects.touch_place import TouchPlace
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.tip_motion import stack
+
+FARTHER = 6.0
+"""Misfit of a touch, in their median, from which a start leaves it out: 4 standard deviations."""
+_ROUNDS = 4
+_EXACT = 1e-9
+
+Misfit = Callable[[np.ndarray], np.ndarray]
+"""Distances of points (N, 3) from a solution, (N,)."""
+
+
+def unknowns(arm: Arm, session: Session) -> tuple[Bias, ...]:
+    """The terms that hold the points and planes that a session touched.
+
+    Distances of points that it did not touch count for nothing.
+
+    Raises:
+        InputError: distances lead from a point back to it.
+    """
+    distances = (*known_distances(arm.touch_distances), *session.touch_distances)
+    points = _ordered(session.named(KINDS["touch"]), distances, session.source)
+    made: list[Bias] = []
+    for name, known, after in points:
+        carries = "\n".join(after)
+        if known is None:
+            made.append(TouchPlace(name, carries))
+        else:
+            made.append(TouchBeside(name, known[2], known[3], carries))
+    return (*made, *(PlanePlace(name) for name in session.named(KINDS["plane"])))
+
+
+def _ordered(
+    names: Sequence[str], distances: Sequence[KnownDistance], source: str
+) -> list[tuple[str, KnownDistance | None, list[str]]]:
+    """Every point, the distance that it is placed by, and the points that are placed by it."""
+    edges = [d for d in distances if d[0] in names and d[1] in names]
+    left, made = list(names), []
+
+    def grown(name: str, by: KnownDistance | None) -> list[str]:
+        left.remove(name)
+        after: list[str] = []
+        made.append((name, by, after))
+        for edge in edges:
+            if edge is by or name not in edge[:2]:
+                continue
+            further = edge[1] if edge[0] == name else edge[0]
+            if further not in left:
+                allowed = "one way of known distances from a point to another"
+                raise InputError(source, "touch_distances", f"a loop at {further}", allowed)
+            after += grown(further, edge)
+        return [name, *after]
+
+    while left:
+        grown(left[0], None)
+    return made
+
+
+def started(terms: Sequence[Bias], tips: np.ndarray, session: Session) -> tuple[Bias, ...]:
+    """Terms with touched points and planes where the tips were, in closed form.
+
+    Args:
+        terms: any, each point after the one that it is beside.
+        tips: (N, 3) predicted tips of the rows, m.
+        session: N rows.
+    """
+    places: dict[str, np.ndarray] = {}
+    made: list[Bias] = []
+    for term in terms:
+        if isinstance(term, TouchPlace | TouchBeside):
+            held = tips[session.labels["touch"] == term.touch]
+            if len(held):
+                term, place = _put(term, held, places.get(term.touch))
+                places.update(dict.fromkeys(term.carries.splitlines(), place))
+        elif isinstance(term, PlanePlace):
+            held = tips[session.labels["plane"] == term.plane]
+            term = _laid(term, held) if len(held) else term
+        made.append(term)
+    return tuple(made)
+
+
+def completed(model: Model, session: Session, at: Posture) -> Model:
+    """The model with the touched points that it lacks, where its tips touched them.
+
+    A model of other rows lacks them: those of a hold-out, of another day.
+
+    Args:
+        model: predicts.
+        session: N rows.
+        at: the model's posture at these rows.
+    """
+    if all(kind.cells for kind in session.kinds):
+        return model
+    points = {t.touch for t in model.biases if isinstance(t, TouchPlace | TouchBeside)}
+    planes = {t.plane for t in model.biases if isinstance(t, PlanePlace)}
+    lacking = (
+        *(TouchPlace(n) for n in session.named(KINDS["touch"]) if n not in points),
+        *(PlanePlace(n) for n in session.named(KINDS["plane"]) if n not in planes),
+    )
+    if not lacking:
+        return model
+    tips = np.broadcast_to(stack(model.tip_frame(at).p), (len(session), 3))
+    return model.plus(*started(lacking, tips, session))
+
+
+def _put(
+    term: TouchPlace | TouchBeside, tips: np.ndarray, beside: np.ndarray | None
+) -> tuple[TouchPlace | TouchBeside, np.ndarray]:
+    """The term at the middle of the tips, and where that is."""
+
+    def solved(kept: np.ndarray) -> tuple[np.ndarray, Misfit]:
+        mean = kept.mean(axis=0)
+        return mean, lambda points: np.linalg.norm(points - mean, axis=1)
+
+    middle = _robust(tips, solved)
+    if isinstance(term, TouchPlace) or beside is None:
+        return term.with_values(dict(zip("xyz", middle, strict=True))), middle
+    way = middle - beside
+    length = float(np.linalg.norm(way))
+    along = way / length if length > _EXACT else np.array([1.0, 0.0, 0.0])
+    turn = Rotation.align_vectors(along[None], np.array([[1.0, 0.0, 0.0]]))[0].as_rotvec()
+    values = dict(zip(("rx", "ry", "rz"), turn, strict=True))
+    return term.with_values({**values, "stretch": 0.0}), beside + term.distance * along
+
+
+def _laid(term: PlanePlace, tips: np.ndarray) -> PlanePlace:
+    """The term at the plane of the tips."""
+
+    def solved(kept: np.ndarray) -> tuple[np.ndarray, Misfit]:
+        middle = kept.mean(axis=0)
+        normal = np.linalg.svd(kept - middle, full_matrices=True)[2][-1]
+        normal = normal * (1.0 if normal[2] >= 0 else -1.0)
+        return np.append(normal, normal @ middle), lambda points: np.abs((points - middle) @ normal)
+
+    *normal, height = _robust(tips, solved)
+    turn = np.cross(normal, [0.0, 0.0, 1.0])
+    sine = float(np.linalg.norm(turn))
+    angle = np.arctan2(sine, normal[2]) / sine if sine > _EXACT else 1.0
+    return term.with_values({"z": height, "rx": angle * turn[0], "ry": angle * turn[1]})
+
+
+def _robust(
+    tips: np.ndarray, solved: Callable[[np.ndarray], tuple[np.ndarray, Misfit]]
+) -> np.ndarray:
+    """A closed-form solution without the tips that are far from it."""
+    answer, misfit = solved(tips)
+    for _ in range(_ROUNDS):
+        away = misfit(tips)
+        answer, misfit = solved(tips[away <= max(FARTHER * float(np.median(away)), _EXACT)])
+    return answer
