@@ -93,7 +93,7 @@ class Errors:
 
 def errors_of(model: Model, session: Session) -> Errors:
     """Errors of a model over the rows of a session, of positions and of orientations."""
-    return Errors.of(errors(model, session), turns(model, session), spreads(model, session))
+    return Errors.of(errors(model, session), turns(model, session), spread=spreads(model, session))
 
 
 @dataclass(frozen=True)
