@@ -22,8 +22,9 @@ from longarm_comp.core.effects.shapes import Cosine, FunctionError
 from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.candidates import library
 from longarm_comp.core.identify.discover.inputs import arm_inputs
+from longarm_comp.core.identify.posterior.ascent import explain
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
-from longarm_comp.core.identify.posterior.single_effects import NONE, Offer, OfferBank, explain
+from longarm_comp.core.identify.posterior.single_effects import NONE, Offer, OfferBank
 from longarm_comp.core.model.model import Model
 
 UNBOUND = np.full(6, np.inf)

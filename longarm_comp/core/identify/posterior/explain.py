@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from longarm_comp.core.data.session import Session
@@ -22,12 +22,8 @@ from longarm_comp.core.identify.evidence import FitColumns, columns_at, refined
 from longarm_comp.core.identify.fit import fit, unfitted
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
-from longarm_comp.core.identify.posterior.offers import (
-    FoundEffect,
-    OfferedEffects,
-    Proposition,
-    offered,
-)
+from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition
+from longarm_comp.core.identify.posterior.offers import OfferedEffects, offered
 from longarm_comp.core.identify.posterior.propositions import propositions
 from longarm_comp.core.identify.posterior.single_effects import NONE
 from longarm_comp.core.identify.step_scan import UnknownStep, scan
@@ -70,11 +66,6 @@ class ExplainedSession:
     def chosen(self) -> tuple[Term, ...]:
         """The terms in the model, as they were offered."""
         return tuple(t for f in self.found for t in f.terms)
-
-    @property
-    def need(self) -> float:
-        """Log Bayes factor from which on a candidate is more likely there than not."""
-        return NONE + math.log(max(len(self.candidates), 1))
 
 
 def explain_session(
@@ -230,16 +221,6 @@ class _Exploration:
                 for f in self.found
             )
         )
-
-
-def without(model: Model, places: Container[tuple[str, str]]) -> Model:
-    """A model without its terms at some places."""
-    left = [t for t in model.terms if t.key not in places]
-    return dataclasses.replace(
-        model,
-        effects=tuple(t for t in left if isinstance(t, Effect)),
-        biases=tuple(t for t in left if isinstance(t, Bias)),
-    )
 
 
 def _with(base: Model, now: Model, terms: Sequence[Term]) -> Model:

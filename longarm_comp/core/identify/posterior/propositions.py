@@ -23,7 +23,7 @@ from longarm_comp.core.identify.discover.banks import CAMERA, banks, term_of
 from longarm_comp.core.identify.discover.screening import Screening
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.model_fit import ModelFit
-from longarm_comp.core.identify.posterior.offers import Proposition
+from longarm_comp.core.identify.posterior.found import Proposition
 
 SCREENED = 12
 """Candidates of a bank and kind that are scored exactly."""

@@ -1,0 +1,131 @@
+"""Coordinate ascent over single effects, with restarts."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from longarm_comp.core.identify.posterior.single_effects import Offer, OfferBank, SingleEffect
+
+STILL = 0.01
+"""The ascent ends when no probability moves by as much."""
+SWEEPS = 30
+"""Sweeps over the effects at most; single effects settle in five to ten."""
+AT_ONCE = 3
+"""Single effects that one call adds at most: an effect's form, and what it leaves, must be fitted
+before what is smaller can be told from it."""
+THERE = 0.5
+"""Probability from which on a single effect is there."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Single effects and what they are together.
+
+    Attributes:
+        bank: what was on offer.
+        effects: those that are there, in the order in which they were found.
+    """
+
+    bank: OfferBank
+    effects: tuple[SingleEffect, ...]
+
+    @cached_property
+    def chosen(self) -> tuple[Offer, ...]:
+        """The most probable offer of each effect."""
+        return tuple(e.offers.get(e.best, self.bank.offers[e.best]) for e in self.effects)
+
+    @cached_property
+    def evidence(self) -> float:
+        """Log evidence of these together, priors paid."""
+        return self.bank.evidence(self.chosen)
+
+
+def explain(bank: OfferBank, known: int = 0) -> Explanation:
+    """Effects by coordinate ascent, with a restart for each that was found.
+
+    The ascent goes uphill only.  So what each effect was found to be is shut once, the rest finds
+    two others in its place, and it is let in again; the explanation of higher evidence stays.
+
+    Args:
+        bank: what is on offer.
+        known: number of effects that were found before.
+    """
+    most = known + AT_ONCE
+    best = _pruned(_grown(bank, (), frozenset(), most))
+    shut_once: set[int] = set()
+    while left := [e for e in best.effects if e.best not in shut_once]:
+        effect = left[0]
+        shut_once.add(effect.best)
+        shut = frozenset(np.flatnonzero(effect.q > STILL).tolist())
+        others = tuple(e for e in best.effects if e is not effect)
+        without = _grown(bank, others, shut, min(len(others) + 2, most))
+        again = _pruned(_grown(bank, without.effects, frozenset(), most))
+        if again.evidence > best.evidence + 1.0:
+            best = again
+    return best
+
+
+def _grown(
+    bank: OfferBank, start: Sequence[SingleEffect], closed: frozenset[int], most: int
+) -> Explanation:
+    """Add single effects until the last is none."""
+    effects = list(start)
+    while len(effects) < most:
+        count = len(effects)
+        effects.append(SingleEffect(np.zeros(len(bank.offers)), np.zeros(len(bank.along))))
+        effects = [e for e in _ascended(bank, effects, closed) if e.there > THERE]
+        if len(effects) <= count:
+            break
+    return Explanation(bank, tuple(effects))
+
+
+def _ascended(
+    bank: OfferBank, effects: list[SingleEffect], closed: frozenset[int]
+) -> list[SingleEffect]:
+    taken = np.sum([e.mean for e in effects], axis=0)
+    for _ in range(SWEEPS):
+        moved = 0.0
+        for k in reversed(range(len(effects))):
+            was = effects[k]
+            rest = taken - was.mean
+            held = frozenset(key for n, e in enumerate(effects) if n != k for key in _held(bank, e))
+            names = frozenset(
+                bank.offers[e.best].name
+                for n, e in enumerate(effects)
+                if n != k and e.there > THERE
+            )
+            now = bank.single(bank.along - bank.gram @ rest, closed, held, names)
+            moved = max(moved, float(np.abs(now.q - was.q).max()))
+            effects[k], taken = now, rest + now.mean
+        if moved < STILL:
+            break
+    return effects
+
+
+def _held(bank: OfferBank, effect: SingleEffect) -> set[Hashable]:
+    """Places that an effect probably takes."""
+    chance: dict[Hashable, float] = {}
+    for number in np.flatnonzero(effect.q > STILL):
+        offer = effect.offers.get(int(number), bank.offers[number])
+        for key in offer.keys:
+            chance[key] = chance.get(key, 0.0) + float(effect.q[number])
+    return {key for key, p in chance.items() if p > THERE}
+
+
+def _pruned(found: Explanation) -> Explanation:
+    """Without effects that the others make superfluous, the least first."""
+    effects = list(found.effects)
+    while effects:
+        now = Explanation(found.bank, tuple(effects))
+        fewer = [
+            Explanation(found.bank, tuple(e for e in effects if e is not gone)) for gone in effects
+        ]
+        best = max(fewer, key=lambda e: e.evidence)
+        if best.evidence < now.evidence:
+            break
+        effects = list(best.effects)
+    return Explanation(found.bank, tuple(effects))
