@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 
 import numpy as np
@@ -11,37 +11,39 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.holdout import Sealed, blocked_split, spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.identify.aliasing import EffectFinding, on_few_levels
 from longarm_comp.core.identify.calibrate import declared_model, stages
 from longarm_comp.core.identify.candidates import library
-from longarm_comp.core.identify.diagnosis import DISCOVERED, Diagnosis
-from longarm_comp.core.identify.discover.banks import sides
-from longarm_comp.core.identify.discover.set_aside import shared
-from longarm_comp.core.identify.evidence import key
-from longarm_comp.core.identify.identified import Progress, identify
-from longarm_comp.core.identify.next_poses import next_poses
-from longarm_comp.core.identify.outcome import (
-    Learner,
-    Train,
-    all_signs,
-    at_least,
-    judge,
-    look_further,
-    with_discovery,
-    with_network,
-    with_rival,
+from longarm_comp.core.identify.diagnosis import (
+    CALIBRATED,
+    WITH_EFFECTS,
+    WITH_FUNCTIONS,
+    Diagnosis,
 )
-from longarm_comp.core.identify.plausible import check_fits, check_noise, check_sizes, check_worth
-from longarm_comp.core.identify.proof import prove
-from longarm_comp.core.identify.search import SearchResult
+from longarm_comp.core.identify.discover.causes import causes, hypothesis
+from longarm_comp.core.identify.discover.propose import doubts, proposed
+from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.findings import findings
+from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.intervals import intervals
+from longarm_comp.core.identify.model_fit import ModelFit
+from longarm_comp.core.identify.next_poses import next_poses
+from longarm_comp.core.identify.noise import from_repeats
+from longarm_comp.core.identify.offers import tolerances
+from longarm_comp.core.identify.plausible import check_fits, check_noise
+from longarm_comp.core.identify.proof import LearnedCorrection, prove
+from longarm_comp.core.identify.search import SearchResult, search, without
 from longarm_comp.core.identify.standing import standing
-from longarm_comp.core.identify.wind_up import as_fitted, with_run_ups
+from longarm_comp.core.identify.structure import examine
+from longarm_comp.core.identify.wind_up import as_fitted, refined, wind_up, with_run_ups
+from longarm_comp.core.identify.written import expected_commanded, least
 from longarm_comp.core.model.model import Model
 
 POSES_TO_SPLIT = 12
+"""Poses proposed for each set: an hour's work."""
 MOST_ROWS = 2000
 """Rows that are fitted at most. A hundred parameters are then known to a few percent of the noise;
 further rows cost time and change nothing."""
+Train = Callable[[Model, Session], LearnedCorrection]
 
 
 def diagnose(
@@ -53,7 +55,7 @@ def diagnose(
     kinds: Sequence[type[Effect] | type[Bias]] | None = None,
     train_network: Train | None = None,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: Callable[[str], None] | None = None,
 ) -> Diagnosis:
     """Trace the residual of a session to what the model lacks.
 
@@ -69,7 +71,7 @@ def diagnose(
 
     Raises:
         InputError: too few rows.
-        JobError: a fit did not stay finite, or the outcome may not be believed.
+        JobError: a fit did not stay finite, or what is left is no instrument's noise.
     """
     say = progress or (lambda _: None)
     rng = np.random.default_rng(seed)
@@ -85,93 +87,97 @@ def diagnose(
     test = None if test is None else as_fitted(test, nominal)
     train, rest = _split(session, test, seed)
     staged = dict(stages(nominal, train, say))
-    calibrated = staged["geometry"].model
-    candidates = library(arm, train.context(), kinds, calibrated.terms)
-    identified = identify(
-        calibrated,
+    start = staged["geometry"].model
+    offered = library(arm, train.context(), kinds, start.terms)
+    candidates = offered.testable
+    say("memory of the joints")
+    memory = wind_up(start, lambda run_up: rows(run_up)[0], candidates)
+    if memory is not None:
+        candidates, (train, rest) = memory.candidates(candidates), rows(memory.run_up)
+    found = search(
+        start,
         train,
-        lambda run_up: rows(run_up)[0],
-        candidates.testable,
-        rng,
-        say,
-        candidates.stepped,
+        candidates,
+        known_noise=from_repeats(start, train),
+        stepped=offered.stepped,
+        progress=say,
     )
-    memory = identified.memory
-    train, rest = (train, rest) if memory is None else rows(memory.run_up)
-    sealed = Sealed(rest)
-    sealed.release(f"{len(identified.search.chosen)} terms, seed {seed}")
-    opened = sealed.open("proof")
-    held_out = opened.take(opened.seen)
+    if memory is not None:
+        found, memory = refined(found, memory, lambda run_up: rows(run_up)[0])
+        candidates, (train, rest) = memory.candidates(candidates), rows(memory.run_up)
+    say("structure")
+    fits = _fits(start, found)
+    beside = tolerances(found.fit, columns_at(found.fit), found.found)
+    structure = examine(found.fit, fits[CALIBRATED], rng, beside)
+    expected = expected_commanded(fits, found.found)
+    written = least(expected)
+    final = fits[written]
+    named = findings(found.found)
+    added = [t for f in found.found for t in f.terms if t.key in {s.key for s in final.model.terms}]
+    network = None
+    if structure.flag and train_network is not None and final.session.located.any():
+        say("network")
+        learned = train_network(final.model, final.session.take(final.weights > 0))
+        network = learned if learned.gain.helps else None
+    unnamed = [hypothesis(f.terms) for f in found.found if f.unnamed]
+    say("next poses")
     models = {
         "nominal": standing(nominal, train)[0],
         "frames_only": staged["frames_only"].model,
-        "calibrated": calibrated,
-        "with_effects": identified.search.fit.model,
+        **{name: fitted.model for name, fitted in fits.items()},
     }
-    proof = prove(models, identified.calibrated, identified.search.fit, held_out, rng)
-    outcome = judge(identified, calibrated, proof, rng)
-    group = shared(identified.search.fit, sides(identified.search.fit))
-    structure = all_signs(outcome.structure, identified.search, outcome.proof, group)
-    discovery = look_further(identified, outcome, structure.flag, sealed, rng, say, seed)
-    added = discovery if discovery is not None and discovery.kept else None
-    if discovery is not None:
-        outcome = with_rival(outcome, discovery)
-    if added is not None:
-        outcome = with_discovery(outcome, added)
-        structure = at_least(structure, added)
-    learn = Learner(train_network, identified.search.fit, say)
-    outcome = with_network(outcome, added, learn, held_out)
-    looked_at = np.concatenate([train.q, held_out.q])
-    found = tuple(
-        on_few_levels(identified.search, identified.candidates, f, looked_at)
-        for f in outcome.findings
-    )
-    say("next poses")
+    open_ = [f for f in named if f.alternatives]
+    split_by = tuple(next_poses(found, f, f.alternatives[0], POSES_TO_SPLIT, seed) for f in open_)
+    ends = intervals(final, added, candidates, rng)
+    sealed = Sealed(rest)
+    sealed.release(f"{written} model with {len(final.slots)} parameters, seed {seed}")
+    held_out = sealed.open("proof")
+    held_out = held_out.take(held_out.seen)
     diagnosis = Diagnosis(
         arm=arm,
-        search=identified.search,
-        findings=found,
-        confirmed=identified.confirmed,
+        search=found,
+        findings=named,
+        causes=causes(found.fit, found.found),
+        fits=fits,
+        expected=expected,
+        written=written,
+        intervals=ends,
         structure=structure,
-        proof=outcome.proof,
-        rolled_back=outcome.rolled_back,
-        models={**models, "with_effects": outcome.model},
-        network=outcome.network,
-        split_by=tuple(
-            next_poses(identified.search, f, f.alternatives[0], POSES_TO_SPLIT, seed)
-            for f in found
-            if f.alternatives
-        ),
-        not_testable=(*candidates.not_testable, *_unknown_steps(identified.search, found)),
-        minor=identified.minor,
+        models=models,
+        proof=prove(models, None if network is None else (final.model, network), held_out),
+        network=network,
+        split_by=split_by,
+        doubts=doubts(found.fit, unnamed),
+        next_q=proposed(found.fit, unnamed, seed),
+        not_testable=(*offered.not_testable, *_unknown_steps(found)),
         train=train,
         held_out=held_out,
         holdout_uses=sealed.uses,
         seed=seed,
-        discovery=discovery,
     )
-    _check(diagnosis)
+    check_fits(diagnosis.model, train)
+    if diagnosis.verdict == "noise":
+        check_noise(found.noise.sigma, train)
     return diagnosis
 
 
-def _unknown_steps(
-    result: SearchResult, found: Sequence[EffectFinding]
-) -> Iterator[tuple[str, str]]:
+def _fits(start: Model, found: SearchResult) -> dict[str, ModelFit]:
+    """Calibration alone, with the effects that have a name, with functions: the same rows."""
+    whole, noise = found.fit, found.noise
+    bare = fit(start, whole.session, sigma=noise.sigma, rho=noise.rho, weights=whole.weights)
+    made = {CALIBRATED: bare, WITH_EFFECTS: whole}
+    functions = {t.key for f in found.found if f.unnamed for t in f.terms}
+    if functions:
+        named = without(whole.model, functions)
+        less = fit(named, whole.session, sigma=noise.sigma, rho=noise.rho, weights=whole.weights)
+        made = {CALIBRATED: bare, WITH_EFFECTS: less, WITH_FUNCTIONS: whole}
+    return made
+
+
+def _unknown_steps(found: SearchResult) -> list[tuple[str, str]]:
     """(effect, why) where steps show, but not their size, and nothing of the kind was named."""
-    named = {key(term) for finding in found for term in finding.terms}
-    return ((u.name, u.why) for u in result.unknown_steps if (u.name, u.where) not in named)
-
-
-def _check(found: Diagnosis) -> None:
-    """Refuse an outcome that may not be believed."""
-    final = "calibrated" if found.rolled_back else "with_effects"
-    final = DISCOVERED if found.added is not None else final
-    left, source = found.proof.errors, found.train.source
-    check_worth(left[final], left["frames_only"], source)
-    check_fits(found.model, found.train)
-    check_sizes(found.model, source)
-    if found.verdict == "noise":
-        check_noise(found.search.noise.sigma, found.train)
+    named = {(t.name, t.where) for t in found.chosen}
+    return [(u.name, u.why) for u in found.unknown_steps if (u.name, u.where) not in named]
 
 
 def _split(session: Session, test: Session | None, seed: int) -> tuple[Session, Session]:

@@ -18,9 +18,6 @@ from longarm_comp.core.identify.linear import Added, Marginal, Products, log_mas
 from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.model.model import slots_of
 
-LOCATED = 2.0
-"""Within an effect, a place must be this much (log) more probable with it than without."""
-
 
 def columns_at(fitted: ModelFit) -> FitColumns:
     """Columns of any candidate at the rows and the solution of a fit; kept with it."""
@@ -218,37 +215,6 @@ def scores(
     return cast(list[Score], made)
 
 
-def pruned(
-    fitted: ModelFit, marginal: FitMarginal, candidate: Candidate, columns: FitColumns
-) -> Candidate:
-    """A family without the places that bring less than `LOCATED`, the least first.
-
-    So a rival is compared as it would be if it had been chosen.
-    """
-    slots = candidate.slots(fitted.model.arm)
-    owner = [candidate.terms.index(s.owner) for s in slots]
-    if len(candidate.terms) < 2 or set(owner) != set(range(len(candidate.terms))):
-        return candidate
-    white = columns.scaled(candidate.terms)
-    s, t = marginal.of([white])[0]
-
-    def evidence(terms: Sequence[int]) -> float:
-        own = np.flatnonzero(np.isin(owner, terms))
-        added = Added.of(s[np.ix_(own, own)], t[own])
-        return float(_bounded(added, white.lower[own], white.upper[own]))
-
-    left = list(range(len(candidate.terms)))
-    here = evidence(left)
-    while len(left) > 1:
-        without = {k: evidence([other for other in left if other != k]) for k in left}
-        least = max(without, key=lambda k: without[k])
-        if here - without[least] >= LOCATED:
-            break
-        left.remove(least)
-        here = without[least]
-    return Candidate(candidate.name, tuple(candidate.terms[k] for k in left))
-
-
 def _bounded(added: Added, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """(...) log Bayes factors, bounds (..., k) of the parameters counted."""
     if not (np.isfinite(lower) | np.isfinite(upper)).any():
@@ -284,31 +250,6 @@ WORTH = 0.5
 """Log evidence that a form must bring to be taken instead of the one that is there."""
 SWEEPS = 2
 """Times that every scale is gone along, where a term has several."""
-
-
-def reshaped(terms: Sequence[Term], candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Other effects at the same places, in the forms that some terms were refined to.
-
-    Only effects that have all of the terms' scales: a deadband and a play share their load gate.
-    """
-    scales = set(terms[0].scales())
-    if not scales:
-        return []
-    others: dict[str, dict[str, Term]] = {}
-    for candidate in candidates:
-        for term in candidate.terms:
-            if term.name != terms[0].name and scales <= set(term.scales()):
-                others.setdefault(term.name, {}).setdefault(term.where, term)
-    made = []
-    for name, at in others.items():
-        shaped = tuple(
-            dataclasses.replace(at[t.where], **{k: getattr(t, k) for k in scales})
-            for t in terms
-            if t.where in at
-        )
-        if len(shaped) == len(terms):
-            made.append(Candidate(name, shaped))
-    return made
 
 
 def refined(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from longarm_comp.core.effects.units import for_people
-from longarm_comp.core.identify.aliasing import EffectFinding
-from longarm_comp.core.identify.confirm import Confirmed, Interval
+from longarm_comp.core.identify.findings import EffectFinding
+from longarm_comp.core.identify.intervals import Interval
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.structure import Structure
@@ -15,7 +17,9 @@ _SAME_MM = 0.005
 """Figures that differ by less read alike."""
 
 
-def sentence(finding: EffectFinding, fit: ModelFit, confirmed: Confirmed) -> str:
+def sentence(
+    finding: EffectFinding, fit: ModelFit, intervals: Mapping[tuple[str, str, str], Interval]
+) -> str:
     """What was found, where, how large, with its interval, and what else it could be.
 
     A parameter at its bound is no estimate and is left out.
@@ -23,19 +27,17 @@ def sentence(finding: EffectFinding, fit: ModelFit, confirmed: Confirmed) -> str
     Args:
         finding: one effect.
         fit: the final one, which holds its terms.
-        confirmed: intervals of the fit's parameters.
+        intervals: of its parameters, by effect, place and parameter.
     """
     values = []
-    places = {(t.name, t.where) for t in finding.terms}
-    for k, slot in enumerate(fit.slots):
-        if (slot.owner.name, slot.owner.where) in places:
-            interval = confirmed.intervals[k]
-            if interval.at_bound:
-                continue
-            shown = value_in_words(interval, slot.parameter.unit)
-            called = fit.model.arm.called.get(slot.owner.where)
-            where = f"{slot.owner.where} ({called})" if called else slot.owner.where
-            values.append(f"{where} {slot.parameter.name} {shown}")
+    for slot in fit.slots:
+        interval = intervals.get((*slot.owner.key, slot.parameter.name))
+        if interval is None or interval.at_bound:
+            continue
+        shown = value_in_words(interval, slot.parameter.unit)
+        called = fit.model.arm.called.get(slot.owner.where)
+        where = f"{slot.owner.where} ({called})" if called else slot.owner.where
+        values.append(f"{where} {slot.parameter.name} {shown}")
     readings = dict.fromkeys(t.reading for t in finding.terms if t.reading)
     if not values:
         values = [", ".join(finding.where)]
@@ -46,9 +48,6 @@ def sentence(finding: EffectFinding, fit: ModelFit, confirmed: Confirmed) -> str
         odds = finding.log_bayes_factor - finding.runner_up.log_bayes_factor
         other = f", runner-up {finding.runner_up.candidate.name} (log odds {odds:.0f})"
     names, remark = _names(finding)
-    if finding.untold:
-        read = " and ".join(dict.fromkeys(n for t in finding.terms for n in t.inputs))
-        remark += f"; {' and '.join(finding.untold)} ran together with {read}: either may drive it"
     if finding.unnamed:
         remark += "; or a cause without a name"
     return f"{names}: {said}{other}{remark}"
@@ -82,16 +81,9 @@ def left_in_words(structure: Structure) -> str:
 
 
 def _names(finding: EffectFinding) -> tuple[str, str]:
-    """What a finding may be, and what else could stand for a part of it.
-
-    An alias that is one parameter of the effect under another name is told with what stands for
-    the other parameter: a servo that droops is a joint that gives way, with play.
-    """
-    names, others = " or ".join(finding.names), finding.names[1:]
+    """What a finding may be, and what else could stand for a part of it."""
+    names = " or ".join(finding.names)
     if not finding.partial_aliases:
         return names, ""
-    part, term = finding.partial_aliases[0], finding.terms[0]
-    parameter = part.part in {p.name for p in term.declared()}
-    if parameter and others and set(others) <= set(term.aliases):
-        return f"{finding.name}, or {' or '.join(others)} with {part.name} for the {part.part}", ""
+    part = finding.partial_aliases[0]
     return names, f"; {part.name} could stand for its {part.part}"

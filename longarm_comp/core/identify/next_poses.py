@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.candidates import CandidateColumns
-from longarm_comp.core.identify.evidence import Score, key
+from longarm_comp.core.identify.evidence import key
+from longarm_comp.core.identify.findings import EffectFinding, Rival
 from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.identify.search import SearchResult
 
@@ -36,7 +36,7 @@ class NextPoses:
 
 
 def next_poses(
-    result: SearchResult, found: EffectFinding, other: Score, count: int, seed: int = 0
+    result: SearchResult, found: EffectFinding, other: Rival, count: int, seed: int = 0
 ) -> NextPoses:
     """Greedy choice of the poses that the alternative explains worst.
 
@@ -91,7 +91,7 @@ def _rows(fit: ModelFit) -> tuple[np.ndarray, Context]:
 
 
 def _designs(
-    fit: ModelFit, found: EffectFinding, other: Score, at: tuple[np.ndarray, Context]
+    fit: ModelFit, found: EffectFinding, other: Rival, at: tuple[np.ndarray, Context]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Design of geometry, rest and alternative, and the shift that the found effect makes.
 

@@ -1,31 +1,40 @@
-"""The search: which effects the data ask for, by evidence, with the geometry marginalised.
+"""The search for what the model lacks: a posterior over explanations, and the model refitted.
 
-Forward by the largest Bayes factor, the geometry refitted jointly each time and never
-frozen; outliers and noise are judged anew after every accepted effect, so that structure is
-not thrown out as noise; then forms are refined, two effects at one place that one effect
-explains are merged, families swapped or split in two, and a backward pass drops what no longer
-pays.
+Each round takes the session's equations at the model as it is, offers every effect of the library
+and functions without a name (`offers.py`), computes the posterior over them (`posterior.py`), puts
+the most probable explanation into the model, and fits that.  Noise and outliers are judged anew,
+and forms on a scale move to where the evidence is highest.  It ends when the explanation repeats.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from itertools import combinations
+from collections.abc import Callable, Container, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.identify.candidates import Candidate, Term
-from longarm_comp.core.identify.evidence import FitMarginal, Score, columns_at, key, reshaped, score
-from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.errors import JobError
+from longarm_comp.core.identify import noise as noise_step
+from longarm_comp.core.identify.candidates import Candidate, Term, distinct
+from longarm_comp.core.identify.discover.propositions import propositions
+from longarm_comp.core.identify.evidence import FitColumns, columns_at, refined
+from longarm_comp.core.identify.fit import fit, unfitted
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
-from longarm_comp.core.identify.search_state import SearchState
-from longarm_comp.core.identify.step_scan import UnknownStep
+from longarm_comp.core.identify.offers import Found, Offered, Proposition, offered
+from longarm_comp.core.identify.step_scan import UnknownStep, scan
+from longarm_comp.core.identify.thresholds import retuned
 from longarm_comp.core.model.model import Model
 
-ROUNDS = 4
+ROUNDS = 8
+"""Of posterior and fit, at most; three are usual."""
+STEPS = 6
+"""Gauss-Newton steps of a fit between rounds; the last fit converges."""
+NEAR = 0.3
+"""Last step of such a fit, in standard errors: the next would be a tenth of it or less."""
 
 
 @dataclass(frozen=True)
@@ -34,43 +43,24 @@ class SearchResult:
 
     Attributes:
         fit: the final model, fitted.
-        chosen: the terms found, by place.
+        found: the single effects in the model, with their credible sets.
+        doubtful: single effects that may be there, not in the model.
         noise: as judged last.
-        first: every candidate's score before anything was added.
-        last: every candidate's score on top of what was added.
-        threshold: log Bayes factor that a candidate had to reach.
-        exhausted: the residual asked for more effects than were allowed: it is something else.
+        offered: the last bank, from which the posterior was computed.
         unknown_steps: where steps show, but not their size.
     """
 
     fit: ModelFit
-    chosen: tuple[Term, ...]
+    found: tuple[Found, ...]
+    doubtful: tuple[Found, ...]
     noise: NoiseEstimate
-    first: tuple[Score, ...]
-    last: tuple[Score, ...]
-    threshold: float
-    exhausted: bool = False
+    offered: Offered
     unknown_steps: tuple[UnknownStep, ...] = ()
 
-    def without(self, places: set[tuple[str, str]]) -> SearchResult:
-        """The same search with some of the found terms taken out again, the rest refitted.
-
-        These are candidates again, scored last.
-        """
-        was = self.fit
-        model = dataclasses.replace(
-            was.model,
-            effects=tuple(t for t in was.model.effects if key(t) not in places),
-            biases=tuple(t for t in was.model.biases if key(t) not in places),
-        )
-        refitted = fit(
-            model, was.session, sigma=was.sigma, rho=was.rho, weights=was.weights, near=was
-        )
-        chosen = tuple(t for t in self.chosen if key(t) not in places)
-        columns, marginal = columns_at(refitted), FitMarginal(refitted)
-        gone = [Candidate(t.name, (t,)) for t in self.chosen if key(t) in places]
-        again = [score(refitted, marginal, each, columns) for each in gone]
-        return dataclasses.replace(self, fit=refitted, chosen=chosen, last=(*self.last, *again))
+    @property
+    def chosen(self) -> tuple[Term, ...]:
+        """The terms in the model, as they were offered."""
+        return tuple(t for f in self.found for t in f.terms)
 
 
 def search(
@@ -80,6 +70,7 @@ def search(
     *,
     known_noise: NoiseEstimate | None = None,
     stepped: Sequence[type[Effect]] = (),
+    functions: bool = True,
     progress: Callable[[str], None] | None = None,
 ) -> SearchResult:
     """Find what the model lacks.
@@ -87,132 +78,152 @@ def search(
     Args:
         base: the declared model with its geometry terms.
         session: training rows.
-        candidates: hypotheses.
+        candidates: the library.
         known_noise: from repeats; judged from the residual otherwise.
         stepped: effects whose steps are scanned.
+        functions: whether functions without a name are offered.
         progress: told what is going on.
 
     Raises:
         InputError, JobError: as `fit`.
     """
-    say = progress or (lambda _: None)
-    state = SearchState(base, session, candidates, known_noise, stepped)
-    say("geometry")
-    state.refit()
-    state.scan_steps()
-    first = state.scores()
-    for _ in range(ROUNDS):
-        state.grow(say)
-        if state.chosen and not state.exhausted and state.scan_steps():
-            state.grow(say)
-        if state.exhausted:
-            state.prune()
-            break
-        changed = state.refine_forms(say) | state.retune(say)
-        changed |= merge(state, say) | swap(state, say) | state.prune()
-        if not (changed or split(state, say)):
-            break
-    state.settle()
-    return SearchResult(
-        state.fit,
-        tuple(state.chosen.values()),
-        state.noise,
-        first,
-        state.scores(),
-        state.threshold,
-        state.exhausted,
-        tuple(state.unknown_steps.values()),
+    state = _State(base, session, list(candidates), known_noise, stepped, functions)
+    return state.searched(progress or (lambda _: None))
+
+
+@dataclass
+class _State:
+    """The model while it is searched for."""
+
+    base: Model
+    session: Session
+    candidates: list[Candidate]
+    known: NoiseEstimate | None
+    stepped: Sequence[type[Effect]]
+    functions: bool
+    found: tuple[Found, ...] = ()
+    propositions: tuple[Proposition, ...] = ()
+    unknown: dict[str, UnknownStep] = field(default_factory=dict)
+    fit: ModelFit = field(init=False)
+    noise: NoiseEstimate = field(init=False)
+    columns: FitColumns = field(init=False)
+
+    def searched(self, say: Callable[[str], None]) -> SearchResult:
+        say("geometry")
+        self._fit(self.base)
+        seen: set[frozenset[object]] = set()
+        for _ in range(ROUNDS):
+            self._scan()
+            if self.functions:
+                self.propositions = propositions(self.fit, self.found)
+            explained = self._offered().explained(say)
+            again = _variants(explained.found)
+            if again == _variants(self.found) or again in seen:
+                break
+            seen.add(again)
+            self.found = explained.found
+            self._take(self.found)
+            for _ in range(3):
+                if not self._reform(say):
+                    break
+        self._settle()
+        bank = self._offered()
+        found, doubtful = bank.judged(self.found)
+        return SearchResult(
+            self.fit, found, doubtful, self.noise, bank, tuple(self.unknown.values())
+        )
+
+    def _offered(self) -> Offered:
+        return offered(self.fit, self.columns, self.candidates, self.propositions, self.found)
+
+    def _scan(self) -> None:
+        """Offer the steps that the residual shows."""
+        need = np.log(max(len(self.candidates), 1)) + np.log(20.0)
+        scans = [scan(self.fit, self.columns, kind, need) for kind in self.stepped]
+        shown = [candidate for each in scans for candidate in each.found]
+        self.candidates = [*(c for c in self.candidates if not c.scanned), *shown]
+        self.unknown |= {each.where: each for made in scans for each in made.unknown}
+
+    def _take(self, found: Sequence[Found]) -> None:
+        """Fit the model with what was found."""
+        known = {t.variant: t for t in self.fit.model.terms}
+        terms = [known.get(t.variant, t) for f in found for t in f.terms]
+        before = self.fit, self.noise, self.columns
+        try:
+            self._fit(_with(self.base, self.fit.model, terms))
+        except JobError:
+            self.fit, self.noise, self.columns = before
+
+    def _fit(self, model: Model) -> None:
+        """Judge the noise by all that the library could explain, then fit."""
+        first = unfitted(model, self.session, self.fit) if self.found else fit(model, self.session)
+        at = self.columns if self.found else columns_at(first)
+        held = {t.key for f in self.found for t in f.terms}
+        judged, weights = noise_step.from_residual(first, at.of(distinct(self.candidates, held)))
+        self.noise = judged if self.known is None else noise_step.agreed(self.known, judged)
+        self.fit = fit(
+            first.model, self.session, sigma=self.noise.sigma, rho=self.noise.rho, weights=weights,
+            max_iterations=STEPS, close=NEAR, begun=first,
+        )  # fmt: skip
+        self._look()
+
+    def _settle(self) -> None:
+        """Take the last fit to its end."""
+        was = self.fit
+        self.fit = fit(
+            was.model, self.session, sigma=was.sigma, rho=was.rho, weights=was.weights, begun=was
+        )
+        self._look()
+
+    def _look(self) -> None:
+        self.columns = columns_at(self.fit)
+        self.columns.prepare(distinct(self.candidates))
+
+    def _reform(self, say: Callable[[str], None]) -> bool:
+        """Move forms on a scale to where the evidence is highest; whether any moved."""
+        terms = {t.key: t for f in self.found for t in f.terms}
+        moved = dict(terms)
+        for key, term in terms.items():
+            if not term.scales():
+                continue
+            fitted = next(t for t in self.fit.model.terms if t.key == key)
+            better = retuned(self.fit, self.columns, fitted)
+            if better is fitted:
+                marginal = self.columns.without({key})
+                best = refined(self.fit, marginal, self.columns, term, self.candidates)
+                better = best.candidate.terms[0]
+            if better.variant != term.variant:
+                moved[key] = better
+                say(Candidate(term.name, (better,)).label)
+        if moved == terms:
+            return False
+        self.found = tuple(
+            dataclasses.replace(f, terms=tuple(moved[t.key] for t in f.terms)) for f in self.found
+        )
+        self._take(self.found)
+        return True
+
+
+def without(model: Model, places: Container[tuple[str, str]]) -> Model:
+    """A model without its terms at some places."""
+    left = [t for t in model.terms if t.key not in places]
+    return dataclasses.replace(
+        model,
+        effects=tuple(t for t in left if isinstance(t, Effect)),
+        biases=tuple(t for t in left if isinstance(t, Bias)),
     )
 
 
-SWAP = 1.0
-"""A new name must be this much (log) more probable than the one it replaces."""
-COARSE = 50.0
-"""A form this much (log) worse than the best may still win once its scale is refined."""
-PAIRED = 6
-"""Names, the best ones, of which every two are tried together in the place of one."""
+def _with(base: Model, now: Model, terms: Sequence[Term]) -> Model:
+    """The base model with further terms, the geometry started from the model as it is now."""
+    known = {t.key: t for t in now.terms}
+    every = [*(known.get(t.key, t) for t in base.terms), *terms]
+    return dataclasses.replace(
+        base,
+        effects=tuple(t for t in every if isinstance(t, Effect)),
+        biases=tuple(t for t in every if isinstance(t, Bias)),
+    )
 
 
-def merge(state: SearchState, say: Callable[[str], None]) -> bool:
-    """Where two effects sit at one place, let one of them do, in another form if need be."""
-    merged = False
-    for where in dict.fromkeys(t.where for t in state.chosen.values()):
-        places = [k for k, t in state.chosen.items() if t.where == where]
-        if len(places) < 2:
-            continue
-        now = state.score(
-            state.marginal(places), Candidate("", tuple(state.chosen[p] for p in places))
-        )
-        names = {name for name, _ in places}
-        first: dict[str, Score] = {}
-        for single in state.scores(places):
-            close = single.log_bayes_factor > now.log_bayes_factor - COARSE
-            if close and single.candidate.name in names and single.candidate.where == (where,):
-                first.setdefault(single.candidate.name, single)
-        options = [state.best_form(s.candidate.terms[0], places) for s in first.values()]
-        best = max(options, key=lambda s: s.log_bayes_factor, default=None)
-        if best is not None and best.log_bayes_factor >= now.log_bayes_factor:
-            say(f"{best.candidate.label} alone")
-            state.replace(places, best)
-            merged = True
-    return merged
-
-
-def swap(state: SearchState, say: Callable[[str], None]) -> bool:
-    """Replace a family by a better one, a better form, or more places of another that is there."""
-    changed = False
-    for name in dict.fromkeys(name for name, _ in state.chosen):
-        if name not in state.names(()):
-            continue  # pruned while others were replaced
-        places, marginal, now = state.family(name)
-        terms = now.candidate.terms
-        shaped = [state.score(marginal, c) for c in reshaped(terms, state.candidates)]
-        surplus = now.log_bayes_factor - state.threshold
-        whole = (*state.scores(places), *shaped)
-        fewer = (
-            state.score(marginal, state.pruned(marginal, s.candidate))
-            for s in whole
-            if len(s.candidate.terms) > 1 and s.fit_gain > surplus + SWAP
-        )
-        options = sorted((*whole, *fewer), key=lambda s: -s.log_bayes_factor)
-        form = now.candidate.form
-        for option in options:
-            other = option.candidate
-            if (other.name, other.form) == (name, form):
-                continue  # more places of the same are for `grow`, fewer for `prune`
-            margin = 0.0 if other.name in state.names(places) else SWAP
-            if option.log_bayes_factor - state.need(other.name, places) > surplus + margin:
-                say(f"{other.label} instead of {name}")
-                state.replace(places, option)
-                changed = True
-                break
-    return changed
-
-
-def split(state: SearchState, say: Callable[[str], None]) -> bool:
-    """Let two effects take the place of one that does for both what neither does alone.
-
-    A search that adds one effect at a time finds the compromise first.
-    """
-    for name in dict.fromkeys(name for name, _ in state.chosen):
-        places, marginal, now = state.family(name)
-        least = now.log_bayes_factor - state.threshold + SWAP
-        forms: dict[str, list[Candidate]] = {}
-        for option in state.scores(places):
-            forms.setdefault(option.candidate.name, []).append(option.candidate)
-        forms.pop(name, None)
-        few = [form for options in list(forms.values())[:PAIRED] for form in options[:2]]
-        both = [
-            state.score(marginal, Candidate(f"{a.name} and {b.name}", (*a.terms, *b.terms)))
-            for a, b in combinations(few, 2)
-            if a.name != b.name
-        ]
-        best = max(both, key=lambda s: s.log_bayes_factor, default=None)
-        if best is None:
-            continue
-        names = {t.name for t in best.candidate.terms}
-        if best.log_bayes_factor - sum(state.need(n, places) for n in names) > least:
-            say(f"{best.candidate.label} instead of {name}")
-            state.replace(places, best)
-            return True
-    return False
+def _variants(found: Sequence[Found]) -> frozenset[object]:
+    return frozenset(t.variant for f in found for t in f.terms)

@@ -29,6 +29,12 @@ WORTH = 0.25
 """Structure below this share of the noise is not worth a verdict."""
 
 
+SMALLEST_M = 5e-5
+"""Less at the tip does not matter: no servo and no camera knows better."""
+OF_SPREAD = 2e-4
+"""On a small arm: the same as a share of the median distance of the sightings from their middle."""
+
+
 @dataclass(frozen=True)
 class Structure:
     """What is left in the residual.
@@ -68,7 +74,7 @@ class Structure:
 
 
 def examine(
-    fit: ModelFit, base: ModelFit, rng: np.random.Generator, least: float = 0.0
+    fit: ModelFit, base: ModelFit, rng: np.random.Generator, beside: np.ndarray | None = None
 ) -> Structure:
     """Test what a fit leaves: as a function of every input, and against every recorded column.
 
@@ -76,9 +82,9 @@ def examine(
         fit: with everything that was named.
         base: the geometry alone, on the same rows and with the same noise.
         rng: for the permutations.
-        least: size (m) from which on what shows in the first test is structure.
+        beside: (m, k) whitened columns of what the forms of the fitted effects may leave.
     """
-    return _driven(fit, _tested(fit, base, rng, least))
+    return _driven(fit, _tested(fit, base, rng, beside))
 
 
 def _driven(fit: ModelFit, tested: Structure) -> Structure:
@@ -107,10 +113,13 @@ def _driven(fit: ModelFit, tested: Structure) -> Structure:
     )
 
 
-def _tested(fit: ModelFit, base: ModelFit, rng: np.random.Generator, least: float) -> Structure:
+def _tested(
+    fit: ModelFit, base: ModelFit, rng: np.random.Generator, beside: np.ndarray | None
+) -> Structure:
     """The score test of every group of inputs."""
     tested = groups(fit)
-    marginal = Marginal(fit.design, fit.data)
+    design = fit.design if beside is None else np.concatenate([fit.design, beside], axis=1)
+    marginal = Marginal(design, fit.data)
     residual = fit.whitened(fit.residual[..., None])[:, 0]
     rows = residual.reshape(-1, fit.width)
     draws = np.stack([_shuffled(rows, fit, rng) for _ in range(PERMUTATIONS)], axis=1)
@@ -147,7 +156,7 @@ def _tested(fit: ModelFit, base: ModelFit, rng: np.random.Generator, least: floa
     worth = worth or bool((sizes > WORTH * np.sqrt(3.0) * noise)[noise > 0].any())
     said = [statistics[k][0] for k in strong if statistics[k][1] > top / 3]
     inputs = tuple(dict.fromkeys(name for group in said for name in group.inputs))
-    flag = p < SIGNIFICANT and worth and size > least
+    flag = p < SIGNIFICANT and worth and size > smallest(fit)
     rss_named = float(residual @ residual)
     white_base = fit.whitened(base.residual[..., None])[:, 0]
     rss_base = float(white_base @ white_base)
@@ -162,6 +171,17 @@ def _tested(fit: ModelFit, base: ModelFit, rng: np.random.Generator, least: floa
         tuple((g.label, float(s)) for g, s in statistics),
         statistics[order[0]][0].at if flag else "",
     )
+
+
+def smallest(fit: ModelFit) -> float:
+    """Size (m) below which structure does not matter."""
+    rows = fit.session.take(fit.session.located)
+    limit = SMALLEST_M
+    if len(rows) > 1:
+        middle = np.median(rows.xyz, axis=0)
+        spread = np.median(np.linalg.norm(rows.xyz - middle, axis=1))
+        limit = min(limit, OF_SPREAD * float(spread))
+    return limit
 
 
 def _smooth(fit: ModelFit, marginal: Marginal, bases: list[np.ndarray]) -> tuple[np.ndarray, float]:

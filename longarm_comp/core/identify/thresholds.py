@@ -1,4 +1,4 @@
-"""Thresholds of switches: where most rows want them, and the rows that they do not decide.
+"""Thresholds of switches: where most rows want them.
 
 A row on the wrong side of a threshold errs by the whole jump.  So it is set aside as an outlier,
 and with it goes what would have moved the threshold.  Where a jump the other way would explain rows
@@ -8,7 +8,6 @@ that were set aside, the threshold is looked for again, each row counting no mor
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -21,13 +20,6 @@ VALUES = 33
 """Values looked at over the whole range, then as many again around the best."""
 GAIN = 12.0
 """Squared error, in units of the noise, that must be gained: odds of 400, for as many looks."""
-
-NEAR = 0.1
-"""Share by which a threshold may differ from row to row."""
-LEAST = 0.005
-"""The same of its range, for thresholds near 0."""
-JUMPS = 0.5
-"""Share of an effect's largest shift by which such a difference moves an undecided row."""
 
 
 def retuned(fit: ModelFit, columns: FitColumns, term: Term) -> Term:
@@ -76,19 +68,3 @@ def _cost(fit: ModelFit, columns: FitColumns, now: Term, then: Term) -> np.ndarr
     noise = fit.uneven(fit.session)[:, None] * fit.sigma
     white = np.nan_to_num((fit.residual - moved) / noise)
     return np.asarray(np.minimum((white**2).sum(axis=1), OUTLIER**2))
-
-
-def undecided(fitted: ModelFit, columns: FitColumns, terms: Sequence[Term]) -> np.ndarray:
-    """(N,) whether a small change of a term's threshold moves the row to the other side."""
-    rows = np.zeros(len(fitted.session), dtype=bool)
-    for term in terms:
-        largest = np.linalg.norm(shift_of(fitted, columns, [term]), axis=1).max()
-        for field, (lower, upper) in term.scales().items():
-            value = float(getattr(term, field))
-            near = max(NEAR * abs(value), LEAST * (upper - lower))
-            below, above = (
-                shift_of(fitted, columns, [dataclasses.replace(term, **{field: float(v)})])
-                for v in np.clip([value - near, value + near], lower, upper)
-            )
-            rows |= np.linalg.norm(above - below, axis=1) > JUMPS * largest
-    return rows

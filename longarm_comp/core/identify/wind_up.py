@@ -123,7 +123,8 @@ def refined(
     model = dataclasses.replace(was.model, effects=better.terms(was.model.effects))
     session = rows(better.run_up)
     again = fit(model, session, sigma=was.sigma, rho=was.rho, weights=was.weights)
-    return dataclasses.replace(traced, fit=again, chosen=better.terms(traced.chosen)), better
+    shaped = tuple(dataclasses.replace(f, terms=better.terms(f.terms)) for f in traced.found)
+    return dataclasses.replace(traced, fit=again, found=shaped), better
 
 
 @dataclass

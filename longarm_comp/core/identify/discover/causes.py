@@ -1,0 +1,129 @@
+"""Causes without a name: the functions that were found, in words and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.identify.discover import words
+from longarm_comp.core.identify.discover.bank import Hypothesis, Spot
+from longarm_comp.core.identify.discover.banks import CAMERA
+from longarm_comp.core.identify.discover.functions import CONSTANT
+from longarm_comp.core.identify.model_fit import ModelFit
+from longarm_comp.core.identify.offers import CREDIBLE, Found
+
+Term = Effect | Bias
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One fitted coefficient: value, 95 % interval and unit."""
+
+    where: str
+    function: str
+    value: float
+    ci95: tuple[float, float]
+    unit: str
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One cause without a name.
+
+    Attributes:
+        terms: as the model holds them.
+        where: places that explain it alike; the first is the one in the model.
+        names: effects of the library that may be the cause instead, with their probability.
+        formula: place, component and function with units.
+        reading: what it behaves like.
+        domain: range of each quantity in the data; outside, it counts as at the end.
+        inputs: names of these quantities.
+        amounts: the coefficients.
+        log_evidence: on top of the rest.
+        probability: that it, or what it cannot be told from, is there.
+        tip_m: rms and largest shift of the tip over the fitted rows.
+        compensated: whether commands correct for it; never what the camera alone sees.
+    """
+
+    terms: tuple[Term, ...]
+    where: tuple[str, ...]
+    names: tuple[tuple[str, float], ...]
+    formula: str
+    reading: str
+    domain: tuple[str, ...]
+    inputs: tuple[str, ...]
+    amounts: tuple[Coefficient, ...]
+    log_evidence: float
+    probability: float
+    tip_m: tuple[float, float]
+    compensated: bool
+
+    @property
+    def sentence(self) -> str:
+        """The formula, what it amounts to, and what it behaves like."""
+        rms, most = (1e3 * v for v in self.tip_m)
+        text = f"{self.formula} ({rms:.2f} mm rms at the tip, at most {most:.2f}); {self.reading}"
+        if len(self.where) > 1:
+            text += f"; {' or '.join(self.where[1:4])} would explain it as well"
+        return text
+
+
+def causes(fit: ModelFit, found: Sequence[Found]) -> tuple[Cause, ...]:
+    """Of the functions among the single effects of a fit, the largest first."""
+    made = [_cause(fit, f) for f in found if f.unnamed]
+    return tuple(sorted(made, key=lambda c: -c.tip_m[0]))
+
+
+def hypothesis(terms: Sequence[Term]) -> Hypothesis:
+    """Places and functions of terms."""
+    members = []
+    for t in terms:
+        if isinstance(t, Discovered):
+            members.append((Spot(t.at, t.component), t.of))
+        elif isinstance(t, DiscoveredView):
+            members.append((Spot(CAMERA, t.axis), t.of))
+    return Hypothesis(tuple(members), (1.0,) * len(members), CONSTANT, 0.0)
+
+
+def _cause(fit: ModelFit, found: Found) -> Cause:
+    places = {t.key for t in found.terms}
+    held = [(i, s) for i, s in enumerate(fit.slots) if s.owner.key in places]
+    of = hypothesis([s.owner for _, s in held])
+    amounts, shift = [], np.zeros(fit.residual.shape)
+    for (place, function), (i, slot) in zip(of.members, held, strict=True):
+        value = float(getattr(slot.owner, slot.parameter.name))
+        error = float(fit.standard_errors[i])
+        shift = shift + value * fit.columns[..., i]
+        amounts.append((words.where(place), function.formula, value, error, slot.parameter.unit))
+    size = np.linalg.norm(shift * fit.metres, axis=1)
+    return Cause(
+        tuple(slot.owner for _, slot in held),
+        _places(of, found),
+        tuple((name, p) for name, p in found.names if name != found.name and p > 1 - CREDIBLE),
+        words.formula(of, [(v, e, u) for _, _, v, e, u in amounts]),
+        words.reading(of),
+        tuple(words.domain(of)),
+        tuple(dict.fromkeys(s.of for f in of.functions for s in f.factors)),
+        tuple(Coefficient(w, f, v, (v - 1.96 * e, v + 1.96 * e), u) for w, f, v, e, u in amounts),
+        found.log_bayes_factor,
+        found.there,
+        (float(np.sqrt((size**2).mean())), float(size.max())),
+        all(p.at != CAMERA for p, _ in of.members),
+    )
+
+
+def _places(of: Hypothesis, found: Found) -> tuple[str, ...]:
+    """Where it may act: the place in the model, then others of the credible set."""
+    mine = dict.fromkeys(words.where(p) for p, _ in of.members)
+    first = " and ".join(mine)
+    made, total = {first: None}, 0.0
+    for places, chance in found.where:
+        if total >= CREDIBLE:
+            break
+        total += chance
+        made.setdefault(" and ".join(places))
+    return (*dict.fromkeys((first, *words.seen_alike(of), *made)),)

@@ -1,0 +1,140 @@
+"""Findings: the named effects that were found, each with its credible set of names."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from longarm_comp.core.identify.candidates import Candidate, Term
+from longarm_comp.core.identify.offers import Found
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another effect that may stand in the place of a finding.
+
+    Attributes:
+        candidate: its best places and form.
+        log_bayes_factor: of it there, the rest as found.
+        probability: that it is the cause, given that there is one.
+    """
+
+    candidate: Candidate
+    log_bayes_factor: float
+    probability: float
+
+
+@dataclass(frozen=True)
+class PartialAlias:
+    """Another effect that may stand in the place of a part of a finding.
+
+    Attributes:
+        part: in words: ``part at joint 4``.
+        name: canonical name of the other effect.
+    """
+
+    part: str
+    name: str
+
+
+@dataclass(frozen=True)
+class EffectFinding:
+    """One effect that the data ask for, with what they cannot tell from it.
+
+    Attributes:
+        name: canonical name of the most probable cause.
+        terms: the fitted instances.
+        log_bayes_factor: against leaving the effect out, geometry and rest marginalised.
+        probability: that there is an effect.
+        chances: (name, probability) of its causes, given that there is one, the largest first.
+        alternatives: the other names of the credible set.
+        runner_up: the most probable other name, in the set or not; None where none is likely.
+        partial_aliases: names that may stand for one of its parts only.
+        unnamed: why a cause without a name may be there instead; empty where it may not.
+    """
+
+    name: str
+    terms: tuple[Term, ...]
+    log_bayes_factor: float
+    probability: float
+    chances: tuple[tuple[str, float], ...]
+    alternatives: tuple[Rival, ...]
+    runner_up: Rival | None
+    partial_aliases: tuple[PartialAlias, ...] = ()
+    unnamed: str = ""
+
+    @property
+    def open(self) -> bool:
+        """Whether it may as well be something else."""
+        return bool(self.alternatives or self.unnamed)
+
+    @property
+    def where(self) -> tuple[str, ...]:
+        """Places, in order."""
+        return tuple(dict.fromkeys(t.where for t in self.terms))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The credible set: the effect and what cannot be told from it."""
+        return (self.name, *(a.candidate.name for a in self.alternatives))
+
+
+def findings(found: Sequence[Found]) -> tuple[EffectFinding, ...]:
+    """One finding a name, strongest first, of the single effects that have one.
+
+    Single effects of one name at several places are one finding.  Its set holds the names that may
+    stand for all of them; a name that may stand for some only is a partial alias.
+    """
+    made = []
+    for name in dict.fromkeys(f.name for f in found if not f.unnamed):
+        parts = [f for f in found if f.name == name]
+        made.append(_finding(name, parts))
+    return tuple(sorted(made, key=lambda f: -f.log_bayes_factor))
+
+
+def _finding(name: str, parts: Sequence[Found]) -> EffectFinding:
+    sets = [set(f.credible) for f in parts]
+    every = set.intersection(*sets)
+    some = set.union(*sets) - every
+    size = sum(f.log_bayes_factor for f in parts)
+    chances: dict[str, float] = {}
+    for f in parts:
+        for other, chance in f.names:
+            chances[other] = chances.get(other, 0.0) + chance * f.log_bayes_factor / size
+    rivals: dict[str, Rival] = {}
+    for f in parts:
+        for candidate, factor in f.rivals:
+            chance = chances.get(candidate.name, 0.0)
+            loss = f.log_bayes_factor - factor
+            rivals.setdefault(candidate.name, Rival(candidate, size - loss, chance))
+    ordered = sorted(rivals.values(), key=lambda r: -r.probability)
+    named = [r for r in ordered if not _unnamed(r.candidate)]
+    partial = [
+        PartialAlias(f"part at {', '.join(dict.fromkeys(t.where for t in f.terms))}", other)
+        for f, own in zip(parts, sets, strict=True)
+        for other in sorted(own & some)
+        if other in rivals and not _unnamed(rivals[other].candidate)
+    ]
+    unnamed = next((r for r in ordered if _unnamed(r.candidate)), None)
+    likely = unnamed is not None and unnamed.candidate.name in every
+    return EffectFinding(
+        name,
+        tuple(t for f in parts for t in f.terms),
+        size,
+        1.0 - math.prod(1.0 - f.there for f in parts),
+        tuple(sorted(chances.items(), key=lambda c: -c[1])),
+        tuple(r for r in named if r.candidate.name in every),
+        named[0] if named else None,
+        tuple(partial),
+        _alike(unnamed) if likely and unnamed is not None else "",
+    )
+
+
+def _unnamed(candidate: Candidate) -> bool:
+    return not candidate.terms[0].searched
+
+
+def _alike(rival: Rival) -> str:
+    terms = ", ".join(dict.fromkeys(t.place for t in rival.candidate.terms))
+    return f"a function without a name explains as much ({terms})"

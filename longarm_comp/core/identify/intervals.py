@@ -1,0 +1,150 @@
+"""95 % intervals of the parameters of a fit: the wider of Laplace and a block bootstrap."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.special import ndtri
+
+from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, Term
+from longarm_comp.core.identify.evidence import columns_at, neighbours
+from longarm_comp.core.identify.model_fit import ModelFit, priors
+
+RESAMPLES = 300
+"""Draws of the bootstrap: a standard deviation is then known to 4 %."""
+BLOCKS = 30
+"""Blocks of rows that are drawn; noise that lasts for a while stays within one."""
+LOOSE = 3.0
+"""Times a found value that its prior must reach, so that it hardly pulls at the interval."""
+TOUCHES = 0.05
+"""Share of an interval within which a value is at its bound."""
+STEP = 0.05
+"""Of the width between the neighbouring tried values: step of a form's slope."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A parameter with its 95 % interval (SI).
+
+    Attributes:
+        at_bound: the value is at a bound of the parameter, as far as the interval can tell: it is
+            no estimate, and only the other end of the interval says something.
+    """
+
+    value: float
+    low: float
+    high: float
+    at_bound: bool = False
+
+
+def intervals(
+    fit: ModelFit,
+    found: Sequence[Term],
+    candidates: Sequence[Candidate],
+    rng: np.random.Generator,
+) -> dict[int, Interval]:
+    """By position in the fit's slots.
+
+    Beside the fitted parameters stand, with their priors, the other places of the found effects,
+    and other values of their forms: they could have come out otherwise.
+
+    Args:
+        fit: final.
+        found: the terms that a search added.
+        candidates: the library.
+        rng: for the bootstrap.
+    """
+    wider = _wider(fit, found)
+    design = np.concatenate([fit.design * wider, _otherwise(fit, found, candidates)], axis=1)
+    parts = _block_rows(len(design), fit.width)
+    gram = np.stack([design[s].T @ design[s] for s in parts])
+    right = np.stack([design[s].T @ fit.data[s] for s in parts])
+    one = np.eye(design.shape[1])
+    counts = rng.multinomial(len(parts), np.full(len(parts), 1 / len(parts)), size=RESAMPLES)
+    draws = np.array(
+        [np.linalg.solve(np.tensordot(n, gram, axes=1) + one, n @ right) for n in counts]
+    )
+    inverse = np.linalg.inv(gram.sum(0) + one)
+    kept = slice(len(fit.slots))
+    scale = priors(fit.slots) * wider
+    centre = (inverse @ right.sum(0))[kept] * scale
+    sd = np.maximum(draws.std(axis=0), np.sqrt(np.diag(inverse)))[kept] * scale
+    half = ndtri(0.975) * sd
+    made = {}
+    for k, (slot, value) in enumerate(zip(fit.slots, fit.model.values, strict=True)):
+        low, high = min(centre[k] - half[k], value), max(centre[k] + half[k], value)
+        bounds = slot.parameter
+        low, high = max(float(low), bounds.lower), min(float(high), bounds.upper)
+        room = min(float(value) - bounds.lower, bounds.upper - float(value))
+        made[k] = Interval(float(value), low, high, room <= TOUCHES * (high - low))
+    return made
+
+
+def _wider(fit: ModelFit, found: Sequence[Term]) -> np.ndarray:
+    """(p,) how much wider the prior of a found parameter must be not to pull at its value.
+
+    That it is there has been decided; how large it is, the data say.
+    """
+    mine = {t.key for t in found}
+    sizes = [
+        abs(value) / slot.parameter.prior if slot.owner.key in mine else 0.0
+        for value, slot in zip(fit.model.values, fit.slots, strict=True)
+    ]
+    return np.maximum(1.0, LOOSE * np.array(sizes))
+
+
+def _block_rows(equations: int, width: int) -> list[slice]:
+    rows = equations // width
+    cuts = np.linspace(0, rows, min(BLOCKS, rows) + 1).astype(int) * width
+    return [slice(lo, hi) for lo, hi in pairwise(cuts)]
+
+
+def _otherwise(fit: ModelFit, found: Sequence[Term], candidates: Sequence[Candidate]) -> np.ndarray:
+    """(dM, k) whitened, prior-scaled columns."""
+    columns = columns_at(fit)
+    made = [columns.of(tuple(_dropped(fit, found, candidates).values()))]
+    made += _slopes(fit, columns, found, candidates)
+    return fit.whitened(np.concatenate(made, axis=-1))
+
+
+def _dropped(
+    fit: ModelFit, found: Sequence[Term], candidates: Sequence[Candidate]
+) -> dict[tuple[str, str], Term]:
+    """A found effect's other places, in its form where there is one."""
+    held = {t.key for t in fit.model.terms}
+    missing: dict[tuple[str, str], Term] = {}
+    forms = {t.name: tuple(t.forms.items()) for t in reversed(found)}
+    for name, form in forms.items():
+        mine = [c for c in candidates if c.name == name]
+        for candidate in sorted(mine, key=lambda c: c.form != form):
+            missing = {t.key: t for t in candidate.terms if t.key not in held} | missing
+    return missing
+
+
+def _slopes(
+    fit: ModelFit, columns: CandidateColumns, terms: Sequence[Term], candidates: Sequence[Candidate]
+) -> list[np.ndarray]:
+    """(N, d, 1) change of the rows as each scale moves half way to the next tried value."""
+    ways: list[tuple[Term, Term, float]] = []
+    for term in terms:
+        for field in term.scales():
+            low, high = neighbours(term, field, candidates)
+            here = float(getattr(term, field))
+            step = STEP if here < 0.5 * (low + high) else -STEP
+            moved = dataclasses.replace(term, **{field: here + step * (high - low)})
+            ways.append((term, moved, 0.5 / step))
+    columns.of([t for term, moved, _ in ways for t in (term, moved)])  # all at once: much faster
+    made = []
+    for term, moved, times in ways:
+        values = [
+            v / slot.parameter.prior
+            for v, slot in zip(fit.model.values, fit.slots, strict=True)
+            if slot.owner.key == term.key
+        ]
+        change = (columns.of([moved]) - columns.of([term])) @ np.array(values)
+        made.append(times * change[..., None])
+    return made

@@ -1,0 +1,390 @@
+"""One posterior over explanations: a sum of single effects (SuSiE).
+
+Wang, Sarkar, Carbonetto, Stephens (2020), "A simple new approach to variable selection in
+regression", J. R. Statist. Soc. B 82.  The whitened data are
+
+    y = A u + sum over l of X_c(l) b_l + e,    u, b, e unit normal
+
+with the geometry A marginalised.  Each single effect l is one `Offer` c of a bank, or none.  Its
+distribution q_l over the offers is computed given what the other effects explain on average, in
+turn, until none moves.  Offers that explain the same share a q: that is the credible set.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from longarm_comp.core.identify.linear import log_mass
+
+NONE = math.log(20.0)
+"""Log odds for no further effect, before the data: one finding in twenty may be wrong."""
+STILL = 0.01
+"""The ascent ends when no probability moves by as much."""
+SWEEPS = 30
+"""Sweeps over the effects at most; single effects settle in five to ten."""
+MOST = 30
+"""Single effects at most; the bank of a large arm has about as many names."""
+THERE = 0.5
+"""Probability from which on a single effect is there."""
+
+
+@dataclass(frozen=True)
+class Offer:
+    """One thing that a single effect may be.
+
+    Attributes:
+        name: what it is called; offers of one name share a name's probability.
+        keys: the places that it would take. One form only may be at each.
+        columns: positions of its columns in the bank, by key.
+        log_prior: log probability of it, given that there is an effect.
+        sizes: prior standard deviations of its coefficients, in units of the columns.
+        chances: log probability of each size.
+        fixed: whether its coefficients are 1: it is there, whole, or it is not.
+    """
+
+    name: str
+    keys: tuple[Hashable, ...]
+    columns: tuple[tuple[int, ...], ...]
+    log_prior: float
+    sizes: tuple[float, ...] = (1.0,)
+    chances: tuple[float, ...] = (0.0,)
+    fixed: bool = False
+
+    @property
+    def places(self) -> tuple[int, ...]:
+        """All of its columns."""
+        return tuple(k for own in self.columns for k in own)
+
+    def beside(self, held: frozenset[Hashable]) -> Offer | None:
+        """What is left of it where others hold some of its places; None where that is nothing.
+
+        One place of several is an offer of its own already.
+        """
+        if held.isdisjoint(self.keys):
+            return self
+        left = [(k, c) for k, c in zip(self.keys, self.columns, strict=True) if k not in held]
+        if len(left) < 2:
+            return None
+        keys, columns = zip(*left, strict=True)
+        return dataclasses.replace(self, keys=keys, columns=columns)
+
+
+@dataclass(frozen=True)
+class SingleEffect:
+    """One effect of the sum.
+
+    Attributes:
+        q: (C,) probability of every offer of the bank; what is missing to 1 is none.
+        mean: (K,) coefficients of the bank's columns on average.
+        offers: what offers became beside the places that other effects hold.
+    """
+
+    q: np.ndarray
+    mean: np.ndarray
+    offers: dict[int, Offer] = field(default_factory=dict)
+
+    @cached_property
+    def there(self) -> float:
+        """Probability that it is there at all."""
+        return float(self.q.sum())
+
+    @cached_property
+    def best(self) -> int:
+        """The most probable offer."""
+        return int(np.argmax(self.q))
+
+
+class Offers:
+    """A bank of offers over common columns, with the geometry marginalised.
+
+    Args:
+        offers: C of them.
+        gram: (K, K) products of the columns, projected off the geometry.
+        along: (K,) products of the projected columns with the data.
+        lower, upper: (K,) bounds of the coefficients.
+    """
+
+    def __init__(
+        self,
+        offers: Sequence[Offer],
+        gram: np.ndarray,
+        along: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+    ) -> None:
+        self.offers = tuple(offers)
+        self.gram, self.along, self.lower, self.upper = gram, along, lower, upper
+        self._stacks = _stacks(self, dict(enumerate(self.offers)))
+        self._reduced: dict[tuple[int, Offer], list[_Stack]] = {}
+
+    def single(
+        self, along: np.ndarray, closed: frozenset[int], held: frozenset[Hashable]
+    ) -> SingleEffect:
+        """The effect that explains what the others leave.
+
+        Args:
+            along: (K,) products of the columns with what the others leave.
+            closed: offers that are shut.
+            held: places that other effects hold.
+        """
+        scores = np.full(len(self.offers), -np.inf)
+        means: Means = {}
+        changed: dict[int, Offer] = {}
+        for stack in self._stacks:
+            stack.score(along, scores, means)
+        for number, offer in enumerate(self.offers):
+            if number in closed:
+                scores[number] = -np.inf
+            elif not held.isdisjoint(offer.keys):
+                scores[number] = -np.inf
+                left = offer.beside(held)
+                if left is not None:
+                    changed[number] = left
+                    for stack in self._stack_of(number, left):
+                        stack.score(along, scores, means)
+        top = max(float(scores.max(initial=-np.inf)), 0.0)
+        weights = np.exp(scores - top)
+        q = weights / (weights.sum() + math.exp(-top))
+        mean = np.zeros(len(self.along))
+        for likely in np.flatnonzero(q > 1e-6).tolist():
+            stack, row, z = means[likely]
+            np.add.at(mean, stack.columns[row], q[likely] * stack.mean(row, z))
+        return SingleEffect(q, mean, changed)
+
+    def evidence(self, chosen: Sequence[Offer]) -> float:
+        """Log evidence of some offers together, each with its prior odds against none."""
+        return self.joint(chosen)[0]
+
+    def joint(self, chosen: Sequence[Offer]) -> tuple[float, list[np.ndarray]]:
+        """`evidence`, and the coefficients of each offer at the posterior mode."""
+        total = sum(offer.log_prior - NONE for offer in chosen)
+        whole = [k for offer in chosen if offer.fixed for k in offer.places]
+        total += float(self.along[whole].sum() - 0.5 * self.gram[np.ix_(whole, whole)].sum())
+        free = [offer for offer in chosen if not offer.fixed]
+        places = [k for offer in free for k in offer.places]
+        s, t = self.gram[np.ix_(places, places)], self.along[places]
+        t = t - self.gram[np.ix_(places, whole)].sum(1)
+        mean = np.zeros(0)
+        if places:
+            widest = np.concatenate([np.full(len(o.places), max(o.sizes)) for o in free])
+            scale, chance = _sized(free, _solved(s, t, widest)[0])
+            mean, sd, factor = _solved(s, t, scale)
+            lower, upper = self.lower[places], self.upper[places]
+            inside = log_mass((lower - mean) / sd, (upper - mean) / sd)
+            inside = inside - log_mass(lower / scale, upper / scale)
+            total += factor + chance + float(inside.sum())
+            mean = np.clip(mean, lower, upper)
+        values, start = [], 0
+        for offer in chosen:
+            count = 0 if offer.fixed else len(offer.places)
+            own = np.ones(len(offer.places)) if offer.fixed else mean[start : start + count]
+            values.append(own)
+            start += count
+        return float(total), values
+
+    def _stack_of(self, number: int, offer: Offer) -> list[_Stack]:
+        key = number, offer
+        if key not in self._reduced:
+            self._reduced[key] = _stacks(self, {number: offer})
+        return self._reduced[key]
+
+
+def _solved(
+    s: np.ndarray, t: np.ndarray, scale: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Mean, standard deviation and log evidence of coefficients of some prior scale."""
+    factor = cho_factor(np.eye(len(t)) + s * np.outer(scale, scale), check_finite=False)
+    inverse = cho_solve(factor, np.eye(len(t)), check_finite=False)
+    mean = inverse @ (scale * t)
+    evidence = float(scale * t @ mean / 2 - np.log(np.diag(factor[0])).sum())
+    return scale * mean, scale * np.sqrt(np.diag(inverse)), evidence
+
+
+def _sized(chosen: Sequence[Offer], mean: np.ndarray) -> tuple[np.ndarray, float]:
+    """(k,) the most probable size of each offer's coefficients, and the log chance of these."""
+    scale, total, start = [], 0.0, 0
+    for offer in chosen:
+        own = mean[start : start + len(offer.places)]
+        start += len(own)
+        tried = [
+            (chance - 0.5 * float(own @ own) / size**2 - len(own) * math.log(size), size, chance)
+            for size, chance in zip(offer.sizes, offer.chances, strict=True)
+        ]
+        _, size, chance = max(tried)
+        scale += [size] * len(own)
+        total += chance
+    return np.array(scale), total
+
+
+class _Stack:
+    """Offers of one number of columns, scored at once."""
+
+    def __init__(self, bank: Offers, numbers: Sequence[int], offers: Sequence[Offer]) -> None:
+        self.numbers = np.array(numbers)
+        self.fixed = offers[0].fixed
+        self.columns = np.array([offer.places for offer in offers])
+        self.prior = np.array([offer.log_prior for offer in offers]) - NONE
+        s = bank.gram[self.columns[:, :, None], self.columns[:, None, :]]
+        if self.fixed:
+            self.half = 0.5 * s.sum((1, 2))
+            return
+        self.chances = np.array([offer.chances for offer in offers])  # (C, A)
+        sizes = np.array([offer.sizes for offer in offers])
+        values, self.turn = np.linalg.eigh((s + np.swapaxes(s, 1, 2)) / 2)
+        square = sizes[..., None] ** 2  # (C, A, 1)
+        grown = 1.0 + square * np.maximum(values, 0.0)[:, None, :]
+        self.share = square / grown  # (C, A, k)
+        self.log_det = np.log(grown).sum(-1) / 2
+        self.lower, self.upper = bank.lower[self.columns], bank.upper[self.columns]
+        self.bounded = bool((np.isfinite(self.lower) | np.isfinite(self.upper)).any())
+        if self.bounded:
+            self.sd = np.sqrt(np.einsum("cik,cak->cai", self.turn**2, self.share))
+            low, high = (b[:, None, :] / sizes[..., None] for b in (self.lower, self.upper))
+            self.outside = log_mass(low, high).sum(-1)
+
+    def score(self, along: np.ndarray, scores: np.ndarray, means: Means) -> None:
+        """Log posterior odds against none of every offer; what its mean is made of."""
+        t = along[self.columns]
+        if self.fixed:
+            scores[self.numbers] = t.sum(1) - self.half + self.prior
+            means.update({int(n): (self, row, None) for row, n in enumerate(self.numbers)})
+            return
+        z = np.einsum("cik,ci->ck", self.turn, t)
+        each = (self.share * z[:, None, :] ** 2).sum(-1) / 2 - self.log_det + self.chances
+        if self.bounded:
+            mean = np.einsum("cik,cak->cai", self.turn, self.share * z[:, None, :])
+            low = (self.lower[:, None, :] - mean) / self.sd
+            high = (self.upper[:, None, :] - mean) / self.sd
+            each = each + log_mass(low, high).sum(-1) - self.outside
+        top = each.max(1)
+        scores[self.numbers] = top + np.log(np.exp(each - top[:, None]).sum(1)) + self.prior
+        chance = np.exp(each - top[:, None])
+        chance /= chance.sum(1, keepdims=True)
+        means.update(
+            {int(n): (self, row, (z[row], chance[row])) for row, n in enumerate(self.numbers)}
+        )
+
+    def mean(self, row: int, found: tuple[np.ndarray, np.ndarray] | None) -> np.ndarray:
+        """(k,) coefficients of one offer on average over its sizes, within bounds."""
+        if found is None:
+            return np.ones(self.columns.shape[1])
+        z, chance = found
+        mean = self.turn[row] @ ((chance[:, None] * self.share[row]).sum(0) * z)
+        return np.clip(mean, self.lower[row], self.upper[row])
+
+
+Means = dict[int, tuple[_Stack, int, tuple[np.ndarray, np.ndarray] | None]]
+
+
+def _stacks(bank: Offers, offers: dict[int, Offer]) -> list[_Stack]:
+    kinds: dict[tuple[bool, int, int], list[int]] = {}
+    for number, offer in offers.items():
+        kinds.setdefault((offer.fixed, len(offer.places), len(offer.sizes)), []).append(number)
+    return [_Stack(bank, ns, [offers[n] for n in ns]) for ns in kinds.values()]
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Single effects and what they are together.
+
+    Attributes:
+        bank: what was on offer.
+        effects: those that are there, in the order in which they were found.
+    """
+
+    bank: Offers
+    effects: tuple[SingleEffect, ...]
+
+    @cached_property
+    def chosen(self) -> tuple[Offer, ...]:
+        """The most probable offer of each effect."""
+        return tuple(e.offers.get(e.best, self.bank.offers[e.best]) for e in self.effects)
+
+    @cached_property
+    def evidence(self) -> float:
+        """Log evidence of these together, priors paid."""
+        return self.bank.evidence(self.chosen)
+
+
+def explain(bank: Offers) -> Explanation:
+    """Effects by coordinate ascent, with a restart for each that was found.
+
+    The ascent goes uphill only.  So what each effect was found to be is shut once, the rest finds
+    two others in its place, and it is let in again; the explanation of higher evidence stays.
+    """
+    best = _pruned(_grown(bank, (), frozenset(), MOST))
+    while True:
+        for effect in best.effects:
+            shut = frozenset(np.flatnonzero(effect.q > STILL).tolist())
+            others = tuple(e for e in best.effects if e is not effect)
+            without = _grown(bank, others, shut, len(others) + 2)
+            again = _pruned(_grown(bank, without.effects, frozenset(), MOST))
+            if again.evidence > best.evidence + 1.0:
+                best = again
+                break
+        else:
+            return best
+
+
+def _grown(
+    bank: Offers, start: Sequence[SingleEffect], closed: frozenset[int], most: int
+) -> Explanation:
+    """Add single effects until the last is none."""
+    effects = list(start)
+    while len(effects) < most:
+        count = len(effects)
+        effects.append(SingleEffect(np.zeros(len(bank.offers)), np.zeros(len(bank.along))))
+        effects = [e for e in _ascended(bank, effects, closed) if e.there > THERE]
+        if len(effects) <= count:
+            break
+    return Explanation(bank, tuple(effects))
+
+
+def _ascended(
+    bank: Offers, effects: list[SingleEffect], closed: frozenset[int]
+) -> list[SingleEffect]:
+    taken = np.sum([e.mean for e in effects], axis=0)
+    for _ in range(SWEEPS):
+        moved = 0.0
+        for k in reversed(range(len(effects))):
+            was = effects[k]
+            rest = taken - was.mean
+            held = frozenset(key for n, e in enumerate(effects) if n != k for key in _held(bank, e))
+            now = bank.single(bank.along - bank.gram @ rest, closed, held)
+            moved = max(moved, float(np.abs(now.q - was.q).max()))
+            effects[k], taken = now, rest + now.mean
+        if moved < STILL:
+            break
+    return effects
+
+
+def _held(bank: Offers, effect: SingleEffect) -> set[Hashable]:
+    """Places that an effect probably takes."""
+    chance: dict[Hashable, float] = {}
+    for number in np.flatnonzero(effect.q > STILL):
+        offer = effect.offers.get(int(number), bank.offers[number])
+        for key in offer.keys:
+            chance[key] = chance.get(key, 0.0) + float(effect.q[number])
+    return {key for key, p in chance.items() if p > THERE}
+
+
+def _pruned(found: Explanation) -> Explanation:
+    """Without effects that the others make superfluous, the least first."""
+    effects = list(found.effects)
+    while effects:
+        now = Explanation(found.bank, tuple(effects))
+        fewer = [
+            Explanation(found.bank, tuple(e for e in effects if e is not gone)) for gone in effects
+        ]
+        best = max(fewer, key=lambda e: e.evidence)
+        if best.evidence < now.evidence:
+            break
+        effects = list(best.effects)
+    return Explanation(found.bank, tuple(effects))
