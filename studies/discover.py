@@ -95,7 +95,7 @@ def row(arm: Arm, case: str, plan: str, seed: int, network: bool) -> dict[str, A
     )
     took = time.perf_counter() - began
     models = found.diagnosis.models
-    library = models["calibrated" if found.diagnosis.rolled_back else "with_effects"]
+    library = models["with_effects"]
     stages = {
         "calibrated": _errors(models["calibrated"], setting),
         "library": _errors(library, setting),
@@ -127,8 +127,7 @@ def _errors(model: Model, setting: Setting, learned: Any = None) -> tuple[float,
 
 
 def _told(found: DiagnosisResult) -> dict[str, Any]:
-    added = found.diagnosis.added
-    causes = added.found if added is not None else ()
+    causes = found.diagnosis.causes
     return {
         "names": ", ".join(f.name for f in found.findings),
         "found": "; ".join(c.formula for c in causes),

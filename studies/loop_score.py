@@ -12,11 +12,10 @@ import numpy as np
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import BUILT_IN, LIBRARY
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.calibrate import declared_model, geometry
 from longarm_comp.core.identify.candidates import Term, library
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.evidence import Score
+from longarm_comp.core.identify.findings import EffectFinding
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.model.model import Model
@@ -35,7 +34,6 @@ TWINS = tuple(
     for other in (*kind.aliases, *kind.limit_aliases)
 )
 """Pairs of names of the same physics, as the effects declare them."""
-SHOWN = 4
 
 
 def score(setting: LoopSetting, found: Diagnosis) -> dict[str, Any]:
@@ -71,14 +69,14 @@ def score(setting: LoopSetting, found: Diagnosis) -> dict[str, Any]:
             "size_mm": 1e3 * found.structure.size_m,
             "share": found.structure.share_explained,
         },
-        "rolled_back": found.rolled_back,
+        "probabilities": [[f.name, f.probability, dict(f.chances)] for f in found.findings],
+        "none_of_these": found.none_of_these,
+        "causes": [[c.formula, c.probability] for c in found.causes],
+        "written": found.written,
         "noise_mm": (1e3 * found.search.noise.sigma).round(4).tolist(),
         "rho": found.search.noise.rho,
         "intervals": _intervals(setting, found),
         "errors_mm": errors,
-        "first": _table(found.search.first),
-        "last": _table(found.search.last),
-        "threshold": found.search.threshold,
     }
     scores["dangerous"] = bool(
         found.verdict == "named"
@@ -226,7 +224,7 @@ def _intervals(setting: LoopSetting, found: Diagnosis) -> list[dict[str, Any]]:
         for k, slot in enumerate(found.fit.slots):
             key = slot.owner.where, slot.parameter.name
             if slot.owner.name == effect.name and key in true:
-                i = found.confirmed.intervals[k]
+                i = found.intervals[k]
                 rows.append(
                     {
                         "of": f"{effect.name} {key[0]} {key[1]}",
@@ -237,10 +235,3 @@ def _intervals(setting: LoopSetting, found: Diagnosis) -> list[dict[str, Any]]:
                     }
                 )
     return rows
-
-
-def _table(scores: Sequence[Score]) -> list[list[Any]]:
-    return [
-        [s.candidate.label, round(s.log_bayes_factor, 2), round(s.fit_gain, 2)]
-        for s in scores[:SHOWN]
-    ]

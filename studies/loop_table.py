@@ -60,7 +60,7 @@ def _within(line: Line, which: str = "") -> bool | None:
 
 def _flagged(line: Line) -> bool:
     r = line["result"]
-    return r["flag"] or r["verdict"] in ("unknown", "partly", "set") or r["rolled_back"]
+    return r["flag"] or r["verdict"] in ("unknown", "partly", "set")
 
 
 Measure = tuple[str, Callable[[Line], "bool | None"]]

@@ -9,10 +9,9 @@ import numpy as np
 
 from longarm_comp.core.data.commanded import commandable, not_commanded
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.evidence import key
+from longarm_comp.core.identify.findings import EffectFinding
 from longarm_comp.core.identify.in_words import left_in_words
 from longarm_comp.core.identify.practical import Gain, Practical, practical
 from longarm_comp.core.identify.visible_size import Smallest
@@ -60,8 +59,8 @@ def record_of(
     """
     structure, noise = diagnosis.structure, diagnosis.search.noise
     sigma = _position_noise(diagnosis)
-    final = diagnosis.fit if diagnosis.added is None else diagnosis.added.fit
-    real = practical(final, [f.terms for f in diagnosis.findings], diagnosis.held_out)
+    terms = [f.terms for f in diagnosis.findings]
+    real = practical(diagnosis.search.fit, terms, diagnosis.held_out)
     return {
         "schema": SCHEMA,
         "verdict": diagnosis.verdict,
@@ -90,10 +89,23 @@ def record_of(
             if by.log_bayes_factor >= SPLITS
             for q in by.q
         ]
-        + ([] if diagnosis.added is None else diagnosis.added.next_q.tolist()),
+        + diagnosis.next_q.tolist(),
         "outliers": _outliers(diagnosis),
-        KEY: discovered(diagnosis.discovery),
-        "provenance": _provenance(diagnosis.seed, data_sha256, len(diagnosis.holdout_uses)),
+        KEY: discovered(diagnosis),
+        "none_of_these": diagnosis.none_of_these,
+        "written": {
+            "model": diagnosis.written,
+            "expected_commanded_mm": {k: 1e3 * v for k, v in diagnosis.expected.items()},
+        },
+        "doubtful": [
+            {
+                "effect": f.name,
+                "where": list(dict.fromkeys(t.where for t in f.terms)),
+                "probability": f.there,
+            }
+            for f in diagnosis.doubtful
+        ],
+        "provenance": _provenance(diagnosis.seed, data_sha256, diagnosis.holdout_uses),
     }
 
 
@@ -101,7 +113,7 @@ def refused(
     error: InputError, seed: int, title: str, data_sha256: str = ""
 ) -> tuple[dict[str, Any], Detail]:
     """The report of data that were not admitted."""
-    report = {
+    report: dict[str, Any] = {
         "schema": SCHEMA,
         "verdict": "bad_data",
         "summary": str(error),
@@ -113,27 +125,29 @@ def refused(
         "next_poses": [],
         "outliers": [],
         KEY: [],
-        "provenance": _provenance(seed, data_sha256, 0),
+        "none_of_these": None,
+        "written": None,
+        "doubtful": [],
+        "provenance": _provenance(seed, data_sha256, ()),
     }
     return report, Detail(title=title)
 
 
-def _provenance(seed: int, data_sha256: str, uses: int) -> dict[str, Any]:
+def _provenance(seed: int, data_sha256: str, uses: tuple[str, ...]) -> dict[str, Any]:
     return {
         "seed": seed,
         "data_sha256": data_sha256,
         "version": __version__,
-        "holdout_uses": uses,
+        "holdout_uses": list(uses),
     }
 
 
 def _finding(diagnosis: Diagnosis, found: EffectFinding, real: Practical) -> dict[str, Any]:
-    places = {key(t) for t in found.terms}
-    parameters = []
-    for k, slot in enumerate(diagnosis.fit.slots):
-        if key(slot.owner) not in places:
+    ends, parameters = diagnosis.intervals_of(found), []
+    for slot in diagnosis.search.fit.slots:
+        interval = ends.get((*slot.owner.key, slot.parameter.name))
+        if interval is None:
             continue
-        interval = diagnosis.confirmed.intervals[k]
         parameters.append(
             {
                 "name": slot.parameter.name,
@@ -152,7 +166,8 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding, real: Practical) -> dic
         "title": first.heading(),
         "reading": "; ".join(dict.fromkeys(t.reading for t in found.terms if t.reading)),
         "set": list(found.names),
-        "untold": list(found.untold),
+        "probability": found.probability,
+        "set_probability": {name: p for name, p in found.chances if name in found.names},
         "unnamed": found.unnamed,
         "where": list(found.where),
         "called": {p: w for p, w in called.items() if p in found.where},
@@ -161,22 +176,18 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding, real: Practical) -> dic
         "runner_up": None
         if runner is None
         else {"effect": runner.candidate.name, "log_bayes_factor": runner.log_bayes_factor},
-        "compensated": all(commandable(t) for t in found.terms),
+        "compensated": all(commandable(t) for t in found.terms) and not _left_out(diagnosis, found),
         "tip_mm": {"median": float(np.median(tip_mm)), "max": float(tip_mm.max())},
         "seen_mm": _pair_mm(real.seen),
         "commanded_mm": _pair_mm(real.commanded),
-        "stable": diagnosis.confirmed.stable[found.name],
-        "doubts": [*diagnosis.confirmed.notes[found.name], *_overlapping(diagnosis, found.name)],
+        "doubts": [f"{p.name} could stand for its {p.part}" for p in found.partial_aliases],
         "action": first.action,
     }
 
 
-def _overlapping(diagnosis: Diagnosis, name: str) -> list[str]:
-    """Which other findings would take most of what is its, in words."""
-    named = {f.name for f in diagnosis.findings}
-    pairs = (set(o.names) for o in diagnosis.confirmed.overlaps)
-    others = [other for pair in pairs if name in pair for other in pair - {name} if other in named]
-    return [f"{other} alone explains most of what both do" for other in others]
+def _left_out(diagnosis: Diagnosis, found: EffectFinding) -> bool:
+    """Whether the model that is written does without it."""
+    return {t.key for t in found.terms}.isdisjoint(t.key for t in diagnosis.model.terms)
 
 
 def _pair_mm(gain: Gain) -> list[float]:
@@ -195,7 +206,7 @@ def _held_out(diagnosis: Diagnosis, sigma: np.ndarray | None) -> dict[str, Any]:
     rows = diagnosis.rows
     floor = None
     if sigma is not None:
-        left = (rows["with_effects"].rms, diagnosis.structure.size_m)
+        left = (rows[diagnosis.written].rms, diagnosis.structure.size_m)
         figures = [_figures(errors) for errors in rows.values()]
         flagged = left if diagnosis.structure.flag else None
         floor = noise_floor(tuple(map(float, sigma)), len(diagnosis.held_out), figures, flagged)

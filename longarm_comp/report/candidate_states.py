@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.evidence import (
@@ -16,17 +15,18 @@ from longarm_comp.core.identify.evidence import (
     marginal_without,
     score,
 )
-from longarm_comp.core.identify.minor import Minor
-from longarm_comp.core.identify.search_state import ODDS
+from longarm_comp.core.identify.findings import EffectFinding
 from longarm_comp.core.identify.visible_size import Smallest, detectable
 
 Label = tuple[str, str]
 
 
 def sizes(diagnosis: Diagnosis) -> tuple[Smallest, ...]:
-    """Score and smallest visible size of all candidates outside the model, added to the model."""
+    """Score and smallest visible size of the library outside the model, added to the model."""
     found = diagnosis.search
-    return detectable(found.fit, [s.candidate for s in found.last], found.threshold)
+    held = {t.key for t in found.chosen}
+    outside = [c for c in found.candidates if held.isdisjoint(t.key for t in c.terms)]
+    return detectable(found.fit, outside, found.need)
 
 
 def best_forms(tried: Sequence[Smallest]) -> dict[Label, Smallest]:
@@ -42,12 +42,8 @@ def best_forms(tried: Sequence[Smallest]) -> dict[Label, Smallest]:
 def candidate_rows(diagnosis: Diagnosis, tried: Sequence[Smallest]) -> list[dict[str, Any]]:
     """Rows of ``candidates``: one per effect and place, best first, the untestable last."""
     rows = _chosen(diagnosis)
-    first: dict[Label, float] = {}
-    for scored in diagnosis.search.first:
-        at = label(scored.candidate)
-        first[at] = max(scored.log_bayes_factor, first.get(at, -math.inf))
     for at, one in best_forms(tried).items():
-        state, why = _judged(diagnosis, one, first.get(at))
+        state, why = _judged(diagnosis, one)
         rows[at] = _row(at, one.log_bayes_factor, state, why)
     ordered = sorted(rows.values(), key=lambda r: (-r["log_bayes_factor"], r["effect"], r["where"]))
     missing = [_row((name, "arm"), None, "not_testable", w) for name, w in diagnosis.not_testable]
@@ -75,35 +71,18 @@ def _chosen(diagnosis: Diagnosis) -> dict[Label, dict[str, Any]]:
         ).log_bayes_factor
         form = f", {_form(single)}" if single.form else ""
         state, why = "accepted", f"log Bayes factor {gain:.1f} on top of the rest{form}"
-        if diagnosis.rolled_back:
-            before, after = (
-                1e3 * diagnosis.proof.rows[k].mean for k in ("calibrated", "with_effects")
-            )
-            state = "rejected"
-            why += f"; rolled back: held-out mean error {before:.3f} -> {after:.3f} mm"
-        elif diagnosis.added is not None and term.name in diagnosis.added.without:
-            state = "rejected"
-            why += "; what was found without a name explains its part better"
+        if key(term) not in {key(t) for t in diagnosis.model.terms}:
+            state, why = "rejected", f"{why}; a command is expected to err less without it"
         accepted[label(single)] = _row(label(single), gain, state, why)
     return accepted
 
 
-def _judged(diagnosis: Diagnosis, one: Smallest, first: float | None) -> tuple[str, str]:
+def _judged(diagnosis: Diagnosis, one: Smallest) -> tuple[str, str]:
     """State and reason of a candidate that is not in the model."""
-    result, value = diagnosis.search, one.log_bayes_factor
-    names = list(dict.fromkeys(t.name for t in result.chosen))
-    need = result.threshold
-    if one.candidate.name in names:
-        need = math.log(sum(s.candidate.name == one.candidate.name for s in result.first)) + ODDS
-    minor = next((m for m in diagnosis.minor if _gone(m, one.candidate)), None)
-    if minor is not None:
-        return "rejected", minor.why
+    value, need = one.log_bayes_factor, diagnosis.search.need
     alike = [f for f in diagnosis.findings if one.candidate.name in f.names[1:]]
     if alike and _overlaps(alike[0], one.candidate):
         return "rejected", f"these data cannot tell it from {alike[0].name}, which was added"
-    if first is not None and first >= result.threshold > value and names:
-        by = " and ".join(names)
-        return "rejected", f"explained by {by}: {first:.0f} before it was added, {value:.0f} after"
     if value >= need:
         return "rejected", f"log Bayes factor {value:.1f}, but the rest makes it superfluous"
     if not one.visible:
@@ -114,11 +93,6 @@ def _judged(diagnosis: Diagnosis, one: Smallest, first: float | None) -> tuple[s
 def _overlaps(found: EffectFinding, candidate: Candidate) -> bool:
     """Whether a look-alike sits at a place of the finding, or has no place of its own."""
     return bool(set(candidate.where) & set(found.where)) or "arm" in candidate.where
-
-
-def _gone(minor: Minor, candidate: Candidate) -> bool:
-    """Whether a candidate is an effect that was taken out again, at one of its places."""
-    return candidate.name == minor.name and set(candidate.where) <= set(minor.where)
 
 
 def _unseen(one: Smallest) -> str:

@@ -167,8 +167,6 @@ def _sure(finding: ReportFinding) -> tuple[str, str]:
     """How sure, and the figures behind it."""
     there = finding.log_bayes_factor
     said = [f"Odds of {odds(there)} for it against leaving it out"]
-    if finding.stable is not None:
-        said[0] += f"; they hold in {100 * finding.stable:.0f} % of the resampled sessions"
     others = [name for name in finding.set if name != finding.effect]
     margin = there
     if others:
@@ -176,8 +174,6 @@ def _sure(finding: ReportFinding) -> tuple[str, str]:
     elif finding.runner_up is not None:
         margin = there - finding.runner_up.log_bayes_factor
         said.append(f"Next best: {finding.runner_up.effect}, odds of {odds(margin)} for the name")
-    if finding.untold:
-        said.append(f"What runs together with its input may drive it: {listed(finding.untold)}")
     if finding.unnamed:
         said.append(f"It may be a cause without a name: {finding.unnamed}")
     sure = _word(there)

@@ -15,7 +15,7 @@ from longarm_comp.core.errors import InputError
 
 STAGES = (
     *("nominal", "frames_only", "calibrated"),
-    *("with_effects", "with_discovered", "with_network"),
+    *("with_effects", "with_functions", "with_network"),
 )
 """The models of the before/after table, in the order in which they are built."""
 

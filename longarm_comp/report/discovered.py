@@ -5,31 +5,33 @@ from __future__ import annotations
 from typing import Any
 
 from longarm_comp.core.effects.discovered import Discovered
-from longarm_comp.core.identify.discover.discovery import Cause, Discovery
+from longarm_comp.core.identify.diagnosis import WITH_EFFECTS, WITH_FUNCTIONS, Diagnosis
+from longarm_comp.core.identify.discover.causes import Cause
 
 KEY = Discovered.name
 """Causes without a name are called the same in model.yaml and in report.json."""
 
 
-def discovered(discovery: Discovery | None) -> list[dict[str, Any]]:
+def discovered(diagnosis: Diagnosis) -> list[dict[str, Any]]:
     """What was found, largest first, with the hold-out without and with it; empty for nothing."""
-    if discovery is None:
-        return []
-    return [_cause(found, discovery) for found in discovery.found]
+    return [_cause(cause, diagnosis) for cause in diagnosis.causes]
 
 
-def _cause(found: Cause, discovery: Discovery) -> dict[str, Any]:
-    before, after = (discovery.proof.rows[k].rms for k in ("calibrated", "with_effects"))
+def _cause(found: Cause, diagnosis: Diagnosis) -> dict[str, Any]:
+    before, after = (diagnosis.rows[k].rms for k in (WITH_EFFECTS, WITH_FUNCTIONS))
     at = [a.where.partition(", ") for a in found.amounts]
+    kept = diagnosis.written == WITH_FUNCTIONS
     return {
         "frame": ", ".join(dict.fromkeys(frame for frame, _, _ in at)),
         "component": ", ".join(dict.fromkeys(component for _, _, component in at)),
         "set": list(found.where),
+        "names": dict(found.names),
+        "probability": found.probability,
         "formula": found.formula,
         "reading": found.reading,
         "title": found.terms[0].heading(),
         "action": found.terms[0].action,
-        "doubts": list(discovery.doubts),
+        "doubts": list(diagnosis.doubts),
         "domain": list(found.domain),
         "terms": [
             {
@@ -44,7 +46,7 @@ def _cause(found: Cause, discovery: Discovery) -> dict[str, Any]:
         "ci95": [list(a.ci95) for a in found.amounts],
         "log_evidence": found.log_evidence,
         "tip_mm": {"rms": 1e3 * found.tip_m[0], "max": 1e3 * found.tip_m[1]},
-        "compensated": found.compensated and discovery.kept,
-        "kept": discovery.kept,
+        "compensated": found.compensated and kept,
+        "kept": kept,
         "held_out_rms_mm": [1e3 * before, 1e3 * after],
     }

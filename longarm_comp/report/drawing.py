@@ -8,7 +8,6 @@ import numpy as np
 
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.candidates import Term
-from longarm_comp.core.identify.confirm import RESAMPLES
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.evidence import key
 from longarm_comp.core.identify.next_poses import NextPoses
@@ -61,7 +60,7 @@ def detail(diagnosis: Diagnosis, tried: Sequence[Smallest], facts: Mapping[str, 
 def _rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
     held = diagnosis.held_out.take(diagnosis.held_out.placed)
     predicted = diagnosis.model.measured(held.q, held.context())
-    near = predicted + diagnosis.errors[diagnosis.stage]
+    near = predicted + diagnosis.errors[diagnosis.written]
     seen = np.where(held.located[:, None], held.xyz, near)
     shown = np.unique(np.linspace(0, len(held) - 1, min(ARMS, len(held))).astype(int))
     context = held.context()
@@ -162,20 +161,14 @@ def split(diagnosis: Diagnosis, by: NextPoses) -> SetSplit:
 
 
 def _checks(diagnosis: Diagnosis) -> tuple[Check, ...]:
+    """How probable each finding and each name of its set is."""
     checks = []
     for found in diagnosis.findings:
-        share = diagnosis.confirmed.stable[found.name]
-        checks.append(
-            Check(
-                f"{found.name}: block bootstrap, {RESAMPLES} draws",
-                share >= 0.95,
-                f"its evidence holds in {100 * share:.0f} %",
-            )
-        )
-        notes = diagnosis.confirmed.notes[found.name]
-        others = [n for n in notes if "resampled sessions" not in n]
-        checks += [Check(f"{found.name}: doubt", False, note) for note in others]
-        if not others:
-            name = f"{found.name}: noise × 1.5, priors × 5 and / 5, size"
-            checks.append(Check(name, True, "it would be found all the same"))
+        said = ", ".join(f"{n} {100 * p:.0f} %" for n, p in found.chances if n in found.names)
+        sure = f"there with {100 * found.probability:.1f} %; {said}"
+        checks.append(Check(f"{found.name}: probability", not found.open, sure))
+        checks += [
+            Check(f"{found.name}: doubt", False, f"{p.name} could stand for its {p.part}")
+            for p in found.partial_aliases
+        ]
     return tuple(checks)

@@ -20,8 +20,7 @@ def marked(diagnosis: Diagnosis) -> tuple[Marked, ...]:
     Causes without a name that are in the model come last.
     """
     found = [f.terms for f in diagnosis.findings]
-    if diagnosis.added is not None:
-        found += [cause.terms for cause in diagnosis.added.found]
+    found += [cause.terms for cause in diagnosis.causes]
     if not found:
         return ()
     rows, model = diagnosis.held_out, diagnosis.model

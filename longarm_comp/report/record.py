@@ -17,7 +17,7 @@ DIGITS = 12
 Verdict = Literal["noise", "named", "set", "partly", "unknown", "bad_data"]
 CandidateState = Literal["accepted", "rejected", "not_testable", "invisible"]
 Stage = Literal[
-    "nominal", "frames_only", "calibrated", "with_effects", "with_discovered", "with_network"
+    "nominal", "frames_only", "calibrated", "with_effects", "with_functions", "with_network"
 ]
 Interval = tuple[float, float]
 
@@ -55,7 +55,7 @@ class ReportFinding(_Record):
     """An effect that was added, or the set of effects that it cannot be distinguished from.
 
     `called` says which joint a row of arm.yaml is, where its number or name is another.
-    `untold` is what runs together with the recorded column that drives it.
+    `probability` is that it is there; `set_probability` that each name of the set is its cause.
     `unnamed` is why a cause without a name may be there instead.
     `seen_mm` and `commanded_mm` are mean held-out errors without it, the rest fitted again, and
     with it: as measured, and as a command would have it.
@@ -65,7 +65,8 @@ class ReportFinding(_Record):
     title: str = ""
     reading: str = ""
     set: list[str]
-    untold: list[str] = []
+    probability: float | None = Field(default=None, ge=0, le=1)
+    set_probability: dict[str, float] = {}
     unnamed: str = ""
     where: list[str]
     called: dict[str, str] = {}
@@ -76,14 +77,13 @@ class ReportFinding(_Record):
     tip_mm: TipSize | None = None
     seen_mm: Interval | None = None
     commanded_mm: Interval | None = None
-    stable: float | None = Field(default=None, ge=0, le=1)
     doubts: list[str] = []
     action: str = ""
 
     @property
     def open(self) -> bool:
         """Whether it may as well be something else."""
-        return len(self.set) > 1 or bool(self.untold) or bool(self.unnamed)
+        return len(self.set) > 1 or bool(self.unnamed)
 
 
 class ReportCandidate(_Record):
@@ -173,11 +173,16 @@ class TipShift(_Record):
 
 
 class ReportDiscovered(_Record):
-    """A cause without a name. `set`: places that explain it alike; `kept`: it is in the model."""
+    """A cause without a name. `set`: places that explain it alike; `kept`: it is in the model.
+
+    `names` are effects of the library that may be the cause instead, with their probability.
+    """
 
     frame: str
     component: str
     set: list[str]
+    names: dict[str, float] = {}
+    probability: float | None = Field(default=None, ge=0, le=1)
     formula: str
     terms: list[DiscoveredTerm]
     ci95: list[Interval]
@@ -193,13 +198,31 @@ class ReportDiscovered(_Record):
     kept: bool
 
 
+class Written(_Record):
+    """Which model was written, and the error that a command may expect of each."""
+
+    model: Stage
+    expected_commanded_mm: dict[str, float]
+
+
+class Doubtful(_Record):
+    """An effect that is more likely there than not, but less than 95 %; it was not added."""
+
+    effect: str
+    where: list[str]
+    probability: float = Field(ge=0, le=1)
+
+
 class ReportProvenance(_Record):
-    """What is needed to repeat the diagnosis to the byte."""
+    """What is needed to repeat the diagnosis to the byte.
+
+    `holdout_uses` is the hash of the final model, for which alone the hold-out was opened.
+    """
 
     seed: int
     data_sha256: str
     version: str
-    holdout_uses: int = Field(ge=0)
+    holdout_uses: list[str]
 
 
 class DiagnosisReport(_Record):
@@ -216,6 +239,9 @@ class DiagnosisReport(_Record):
     next_poses: list[list[float]]
     outliers: list[Outlier]
     discovered: list[ReportDiscovered] = Field(default_factory=list)
+    none_of_these: float | None = Field(default=None, ge=0, le=1)
+    written: Written | None = None
+    doubtful: list[Doubtful] = []
     provenance: ReportProvenance
 
 

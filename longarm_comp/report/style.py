@@ -36,7 +36,7 @@ LOOKS = {
     "frames_only": Look("frames only", PURPLE, (0, (5, 1.5, 1, 1.5)), "s", "xx"),
     "calibrated": Look("calibrated", ORANGE, (0, (5, 1.5)), "^", "//"),
     "with_effects": Look("+\u00a0effect", BLUE, "-", "o", ".."),
-    "with_discovered": Look("+\u00a0discovered", VERMILLION, (0, (3, 1)), "v", "++"),
+    "with_functions": Look("+\u00a0discovered", VERMILLION, (0, (3, 1)), "v", "++"),
     "with_network": Look("+\u00a0network", GREEN, (0, (8, 1.5, 1, 1.5, 1, 1.5)), "D", "\\\\"),
 }
 FLOOR = "noise floor"

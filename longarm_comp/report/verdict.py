@@ -13,7 +13,7 @@ STAGES = {
     "frames_only": "base and marker placed",
     "calibrated": "the calibrated geometry",
     "with_effects": "the geometry with the effects found",
-    "with_discovered": "the model with what was found without a name",
+    "with_functions": "the model with what was found without a name",
     "with_network": "the model with the network",
 }
 COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")

@@ -14,10 +14,9 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import origin
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify import diagnose as core
-from longarm_comp.core.identify.aliasing import EffectFinding
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.outcome import Train
+from longarm_comp.core.identify.findings import EffectFinding
 from longarm_comp.core.identify.uncertainty import uncertainty
 from longarm_comp.core.learn import ensemble as networks
 from longarm_comp.core.learn.predictor import Predictor, Provenance
@@ -25,7 +24,6 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.report.assemble import assemble, refused
 from longarm_comp.report.write import write_report
 from longarm_comp.workflows.diagnosis_files import (
-    last_fit,
     write_model,
     write_next,
     write_predictor,
@@ -86,7 +84,7 @@ class DiagnosisResult:
 
     @cached_property
     def _model(self) -> Model:
-        known = uncertainty(last_fit(self.diagnosis))
+        known = uncertainty(self.diagnosis.fit)
         return replace(self.diagnosis.model, uncertainty=known)
 
     @property
@@ -223,7 +221,7 @@ def diagnose_files(
     return found
 
 
-def _train(seed: int) -> Train:
+def _train(seed: int) -> core.Train:
     def train_on(model: Model, session: Session) -> Predictor:
         arm = model.arm
         origin = Provenance(arm.hash, session.hash, arm.joint_names, {"deflection": True})

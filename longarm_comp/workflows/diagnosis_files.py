@@ -12,8 +12,6 @@ from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.files import atomic_path
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.evidence import key
-from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.learn import predictor_file
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
@@ -28,16 +26,6 @@ MODEL, PREDICTOR = "model.yaml", "predictor.npz"
 MODEL_BEFORE, SESSION = "model_before", "session"
 """Keys in the model's provenance: SHA-256 of the model that was diagnosed, empty for the declared
 arm; path of the session, seen from the diagnosis, empty for a session in memory."""
-
-
-def last_fit(found: Diagnosis) -> ModelFit:
-    """The fit of the model that is written."""
-    if found.added is not None:
-        return found.added.fit
-    if found.rolled_back:
-        of = found.fit
-        return fit(found.model, found.train, sigma=of.sigma, rho=of.rho, weights=of.weights)
-    return found.fit
 
 
 def write_model(
@@ -96,7 +84,7 @@ def write_next(found: Diagnosis, folder: Path) -> None:
     """
     splits = [s for s in found.split_by if s.log_bayes_factor >= SPLITS]
     path = folder / FILE
-    more = found.added.next_q if found.added is not None else np.zeros((0, found.arm.n))
+    more = found.next_q
     if not splits and not len(more):
         path.unlink(missing_ok=True)
         return
@@ -119,16 +107,10 @@ def _stored(
 ) -> StoredModel:
     """The resulting model in its stored form."""
     intervals: dict[tuple[int, str], tuple[float, float]] = {}
-    spread = None
-    if found.added is not None or found.rolled_back:
-        spread = last_fit(found).standard_errors
-    else:
-        for k, slot in enumerate(model.slots):
-            interval = found.confirmed.intervals[k]
-            intervals[slot.term, slot.parameter.name] = (interval.low, interval.high)
-    added = {key(t) for f in found.findings for t in f.terms}
-    if found.added is not None:
-        added |= {key(t) for f in found.added.found for t in f.terms}
+    for k, slot in enumerate(model.slots):
+        interval = found.intervals[k]
+        intervals[slot.term, slot.parameter.name] = (interval.low, interval.high)
+    added = {key(t) for t in found.search.chosen}
     held = {} if before is None else _origins(before)
     origins = {}
     for number, term in enumerate(model.terms):
@@ -136,7 +118,7 @@ def _stored(
         origins[number] = new if key(term) in added else held.get(key(term), "")
     return store(
         model,
-        spread,
+        None,
         version=1 if before is None else before.version + 1,
         provenance={
             "session_hash": session_hash,

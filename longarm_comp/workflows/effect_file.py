@@ -9,7 +9,7 @@ from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.files import write_text
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.discover.discovery import Cause
+from longarm_comp.core.identify.discover.causes import Cause
 
 _HEAD = '''"""Effects that a diagnosis of {arm} found without a name.
 
@@ -72,8 +72,7 @@ def write_effects(found: Diagnosis, path: Path) -> None:
         JobError: the diagnosis kept none.
         InputError: the file cannot be written.
     """
-    added = found.added.found if found.added is not None else ()
-    causes = [c for c in added if c.compensated]
+    causes = [c for c in found.causes if c.compensated]
     if not causes:
         raise JobError("nothing was found without a name, so there is no effect to write")
     names = [f"found_{number}_{_word(c.where[0])}" for number, c in enumerate(causes, 1)]

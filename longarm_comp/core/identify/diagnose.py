@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
 from functools import cache
 
@@ -130,8 +131,9 @@ def diagnose(
     split_by = tuple(next_poses(found, f, f.alternatives[0], POSES_TO_SPLIT, seed) for f in open_)
     ends = intervals(final, added, candidates, rng)
     sealed = Sealed(rest)
-    sealed.release(f"{written} model with {len(final.slots)} parameters, seed {seed}")
-    held_out = sealed.open("proof")
+    finished = _hash(final.model)
+    sealed.release(finished)
+    held_out = sealed.open(finished)
     held_out = held_out.take(held_out.seen)
     diagnosis = Diagnosis(
         arm=arm,
@@ -172,6 +174,12 @@ def _fits(start: Model, found: SearchResult) -> dict[str, ModelFit]:
         less = fit(named, whole.session, sigma=noise.sigma, rho=noise.rho, weights=whole.weights)
         made = {CALIBRATED: bare, WITH_EFFECTS: less, WITH_FUNCTIONS: whole}
     return made
+
+
+def _hash(model: Model) -> str:
+    """SHA-256 of a model's terms and values."""
+    terms = repr([t.variant for t in model.terms]).encode()
+    return hashlib.sha256(terms + np.asarray(model.values, float).tobytes()).hexdigest()
 
 
 def _unknown_steps(found: SearchResult) -> list[tuple[str, str]]:

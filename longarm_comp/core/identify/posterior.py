@@ -109,6 +109,10 @@ class Offers:
         gram: (K, K) products of the columns, projected off the geometry.
         along: (K,) products of the projected columns with the data.
         lower, upper: (K,) bounds of the coefficients.
+
+    Attributes:
+        again: log odds, beforehand, of a further place of a name that is there already against a
+            new name: what ails one joint ails others, so each has half of the probability.
     """
 
     def __init__(
@@ -121,11 +125,17 @@ class Offers:
     ) -> None:
         self.offers = tuple(offers)
         self.gram, self.along, self.lower, self.upper = gram, along, lower, upper
+        self._names = np.array([offer.name for offer in offers])
+        self.again = math.log(max(0.5 * len(set(self._names.tolist())), 1.0))
         self._stacks = _stacks(self, dict(enumerate(self.offers)))
         self._reduced: dict[tuple[int, Offer], list[_Stack]] = {}
 
     def single(
-        self, along: np.ndarray, closed: frozenset[int], held: frozenset[Hashable]
+        self,
+        along: np.ndarray,
+        closed: frozenset[int],
+        held: frozenset[Hashable],
+        names: frozenset[str] = frozenset(),
     ) -> SingleEffect:
         """The effect that explains what the others leave.
 
@@ -133,6 +143,7 @@ class Offers:
             along: (K,) products of the columns with what the others leave.
             closed: offers that are shut.
             held: places that other effects hold.
+            names: names of other effects.
         """
         scores = np.full(len(self.offers), -np.inf)
         means: Means = {}
@@ -149,6 +160,7 @@ class Offers:
                     changed[number] = left
                     for stack in self._stack_of(number, left):
                         stack.score(along, scores, means)
+        scores[np.isin(self._names, list(names))] += self.again
         top = max(float(scores.max(initial=-np.inf)), 0.0)
         weights = np.exp(scores - top)
         q = weights / (weights.sum() + math.exp(-top))
@@ -165,6 +177,7 @@ class Offers:
     def joint(self, chosen: Sequence[Offer]) -> tuple[float, list[np.ndarray]]:
         """`evidence`, and the coefficients of each offer at the posterior mode."""
         total = sum(offer.log_prior - NONE for offer in chosen)
+        total += self.again * (len(chosen) - len({offer.name for offer in chosen}))
         whole = [k for offer in chosen if offer.fixed for k in offer.places]
         total += float(self.along[whole].sum() - 0.5 * self.gram[np.ix_(whole, whole)].sum())
         free = [offer for offer in chosen if not offer.fixed]
@@ -320,17 +333,17 @@ def explain(bank: Offers) -> Explanation:
     two others in its place, and it is let in again; the explanation of higher evidence stays.
     """
     best = _pruned(_grown(bank, (), frozenset(), MOST))
-    while True:
-        for effect in best.effects:
-            shut = frozenset(np.flatnonzero(effect.q > STILL).tolist())
-            others = tuple(e for e in best.effects if e is not effect)
-            without = _grown(bank, others, shut, len(others) + 2)
-            again = _pruned(_grown(bank, without.effects, frozenset(), MOST))
-            if again.evidence > best.evidence + 1.0:
-                best = again
-                break
-        else:
-            return best
+    shut_once: set[int] = set()
+    while left := [e for e in best.effects if e.best not in shut_once]:
+        effect = left[0]
+        shut_once.add(effect.best)
+        shut = frozenset(np.flatnonzero(effect.q > STILL).tolist())
+        others = tuple(e for e in best.effects if e is not effect)
+        without = _grown(bank, others, shut, len(others) + 2)
+        again = _pruned(_grown(bank, without.effects, frozenset(), len(best.effects) + 2))
+        if again.evidence > best.evidence + 1.0:
+            best = again
+    return best
 
 
 def _grown(
@@ -357,7 +370,12 @@ def _ascended(
             was = effects[k]
             rest = taken - was.mean
             held = frozenset(key for n, e in enumerate(effects) if n != k for key in _held(bank, e))
-            now = bank.single(bank.along - bank.gram @ rest, closed, held)
+            names = frozenset(
+                bank.offers[e.best].name
+                for n, e in enumerate(effects)
+                if n != k and e.there > THERE
+            )
+            now = bank.single(bank.along - bank.gram @ rest, closed, held, names)
             moved = max(moved, float(np.abs(now.q - was.q).max()))
             effects[k], taken = now, rest + now.mean
         if moved < STILL:

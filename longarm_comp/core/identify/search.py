@@ -9,10 +9,9 @@ and forms on a scale move to where the evidence is highest.  It ends when the ex
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, field
-
-import numpy as np
 
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
@@ -25,11 +24,12 @@ from longarm_comp.core.identify.fit import fit, unfitted
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
 from longarm_comp.core.identify.offers import Found, Offered, Proposition, offered
+from longarm_comp.core.identify.posterior import NONE
 from longarm_comp.core.identify.step_scan import UnknownStep, scan
 from longarm_comp.core.identify.thresholds import retuned
 from longarm_comp.core.model.model import Model
 
-ROUNDS = 8
+ROUNDS = 5
 """Of posterior and fit, at most; three are usual."""
 STEPS = 6
 """Gauss-Newton steps of a fit between rounds; the last fit converges."""
@@ -46,7 +46,7 @@ class SearchResult:
         found: the single effects in the model, with their credible sets.
         doubtful: single effects that may be there, not in the model.
         noise: as judged last.
-        offered: the last bank, from which the posterior was computed.
+        candidates: the library as it was offered last.
         unknown_steps: where steps show, but not their size.
     """
 
@@ -54,13 +54,18 @@ class SearchResult:
     found: tuple[Found, ...]
     doubtful: tuple[Found, ...]
     noise: NoiseEstimate
-    offered: Offered
+    candidates: tuple[Candidate, ...]
     unknown_steps: tuple[UnknownStep, ...] = ()
 
     @property
     def chosen(self) -> tuple[Term, ...]:
         """The terms in the model, as they were offered."""
         return tuple(t for f in self.found for t in f.terms)
+
+    @property
+    def need(self) -> float:
+        """Log Bayes factor from which on a candidate is more likely there than not."""
+        return NONE + math.log(max(len(self.candidates), 1))
 
 
 def search(
@@ -130,7 +135,12 @@ class _State:
         bank = self._offered()
         found, doubtful = bank.judged(self.found)
         return SearchResult(
-            self.fit, found, doubtful, self.noise, bank, tuple(self.unknown.values())
+            self.fit,
+            found,
+            doubtful,
+            self.noise,
+            tuple(self.candidates),
+            tuple(self.unknown.values()),
         )
 
     def _offered(self) -> Offered:
@@ -138,7 +148,7 @@ class _State:
 
     def _scan(self) -> None:
         """Offer the steps that the residual shows."""
-        need = np.log(max(len(self.candidates), 1)) + np.log(20.0)
+        need = NONE + math.log(max(len(self.candidates), 1))
         scans = [scan(self.fit, self.columns, kind, need) for kind in self.stepped]
         shown = [candidate for each in scans for candidate in each.found]
         self.candidates = [*(c for c in self.candidates if not c.scanned), *shown]

@@ -29,6 +29,8 @@ SCREENED = 12
 """Candidates of a bank and kind that are scored exactly."""
 REFINED = 4
 """Of these, how many are tried with other thresholds and frequencies."""
+MOST = 60
+"""Functions on offer at most; the best of them share what the data say for functions."""
 WIDTHS = (1.0, 0.08)
 """Reach of these looks, in steps between the values tried first."""
 LOOKS = np.log(4.0)
@@ -41,7 +43,7 @@ class HasTerms(Protocol):
 
 
 def propositions(fit: ModelFit, found: Sequence[HasTerms]) -> tuple[Proposition, ...]:
-    """The functions that explain most, on top of everything and in the place of each effect.
+    """The functions that explain most, on top of everything and in the place of what was found.
 
     Args:
         fit: geometry and what was found so far.
@@ -49,10 +51,8 @@ def propositions(fit: ModelFit, found: Sequence[HasTerms]) -> tuple[Proposition,
     """
     every = banks(fit)
     screened = [Screening(bank, fit) for bank in every]
-    keys = [{t.key for t in f.terms} for f in found]
-    gone: list[set[tuple[str, str]]] = [set(), *keys]
-    if len(keys) > 1:
-        gone.append(set().union(*keys))
+    held = {t.key for f in found for t in f.terms}
+    gone = [set(), held] if held else [held]
     best: dict[Hypothesis, tuple[Bank, float]] = {}
     for places in gone:
         kept = np.array([s.owner.key not in places for s in fit.slots])
@@ -64,7 +64,8 @@ def propositions(fit: ModelFit, found: Sequence[HasTerms]) -> tuple[Proposition,
                 held = best.get(weighed.candidate)
                 if held is None or weighed.log_evidence > held[1]:
                     best[weighed.candidate] = bank, weighed.log_evidence
-    return tuple(_proposed(fit, bank, h) for h, (bank, worth) in best.items() if worth > 0)
+    ordered = sorted(best.items(), key=lambda item: -item[1][1])[:MOST]
+    return tuple(_proposed(fit, bank, h) for h, (bank, worth) in ordered if worth > 0)
 
 
 def _proposed(fit: ModelFit, bank: Bank, hypothesis: Hypothesis) -> Proposition:
