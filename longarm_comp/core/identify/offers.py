@@ -135,6 +135,7 @@ class Offered:
         bank: the offers.
         widths: (K,) units of the bank's columns.
         columns: of candidates at the fit's rows.
+        known: number of effects that were found before.
     """
 
     def __init__(
@@ -144,13 +145,15 @@ class Offered:
         bank: Offers,
         widths: np.ndarray,
         columns: FitColumns,
+        known: int = 0,
     ) -> None:
+        self.known = known
         self.fitted, self.things, self.bank, self.widths = fitted, tuple(things), bank, widths
         self.columns = columns
 
     def explained(self, say: Callable[[str], None] = lambda _: None) -> Explained:
         """The posterior over the offers."""
-        best = explain(self.bank)
+        best = explain(self.bank, self.known)
         offers, effects = self._located(best)
         evidence, values = self.bank.joint(offers)
         every = [self._found(e, offers, k, values[k]) for k, e in enumerate(effects)]
@@ -334,7 +337,9 @@ def offered(
             sizes, chances = (1.0,), (0.0,)
         offers.append(Offer(candidate.name, keys, own, prior, sizes, chances, fixed))
         things.append(candidate)
-    return Offered(fitted, things, Offers(offers, gram, along, lower, upper), widths, columns)
+    return Offered(
+        fitted, things, Offers(offers, gram, along, lower, upper), widths, columns, len(found)
+    )
 
 
 def tolerances(fitted: ModelFit, columns: FitColumns, found: Sequence[Found]) -> np.ndarray | None:

@@ -29,8 +29,9 @@ STILL = 0.01
 """The ascent ends when no probability moves by as much."""
 SWEEPS = 30
 """Sweeps over the effects at most; single effects settle in five to ten."""
-MOST = 30
-"""Single effects at most; the bank of a large arm has about as many names."""
+AT_ONCE = 3
+"""Single effects that one call adds at most: an effect's form, and what it leaves, must be fitted
+before what is smaller can be told from it."""
 THERE = 0.5
 """Probability from which on a single effect is there."""
 
@@ -326,21 +327,26 @@ class Explanation:
         return self.bank.evidence(self.chosen)
 
 
-def explain(bank: Offers) -> Explanation:
+def explain(bank: Offers, known: int = 0) -> Explanation:
     """Effects by coordinate ascent, with a restart for each that was found.
 
     The ascent goes uphill only.  So what each effect was found to be is shut once, the rest finds
     two others in its place, and it is let in again; the explanation of higher evidence stays.
+
+    Args:
+        bank: what is on offer.
+        known: number of effects that were found before.
     """
-    best = _pruned(_grown(bank, (), frozenset(), MOST))
+    most = known + AT_ONCE
+    best = _pruned(_grown(bank, (), frozenset(), most))
     shut_once: set[int] = set()
     while left := [e for e in best.effects if e.best not in shut_once]:
         effect = left[0]
         shut_once.add(effect.best)
         shut = frozenset(np.flatnonzero(effect.q > STILL).tolist())
         others = tuple(e for e in best.effects if e is not effect)
-        without = _grown(bank, others, shut, len(others) + 2)
-        again = _pruned(_grown(bank, without.effects, frozenset(), len(best.effects) + 2))
+        without = _grown(bank, others, shut, min(len(others) + 2, most))
+        again = _pruned(_grown(bank, without.effects, frozenset(), most))
         if again.evidence > best.evidence + 1.0:
             best = again
     return best

@@ -29,8 +29,8 @@ from longarm_comp.core.identify.step_scan import UnknownStep, scan
 from longarm_comp.core.identify.thresholds import retuned
 from longarm_comp.core.model.model import Model
 
-ROUNDS = 5
-"""Of posterior and fit, at most; three are usual."""
+ROUNDS = 8
+"""Of posterior and fit, at most, of the library and then of functions; three are usual."""
 STEPS = 6
 """Gauss-Newton steps of a fit between rounds; the last fit converges."""
 NEAR = 0.3
@@ -116,21 +116,9 @@ class _State:
     def searched(self, say: Callable[[str], None]) -> SearchResult:
         say("geometry")
         self._fit(self.base)
-        seen: set[frozenset[object]] = set()
-        for _ in range(ROUNDS):
-            self._scan()
-            if self.functions:
-                self.propositions = propositions(self.fit, self.found)
-            explained = self._offered().explained(say)
-            again = _variants(explained.found)
-            if again == _variants(self.found) or again in seen:
-                break
-            seen.add(again)
-            self.found = explained.found
-            self._take(self.found)
-            for _ in range(3):
-                if not self._reform(say):
-                    break
+        self._repeat(say, lambda: ())
+        if self.functions:
+            self._repeat(say, lambda: propositions(self.fit, self.found))
         self._settle()
         bank = self._offered()
         found, doubtful = bank.judged(self.found)
@@ -142,6 +130,25 @@ class _State:
             tuple(self.candidates),
             tuple(self.unknown.values()),
         )
+
+    def _repeat(
+        self, say: Callable[[str], None], functions: Callable[[], tuple[Proposition, ...]]
+    ) -> None:
+        """Explain and fit until the explanation repeats."""
+        seen: set[frozenset[object]] = set()
+        for _ in range(ROUNDS):
+            self._scan()
+            self.propositions = functions()
+            explained = self._offered().explained(say)
+            again = _variants(explained.found)
+            if again == _variants(self.found) or again in seen:
+                break
+            seen.add(again)
+            self.found = explained.found
+            self._take(self.found)
+            for _ in range(3):
+                if not self._reform(say):
+                    break
 
     def _offered(self) -> Offered:
         return offered(self.fit, self.columns, self.candidates, self.propositions, self.found)
