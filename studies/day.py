@@ -27,7 +27,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.identify.candidates import library
-from longarm_comp.core.identify.search import search
+from longarm_comp.core.identify.posterior.explain import explain_session
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
@@ -278,7 +278,7 @@ def identified(known: Model, session: Session, setting: DaySetting) -> tuple[Mod
     """What is known fitted again, with what it lacks; and its noise, (3,) m."""
     base = dict(stages(known, session))["geometry"].model
     candidates = library(setting.arm, session.context(), setting.kinds, base.terms)
-    found = search(base, session, candidates.testable)
+    found = explain_session(base, session, candidates.testable)
     return found.fit.model, found.fit.sigma
 
 

@@ -16,7 +16,7 @@ from longarm_comp.core.identify.calibrate import declared_model, stages
 from longarm_comp.core.identify.candidates import Library, library
 from longarm_comp.core.identify.noise import from_repeats
 from longarm_comp.core.identify.posterior.explain import explain_session
-from longarm_comp.core.identify.search import search
+from longarm_comp.core.identify.posterior.explain import explain_session
 from longarm_comp.core.model.model import Model
 from studies.loop_cases import Case
 from studies.loop_setting import LoopSetting, set_up
@@ -79,7 +79,7 @@ def _explained(
 
 
 def _searched(start: Model, setting: LoopSetting, offered: Library) -> tuple[Names, Model]:
-    found = search(
+    found = explain_session(
         start,
         setting.train,
         offered.testable,

@@ -35,7 +35,7 @@ from longarm_comp.core.data.plan import grid, paper_grid, random_joints
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.calibrate import Errors, declared_model, geometry
 from longarm_comp.core.identify.candidates import library
-from longarm_comp.core.identify.search import search
+from longarm_comp.core.identify.posterior.explain import explain_session
 from longarm_comp.core.learn.ensemble import train
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim import context as sim_context
@@ -118,7 +118,7 @@ def with_effects(declared: Model, session: Session) -> Model:
     """Calibrated, with the effects found on the training rows (`identify.search`)."""
     base = declared.plus(*geometry(declared.arm, session))
     hypotheses = library(declared.arm, session.context(), declared=base.terms).testable
-    return search(base, session, hypotheses).fit.model
+    return explain_session(base, session, hypotheses).fit.model
 
 
 def without_steps(declared: Model, session: Session) -> Model:

@@ -29,10 +29,10 @@ from longarm_comp.core.identify.intervals import intervals
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.next_poses import next_poses
 from longarm_comp.core.identify.noise import from_repeats
-from longarm_comp.core.identify.offers import tolerances
+from longarm_comp.core.identify.posterior.offers import tolerances
 from longarm_comp.core.identify.plausible import check_fits, check_noise
 from longarm_comp.core.identify.proof import LearnedCorrection, prove
-from longarm_comp.core.identify.search import SearchResult, search, without
+from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session, without
 from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.identify.structure import examine
 from longarm_comp.core.identify.wind_up import as_fitted, refined, wind_up, with_run_ups
@@ -95,7 +95,7 @@ def diagnose(
     memory = wind_up(start, lambda run_up: rows(run_up)[0], candidates)
     if memory is not None:
         candidates, (train, rest) = memory.candidates(candidates), rows(memory.run_up)
-    found = search(
+    found = explain_session(
         start,
         train,
         candidates,
@@ -108,7 +108,7 @@ def diagnose(
         candidates, (train, rest) = memory.candidates(candidates), rows(memory.run_up)
     say("structure")
     fits = _fits(start, found)
-    beside = tolerances(found.fit, columns_at(found.fit), found.found)
+    beside = tolerances(found.fit, columns_at(found.fit), found.found, found.tolerance)
     structure = examine(found.fit, fits[CALIBRATED], rng, beside)
     expected = expected_commanded(fits, found.found)
     written = least(expected)
@@ -163,7 +163,7 @@ def diagnose(
     return diagnosis
 
 
-def _fits(start: Model, found: SearchResult) -> dict[str, ModelFit]:
+def _fits(start: Model, found: ExplainedSession) -> dict[str, ModelFit]:
     """Calibration alone, with the effects that have a name, with functions: the same rows."""
     whole, noise = found.fit, found.noise
     bare = fit(start, whole.session, sigma=noise.sigma, rho=noise.rho, weights=whole.weights)
@@ -182,7 +182,7 @@ def _hash(model: Model) -> str:
     return hashlib.sha256(terms + np.asarray(model.values, float).tobytes()).hexdigest()
 
 
-def _unknown_steps(found: SearchResult) -> list[tuple[str, str]]:
+def _unknown_steps(found: ExplainedSession) -> list[tuple[str, str]]:
     """(effect, why) where steps show, but not their size, and nothing of the kind was named."""
     named = {(t.name, t.where) for t in found.chosen}
     return [(u.name, u.why) for u in found.unknown_steps if (u.name, u.where) not in named]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from longarm_comp.core.identify.candidates import Candidate, Term
-from longarm_comp.core.identify.offers import Found
+from longarm_comp.core.identify.posterior.found import FoundEffect
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class EffectFinding:
         return (self.name, *(a.candidate.name for a in self.alternatives))
 
 
-def findings(found: Sequence[Found]) -> tuple[EffectFinding, ...]:
+def findings(found: Sequence[FoundEffect]) -> tuple[EffectFinding, ...]:
     """One finding a name, strongest first, of the single effects that have one.
 
     Single effects of one name at several places are one finding.  Its set holds the names that may
@@ -93,7 +93,7 @@ def findings(found: Sequence[Found]) -> tuple[EffectFinding, ...]:
     return tuple(sorted(made, key=lambda f: -f.log_bayes_factor))
 
 
-def _finding(name: str, parts: Sequence[Found]) -> EffectFinding:
+def _finding(name: str, parts: Sequence[FoundEffect]) -> EffectFinding:
     sets = [set(f.credible) for f in parts]
     every = set.intersection(*sets)
     some = set.union(*sets) - every

@@ -96,6 +96,11 @@ class Marginal:
         self._factor = cho_factor(gram + np.eye(a.shape[1]), lower=True, check_finite=False)
         self._coefficients = self._solved(a.T @ y)
 
+    @property
+    def evidence(self) -> float:
+        """Log evidence of the columns already there, up to what all share that have the data."""
+        return float(-0.5 * self.y @ self.py - np.log(np.diag(self._factor[0])).sum())
+
     @cached_property
     def py(self) -> np.ndarray:
         """(m,) P y."""

@@ -11,7 +11,7 @@ from longarm_comp.core.identify.candidates import CandidateColumns
 from longarm_comp.core.identify.evidence import key
 from longarm_comp.core.identify.findings import EffectFinding, Rival
 from longarm_comp.core.identify.model_fit import ModelFit, priors
-from longarm_comp.core.identify.search import SearchResult
+from longarm_comp.core.identify.posterior.explain import ExplainedSession
 
 POOL = 512
 
@@ -36,7 +36,7 @@ class NextPoses:
 
 
 def next_poses(
-    result: SearchResult, found: EffectFinding, other: Rival, count: int, seed: int = 0
+    result: ExplainedSession, found: EffectFinding, other: Rival, count: int, seed: int = 0
 ) -> NextPoses:
     """Greedy choice of the poses that the alternative explains worst.
 

@@ -26,7 +26,7 @@ from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.linear import Marginal
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import from_residual
-from longarm_comp.core.identify.search import SearchResult
+from longarm_comp.core.identify.posterior.explain import ExplainedSession
 from longarm_comp.core.model.model import Model
 
 ODDS = math.log(20.0)
@@ -107,8 +107,8 @@ def wind_up(
 
 
 def refined(
-    traced: SearchResult, found: WindUp, rows: Callable[[float], Session]
-) -> tuple[SearchResult, WindUp]:
+    traced: ExplainedSession, found: WindUp, rows: Callable[[float], Session]
+) -> tuple[ExplainedSession, WindUp]:
     """Radii and run-up looked for again on top of what a search found, and all fitted anew.
 
     Args:

@@ -10,10 +10,10 @@ from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors
 from longarm_comp.core.effects.effect import Bias
 from longarm_comp.core.identify.model_fit import ModelFit
-from longarm_comp.core.identify.offers import Found
+from longarm_comp.core.identify.posterior.found import FoundEffect
 
 
-def expected_commanded(fits: Mapping[str, ModelFit], found: Sequence[Found]) -> dict[str, float]:
+def expected_commanded(fits: Mapping[str, ModelFit], found: Sequence[FoundEffect]) -> dict[str, float]:
     """RMS error (m) of a command by each model, expected under the posterior.
 
     By the rows that were fitted.  A row's residual is what the model leaves there, less the share

@@ -14,7 +14,7 @@ from longarm_comp.core.identify.discover.bank import Hypothesis, Spot
 from longarm_comp.core.identify.discover.banks import CAMERA
 from longarm_comp.core.identify.discover.functions import CONSTANT
 from longarm_comp.core.identify.model_fit import ModelFit
-from longarm_comp.core.identify.offers import CREDIBLE, Found
+from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect
 
 Term = Effect | Bias
 
@@ -72,7 +72,7 @@ class Cause:
         return text
 
 
-def causes(fit: ModelFit, found: Sequence[Found]) -> tuple[Cause, ...]:
+def causes(fit: ModelFit, found: Sequence[FoundEffect]) -> tuple[Cause, ...]:
     """Of the functions among the single effects of a fit, the largest first."""
     made = [_cause(fit, f) for f in found if f.unnamed]
     return tuple(sorted(made, key=lambda c: -c.tip_m[0]))
@@ -89,7 +89,7 @@ def hypothesis(terms: Sequence[Term]) -> Hypothesis:
     return Hypothesis(tuple(members), (1.0,) * len(members), CONSTANT, 0.0)
 
 
-def _cause(fit: ModelFit, found: Found) -> Cause:
+def _cause(fit: ModelFit, found: FoundEffect) -> Cause:
     places = {t.key for t in found.terms}
     held = [(i, s) for i, s in enumerate(fit.slots) if s.owner.key in places]
     of = hypothesis([s.owner for _, s in held])
@@ -116,7 +116,7 @@ def _cause(fit: ModelFit, found: Found) -> Cause:
     )
 
 
-def _places(of: Hypothesis, found: Found) -> tuple[str, ...]:
+def _places(of: Hypothesis, found: FoundEffect) -> tuple[str, ...]:
     """Where it may act: the place in the model, then others of the credible set."""
     mine = dict.fromkeys(words.where(p) for p, _ in of.members)
     first = " and ".join(mine)

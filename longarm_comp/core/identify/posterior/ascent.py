@@ -44,18 +44,22 @@ class Explanation:
         return self.bank.evidence(self.chosen)
 
 
-def explain(bank: OfferBank, known: int = 0) -> Explanation:
+def explain(bank: OfferBank, known: Sequence[int] = ()) -> Explanation:
     """Effects by coordinate ascent, with a restart for each that was found.
 
-    The ascent goes uphill only.  So what each effect was found to be is shut once, the rest finds
-    two others in its place, and it is let in again; the explanation of higher evidence stays.
+    The ascent goes uphill only.  So it starts from nothing, and from what is known; and what each
+    effect was found to be is shut once, the rest finds others in its place, and it is let in
+    again; the explanation of higher evidence stays.
 
     Args:
         bank: what is on offer.
-        known: number of effects that were found before.
+        known: the offers that were found before.
     """
-    most = known + AT_ONCE
-    best = _pruned(_grown(bank, (), frozenset(), most))
+    most = len(known) + AT_ONCE
+    starts = [_grown(bank, (), frozenset(), most)]
+    if known:
+        starts.append(_grown(bank, _standing(bank, known), frozenset(), most))
+    best = max(map(_pruned, starts), key=lambda e: e.evidence)
     shut_once: set[int] = set()
     while left := [e for e in best.effects if e.best not in shut_once]:
         effect = left[0]
@@ -67,6 +71,18 @@ def explain(bank: OfferBank, known: int = 0) -> Explanation:
         if again.evidence > best.evidence + 1.0:
             best = again
     return best
+
+
+def _standing(bank: OfferBank, known: Sequence[int]) -> list[SingleEffect]:
+    """Some offers, each certain, with the coefficients that they have together."""
+    offers = [bank.offers[n] for n in known]
+    made = []
+    for n, offer, values in zip(known, offers, bank.joint(offers)[1], strict=True):
+        q, mean = np.zeros(len(bank.offers)), np.zeros(len(bank.along))
+        q[n] = 1.0
+        np.add.at(mean, list(offer.places), values)
+        made.append(SingleEffect(q, mean))
+    return made
 
 
 def _grown(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, field
 
 from longarm_comp.core.data.session import Session
@@ -23,13 +23,15 @@ from longarm_comp.core.identify.fit import fit, unfitted
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
 from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition
-from longarm_comp.core.identify.posterior.offers import OfferedEffects, offered
+from longarm_comp.core.identify.posterior.offers import TOLERANCES, OfferedEffects, offered
 from longarm_comp.core.identify.posterior.propositions import propositions
 from longarm_comp.core.identify.posterior.single_effects import NONE
 from longarm_comp.core.identify.step_scan import UnknownStep, scan
 from longarm_comp.core.identify.thresholds import retuned
 from longarm_comp.core.model.model import Model
 
+import os
+DEBUG=os.environ.get('DBG')
 ROUNDS = 8
 """Of posterior and fit, at most, of the library and then of functions; three are usual."""
 REFORMED = 3
@@ -53,6 +55,7 @@ class ExplainedSession:
         noise: as judged last.
         candidates: the library as it was offered last.
         unknown_steps: where steps show, but not their size.
+        tolerance: share of its own shift by which the form of what was found may err.
     """
 
     fit: ModelFit
@@ -61,11 +64,17 @@ class ExplainedSession:
     noise: NoiseEstimate
     candidates: tuple[Candidate, ...]
     unknown_steps: tuple[UnknownStep, ...] = ()
+    tolerance: float = 0.0
 
     @property
     def chosen(self) -> tuple[Term, ...]:
         """The terms in the model, as they were offered."""
         return tuple(t for f in self.found for t in f.terms)
+
+    @property
+    def need(self) -> float:
+        """Log Bayes factor from which on a candidate is more likely there than not."""
+        return NONE + math.log(max(len(self.candidates), 1))
 
 
 def explain_session(
@@ -120,7 +129,7 @@ class _Exploration:
         if self.functions:
             self._repeat(say, lambda: propositions(self.fit, self.found))
         self._settle()
-        bank = self._offered()
+        bank = max(self._offered(), key=lambda b: b.standing)
         found, doubtful = bank.judged(self.found)
         return ExplainedSession(
             self.fit,
@@ -129,6 +138,7 @@ class _Exploration:
             self.noise,
             tuple(self.candidates),
             tuple(self.unknown.values()),
+            bank.tolerance,
         )
 
     def _repeat(
@@ -138,18 +148,25 @@ class _Exploration:
         for _ in range(ROUNDS):
             self._scan()
             self.propositions = functions()
-            bank = self._offered()
-            explained = bank.explained(say)
-            if explained.evidence < bank.standing(self.found) + BETTER:
+            banks = self._offered()
+            explained = max((b.explained() for b in banks), key=lambda e: e.evidence)
+            standing = max(b.standing for b in banks)
+            if explained.evidence < standing + BETTER:
                 break
+            if DEBUG: print("   %.1f -> %.1f"%(standing, explained.evidence), [(b.tolerance, round(b.standing)) for b in banks])
+            for f in explained.found:
+                say(Candidate(f.name, f.terms).label)
             if not self._take(explained.found):
                 break
             for _ in range(REFORMED):
                 if not self._reform(say):
                     break
 
-    def _offered(self) -> OfferedEffects:
-        return offered(self.fit, self.columns, self.candidates, self.propositions, self.found)
+    def _offered(self) -> list[OfferedEffects]:
+        """By tolerance of the forms of what is in the model; one where there is nothing."""
+        tried = TOLERANCES if self.found else TOLERANCES[:1]
+        library, functions = self.candidates, self.propositions
+        return [offered(self.fit, self.columns, library, functions, self.found, t) for t in tried]
 
     def _scan(self) -> None:
         """Offer the steps that the residual shows."""
@@ -221,6 +238,16 @@ class _Exploration:
                 for f in self.found
             )
         )
+
+
+def without(model: Model, places: Container[tuple[str, str]]) -> Model:
+    """A model without its terms at some places."""
+    left = [t for t in model.terms if t.key not in places]
+    return dataclasses.replace(
+        model,
+        effects=tuple(t for t in left if isinstance(t, Effect)),
+        biases=tuple(t for t in left if isinstance(t, Bias)),
+    )
 
 
 def _with(base: Model, now: Model, terms: Sequence[Term]) -> Model:

@@ -56,6 +56,13 @@ class FoundEffect:
         return not self.terms[0].searched
 
     @property
+    def chance_unnamed(self) -> float:
+        """Probability, given that it is there, of a cause that has no name."""
+        held = {c.name for c, _ in self.rivals if not c.terms[0].searched}
+        held |= {self.name} if self.unnamed else set()
+        return sum(chance for name, chance in self.names if name in held)
+
+    @property
     def credible(self) -> tuple[str, ...]:
         """The smallest set of names that holds 95 % of the probability."""
         made, total = [], 0.0

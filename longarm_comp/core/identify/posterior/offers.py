@@ -37,9 +37,9 @@ from longarm_comp.core.identify.posterior.single_effects import (
 from longarm_comp.core.identify.structure import smooth_in
 from longarm_comp.core.model.model import slots_of
 
-TOLERANCE = 0.1
-"""Share of its own shift by which an effect's form may err: play, friction and stiffness of real
-joints differ so much from place to place along their way."""
+TOLERANCES = (0.01, 0.03, 0.1)
+"""Shares of its own shift by which an effect's form may err, equally likely beforehand: play,
+friction and stiffness of real joints differ by a tenth from place to place along their way."""
 UNNAMED = 0.05
 """Probability, beforehand, of a cause that the library does not hold."""
 SIZES = (1.0, 4.0, 16.0)
@@ -58,7 +58,9 @@ class OfferedEffects:
         bank: the offers.
         widths: (K,) units of the bank's columns.
         columns: of candidates at the fit's rows.
-        known: number of effects that were found before.
+        known: offers that were found before.
+        base: log evidence of nothing.
+        tolerance: share of its own shift by which the form of what is in the model may err.
     """
 
     def __init__(
@@ -68,28 +70,27 @@ class OfferedEffects:
         bank: OfferBank,
         widths: np.ndarray,
         columns: FitColumns,
-        known: int = 0,
+        known: Sequence[int] = (),
+        base: float = 0.0,
+        tolerance: float = 0.0,
     ) -> None:
-        self.known = known
+        self.known, self.base, self.tolerance = tuple(known), base, tolerance
         self.fitted, self.things, self.bank, self.widths = fitted, tuple(things), bank, widths
         self.columns = columns
 
-    def explained(self, say: Callable[[str], None] = lambda _: None) -> Explained:
+    def explained(self) -> Explained:
         """The posterior over the offers."""
         best = explain(self.bank, self.known)
         offers, effects = self._located(best)
         evidence, values = self.bank.joint(offers)
         every = [self._found(e, offers, k, values[k]) for k, e in enumerate(effects)]
         found = tuple(f for f in every if f.there >= CREDIBLE)
-        for f in found:
-            say(Candidate(f.name, f.terms).label)
-        return Explained(found, tuple(f for f in every if f.there < CREDIBLE), evidence)
+        return Explained(found, tuple(f for f in every if f.there < CREDIBLE), self.base + evidence)
 
-    def standing(self, found: Sequence[FoundEffect]) -> float:
+    @cached_property
+    def standing(self) -> float:
         """Log evidence of what was found before, as it is in the model."""
-        at = {tuple(t.variant for t in c.terms): n for n, c in enumerate(self.things)}
-        known = (at.get(tuple(t.variant for t in f.terms)) for f in found)
-        return self.bank.evidence([self.bank.offers[n] for n in known if n is not None])
+        return self.base + self.bank.evidence([self.bank.offers[n] for n in self.known])
 
     def judged(
         self, found: Sequence[FoundEffect]
@@ -216,6 +217,7 @@ def offered(
     library: Sequence[Candidate],
     functions: Sequence[Proposition],
     found: Sequence[FoundEffect],
+    tolerance: float,
 ) -> OfferedEffects:
     """The bank at a fit.
 
@@ -225,6 +227,7 @@ def offered(
         library: the named effects.
         functions: without a name.
         found: what was found so far; it stays on offer in its present form.
+        tolerance: share of its own shift by which the form of each of these may err.
     """
     arm = fitted.model.arm
     names = {c.name for c in library}
@@ -248,7 +251,7 @@ def offered(
         listed.append((thing, prior, SIZES, CHANCES))
     terms = list({t.variant: t for c, _, _, _ in listed for t in c.terms}.values())
     held = {t.key for f in found for t in f.terms}
-    beside = tolerances(fitted, columns, found)
+    beside = tolerances(fitted, columns, found, tolerance)
     marginal = columns.without(held, beside)
     products, where, lower, upper, widths = _columns(fitted, columns, terms)
     (gram, along), *_ = marginal.of([products])
@@ -268,13 +271,16 @@ def offered(
             sizes, chances = (1.0,), (0.0,)
         offers.append(Offer(candidate.name, keys, own, prior, sizes, chances, fixed))
         things.append(candidate)
+    at = {tuple(t.variant for t in c.terms): n for n, c in enumerate(things)}
+    known = (at.get(tuple(t.variant for t in f.terms)) for f in found)
     return OfferedEffects(
-        fitted, things, OfferBank(offers, gram, along, lower, upper), widths, columns, len(found)
+        fitted, things, OfferBank(offers, gram, along, lower, upper), widths, columns, [n for n in known if n is not None],
+        marginal.evidence, tolerance,
     )
 
 
 def tolerances(
-    fitted: ModelFit, columns: FitColumns, found: Sequence[FoundEffect]
+    fitted: ModelFit, columns: FitColumns, found: Sequence[FoundEffect], tolerance: float
 ) -> np.ndarray | None:
     """(m, k) whitened: by how much the shift of each effect in the model may differ from its form.
 
@@ -284,7 +290,7 @@ def tolerances(
         return None
     session = fitted.session
     ways = np.concatenate([smooth_in(q)[:, :2] for q in session.q.T], axis=1)
-    ways = ways * (TOLERANCE / math.sqrt(max(ways.shape[1], 1)))
+    ways = ways * (tolerance / math.sqrt(max(ways.shape[1], 1)))
     made = []
     held = {t.key: t for t in fitted.model.terms}
     for f in found:

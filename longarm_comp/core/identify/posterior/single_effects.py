@@ -213,18 +213,22 @@ def _solved(
 
 
 def _sized(chosen: Sequence[Offer], mean: np.ndarray) -> tuple[np.ndarray, float]:
-    """(k,) the most probable size of each offer's coefficients, and the log chance of these."""
+    """(k,) the most probable size of the coefficients at each place, and the log chance of these.
+
+    One place may be far worse than the next, so each has a size of its own.
+    """
     scale, total, start = [], 0.0, 0
     for offer in chosen:
-        own = mean[start : start + len(offer.places)]
-        start += len(own)
-        tried = [
-            (chance - 0.5 * float(own @ own) / size**2 - len(own) * math.log(size), size, chance)
-            for size, chance in zip(offer.sizes, offer.chances, strict=True)
-        ]
-        _, size, chance = max(tried)
-        scale += [size] * len(own)
-        total += chance
+        for columns in offer.columns:
+            own = mean[start : start + len(columns)]
+            start += len(own)
+            tried = [
+                (chance - 0.5 * float(own @ own) / size**2 - len(own) * math.log(size), size, chance)
+                for size, chance in zip(offer.sizes, offer.chances, strict=True)
+            ]
+            _, size, chance = max(tried)
+            scale += [size] * len(own)
+            total += chance
     return np.array(scale), total
 
 
