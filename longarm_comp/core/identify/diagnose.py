@@ -167,7 +167,7 @@ def _fits(start: Model, found: ExplainedSession) -> dict[str, ModelFit]:
     """Calibration alone, with the effects that have a name, with functions: the same rows."""
     whole, noise = found.fit, found.noise
     bare = fit(start, whole.session, sigma=noise.sigma, rho=noise.rho, weights=whole.weights)
-    made = {CALIBRATED: bare, WITH_EFFECTS: whole}
+    made = {CALIBRATED: bare, WITH_EFFECTS: whole if found.found else bare}
     functions = {t.key for f in found.found if f.unnamed for t in f.terms}
     if functions:
         named = without(whole.model, functions)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,10 +29,12 @@ class Explanation:
     Attributes:
         bank: what was on offer.
         effects: those that are there, in the order in which they were found.
+        others: other explanations that the restarts found.
     """
 
     bank: OfferBank
     effects: tuple[SingleEffect, ...]
+    others: tuple[Explanation, ...] = ()
 
     @cached_property
     def chosen(self) -> tuple[Offer, ...]:
@@ -59,7 +62,8 @@ def explain(bank: OfferBank, known: Sequence[int] = ()) -> Explanation:
     starts = [_grown(bank, (), frozenset(), most)]
     if known:
         starts.append(_grown(bank, _standing(bank, known), frozenset(), most))
-    best = max(map(_pruned, starts), key=lambda e: e.evidence)
+    seen = [_pruned(start) for start in starts]
+    best = max(seen, key=lambda e: e.evidence)
     shut_once: set[int] = set()
     while left := [e for e in best.effects if e.best not in shut_once]:
         effect = left[0]
@@ -68,9 +72,10 @@ def explain(bank: OfferBank, known: Sequence[int] = ()) -> Explanation:
         others = tuple(e for e in best.effects if e is not effect)
         without = _grown(bank, others, shut, min(len(others) + 2, most))
         again = _pruned(_grown(bank, without.effects, frozenset(), most))
+        seen += [_pruned(without), again]
         if again.evidence > best.evidence + 1.0:
             best = again
-    return best
+    return dataclasses.replace(best, others=tuple(e for e in seen if e is not best))
 
 
 def _standing(bank: OfferBank, known: Sequence[int]) -> list[SingleEffect]:

@@ -82,8 +82,9 @@ class OfferedEffects:
         """The posterior over the offers."""
         best = explain(self.bank, self.known)
         offers, effects = self._located(best)
+        instead = self._instead(best)
         evidence, values = self.bank.joint(offers)
-        every = [self._found(e, offers, k, values[k]) for k, e in enumerate(effects)]
+        every = [self._found(e, offers, k, values[k], instead[k]) for k, e in enumerate(effects)]
         found = tuple(f for f in every if f.there >= CREDIBLE)
         return Explained(found, tuple(f for f in every if f.there < CREDIBLE), self.base + evidence)
 
@@ -109,6 +110,27 @@ class OfferedEffects:
         left = tuple(f for f in doubtful if held.isdisjoint(t.key for t in f.terms))
         return tuple(sorted(made, key=lambda f: -f.log_bayes_factor)), left
 
+    def _instead(self, best: Explanation) -> list[dict[int, float]]:
+        """For each effect the offers that stand in its place in other explanations.
+
+        With the probability of these explanations beside the best.
+        """
+        made: list[dict[int, float]] = [{} for _ in best.effects]
+        seen: dict[frozenset[str], Explanation] = {}
+        for other in sorted(best.others, key=lambda e: e.evidence):
+            seen[frozenset(o.name for o in other.chosen)] = other
+        mine = frozenset(o.name for o in best.chosen)
+        rest = {names: e for names, e in seen.items() if names - mine}
+        chances = np.exp([min(e.evidence - best.evidence, 0.0) for e in rest.values()])
+        chances /= 1.0 + chances.sum()
+        for (names, other), chance in zip(rest.items(), chances.tolist(), strict=True):
+            new = [e.best for e in other.effects if self.things[e.best].name not in mine]
+            for effects, offer in zip(made, best.chosen, strict=True):
+                if offer.name not in names:
+                    for n in new:
+                        effects[n] = effects.get(n, 0.0) + chance / len(new)
+        return made
+
     def _located(self, best: Explanation) -> tuple[list[Offer], tuple[SingleEffect, ...]]:
         """The best offers without the places that bring nothing.
 
@@ -128,7 +150,12 @@ class OfferedEffects:
         return offers, best.effects
 
     def _found(
-        self, effect: SingleEffect, offers: list[Offer], k: int, values: np.ndarray
+        self,
+        effect: SingleEffect,
+        offers: list[Offer],
+        k: int,
+        values: np.ndarray,
+        instead: Mapping[int, float],
     ) -> FoundEffect:
         offer = offers[k]
         held = {t.key: t for t in self.things[effect.best].terms}
@@ -144,10 +171,13 @@ class OfferedEffects:
         names_: dict[str, float] = {}
         places: dict[tuple[str, ...], float] = {}
         best_of: dict[str, int] = {}
-        for number in np.flatnonzero(effect.q > 1e-6).tolist():
-            thing, chance = self.things[number], float(effect.q[number]) / there
+        q = effect.q * (1.0 - sum(instead.values())) / there
+        for number, chance in instead.items():
+            q[number] += chance
+        for number in np.flatnonzero(q > 1e-6).tolist():
+            thing, chance = self.things[number], float(q[number])
             names_[thing.name] = names_.get(thing.name, 0.0) + chance
-            if effect.q[number] >= effect.q[best_of.setdefault(thing.name, number)]:
+            if q[number] >= q[best_of.setdefault(thing.name, number)]:
                 best_of[thing.name] = number
             if thing.name == terms[0].name:
                 places[thing.where] = places.get(thing.where, 0.0) + chance
@@ -159,7 +189,7 @@ class OfferedEffects:
             if name == terms[0].name or chance < 0.01:
                 continue
             number = best_of.get(name, self._first[name])
-            log_odds = math.log(max(effect.q[number], 1e-300) / max(effect.q[effect.best], 1e-300))
+            log_odds = math.log(max(q[number], 1e-300) / max(q[effect.best], 1e-300))
             prior = self.bank.offers[number].log_prior - self.bank.offers[effect.best].log_prior
             alike = 0.0 if name not in best_of else log_odds - prior
             rivals.append((self.things[number], own + alike))
