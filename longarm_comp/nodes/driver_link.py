@@ -13,8 +13,8 @@ from longarm_comp.core.arm.history import History
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
-from longarm_comp.nodes.inlets import Inlets
 from longarm_comp.nodes.messages import joints_of, path_of
+from longarm_comp.nodes.rclpy_inside import Inlets
 from longarm_interfaces.msg import DriverState, Motion
 
 _SILENT_S = 3.0

@@ -144,7 +144,7 @@ class TargetInlet:
 
     def _on_compensate(
         self, message: Compensate.Request, reply: Callable[[Compensate.Response], None],
-        sent: float | None,
+        sent: float,
     ) -> None:  # fmt: skip
         request = self.asked(message, sent)
 
