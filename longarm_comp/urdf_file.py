@@ -68,11 +68,7 @@ _ABSURD = 30.0
 
 
 class UrdfRobot:
-    """The tree of a URDF file.
-
-    Raises:
-        InputError: no URDF, xacro, a name twice or unknown, a value that is not a number, a cycle.
-    """
+    """The tree of a URDF file."""
 
     def __init__(self, path: str | Path) -> None:
         self.where = str(path)

@@ -34,11 +34,7 @@ _SESSIONS = ("samples.csv", "session", "session_1")
 
 
 def check_folder(folder: Path) -> list[FolderFinding]:
-    """Findings on a folder, what blocks first.
-
-    Raises:
-        InputError: there is no such folder.
-    """
+    """Findings on a folder, what blocks first."""
     if not folder.is_dir():
         raise InputError(folder, "DIR", "missing", "an arm's folder: `longarm init DIR` makes one")
     arm, found = _loaded(folder / ARM, Arm.load)

@@ -46,11 +46,7 @@ class Measured:
 
 
 def read_measured(folder: Path) -> dict[str, Measured]:
-    """Measurements of a folder by file name.
-
-    Raises:
-        InputError: the record cannot be read.
-    """
+    """Measurements of a folder by file name."""
     path = folder / FILE
     if not path.is_file():
         return {}

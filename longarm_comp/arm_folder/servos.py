@@ -26,9 +26,6 @@ def servo_section(arm: Arm, model: str = DEFAULT_MODEL) -> dict[str, Any]:
     The gearing is an assumption. It is the demonstration's (10:1, a pinion of 8 mm) where the
     joint's range fits into the turns of the servo, else as much less as needed; where arm.yaml
     declares a step, one tick of the servo is that step.
-
-    Raises:
-        InputError: unknown model, or a joint's range at its step is beyond the servo's turns.
     """
     if model not in models():
         raise InputError("init", "--servos", model, ", ".join(models()))

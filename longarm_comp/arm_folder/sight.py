@@ -51,9 +51,6 @@ def seen_from(
         arm: as declared.
         bridge, simulated: parameters of `stereo_bridge` and `simulated_arm`, by dotted name.
         poses: how many.
-
-    Raises:
-        InputError: a value that cameras or marker cannot have.
     """
     head = CameraPair(
         tuple(simulated["camera.position"]), tuple(simulated["camera.axis"]),

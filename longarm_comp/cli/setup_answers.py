@@ -68,12 +68,7 @@ class SetupAnswers:
         nudge: float,
         yes: bool,
     ) -> SetupAnswers:
-        """From the flags.
-
-        Raises:
-            InputError: no servo file, a flag that cannot be read, or nobody to ask for one that
-                is missing.
-        """
+        """From the flags."""
         file = folder / SERVOS
         if not file.is_file():
             raise InputError(file, "servo file", "missing", "`longarm init` makes it")

@@ -93,10 +93,6 @@ class ServoConfig(ServoSettings):
 
         Args:
             where: who declares the steps, for the message.
-
-        Raises:
-            InputError: a step is no whole number of encoder ticks over the joint's range, or
-                `zero_ticks` lies between two ticks.
         """
         for name, step in steps.items():
             joint = self.joints.get(name)

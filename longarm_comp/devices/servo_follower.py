@@ -193,9 +193,6 @@ class TrajectoryFollower:
 
         ``driven``, given now and then, is the result of ``ServoBus.driven``. It reveals a servo
         that lost power for a moment: it answers as before, but its torque is off.
-
-        Raises:
-            InputError: ``now`` is not finite.
         """
         if not math.isfinite(now):
             raise InputError("servo follower", "now", now, "finite seconds")

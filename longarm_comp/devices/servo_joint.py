@@ -126,11 +126,7 @@ class JointConfig(ServoSettings):
         return math.ceil(ends[0] - 1e-9), math.floor(ends[1] + 1e-9)
 
     def to_ticks(self, value: float) -> int:
-        """The goal nearest to a joint value, rad or m.
-
-        Raises:
-            InputError: not finite, or outside the limits by more than half a tick.
-        """
+        """The goal nearest to a joint value, rad or m."""
         slack = 0.5 * self.si_per_tick
         if not self.lower - slack <= value <= self.upper + slack:
             allowed = f"{self.lower:g} to {self.upper:g} {self.unit}"

@@ -121,9 +121,6 @@ def zero_from_sweep(
 
     Args:
         stops: joint values of the mechanical stops, rad or m; None: the declared limits.
-
-    Raises:
-        InputError: the sweep is longer or shorter than that.
     """
     low, high = stops or (joint.lower, joint.upper)
     swept = travel.span * joint.si_per_tick

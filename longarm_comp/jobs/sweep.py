@@ -23,9 +23,6 @@ def way_times(arm: Arm, start: np.ndarray, path: np.ndarray, range_s: float) -> 
         start: (n,) where the joints stand, rad and m.
         path: way-points.
         range_s: least time for the whole range of any joint.
-
-    Raises:
-        InputError: ``range_s`` is not allowed.
     """
     if not FASTEST_S <= range_s <= SLOWEST_S:
         raise InputError("sweep", "--seconds", range_s, f"{FASTEST_S:g} to {SLOWEST_S:g}")

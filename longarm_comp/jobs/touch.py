@@ -43,11 +43,7 @@ class TouchLog:
     rows: list[tuple[np.ndarray, str, str]] = field(default_factory=list)
 
     def begin_with(self, before: Session) -> None:
-        """Go on after the rows of a session.
-
-        Raises:
-            InputError: it holds something else than touches.
-        """
+        """Go on after the rows of a session."""
         for k in range(len(before)):
             named = [c for c in ("touch", "plane") if before.labels.get(c, [""] * (k + 1))[k]]
             if len(named) != 1 or np.isfinite(before.xyz[k]).any():
@@ -75,11 +71,7 @@ class TouchLog:
         return q
 
     def session(self) -> Session:
-        """The rows so far.
-
-        Raises:
-            InputError: there is none.
-        """
+        """The rows so far."""
         if not self.rows:
             raise InputError("touch", "rows", 0, "one touch at least")
         q, columns, names = zip(*self.rows, strict=True)

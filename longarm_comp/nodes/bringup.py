@@ -104,9 +104,6 @@ class BringUp:
 
         Where the simulated arm would get the package's own files and is not theirs, files that
         fit it are written to ``scratch``, with those that the arm's folder has.
-
-        Raises:
-            InputError: the servos of a file are not the arm's joints.
         """
         file, arm = self.file("servo_driver"), Arm.load(self.arm)
         joints = list(_ros_parameters(file).get("joints", {}))
@@ -251,9 +248,6 @@ def running(
 
     Args:
         respawn, say: see `Supervisor`.
-
-    Raises:
-        InputError: a file is missing or wrong.
     """
     with tempfile.TemporaryDirectory(prefix="longarm_") as scratch:
         graph = graph.fitted(Path(scratch))

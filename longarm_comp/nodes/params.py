@@ -114,9 +114,6 @@ def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) ->
 
     Returns:
         Values by name.
-
-    Raises:
-        InputError: an unknown name, a value of another type or out of range.
     """
     known = {param.name: param for param in table}
     given = {k: v for k, v in overrides(node).items() if k.split(".")[0] not in sections}

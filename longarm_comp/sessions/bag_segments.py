@@ -32,9 +32,6 @@ class SegmentedBag:
     Args:
         path: the bag's folder.
         resume: continue an existing bag.
-
-    Raises:
-        InputError: the folder exists or, with ``resume``, does not hold a bag.
     """
 
     def __init__(self, path: str | Path, *, resume: bool = False) -> None:

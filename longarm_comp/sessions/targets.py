@@ -58,11 +58,7 @@ class Targets:
 
     @classmethod
     def one(cls, numbers: Sequence[float]) -> Targets:
-        """One target from the command line: x y z, or x y z qx qy qz qw.
-
-        Raises:
-            InputError: another count, a number that is not finite, no unit quaternion.
-        """
+        """One target from the command line: x y z, or x y z qx qy qz qw."""
         values = np.asarray(numbers, dtype=float)
         if values.shape not in ((3,), (7,)) or not (np.abs(values) <= FARTHEST).all():
             allowed = f"x y z or x y z qx qy qz qw, up to {FARTHEST:g}"

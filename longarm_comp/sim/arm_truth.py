@@ -25,10 +25,6 @@ class TrueArm:
             command (a servo's rounding) always come first.
         steps: integration steps per piece of rod.
         shear: include shear and extension of tubes (0.04 mm on an arm that sags by 13 mm).
-
-    Raises:
-        InputError: the arm has masses at recorded positions (`position_columns`), or a hidden
-            effect acts on the camera instead of the arm.
     """
 
     def __init__(

@@ -67,9 +67,6 @@ class State:
             arm: as declared.
             q: (N, n) or (n,).
             context: circumstances; all as declared where None.
-
-        Raises:
-            InputError: a value has the wrong shape or is not finite.
         """
         given = context or TrueContext()
         q = _array("q", q, (len(np.atleast_2d(q)), arm.n))

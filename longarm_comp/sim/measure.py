@@ -68,11 +68,7 @@ class TrueCamera:
 
     @classmethod
     def of(cls, arm: Arm, effects: Sequence[CameraEffect] = ()) -> TrueCamera:
-        """The declared head of an arm, upright.
-
-        Raises:
-            InputError: the arm declares no camera, or one that looks straight up or down.
-        """
+        """The declared head of an arm, upright."""
         if arm.camera is None:
             raise InputError(arm.name, "camera", "missing", "position_m and optical_axis")
         z = np.asarray(arm.camera.optical_axis, float)
@@ -199,11 +195,7 @@ def arrival(q: Array, written: Array) -> Array:
 
 
 def write_session(path: str | Path, columns: Mapping[str, Array]) -> None:
-    """Write samples.csv (or any columns of one length); NaN becomes blank.
-
-    Raises:
-        InputError: the columns differ in length, or the file cannot be written.
-    """
+    """Write samples.csv (or any columns of one length); NaN becomes blank."""
     lengths = {len(column) for column in columns.values()}
     if len(lengths) != 1:
         raise InputError(path, "columns", f"lengths {sorted(lengths)}", "columns of one length")

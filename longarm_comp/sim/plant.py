@@ -32,11 +32,7 @@ _SAME = 1e-7  # rad or m: the arm has not moved
 def hidden_effects(
     arm: Arm, sizes_mm: Mapping[str, float], rng: np.random.Generator
 ) -> tuple[HiddenEffect, ...]:
-    """Hidden effects by canonical name, each scaled to shift the tip by its size in mm rms.
-
-    Raises:
-        InputError: no such effect, or one of the camera side.
-    """
+    """Hidden effects by canonical name, each scaled to shift the tip by its size in mm rms."""
     effects = []
     for name, size_mm in sizes_mm.items():
         effect = draw(name, arm, rng, size_mm)
@@ -100,11 +96,7 @@ class Plant:
         self._last: tuple[Array, Array] | None = None
 
     def wear(self, play: Mapping[str, float]) -> None:
-        """The play of some joints is so much (rad, m) larger than at the start from now on.
-
-        Raises:
-            InputError: no such joint, or no finite play.
-        """
+        """The play of some joints is so much (rad, m) larger than at the start from now on."""
         names = self.config.arm.joint_names
         for joint, value in play.items():
             if joint not in names:

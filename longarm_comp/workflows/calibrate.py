@@ -173,11 +173,7 @@ class Calibration:
         return f"Calibration({self.summary})"
 
     def save(self, path: FilePath) -> None:
-        """Write model.yaml with 95 % intervals. An existing file becomes the previous version.
-
-        Raises:
-            InputError: the folder cannot be written.
-        """
+        """Write model.yaml with 95 % intervals. An existing file becomes the previous version."""
         provenance: dict[str, str | int | float] = {
             "session_hash": self.session.hash,
             "session": self.session.source,
@@ -266,11 +262,7 @@ def calibrate(
 
 
 def instances(name: str, arm: Arm, where: str = "calibrate") -> tuple[Term, ...]:
-    """An effect on every joint or beam of an arm that may have it.
-
-    Raises:
-        InputError: unknown effect, or no place for it; `where` names the source of the name.
-    """
+    """An effect on every joint or beam of an arm that may have it."""
     terms: tuple[Term, ...] = effect_class(name, where).for_arm(arm)
     if not terms:
         raise InputError(where, name, "no place on this arm", "an effect this arm can have")
@@ -278,11 +270,7 @@ def instances(name: str, arm: Arm, where: str = "calibrate") -> tuple[Term, ...]
 
 
 def recorded(terms: tuple[Term, ...], session: Session, note: Note) -> tuple[Term, ...]:
-    """Of the places of an effect, those whose inputs were recorded and moved.
-
-    Raises:
-        InputError: there is none, or a sensor's row is neither declared nor can be told here.
-    """
+    """Of the places of an effect, those whose inputs were recorded and moved."""
     context = session.context()
     usable, why = [], None
     for term in terms:

@@ -115,9 +115,6 @@ class DiagnosisResult:
     def save(self, folder: FilePath) -> None:
         """Write report.json, report.html, plots, model.yaml; predictor.npz where a network
         helped, and next_poses.csv where more poses would tell two effects apart.
-
-        Raises:
-            InputError: the folder cannot be written.
         """
         target = Path(folder)
         write_report(*self._assembled, target)

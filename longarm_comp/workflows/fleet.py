@@ -91,11 +91,7 @@ class Diagnosed:
 
 
 def members(folder: Path) -> list[Member]:
-    """The arms of a folder: a subfolder each with arm.yaml, or one arm.yaml and a session each.
-
-    Raises:
-        InputError: there is none, or an arm has no session.
-    """
+    """The arms of a folder: a subfolder each with arm.yaml, or one arm.yaml and a session each."""
     if (folder / ARM).is_file():
         found = [Member(s.stem, folder / ARM, s, None) for s in sessions(folder)]
     else:
@@ -144,9 +140,6 @@ def fleet(
         network: whether to train networks on what remains.
         seed: seed of all random choices.
         progress: called with each finished arm and the share of all.
-
-    Raises:
-        InputError: as `members`.
     """
     found = members(folder)
     tables = [table(Arm.load(member.arm)) for member in found]

@@ -65,11 +65,7 @@ class Verification:
         )
 
     def picture(self, path: Path) -> None:
-        """Write the two runs as a picture, by the file's ending.
-
-        Raises:
-            InputError: the folder cannot be written.
-        """
+        """Write the two runs as a picture, by the file's ending."""
         with rc():
             save(at_the_tip(self.runs), path)
 

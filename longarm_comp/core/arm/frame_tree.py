@@ -79,11 +79,7 @@ class FrameTree:
         self, parent: str, child: str, position: np.ndarray, turn: np.ndarray, t_ns: int,
         *, static: bool = False,
     ) -> None:  # fmt: skip
-        """Take in where a frame is in its parent: (3,) m and x, y, z, w. Static: at all times.
-
-        Raises:
-            InputError: not finite, no unit quaternion, or a frame that is its own parent.
-        """
+        """Take in where a frame is in its parent: (3,) m and x, y, z, w. Static: at all times."""
         if not np.isfinite(position).all():
             raise InputError("tf", f"position of {child}", position.tolist(), "finite numbers, m")
         if not quaternion.is_unit(turn):

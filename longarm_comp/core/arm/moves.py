@@ -112,9 +112,6 @@ def sweep(
         start: (n,) where the joints stand (rad, m), inside the limits.
         margin: kept from every limit, as a share of the joint's range.
         together: all joints at once, in three moves; else one after another.
-
-    Raises:
-        InputError: ``start`` is not inside the limits, or the margin leaves no way.
     """
     start, span = np.asarray(start, dtype=float), arm.upper - arm.lower
     if start.shape != (arm.n,) or not (np.abs(start - arm.mid) <= 0.5 * span + SAME_POSE).all():

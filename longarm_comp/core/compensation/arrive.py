@@ -85,9 +85,6 @@ def compensate_move(
         context_after: the circumstances at the command, given the history that the move leaves.
         sides: (n,) sides to arrive from, asked for; by default they are chosen.
         seed: (n,) start of the search; ``start`` by default.
-
-    Raises:
-        InputError: as `compensate`.
     """
     options = options or CompensationOptions()
     physics = physics_of(model, options.method)

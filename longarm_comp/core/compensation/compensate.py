@@ -120,9 +120,6 @@ def compensate(
         quantity that an effect of the model needs and the context lacks.  `expected_m` says how
         good the command is.  Where the history of the joints is not known and the tip depends on
         it, `reason` says how much that is of it.
-
-    Raises:
-        InputError: the target is neither (3,) nor (4, 4); an option is not allowed.
     """
     given = target.matrix() if isinstance(target, Frame) else np.asarray(target, dtype=float)
     if given.shape not in ((3,), (4, 4)):
@@ -156,9 +153,6 @@ def compensate_many(
         targets: positions (N, 3) in m or poses (N, 4, 4), base frame.
         context: circumstances, scalars or (N,) arrays.
         seed: (n,) or (N, n) current joints; default mid-range.
-
-    Raises:
-        InputError: wrong shapes or options.
     """
     targets = np.asarray(targets, dtype=float)
     if targets.ndim not in (2, 3) or targets.shape[1:] not in ((3,), (4, 4)):

@@ -20,11 +20,7 @@ _AGREEING = 3
 
 
 def check_inside(q: np.ndarray, arm: Arm, where: str) -> None:
-    """Refuse joints (n,) outside the limits by more than 2 % of their range (rad, m).
-
-    Raises:
-        InputError: names ``where``, the joint, its value and what is allowed.
-    """
+    """Refuse joints (n,) outside the limits by more than 2 % of their range (rad, m)."""
     slack = _BESIDE * (arm.upper - arm.lower)
     for k in np.flatnonzero(~((q >= arm.lower - slack) & (q <= arm.upper + slack))):
         allowed = f"{arm.lower[k]:g} to {arm.upper[k]:g}"

@@ -48,11 +48,7 @@ class Lattice:
 
     @classmethod
     def of(cls, arm: Arm, offset: Any = 0.0, offset_sd: Any = 0.0) -> Lattice:
-        """The steps that an arm declares, with an offset for all joints or for each, (n,).
-
-        Raises:
-            InputError: an offset is not finite, a deviation is negative, or the shape is wrong.
-        """
+        """The steps that an arm declares, with an offset for all joints or for each, (n,)."""
         made = [arm.steps]
         for name, value in (("offset", offset), ("offset_sd", offset_sd)):
             given = np.asarray(value, float)
@@ -153,10 +149,6 @@ def choose(
         targets: positions (N, 3) in m or poses (N, 4, 4), base frame.
         ideal: (N, n) joints that bring the tip to the targets, inside the limits.
         locked: 0-based numbers of joints that stay at their ideal value.
-
-    Raises:
-        InputError: wrong shapes, numbers that are not finite, joints outside the limits, a
-            prediction that is not finite at the ideal joints.
     """
     targets, ideal = np.asarray(targets, float), np.asarray(ideal, float)
     _check(arm, targets, ideal, locked)

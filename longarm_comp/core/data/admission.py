@@ -71,9 +71,6 @@ def admit(
         model: predicts the tip; the rigid declared arm by default.
         min_poses: least number of distinct poses with a marker.
         judge: the rows judge the model: what does not fit it is a finding.
-
-    Raises:
-        InputError: the session does not fit the arm; the message names the likely mistake.
     """
     findings: list[AdmissionFinding] = []
     session = _with_readings(session, findings)

@@ -29,9 +29,6 @@ def above(arm: Arm, height_m: float) -> Arm:
     """The arm with a floor at a height (m, base frame) among its keep-out boxes.
 
     A floor above the arm's foot is a safety height: the arm rises above it once and stays there.
-
-    Raises:
-        InputError: it is no height.
     """
     if not -_FAR < height_m < _FAR:
         raise InputError("floor", "--floor", height_m, f"a height, {-_FAR:g} to {_FAR:g} m")
@@ -88,9 +85,6 @@ def in_view(model: Model, plan: Plan, half_angle: float) -> np.ndarray:
         model: where the tip is.
         plan: M poses.
         half_angle: half of the camera's view.
-
-    Raises:
-        InputError: arm.yaml declares no camera.
     """
     arm = model.arm
     eyes = [s.frame() for s in arm.sensors.values() if isinstance(s, CameraSensor)]

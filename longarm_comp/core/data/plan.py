@@ -66,9 +66,6 @@ def paper_grid(arm: Arm) -> np.ndarray:
     joints take the paper's six pairs of strokes scaled to their limits; any other number of
     them takes three levels each like a revolute joint.  (The paper puts -25 deg for joint 5
     where its middle is -22.5 deg.)  The paper's arm gives 3^5 * 6 = 1458 poses.
-
-    Raises:
-        InputError: the grid would exceed a million poses.
     """
     sliding = [k for k, row in enumerate(arm.commanded) if arm.joints[row - 1].type == "prismatic"]
     pairs = (
@@ -90,11 +87,7 @@ def paper_grid(arm: Arm) -> np.ndarray:
 
 
 def grid(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
-    """n poses of the paper's grid in random order, none twice.
-
-    Raises:
-        InputError: n is not between 1 and the size of the grid.
-    """
+    """n poses of the paper's grid in random order, none twice."""
     rng = np.random.default_rng(rng)
     poses = paper_grid(arm)
     if not 1 <= n <= len(poses):
@@ -103,11 +96,7 @@ def grid(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
 
 
 def sobol(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
-    """n scrambled Sobol points in the joint box, which fill it evenly.
-
-    Raises:
-        InputError: n is below 1 or above 2^20.
-    """
+    """n scrambled Sobol points in the joint box, which fill it evenly."""
     if not 1 <= n <= 2**20:
         raise InputError("plan", "n", n, f"1 to {2**20}")
     rng = np.random.default_rng(rng)

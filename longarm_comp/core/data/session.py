@@ -140,9 +140,6 @@ class Session(MeasuredRows):
             run_up: (N, n) where each joint's last approach began, rad and m; NaN where it had
                 none or nobody knows.
             repeat_id: as in `Session`, and so are the rest.
-
-        Raises:
-            InputError: shapes do not fit, or a number is not finite.
         """
         q = _joints(source, q)
         n_rows = len(q)
@@ -298,11 +295,7 @@ class Session(MeasuredRows):
         )
 
     def where(self, label: str, value: str) -> Session:
-        """The rows whose text column `label` holds `value`.
-
-        Raises:
-            InputError: there is no such column.
-        """
+        """The rows whose text column `label` holds `value`."""
         if label not in self.labels:
             known = ", ".join(self.labels) or "none"
             raise InputError(self.source, label, "missing", f"a text column (there are: {known})")

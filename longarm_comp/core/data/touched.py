@@ -37,9 +37,6 @@ def unknowns(arm: Arm, session: Session) -> tuple[Bias, ...]:
     """The terms that hold the points and planes that a session touched.
 
     Distances of points that it did not touch count for nothing.
-
-    Raises:
-        InputError: distances lead from a point back to it.
     """
     distances = (*known_distances(arm.touch_distances), *session.touch_distances)
     points = _ordered(session.named(KINDS["touch"]), distances, session.source)

@@ -190,9 +190,6 @@ def solve_many(
         rng: draws the restarts; by default they are a fixed low-discrepancy sequence.
         engine: how to run the search; see `warm_up` for the compiled one.
         threads: number of threads, in machine code only.
-
-    Raises:
-        InputError: wrong shape, numbers that are not finite, no rotation, unknown joint.
     """
     arm = model.arm
     position, axes = checked_targets(targets, position_only)
@@ -227,11 +224,7 @@ def solve_many(
 
 
 def target_faults(targets: np.ndarray, position_only: bool, where: str) -> list[str]:
-    """The fault of each of N targets; an empty string for a valid one.
-
-    Raises:
-        InputError: the targets are neither (N, 3) nor (N, 4, 4).
-    """
+    """The fault of each of N targets; an empty string for a valid one."""
     if targets.ndim not in (2, 3) or targets.shape[1:] not in ((3,), (4, 4)):
         allowed = "shape (N, 3) or (N, 4, 4)"
         raise InputError(where, "targets", f"shape {targets.shape}", allowed)

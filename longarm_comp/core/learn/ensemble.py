@@ -75,9 +75,6 @@ def train(
         weights: (N,) precision factors of the samples; 0 leaves one out.
         progress: called with (networks trained, largest number of networks).
         provenance: arm, session and model of the predictor; the settings are added.
-
-    Raises:
-        InputError: wrong shapes, values not finite, fewer than 20 samples, all rows one pose.
     """
     q, known = check_rows("train", q, context)
     y, weights = _checked_targets(q, residual, weights)

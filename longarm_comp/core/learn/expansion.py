@@ -62,11 +62,7 @@ class Expander:
         self._steep = steep[:, None] * np.abs(self._output)
 
     def __call__(self, q: np.ndarray, context: Context | None = None) -> Expansion:
-        """Predict at joints (n,) and around them.
-
-        Raises:
-            InputError: as `Predictor.predict`.
-        """
+        """Predict at joints (n,) and around them."""
         predictor, n = self._predictor, len(q)
         context = context or Context.empty()
         found = predictor.predict(q[None], context)

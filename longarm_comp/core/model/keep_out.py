@@ -43,11 +43,7 @@ def entered_at(model: Model, q: np.ndarray) -> str:
 
 
 def keeper(model: Model, names: list[str], where: str) -> Callable[[np.ndarray], str] | None:
-    """`entered_at` for joints (M, n) in the order of their names; None where there are no boxes.
-
-    Raises:
-        InputError: names ``where``: a joint of the arm is not among the names.
-    """
+    """`entered_at` for joints (M, n) in the order of their names; None where there are no boxes."""
     arm = model.arm
     if not arm.keep_out:
         return None

@@ -65,9 +65,6 @@ class StereoEye:
         tip_in_marker: (3,) m, the tip in the marker frame.
         limits: limits beyond which a pair is refused.
         noise: assumed noise of a corner, corrected by the residuals of sightings.
-
-    Raises:
-        InputError: if camera_in_base is not a rigid motion or tip_in_marker is not finite.
     """
 
     rig: StereoRig

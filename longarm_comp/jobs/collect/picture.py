@@ -57,9 +57,6 @@ def draw(found: Preview, faults: Sequence[str], path: Path, good: str, title: st
         path: file to write: .png, .svg or .pdf.
         good: what a visit without a fault is called.
         title: above the picture.
-
-    Raises:
-        InputError: another kind of file.
     """
     check_suffix(path)
     looks = _looks(faults, good)

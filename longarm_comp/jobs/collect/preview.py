@@ -136,11 +136,7 @@ def preview(
 
 
 def servos_beside(arm: Path, names: Sequence[str]) -> ServoConfig | None:
-    """The servos in the folder of an arm.yaml, where they are this arm's joints.
-
-    Raises:
-        InputError: the file cannot be read.
-    """
+    """The servos in the folder of an arm.yaml, where they are this arm's joints."""
     file = arm.absolute().parent / "servo_driver.yaml"
     if not file.is_file():
         return None

@@ -121,11 +121,7 @@ SECOND = "second_round"
 
 
 def prepare(settings: DemoSettings) -> None:
-    """Make the folder. The logs that a start that failed has left in it are no obstacle.
-
-    Raises:
-        InputError: something else is there, or it cannot be written.
-    """
+    """Make the folder. The logs that a start that failed has left in it are no obstacle."""
     out = settings.out
     if out.exists() and (not out.is_dir() or {p.name for p in out.iterdir()} - {_LOGS}):
         raise InputError("demo", "--out", out, "a new or empty folder")

@@ -74,9 +74,6 @@ def read_cells(path: Path, sheet: str | None = None, decimal: str | None = None)
         path: a CSV file with any separator, or an XLSX workbook.
         sheet: name of the sheet; by default the only one.
         decimal: ``.`` or ``,``; by default as the cells show it.
-
-    Raises:
-        InputError: unreadable, no row of numbers, rows of different length, several sheets.
     """
     where, separator = str(path), ""
     if path.suffix.lower() in (".xlsx", ".xlsm"):

@@ -120,10 +120,6 @@ def understand(
         arm: names its joints and says which slide; None: joints without a unit turn.
         apart: columns that are read otherwise (an orientation).
         is_clock: whether the column at a place holds wall-clock times, which have no unit.
-
-    Raises:
-        InputError: a name of ``given`` is no column, two columns mean the same, a unit is missing
-            or of another kind.
     """
     told = {_place(where, names, key): key for key in given}
     meant = [given[key].partition(":")[0] for key in told.values()]
