@@ -121,7 +121,7 @@ class ServoDriver(LifecycleNode):
         return ServoConfig.parse(nested(given), "parameters of servo_driver")
 
     def _rules_of(self, arm: Arm, file: str) -> KeepsOut | None:
-        """Check the declared steps; what keeps moves out of the declared boxes, if there are any."""
+        """Check the declared steps; what keeps moves out of its boxes, if it has any."""
         self._config.check_steps(dict(zip(arm.joint_names, arm.steps.tolist(), strict=True)), file)
         return keeper(declared_model(arm), list(self._config.joints), file)
 
