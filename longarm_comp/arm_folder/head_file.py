@@ -31,9 +31,6 @@ def head_at(folder: Path, session: str) -> np.ndarray:
     """Where the head was taken to stand when a session was measured (4, 4).
 
     That is what the file has now, unless it was written from this very session.
-
-    Args:
-        session: hash of the session.
     """
     entry = read_measured(folder).get(BRIDGE)
     if entry is None or entry.facts.get("session") != session:

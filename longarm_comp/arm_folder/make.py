@@ -36,12 +36,7 @@ _SIMULATED = (
 
 @dataclass(frozen=True)
 class Source:
-    """What an arm's folder is made from.
-
-    Attributes:
-        text: of arm.yaml.
-        arm: that it declares.
-    """
+    """What an arm's folder is made from."""
 
     text: str
     arm: Arm

@@ -29,10 +29,7 @@ class Measured:
     """One measurement.
 
     Attributes:
-        at: when, ISO 8601.
-        by: the command.
         values: dotted names of parameters and what was found for them.
-        facts: how good it is.
     """
 
     at: str

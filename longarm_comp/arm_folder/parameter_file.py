@@ -47,7 +47,6 @@ def with_values(node: str, values: Mapping[str, Any], head: str) -> str:
     """The package's own file of a node with other values; comments of parameters are kept.
 
     Args:
-        node: whose file.
         values: by dotted name. A mapping replaces a whole section.
         head: comment on top, instead of the file's own.
     """

@@ -28,14 +28,7 @@ These three are from rendered images: `pytest test/test_collect_preview.py` comp
 
 @dataclass(frozen=True)
 class Lens:
-    """Two equal cameras side by side.
-
-    Attributes:
-        focal_px: focal length.
-        middle_px: principal point, x and y.
-        size_px: width and height of the images.
-        baseline_m: from the left to the right camera.
-    """
+    """Two equal cameras side by side."""
 
     focal_px: float
     middle_px: tuple[float, float]

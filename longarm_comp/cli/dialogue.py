@@ -17,12 +17,7 @@ from longarm_comp.core.errors import InputError
 
 @dataclass(frozen=True)
 class Dialogue:
-    """Questions of one command.
-
-    Args:
-        command: its name, for errors.
-        yes: confirmations are given.
-    """
+    """Questions of one command."""
 
     command: str
     yes: bool = False

@@ -75,12 +75,7 @@ def asked_port(dialogue: Dialogue, port: str | None, known: str | None) -> str:
 def scanned(
     port: str, protocol: str | None, baud: int | None, ids: str, timeout: float = 0.02
 ) -> Scan:
-    """The servos on a port, with progress.
-
-    Raises:
-        InputError: ids that cannot be read, an unknown protocol.
-        JobError: nobody answers, or the port cannot be opened.
-    """
+    """The servos on a port, with progress."""
     from longarm_comp.core.errors import JobError
     from longarm_comp.devices.servo_bus import scan_line
 

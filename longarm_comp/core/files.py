@@ -31,10 +31,6 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     The temporary file keeps the suffix of ``path``, for writers that go by it, and is synced
     first. When the block raises, ``path`` is left as it was. Missing parent folders are made.
-
-    Raises:
-        InputError: the folder cannot be made or written to, or ``path`` is a folder.
-        JobError: the disk is full or fails.
     """
     target = Path(path)
     try:

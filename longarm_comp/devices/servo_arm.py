@@ -123,11 +123,7 @@ class ServoArm:
         self._powered, self._owing_off = on, False
 
     def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
-        """Start a trajectory.
-
-        Raises:
-            InputError, JobError: as `TrajectoryFollower.accept`; JobError when the torque is off.
-        """
+        """Start a trajectory."""
         if not self._powered:
             raise JobError("the torque is off")
         return self.follower.accept(trajectory, now)
@@ -140,9 +136,8 @@ class ServoArm:
     def release(self, now: float, on: bool = True) -> None:
         """Leave a fault or an emergency stop, with torque on.
 
-        Raises:
-            JobError: its cause persists; the torque stays as it was: on after a fault, so that a
-                heavy arm does not drop, and off after an emergency stop.
+        While the cause persists the torque stays as it was: on after a fault, so that a heavy arm
+        does not drop, and off after an emergency stop.
         """
         if not on:
             self.follower.reset(now)

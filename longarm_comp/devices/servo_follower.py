@@ -52,7 +52,6 @@ class TrajectoryFollower:
     ``now`` is monotonic seconds everywhere.
 
     Args:
-        config: the joints and their limits.
         keeps_out: asked of every trajectory; None: nothing is kept out of.
     """
 
@@ -96,11 +95,6 @@ class TrajectoryFollower:
         as the limits allow. A trajectory that is too fast is slowed down evenly, and an event
         SLOWED reports the factor. It always ends at rest: then an event ARRIVED follows, or SHORT
         where a joint stands still and is not where it was sent.
-
-        Raises:
-            InputError: unknown or repeated joint, wrong length, not finite, times not increasing,
-                outside the limits, also between points; nothing changes then.
-            JobError: no trusted read-back yet, fault, emergency stop, held, or kept out.
         """
         self._check_ready(now)
         start = self._start()
@@ -172,11 +166,7 @@ class TrajectoryFollower:
         self._say(EventKind.ESTOP, "emergency stop")
 
     def reset(self, now: float) -> None:
-        """Back to idle after a fault or an emergency stop.
-
-        Raises:
-            JobError: a servo is still silent, hot or alarmed; the message says which.
-        """
+        """Back to idle after a fault or an emergency stop."""
         self._check_health(now)
         self._watch.forget_errors()
         self._drop_motion()

@@ -137,12 +137,7 @@ def zero_from_sweep(
 
 
 class ServoSetup:
-    """Servos of an arm in the operator's hands. The torque is off unless it is switched on.
-
-    Args:
-        bus: with the model of every id.
-        joints: as declared; ids and models are those on the bus.
-    """
+    """Servos of an arm in the operator's hands. The torque is off unless it is switched on."""
 
     def __init__(self, bus: SerialServoBus, joints: Mapping[str, JointConfig]) -> None:
         self._bus = bus
@@ -214,11 +209,7 @@ class ServoSetup:
             time.sleep(_PERIOD_S)
 
     def rest(self) -> dict[int, float]:
-        """Ticks of every servo in a pose that is held still.
-
-        Raises:
-            JobError: the arm moves.
-        """
+        """Ticks of every servo in a pose that is held still."""
         looks = []
         for _ in range(_LOOKS):
             looks.append({i: s.position_ticks for i, s in self._bus.read(self._ids).items()})
@@ -235,9 +226,6 @@ class ServoSetup:
         """Move one joint by ``by`` (rad, m) one way or the other.
 
         It goes up unless that leads out of the servo's range or of the travel of the sweep.
-
-        Raises:
-            JobError: the servo did not move, or would leave its travel both ways.
         """
         joint = self.joints[name]
         start = self._at(joint.servo_id)

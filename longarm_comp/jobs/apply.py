@@ -26,8 +26,6 @@ class FilesAtWork:
     """Files that a running graph reads.
 
     Attributes:
-        arm: declared arm.
-        model: calibrated model; it need not exist.
         predictor: None where no `error_predictor` runs, or it has no file.
     """
 
@@ -37,11 +35,7 @@ class FilesAtWork:
 
 
 def files_at_work(client: GraphClient) -> FilesAtWork:
-    """The files of the graph's nodes.
-
-    Raises:
-        JobError: no kinematics node, or it was started without a model file.
-    """
+    """The files of the graph's nodes."""
     arm, model = read_parameters(client, "kinematics", "arm", "model")
     if not model:
         reason = "kinematics runs without a model file: start it with --model FILE"
@@ -72,10 +66,6 @@ def apply_on_graph(
         client: on the graph.
         diagnosis, session, network, seed, note, progress: as for `workflows.apply.apply`. No
             predictor is trained where the graph has no file for it.
-
-    Raises:
-        InputError, JobError: as there; nothing was changed. JobError: kinematics did not take up
-            the model, which was taken back.
     """
     files = files_at_work(client)
     if network and files.predictor is None:
@@ -97,11 +87,7 @@ def apply_on_graph(
 
 
 def reload(client: GraphClient, node: str) -> None:
-    """Have a node read its files again.
-
-    Raises:
-        JobError: it did not take them up.
-    """
+    """Have a node read its files again."""
     service = graph.RELOAD.client(client.node, of=node)
     try:
         answer = client.call(service, Trigger.Request(), _PATIENCE_S, again=True)

@@ -55,18 +55,10 @@ def capture(
     """Take a view whenever the board rests somewhere new, until nothing is missing.
 
     Args:
-        board: that is held before the cameras.
-        within_s: patience.
-        tell: told what is seen and what is missing.
         save: folder for the images that were taken.
 
     Returns:
         The views, and (width, height) px of the images.
-
-    Raises:
-        InputError: the images change their size.
-        JobError: no images, or something is still missing when patience ends.
-        Interrupted: ``stop`` was set.
     """
     views: list[BoardView] = []
     before: BoardView | None = None

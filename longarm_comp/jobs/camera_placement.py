@@ -57,14 +57,8 @@ def placed_cameras(
     """Fit the head's pose to rows whose tip was measured through it.
 
     Args:
-        model: predicts the tips.
-        session: measured with the head at `assumed`.
         assumed: (4, 4) left optical frame in the base frame that the sightings were computed with.
         free_tip: the seen point's place in the tip frame is unknown too.
-
-    Raises:
-        InputError: fewer than `FEWEST_POSES` rows with a whole position.
-        JobError: the tips hardly spread, or do not determine what is unknown.
     """
     rows = session.take(session.located)
     if len(rows) < FEWEST_POSES:

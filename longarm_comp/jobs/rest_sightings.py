@@ -29,18 +29,7 @@ def sightings_at_rest(
     namespace: str = "",
     stop: threading.Event | None = None,
 ) -> Session:
-    """A row for every new pose at which the arm rests and the tip is seen.
-
-    Args:
-        arm: names the joints.
-        poses: rows to collect.
-        within_s: patience.
-        tell: told of every row.
-
-    Raises:
-        JobError: no joint_states, or too few poses when patience ends.
-        Interrupted: ``stop`` was set.
-    """
+    """A row for every new pose at which the arm rests and the tip is seen."""
     span = arm.upper - arm.lower
     q: list[np.ndarray] = []
     xyz: list[np.ndarray] = []

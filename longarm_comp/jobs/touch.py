@@ -33,7 +33,6 @@ class TouchLog:
     """TouchLog of one arm, as they are taken.
 
     Attributes:
-        arm: as declared.
         distances: known ones between the points.
         rows: joints (n,), the text column and the name of each.
     """
@@ -52,20 +51,7 @@ class TouchLog:
         self.distances = self.distances or before.touch_distances
 
     def take(self, client: ArmClient, name: str, column: str = "touch") -> np.ndarray:
-        """Add a row of the joints as they rest now.
-
-        Args:
-            client: hears the joints.
-            name: of the point or plane.
-            column: ``touch`` or ``plane``.
-
-        Returns:
-            The joints, (n,), rad and m.
-
-        Raises:
-            JobError: no joint_states, or the arm does not rest.
-            Interrupted: the client's stop event was set.
-        """
+        """Add a row of the joints as they rest now."""
         q = resting(client)
         self.rows.append((q, column, name))
         return q
@@ -106,10 +92,6 @@ def resting(client: ArmClient) -> np.ndarray:
     """Mean of the next joint readings that hardly differ, (n,).
 
     Readings that were waiting to be heard are as old as the last move: they are passed over.
-
-    Raises:
-        JobError: no joint_states, or the arm does not rest.
-        Interrupted: the client's stop event was set.
     """
     client.joints = None
     client.until(lambda: client.joints is not None, PATIENCE_S, "no joint_states")

@@ -76,11 +76,7 @@ class Verified:
 
 
 def choose(runner: TargetRunner, draw: Draw, n: int, methods: tuple[Method, ...]) -> Chosen:
-    """Up to n targets that the graph accepts with every method; nothing moves.
-
-    Raises:
-        JobError: it accepts fewer than two.
-    """
+    """Up to n targets that the graph accepts with every method; nothing moves."""
     kept: list[np.ndarray] = []
     refused: list[tuple[np.ndarray, str]] = []
     while len(kept) < n and len(kept) + len(refused) < _MOST_DRAWS * n:
@@ -118,12 +114,7 @@ def verify(
     seed: int = 0,
     progress: Say = lambda text, share: None,
 ) -> Verified:
-    """Drive the targets without compensation, then with a method, and compare.
-
-    Raises:
-        JobError: a target was refused, the arm did not arrive, or the marker was hardly seen.
-        Interrupted: the client was stopped. The node's method is put back.
-    """
+    """Drive the targets without compensation, then with a method, and compare."""
     without = runner.run(WITHOUT, chosen.xyz, Method.NONE, progress)
     compensated = runner.run(COMPENSATED, chosen.xyz, method, progress)
     result = verification((WITHOUT, COMPENSATED), without.off, compensated.off, seed)

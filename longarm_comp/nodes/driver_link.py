@@ -38,7 +38,6 @@ class DriverLink:
 
     Args:
         inlets: of the worker, so that what the driver tells is known before the next target.
-        arm: names and orders the joints.
         acknowledged: whether the driver tells its state and what becomes of trajectories.
         joints: the last joint reading (n,), or None.
         commanded: called for every command, with its joints (n,) and their history on arrival.
@@ -46,7 +45,6 @@ class DriverLink:
         refused: called for every message that is refused, with its kind and the reason.
 
     Attributes:
-        acknowledged: as given.
         history: of the joints, when they have come to the end of what was commanded last.
     """
 

@@ -31,7 +31,6 @@ class Param:
 
     Attributes:
         name, default: as in the node's YAML file; the default's type is the parameter's.
-        description: meaning and unit, in one line.
         lower, upper: allowed range of a number, or of each of several.
         choices: allowed texts.
         live: may be set while the node runs; everything else is read-only.

@@ -71,11 +71,7 @@ class Supervisor:
         return self._children[name].deaths
 
     def look(self) -> None:
-        """Restart the processes that have died.
-
-        Raises:
-            JobError: a process ended with bad input, or at all without ``respawn``.
-        """
+        """Restart the processes that have died."""
         for name, child in self._children.items():
             code = child.process.poll()
             if code is None:

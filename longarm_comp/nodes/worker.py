@@ -24,10 +24,8 @@ class Worker:
     """One thread with a bounded queue of jobs, worked off in the order of arrival.
 
     Args:
-        node: node whose messages and requests it takes.
         executor: woken when an awaited job is done.
         capacity: number of jobs that may wait; further ones are refused.
-        on_error: called with each exception of a job or callback.
 
     Attributes:
         idle: called while no job waits; does a piece of what can wait, and says whether it did.

@@ -40,7 +40,6 @@ def read_bag(path: str | Path, arm: Arm, namespace: str | None = None) -> Sessio
 
     Args:
         path: the bag's folder, or one of its files.
-        arm: names and orders the joints.
         namespace: namespace of the arm, when the bag holds several.
     """
     where = str(path)

@@ -30,7 +30,6 @@ class SegmentedBag:
     """Writer of a bag folder. Use as a context manager; the bag is readable within it.
 
     Args:
-        path: the bag's folder.
         resume: continue an existing bag.
     """
 

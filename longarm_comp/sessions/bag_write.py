@@ -40,19 +40,7 @@ def write_bag(
     storage: Literal["mcap", "sqlite3"] = "mcap",
     namespace: str = "",
 ) -> None:
-    """Write a session as a bag folder; `read_bag` gives the same one back.
-
-    Args:
-        session: rows in the order of recording.
-        path: the bag's folder, which must not exist yet.
-        arm: names the joints.
-        storage: file format inside the bag.
-        namespace: put before every topic.
-
-    Raises:
-        InputError: the folder exists or cannot be written, the arm has other joints.
-        JobError: it came to exist meanwhile, or the disk is full.
-    """
+    """Write a session as a bag folder; `read_bag` gives the same one back."""
     if session.n != arm.n:
         raise InputError(str(path), "joints", session.n, f"{arm.n} joints of arm {arm.name}")
     if storage not in STORAGE:

@@ -49,8 +49,6 @@ def read_csv(path: str | Path, arm: Arm, joint_columns: Sequence[str] | None = N
     """Read a session.
 
     Args:
-        path: the file.
-        arm: its commanded joints say how many q columns there are.
         joint_columns: names of the joint columns when they are not ``q1..qn`` (an arm that is
             one branch of a larger robot); other ``q`` columns are then kept as context.
     """

@@ -35,12 +35,7 @@ class _Layout(NamedTuple):
 
 
 class JointStates:
-    """Reads joint states of an arm.
-
-    Args:
-        names: joints of the arm, in order.
-        types: type store with the message type.
-    """
+    """Reads joint states of an arm."""
 
     def __init__(self, names: Sequence[str], types: Typestore) -> None:
         self._names, self._types = tuple(names), types

@@ -126,20 +126,13 @@ def measure_session(
     """Drive the true arm through poses and measure its tip.
 
     Args:
-        true_arm: the arm.
-        camera: the stereo head.
-        poses: commanded joints (N, n).
-        rng: source of all randomness.
         approach: `both`: every pose twice, from below and from above; `random`: one side at
             random; `mixed`: a third of these left blank; `previous`: all blank; `below`:
             every pose from below. A blank row arrives joint by joint from the row before.
         repeats: number of random poses that are visited two more times during the session.
-        lost: share of rows without a sighting.
         outliers: share of rows with a gross error of 4-15 mm.
-        noise: `Noise()` by default.
         start_s: time of the first row.
         warming_k: rise of the room temperature over hours.
-        payload_kg: carried mass, scalar or (N,); as declared by default.
     """
     arm = true_arm.arm
     poses = State.of(arm, poses, None).q

@@ -59,13 +59,9 @@ class PlantConfig:
     """Parts of the plant and its conditions.
 
     Attributes:
-        arm: as declared.
-        servos: the servos that drive it.
-        hidden: undeclared effects.
         cameras, plate, plate_on_tip: cameras, marker and the marker's pose (4, 4) on the tip.
         spec: mechanics of the servos.
         temperature_c: temperature at the start, and its rise over hours (K).
-        payload_kg: carried mass.
     """
 
     arm: Arm

@@ -191,15 +191,10 @@ def settle(walk: Callable[[Array], Walker], start: Array, gravity: Array) -> Arr
     does not converge, it is raised in steps.
 
     Args:
-        walk: integrates from the last frame to the base for gravity (3, B, N).
         start: first guess, (3, N), of gravity's length.
-        gravity: in the base frame, (3,) m/s^2.
 
     Returns:
         (3, N) m/s^2.
-
-    Raises:
-        JobError: no equilibrium was found.
     """
     size = float(np.linalg.norm(gravity))
     if size == 0.0:

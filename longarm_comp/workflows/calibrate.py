@@ -57,8 +57,6 @@ class FittedParameter:
 
     Attributes:
         effect, where, name: effect, place and parameter.
-        value: value in SI units.
-        unit: unit of the value.
         ci95: 95 % interval of the value.
         geometry: whether it is part of the arm's geometry rather than of another effect.
     """
@@ -81,8 +79,6 @@ class Calibration:
         effect_rungs: number of rungs at the end that add an effect to the geometry.
         held_out_rows: number of held-out rows, including those without a marker.
         fit: fit of the last rung to all rows.
-        session: all rows.
-        seed: seed of the split.
         kind_of: models of other arms of the kind that it was expected to be like, with hashes.
     """
 

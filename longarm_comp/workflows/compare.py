@@ -40,8 +40,6 @@ class Comparison:
 
     Attributes:
         kind: ``diagnoses``, ``models`` or ``sessions``.
-        said: what matters, one sentence each.
-        tables: the figures.
     """
 
     kind: str

@@ -196,13 +196,7 @@ def diagnose_files(
     seed: int = 0,
     progress: Say = lambda _: None,
 ) -> DiagnosisResult:
-    """Diagnose files and write everything to a folder; arguments as in `diagnose`.
-
-    Raises:
-        InputError: the data were refused (also reported with verdict ``bad_data``), or a given
-            file cannot be used.
-        JobError: a fit diverged.
-    """
+    """Diagnose files and write everything to a folder; arguments as in `diagnose`."""
     for path in (session, test, model):
         if path is not None and not path.exists():
             raise InputError(path, "file", "missing", "a file or a bag that exists")

@@ -99,13 +99,10 @@ def compensate(
     """Joints that bring the *real* tip to one target.
 
     Args:
-        model: arm and effects; methods without physics keep its geometry effects only.
         predictor: the learned residual of the model that the method uses, or None.
         target: position (3,) in m, or pose (4, 4) or `Frame`, base frame.
         context: circumstances in which the arm will stand.
         seed: (n,) current joints; default mid-range.
-        position_only: leave the orientation free.
-        locked: joints that stay at their seed, as in `ik.solve_many`.
         doubtful: (n,) joints whose side of arrival the context tells, but not for certain.
         realisable: choose the command among the joints that the servos can stand at: by the steps
             that the arm declares, from each joint's zero, or by a lattice; arms without steps are
@@ -113,7 +110,6 @@ def compensate(
         context_at: circumstances at joints (M, n), where the way there depends on the joints; the
             choice among the steps judges each command in its own. Default: ``context`` for all.
         starts: of the search for the target; 1: from the seed alone, so that no path jumps.
-        settling: fields of `Settling`: when the passes end.
 
     Returns:
         Invalid or unreachable targets are reported in `status`, not raised.  So is a recorded

@@ -34,7 +34,6 @@ class JointTrust:
     doubtful then until three readings in a row agree.
 
     Args:
-        arm: names and limits of the joints.
         rate: ranges of a joint per second; what moves faster is a jump.
     """
 

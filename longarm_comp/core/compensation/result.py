@@ -269,13 +269,7 @@ _BEYOND_REACH = 10.0
 
 
 def other_unit(position: np.ndarray, base: np.ndarray, reach_m: float) -> str:
-    """A guess at the unit of a target far beyond an arm's reach, as a question; else empty.
-
-    Args:
-        position: (3,) as given.
-        base: (3,) where the arm stands, m.
-        reach_m: how far the arm reaches from there, m.
-    """
+    """A guess at the unit of a target far beyond an arm's reach, as a question; else empty."""
     away = math.dist(position, base)
     if away <= _BEYOND_REACH * reach_m:
         return ""

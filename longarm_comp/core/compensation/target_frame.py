@@ -70,11 +70,9 @@ def placement(
     """Where a target lies for a model.
 
     Args:
-        model: calibrated, or the arm as declared.
         target: (3,) m or (4, 4).
         frame: ``base``, ``measured``, or nothing where nobody said it.
         group: rows of the measurements that the target belongs to, where the base was moved.
-        where: file of the target, for messages.
     """
     if frame not in ("", *FRAMES):
         raise InputError(where, "frame", frame, " or ".join(FRAMES))

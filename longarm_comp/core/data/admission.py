@@ -66,8 +66,6 @@ def admit(
     """Check a session against an arm.
 
     Args:
-        session: as read.
-        arm: declared arm.
         model: predicts the tip; the rigid declared arm by default.
         min_poses: least number of distinct poses with a marker.
         judge: the rows judge the model: what does not fit it is a finding.

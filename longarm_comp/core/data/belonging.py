@@ -37,12 +37,7 @@ FAR, STRAYS = 8.0, 0.3
 
 @dataclass(frozen=True)
 class Mistake:
-    """One mistake, undone.
-
-    Attributes:
-        what: ``q1 looks negated``.
-        rows: the session without it.
-    """
+    """One mistake, undone."""
 
     what: str
     rows: Session
@@ -79,10 +74,6 @@ def believe(model: Model, session: Session) -> Belief | None:
     """Hold the rows against the arm, and against the arm under each common mistake.
 
     The mistakes are tried only where the rows fit badly.
-
-    Args:
-        model: the arm, rigid or calibrated; its own placement does not matter.
-        session: measured rows.
 
     Returns:
         None for fewer than `ENOUGH` rows with a position.

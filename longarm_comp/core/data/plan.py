@@ -129,13 +129,7 @@ def _in_box(arm: Arm, shares: np.ndarray) -> np.ndarray:
 
 
 def with_room(arm: Arm, q: np.ndarray, sides: np.ndarray) -> np.ndarray:
-    """Sides (N, n) as wished, but from the other side where a limit leaves no room to run up.
-
-    Args:
-        arm: whose limits hold.
-        q: (N, n) joints to arrive at, rad and m.
-        sides: (N, n) of -1, 0, +1.
-    """
+    """Sides (N, n) as wished, but from the other side where a limit leaves no room to run up."""
     start = q - sides * run_up_lengths(arm)
     return np.where((start < arm.lower) | (start > arm.upper), -sides, sides)
 

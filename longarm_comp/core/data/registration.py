@@ -54,8 +54,6 @@ class Sightings:
         """The seen rows against a model that places nothing itself.
 
         Args:
-            model: the arm, sagged or rigid.
-            session: measured rows.
             groups: names of the base placements; by default one per frame of the session.
             markers: names of the markers, empty for the tip; all of the arm's by default.
         """

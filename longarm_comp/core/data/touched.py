@@ -77,13 +77,7 @@ def _ordered(
 
 
 def started(terms: Sequence[Bias], tips: np.ndarray, session: Session) -> tuple[Bias, ...]:
-    """Terms with touched points and planes where the tips were, in closed form.
-
-    Args:
-        terms: any, each point after the one that it is beside.
-        tips: (N, 3) predicted tips of the rows, m.
-        session: N rows.
-    """
+    """Terms with touched points and planes where the tips were, in closed form."""
     places: dict[str, np.ndarray] = {}
     made: list[Bias] = []
     for term in terms:
@@ -103,11 +97,6 @@ def completed(model: Model, session: Session, at: Posture) -> Model:
     """The model with the touched points that it lacks, where its tips touched them.
 
     A model of other rows lacks them: those of a hold-out, of another day.
-
-    Args:
-        model: predicts.
-        session: N rows.
-        at: the model's posture at these rows.
     """
     if all(kind.cells for kind in session.kinds):
         return model

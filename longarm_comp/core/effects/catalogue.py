@@ -133,8 +133,6 @@ def effect_class(name: str, where: str, known_from: str = "") -> Kind:
     """The effect of a canonical name.
 
     Args:
-        name: canonical name.
-        where: name of the source in the error message.
         known_from: origin of the effect when the source was written (see `origin`).
     """
     found = BUILT_IN.get(name) or registered().get(name)
@@ -154,12 +152,7 @@ def origin(kind: Kind) -> str:
 
 
 def register(kind: K, source: str = "") -> K:
-    """Register an effect. It can be used as a decorator.
-
-    Args:
-        kind: a frozen dataclass derived from `Effect` or `Bias`.
-        source: its origin in words; by default the module of the class.
-    """
+    """Register an effect. It can be used as a decorator."""
     source = source or f"module {getattr(kind, '__module__', '?')}"
     _check(kind, source)
     known = BUILT_IN.get(kind.name) or _others.get(kind.name)

@@ -124,12 +124,7 @@ def solve(
     rng: np.random.Generator | None = None,
     engine: Engine = Engine.AUTO,
 ) -> Solution:
-    """Joints that bring the tip to one target: see `solve_many`.
-
-    Args:
-        target: position (3,) in m, or pose (4, 4) or `Frame`, base frame.
-        seed: (n,) start, best the current joints; the middle of the box by default.
-    """
+    """Joints that bring the tip to one target: see `solve_many`."""
     if isinstance(target, Frame):
         target = target.matrix()
     target = np.asarray(target, dtype=float)

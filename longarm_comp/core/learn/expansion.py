@@ -88,11 +88,7 @@ Ask = Callable[[np.ndarray, Context], Expansion]
 
 
 class Nearby:
-    """A predictor for one target, which reuses its last expansion within its reach.
-
-    Args:
-        ask: returns the expansion at joints (n,) in a context.
-    """
+    """A predictor for one target, which reuses its last expansion within its reach."""
 
     def __init__(self, ask: Ask) -> None:
         self._ask = ask

@@ -106,12 +106,7 @@ def _width(name: str, joints: int) -> int:
 
 
 def fit_encoding(q: Array, context: Context, kind: str) -> Encoding:
-    """Encoding of a training set.
-
-    Raises
-    ------
-    InputError: unknown ``kind``, or no column varies (all rows one pose).
-    """
+    """Encoding of a training set."""
     if kind not in INPUT_KINDS:
         raise InputError("train", "inputs", kind, f"one of {sorted(INPUT_KINDS)}")
     used = tuple(name for name in INPUT_KINDS[kind] if context.has(name))
@@ -126,12 +121,7 @@ def fit_encoding(q: Array, context: Context, kind: str) -> Encoding:
 
 
 def check_rows(where: str, q: Array, context: Context | None) -> tuple[Array, Context]:
-    """Checked joints, a finite (N, n) array, and circumstances of matching shape.
-
-    Raises
-    ------
-    InputError: wrong shape, not finite, approach outside [-1, 1].
-    """
+    """Checked joints, a finite (N, n) array, and circumstances of matching shape."""
     q = np.asarray(q, float)
     if q.ndim != 2 or q.shape[1] == 0:
         raise InputError(where, "q", f"shape {q.shape}", "(N, n) joint values")

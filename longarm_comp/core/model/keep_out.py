@@ -20,10 +20,6 @@ def entered(model: Model, path: np.ndarray) -> str:
 
     The arm is the line through its stations, from the foot to the tip: a box must be larger than
     the thing that it protects by the arm's radius. Between way-points joints move straight.
-
-    Args:
-        model: where the arm hangs.
-        path: (k, n) way-points, the first where the arm stands; rad, m.
     """
     boxes = model.arm.keep_out
     shares = np.linspace(0.0, 1.0, _STEPS + 1)[1:, None]

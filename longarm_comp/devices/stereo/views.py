@@ -74,11 +74,6 @@ class BoardView:
 def view_of(board: Target, left: Grey, right: Grey, limits: Limits | None = None) -> BoardView:
     """A usable view.
 
-    Args:
-        board: that is held before the cameras.
-        left, right: images (H, W) of one size.
-        limits: beyond which an image is refused.
-
     Raises:
         StereoRefusal: with the reason.
     """
@@ -101,12 +96,7 @@ def view_of(board: Target, left: Grey, right: Grey, limits: Limits | None = None
 
 
 def gaps(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
-    """What the views lack, as instructions; none when they are enough.
-
-    Args:
-        views: that will be used.
-        size: (width, height) px.
-    """
+    """What the views lack, as instructions; none when they are enough."""
     found = []
     if len(views) < FEWEST_VIEWS:
         found.append(f"more views: {len(views)} of {FEWEST_VIEWS}")

@@ -52,11 +52,8 @@ def draw(found: Preview, faults: Sequence[str], path: Path, good: str, title: st
     """Draw every visit with its fault.
 
     Args:
-        found: the visits, and what is known about them.
         faults: what is wrong with each visit, or "".
-        path: file to write: .png, .svg or .pdf.
         good: what a visit without a fault is called.
-        title: above the picture.
     """
     check_suffix(path)
     looks = _looks(faults, good)

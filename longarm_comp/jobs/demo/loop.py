@@ -72,12 +72,7 @@ class DemoResult:
 def demonstrate(
     settings: DemoSettings, stop: threading.Event, say: Say = lambda text, share: None
 ) -> DemoResult:
-    """Run the whole loop; every process has ended when this returns or raises.
-
-    Raises:
-        InputError: the folder is not empty or cannot be written.
-        JobError: a step could not be done. Interrupted: ``stop`` was set.
-    """
+    """Run the whole loop; every process has ended when this returns or raises."""
     arm = Arm.load(settings.arm)
     hidden_effects(arm, sizes(settings.hidden), np.random.default_rng(settings.seed))  # checked
     prepare(settings)

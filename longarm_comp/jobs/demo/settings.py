@@ -24,13 +24,10 @@ class DemoSettings:
     """One demonstration.
 
     Attributes:
-        out: folder for everything that it makes.
         poses: to measure, from random sides. targets: fresh ones to judge by.
         hidden: undeclared effects of the simulated arm, ``name=mm``.
         speed: motion so many times faster than the servos' file says.
         seed: of the hidden effects, the plan and the targets.
-        arm: file; the demonstration's own by default.
-        parameters: of nodes, on top.
         more_play: what the arm's play grows by before a second round, ``joint=rad``; empty: no
             second round.
     """

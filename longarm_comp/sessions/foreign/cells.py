@@ -71,7 +71,6 @@ def read_cells(path: Path, sheet: str | None = None, decimal: str | None = None)
     """Read a table.
 
     Args:
-        path: a CSV file with any separator, or an XLSX workbook.
         sheet: name of the sheet; by default the only one.
         decimal: ``.`` or ``,``; by default as the cells show it.
     """

@@ -112,8 +112,6 @@ def understand(
     """The columns of the session that a file holds.
 
     Args:
-        where: the file.
-        names: its columns.
         given: by name of a column, with or without its unit: a session's column, or one and its
             unit (``q3:mm``).
         defaults: by kind, the unit of columns that name none.

@@ -87,14 +87,12 @@ class Imported:
     """A converted table.
 
     Attributes:
-        cells: the file's.
         columns: session columns by name, (N,) numbers or texts.
         sources: how each was read.
         left_out: columns of the file that were not read.
         assumed: joints that were taken to turn, as no arm says it.
         rotation: the convention of the orientation.
         units: of columns that name none.
-        files: that it was read from.
         lonely: rows of joined files without a partner, in words.
         markers: that stood side by side.
     """

@@ -178,9 +178,7 @@ def draw(
     Servo steps exist only in a few sizes, so the nearest of them is taken.
 
     Args:
-        name: canonical name.
         arm: the declared arm.
-        rng: draws its place.
         size_mm: wanted rms shift over the poses (3-D), mm.
         poses: (N, n); 60 random ones by default.
     """
