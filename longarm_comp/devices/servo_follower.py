@@ -39,7 +39,6 @@ from longarm_comp.devices.trajectory_check import checked
 
 __all__ = ["Accepted", "Event", "EventKind", "FollowerState", "Step", "TrajectoryFollower"]
 
-_SETTLED_TICKS_S = 30.0
 
 KeepsOut = Callable[[Array], str]
 """Says why an arm must not go through joints (N, n); empty where it may."""
@@ -229,7 +228,7 @@ class TrajectoryFollower:
     def _settle(self, dt: float) -> None:
         """Report once that the arm has come to rest: at the end of its trajectory, or short."""
         states = [self._watch.state(name) for name in self._names]
-        still = all(s is not None and abs(s.velocity_ticks_s) < _SETTLED_TICKS_S for s in states)
+        still = all(s is not None and abs(s.velocity_ticks_s) < 30.0 for s in states)  # ticks/s
         self._still_s = self._still_s + dt if still else 0.0
         if self._settled or not still:
             return

@@ -15,10 +15,6 @@ Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
-STEP_KNOWN_TO = 0.15
-"""Share of a step to which it must be known where it is."""
-
-
 class ServoSettings(BaseModel):
     """Base of the configuration records: frozen. Unknown keys and true for 1 are errors."""
 
@@ -112,7 +108,8 @@ class JointConfig(ServoSettings):
         farthest = max(abs(self.lower), abs(self.upper)) / step
         drift = abs(ticks - round(ticks)) * farthest
         beside = abs(self.zero_ticks - round(self.zero_ticks))
-        return round(ticks) >= 1 and drift + beside <= STEP_KNOWN_TO * ticks
+        # Share of a step to which it must be known where it is
+        return round(ticks) >= 1 and drift + beside <= 0.15 * ticks
 
     @property
     def goal_range(self) -> tuple[int, int]:

@@ -17,8 +17,6 @@ from longarm_comp.workflows.at_work import undo
 from longarm_comp.workflows.inputs import Note, Progress, log_note, silent
 
 _PATIENCE_S = 60.0
-_THERE_S = 10.0
-"""A node that is there is found on the network within it, also on a busy machine."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +40,8 @@ def files_at_work(client: GraphClient) -> FilesAtWork:
         raise JobError(f"{reason} (the file need not exist yet)")
     predictor = ""
     try:
-        (predictor,) = read_parameters(client, "error_predictor", "predictor", within_s=_THERE_S)
+        # A node that is there is found on the network within it, also on a busy machine
+        (predictor,) = read_parameters(client, "error_predictor", "predictor", within_s=10.0)
     except Interrupted:
         raise
     except JobError:  # none is running

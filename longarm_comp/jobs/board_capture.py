@@ -20,7 +20,6 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.images import pixels_of
 from longarm_comp.nodes.stamps import stamp_ns
 
-_SLOP_NS = 5_000_000
 _FIRST_S = 30.0
 
 
@@ -28,7 +27,7 @@ class _Images:
     """The newest pair of images on the topics."""
 
     def __init__(self, client: GraphClient) -> None:
-        self._pairer: StereoPairer[Image] = StereoPairer(_SLOP_NS, 8)
+        self._pairer: StereoPairer[Image] = StereoPairer()
         self._newest: Pair[Image] | None = None
         for side, topic in ((Side.LEFT, graph.LEFT_IMAGE), (Side.RIGHT, graph.RIGHT_IMAGE)):
             topic.subscription(client.node, partial(self._on, side))

@@ -16,8 +16,6 @@ FEWEST_POSES = 10
 _FOLDS = 5
 _SIGMA_M = 1e-4
 """Of a sighting whose session does not say it. What the arm's own errors add is seen in the fit."""
-_SPREAD_M = 0.05
-"""The tips must reach over so much in two directions, or the head's rotation is hardly told."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,8 @@ def placed_cameras(
     tips = model.pose(rows.q, rows.context())
     spread = np.linalg.svd(tips[:, :3, 3] - tips[:, :3, 3].mean(axis=0), compute_uv=False)
     wide = 2.0 * spread / np.sqrt(len(rows))
-    if wide[1] < _SPREAD_M:
+    # The tips must reach over so much in two directions, or the head's rotation is hardly told
+    if wide[1] < 0.05:
         raise JobError(
             "the tip stayed on a line or at a point: measure poses all over its range",
             spread_mm=[round(1e3 * float(w)) for w in wide],

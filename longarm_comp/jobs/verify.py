@@ -21,8 +21,6 @@ Draw = Callable[[int], np.ndarray]
 """Draws so many further targets, (n, 3) m; fewer where there are no more."""
 
 WITHOUT, COMPENSATED = "without compensation", "with compensation"
-_MOST_DRAWS = 4
-"""Random targets are drawn at most so many times as often as they are wanted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +77,8 @@ def choose(runner: TargetRunner, draw: Draw, n: int, methods: tuple[Method, ...]
     """Up to n targets that the graph accepts with every method; nothing moves."""
     kept: list[np.ndarray] = []
     refused: list[tuple[np.ndarray, str]] = []
-    while len(kept) < n and len(kept) + len(refused) < _MOST_DRAWS * n:
+    # Random targets are drawn at most so many times as often as they are wanted
+    while len(kept) < n and len(kept) + len(refused) < 4 * n:
         drawn = draw(n - len(kept))
         if not len(drawn):
             break

@@ -75,7 +75,6 @@ PARAMS = (
 
 _WAITING = 4
 """Goals that may wait."""
-_TICK_S = 0.05
 
 
 class TrajectoryCompensator(Node):
@@ -108,7 +107,7 @@ class TrajectoryCompensator(Node):
             told=lambda motion: None, refused=self._tally.count,
         )  # fmt: skip
         self._fresh, self._stamps = Freshness(self, p["order_max_age_s"]), Stamps(self)
-        self._ticks, self._following = Ticks(self, _TICK_S), 0
+        self._ticks, self._following = Ticks(self, 0.05), 0
         type_, group = graph.FOLLOW.type, ReentrantCallbackGroup()
         self._out = ActionClient(self, type_, self._controller, callback_group=group)
         self._server = ActionServer(

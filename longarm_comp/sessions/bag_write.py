@@ -29,7 +29,6 @@ from longarm_comp.sessions.touches import write_touches
 
 STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 PERIOD_S = 10.0  # between rows of a session that has no times
-_DWELL_S = 2.0  # from a command to its sighting
 _START_NS = 1_000_000_000_000  # a clock of 0 would read as "no stamp"
 
 
@@ -85,7 +84,7 @@ class _Recorder:
     def write(self, session: Session) -> None:
         times = session.t_s if session.t_s is not None else np.arange(len(session)) * PERIOD_S
         stamps = _START_NS + np.round((times - times[0]) * 1e9).astype(np.int64)
-        dwell = int(1e9 * min(_DWELL_S, _shortest(times) / 4))
+        dwell = int(1e9 * min(2.0, _shortest(times) / 4))  # from a command to its sighting
         for i, stamp in enumerate(stamps):
             self._command(int(stamp) - dwell, _path(session, i))
             self._circumstances(int(stamp) - dwell // 2, session, i)

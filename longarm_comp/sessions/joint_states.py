@@ -19,7 +19,6 @@ from longarm_comp.sessions.moment import stamp_of_raw
 
 KIND = "sensor_msgs/msg/JointState"
 _ENCODING, _STAMP = slice(0, 4), 12  # the header's stamp ends here
-_MOST_LAYOUTS = 8
 
 Numbers = tuple[float, ...]
 
@@ -60,7 +59,7 @@ class JointStates:
         mine = len(order) == len(self._names)
         layout = self._layout(raw, message, _picker(order) if mine else None)
         if layout is not None:
-            self._layouts = [layout, *self._layouts[: _MOST_LAYOUTS - 1]]
+            self._layouts = [layout, *self._layouts[: 8 - 1]]
         return tuple(float(message.position[k]) for k in order) if mine else None
 
     def _layout(

@@ -29,7 +29,6 @@ from longarm_comp.core.compensation.realisable import Lattice, Realisable, Searc
 from longarm_comp.core.compensation.result import (
     NO_PREDICTOR,
     Compensation,
-    Compensations,
     ExpectedError,
     Method,
     ResidualPredictor,
@@ -50,8 +49,6 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.outline import reach
 
 ContextAt = Callable[[np.ndarray], Context]
-NEARBY_STARTS = 3
-"""A pseudo-target lies next to its target: look near its joints only."""
 
 
 def rigid(model: Model) -> Model:
@@ -130,41 +127,6 @@ def compensate(
     return task.run(given, (context or Context.empty()).take(0), start)
 
 
-def compensate_many(
-    model: Model,
-    predictor: ResidualPredictor | None,
-    targets: np.ndarray,
-    *,
-    context: Context | None = None,
-    seed: np.ndarray | None = None,
-    method: Method = Method.BOTH,
-    position_only: bool = False,
-    locked: Sequence[int | str] = (),
-    realisable: bool | Lattice = True,
-    **settling: Any,
-) -> Compensations:
-    """`compensate` for each of N targets, one after another.
-
-    Args:
-        targets: positions (N, 3) in m or poses (N, 4, 4), base frame.
-        context: circumstances, scalars or (N,) arrays.
-        seed: (n,) or (N, n) current joints; default mid-range.
-    """
-    targets = np.asarray(targets, dtype=float)
-    if targets.ndim not in (2, 3) or targets.shape[1:] not in ((3,), (4, 4)):
-        allowed = "shape (N, 3) or (N, 4, 4)"
-        raise InputError("compensate", "targets", f"shape {targets.shape}", allowed)
-    free = position_only or targets.ndim == 2
-    lattice = lattice_of(model, realisable)
-    task = _Task(
-        model, predictor, method, free, tuple(locked), Settling(**settling), lattice=lattice
-    )
-    start = ik.checked_seed(model, seed, len(targets), "compensate")
-    given = context or Context.empty()
-    rows = [task.run(targets[k], given.take(k), start[k]) for k in range(len(targets))]
-    return Compensations.of(rows, targets, model.arm.n)
-
-
 def lattice_of(model: Model, realisable: bool | Lattice) -> Lattice | None:
     """Where the servos can stand; None: nothing is known of it, or it is not asked for."""
     if realisable is False or (realisable is True and not model.arm.steps.any()):
@@ -241,7 +203,8 @@ class _Target:
             if self.passes == settling.max_passes:
                 return self._ended(Status.NOT_CONVERGED, settling.unsettled)
             self.passes += 1
-            found = self._search(shifted(self.target, self.error), min(task.starts, NEARBY_STARTS))
+            # A pseudo-target lies next to its target: look near its joints only
+            found = self._search(shifted(self.target, self.error), min(task.starts, 3))
             if not found.ok:
                 return self._ended(Status.UNREACHABLE, missed("pseudo-target", found))
             self.q = found.q

@@ -9,9 +9,6 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 
-_BESIDE = 0.02
-"""Share of a joint's range by which a reading may lie outside its limits."""
-
 _STEP = 0.1
 """Share of a joint's range that two readings may differ by, however soon they follow."""
 
@@ -21,7 +18,8 @@ _AGREEING = 3
 
 def check_inside(q: np.ndarray, arm: Arm, where: str) -> None:
     """Refuse joints (n,) outside the limits by more than 2 % of their range (rad, m)."""
-    slack = _BESIDE * (arm.upper - arm.lower)
+    # Share of a joint's range by which a reading may lie outside its limits
+    slack = 0.02 * (arm.upper - arm.lower)
     for k in np.flatnonzero(~((q >= arm.lower - slack) & (q <= arm.upper + slack))):
         allowed = f"{arm.lower[k]:g} to {arm.upper[k]:g}"
         raise InputError(where, arm.joint_names[k], float(q[k]), allowed)

@@ -22,8 +22,6 @@ PAPER_STROKES = np.array(
 ) / np.array([105.0, 63.0])
 """Section III.B: the six pairs of prismatic strokes, as shares of each stroke."""
 
-LARGEST_GRID = 1_000_000
-
 
 @dataclass(frozen=True, eq=False)
 class Plan:
@@ -75,7 +73,7 @@ def paper_grid(arm: Arm) -> np.ndarray:
     )
     turning = [k for k in range(arm.n) if k not in sliding]
     count = 3 ** len(turning) * len(pairs)
-    if count > LARGEST_GRID:
+    if count > 1_000_000:
         raise InputError(
             "plan", "kind", "grid", f"sobol: a grid of {arm.n} joints is {count} poses"
         )

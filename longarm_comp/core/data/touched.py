@@ -24,8 +24,6 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.tip_motion import stack
 
-FARTHER = 6.0
-"""Misfit of a touch, in their median, from which a start leaves it out: 4 standard deviations."""
 _ROUNDS = 4
 _EXACT = 1e-9
 
@@ -155,5 +153,7 @@ def _robust(
     answer, misfit = solved(tips)
     for _ in range(_ROUNDS):
         away = misfit(tips)
-        answer, misfit = solved(tips[away <= max(FARTHER * float(np.median(away)), _EXACT)])
+        # Misfit of a touch, in their median, from which a start leaves it out: 4 standard
+        # deviations
+        answer, misfit = solved(tips[away <= max(6.0 * float(np.median(away)), _EXACT)])
     return answer

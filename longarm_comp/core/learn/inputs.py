@@ -27,7 +27,6 @@ from longarm_comp.core.errors import InputError
 Array = NDArray[np.float64]
 
 INPUT_KINDS = {"context": ("approach", "temperature_c", "payload_kg"), "joints": ()}
-_CONSTANT = 1e-6  # a column whose sd is below this (relative to its size) carries nothing
 
 
 @dataclass(frozen=True)
@@ -113,7 +112,8 @@ def fit_encoding(q: Array, context: Context, kind: str) -> Encoding:
     raw = raw_columns(q, context, used)
     raw = np.where(np.isnan(raw).all(axis=0), 0.0, raw)
     mean, scale = np.nanmean(raw, axis=0), np.nanstd(raw, axis=0)
-    varies = scale > _CONSTANT * (1.0 + np.abs(mean))
+    # a column whose sd is below this (relative to its size) carries nothing
+    varies = scale > 1e-6 * (1.0 + np.abs(mean))
     if not varies[: q.shape[1]].any():
         raise InputError("train", "q", "all rows one pose", "poses that differ")
     kept = np.flatnonzero(varies)

@@ -30,9 +30,6 @@ from longarm_interfaces.srv import Compensate
 
 Say = Callable[[str, float], None]
 
-_READY_S = 120.0
-"""Five processes start; on a busy machine that takes its time."""
-
 
 @dataclass(frozen=True, eq=False)
 class DemoResult:
@@ -89,7 +86,8 @@ def demonstrate(
 
         def go_round(folder: str = "") -> tuple[LoopResult, dict[str, Any]]:
             to_do = replace(settings.loop, out=settings.out / folder)
-            done = Loop(client, to_do, lambda report: True, witness=witness, say=say).run(_READY_S)
+            # Five processes start; on a busy machine that takes its time
+            done = Loop(client, to_do, lambda report: True, witness=witness, say=say).run(120.0)
             return done, write_loop(arm.name, to_do, done)
 
         first, _ = go_round()

@@ -22,7 +22,6 @@ _POINT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _COMMA = re.compile(r"[-+]?(\d+,?\d*|,\d+)([eE][-+]?\d+)?")
 _DATED = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{2,4}|\d:\d\d")
 _NONE = {"", "nan", "n/a", "na", "#n/a", "-", "--", "null", "none"}
-_SAMPLE = 200
 
 
 @dataclass(frozen=True)
@@ -114,7 +113,7 @@ def _text(path: Path) -> str:
 
 def _separated(where: str, text: str) -> tuple[str, Lines]:
     """The separator that makes the most lines of the file's beginning rows of numbers."""
-    sample = "\n".join(text.splitlines()[:_SAMPLE])
+    sample = "\n".join(text.splitlines()[:200])
     scores = {mark: _score(_grid(where, sample, mark)) for mark in _SEPARATORS}
     best = max(scores, key=scores.__getitem__)  # the first of equal ones
     if scores[best] == (0, 0):
