@@ -238,9 +238,7 @@ def test_a_joint_whose_limits_hold_no_step_stays(rng: np.random.Generator) -> No
     case.ideal[:, 2] = at
     got = case.choose()
     np.testing.assert_allclose(got.joints[:, 2], at, atol=1e-15)
-    assert (
-        got.note[0] == "joint3 stays at its ideal value: none of its steps lies inside its limits"
-    )
+    assert got.note[0].startswith("joint3 stays at its ideal value: none of its steps lies inside")
     assert (got.error[:, 0] <= got.rounded_error[:, 0]).all()
 
 
