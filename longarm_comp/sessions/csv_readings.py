@@ -44,12 +44,7 @@ def read_xyz(table: Table) -> np.ndarray:
 
 
 def read_readings(table: Table) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Readings of the other kinds, and their standard deviations, by kind.
-
-    Raises:
-        InputError: a column of a kind is missing; a reading is blank in part, impossible, or
-            without the name that it needs.
-    """
+    """Readings of the other kinds, and their standard deviations, by kind."""
     readings, sigmas = {}, {}
     for kind in FURTHER:
         if any(name in table.cells for name in kind.cells):  # none of a kind that a text measures

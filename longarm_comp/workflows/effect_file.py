@@ -66,12 +66,7 @@ class {title}(Effect):
 
 
 def write_effects(found: Diagnosis, path: Path) -> None:
-    """Write the arm's causes without a name as classes, for ``--effects``.
-
-    Raises:
-        JobError: the diagnosis kept none.
-        InputError: the file cannot be written.
-    """
+    """Write the arm's causes without a name as classes, for ``--effects``."""
     causes = [c for c in found.causes if c.compensated]
     if not causes:
         raise JobError("nothing was found without a name, so there is no effect to write")
