@@ -75,7 +75,7 @@ class Reading:
     reads: tuple[str, ...]
 
 
-FOLDER = "my_arm"
+FOLDER, MAPPING = "my_arm", "log.mapping.yaml"
 FILES = tuple(
     f"{FOLDER}/{name}.yaml" for name in ("arm", "servo_driver", "stereo_bridge", "simulated_arm")
 )
@@ -119,10 +119,11 @@ READINGS = (
     Reading(
         ("import-urdf", "lift.urdf", "--base", "base", "--tip", "b", "-o", "l.yaml"), ("lift.urdf",)
     ),
-    Reading(("import-data", "log.csv", "--like", "log.mapping.yaml", "-o", "s.csv"),
-            ("log.mapping.yaml",)),
-    Reading(("plan", ARM_FILE, "--kind", "sobol", "-n", "3", "--like", "log.mapping.yaml", "-o", "p.csv"),
-            ("log.mapping.yaml",)),
+    Reading(("import-data", "log.csv", "--like", MAPPING, "-o", "s.csv"), (MAPPING,)),
+    Reading(
+        ("plan", ARM_FILE, "--kind", "sobol", "-n", "3", "--like", MAPPING, "-o", "p.csv"),
+        (MAPPING,),
+    ),
     Reading(("init", "new", "--arm", ARM_FILE), (ARM_FILE,)),
     Reading(("init", "newer", "--urdf", "lift.urdf"), ("lift.urdf",)),
     Reading(("check", FOLDER), FILES),
@@ -159,7 +160,7 @@ def whole(work: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     sheet += "1,5;2,5;3;50;1;4;5;6\n2,5;2,5;3;60;1;;;\n"
     (folder / "log.csv").write_text(sheet)
     assert made("import-data", folder / "log.csv", "-o", folder / "log_samples.csv") == 0
-    (folder / "log_samples.mapping.yaml").rename(folder / "log.mapping.yaml")
+    (folder / "log_samples.mapping.yaml").rename(folder / MAPPING)
     seen = folder / "without_camera.yaml"
     seen.write_text(yaml.safe_dump({k: v for k, v in BENDING.items() if k != "camera"}))
     assert made("init", folder / FOLDER, "--arm", seen) == 0

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.arm_folder.measured import FILE, note_measured, read_measured
-from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
+from longarm_comp.arm_folder.parameter_file import parameters_of
 from longarm_comp.arm_folder.yaml_edit import edited, ros_path
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.errors import InputError
@@ -27,7 +27,7 @@ def head_pose(folder: Path) -> np.ndarray:
         InputError: the file cannot be read, or holds no rigid motion.
     """
     file = folder / BRIDGE
-    given = own_parameters("stereo_bridge") | read_parameters(file)
+    given = parameters_of("stereo_bridge", file)
     return _pose(file, "hand_eye", [given[name] for name in _NAMES])
 
 

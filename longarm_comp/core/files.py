@@ -49,8 +49,8 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside ``path``; on a clean exit it replaces ``path`` in one step.
 
     The temporary file keeps the suffix of ``path``, for writers that go by it, and is synced
-    first. When the block raises, ``path`` is left as it was. Missing parent folders are made. What a
-    writer of ``path`` left that was killed meanwhile is removed.
+    first. When the block raises, ``path`` is left as it was. Missing parent folders are made. What
+    a writer of ``path`` left that was killed meanwhile is removed.
 
     Raises:
         InputError: the folder cannot be made or written to, or ``path`` is a folder.
