@@ -29,6 +29,8 @@ from longarm_comp.core.effects.camera_radial import CameraRadial
 from longarm_comp.core.effects.camera_scale import CameraScale
 from longarm_comp.core.effects.column_bending import ColumnBending
 from longarm_comp.core.effects.creep import Creep
+from longarm_comp.core.effects.cylinder_pins import CylinderPins
+from longarm_comp.core.effects.cylinder_play import CylinderPlay
 from longarm_comp.core.effects.dh_error import DhError
 from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
 from longarm_comp.core.effects.effect import Bias, Effect
@@ -69,6 +71,7 @@ GROUP = "longarm_comp.effects"
 _OURS: tuple[Kind, ...] = (
     JointZero,
     DhError,
+    CylinderPins,
     BasePose,
     TipOffset,
     TipOrientation,
@@ -93,6 +96,7 @@ _OURS: tuple[Kind, ...] = (
     MeasuredTilt,
     GravityDirection,
     Backlash,
+    CylinderPlay,
     FrictionHysteresis,
     GearEccentricity,
     JointGain,

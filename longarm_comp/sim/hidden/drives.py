@@ -172,3 +172,48 @@ class CableDrag(HiddenEffect):
         q = q.copy()
         q[:, self.joint] += self.pull * place[:, self.wound_by[0]] * place[:, self.wound_by[1]]
         return q
+
+
+@dataclass(frozen=True)
+class CylinderPins(HiddenEffect):
+    """A joint's cylinder has the length that the drawing asks for, between pins elsewhere.
+
+    The triangle is solved exactly for the angle.
+
+    Attributes:
+        joint: index in q.
+        drawn: near, far (m) and angle at q = 0 (rad), as declared; the angle grows with q.
+        true: near, far (m), and what the sensor's zero adds to the length (m).
+    """
+
+    name: ClassVar[str] = "cylinder_pins"
+    joint: int
+    drawn: tuple[float, float, float]
+    true: tuple[float, float, float]
+
+    def joints(self, q: Array, state: State) -> Array:
+        near, far, zero = self.drawn
+        length = np.hypot(near - far * np.cos(zero + q[:, self.joint]),
+                          far * np.sin(zero + q[:, self.joint]))  # fmt: skip
+        a, b, more = self.true
+        turned = q.copy()
+        turned[:, self.joint] = np.arccos((a**2 + b**2 - (length + more) ** 2) / (2 * a * b)) - zero
+        return turned
+
+
+@dataclass(frozen=True)
+class CylinderPlay(CylinderPins):
+    """Worn pins: the cylinder is half the play shorter or longer, as the approach left it."""
+
+    name: ClassVar[str] = "cylinder_play"
+    play: float = 0.0
+
+    def joints(self, q: Array, state: State) -> Array:
+        came = np.broadcast_to(state.approach, q.shape)[:, self.joint]
+        made = q.copy()
+        for side in (-1.0, 1.0):
+            a, b, more = self.true
+            short = CylinderPins(self.joint, self.drawn, (a, b, more - side * self.play / 2))
+            rows = came == side
+            made[rows] = short.joints(q, state)[rows]
+        return made
