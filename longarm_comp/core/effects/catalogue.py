@@ -32,6 +32,7 @@ from longarm_comp.core.effects.creep import Creep
 from longarm_comp.core.effects.dh_error import DhError
 from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
 from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.encoder import Encoder
 from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.gravity_direction import GravityDirection
@@ -78,6 +79,7 @@ _OURS: tuple[Kind, ...] = (
     TouchBeside,
     PlanePlace,
     CameraPose,
+    Encoder,
     LinkDeflection,
     JointCompliance,
     BearingTilt,

@@ -34,6 +34,8 @@ class JointTerm(Effect):
         joint: row id.
     """
 
+    acts = "gear"
+
     joint: int = place(moving_joints)
 
     @classmethod
