@@ -34,6 +34,7 @@ from longarm_comp.core.effects.cylinder_play import CylinderPlay
 from longarm_comp.core.effects.dh_error import DhError
 from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
 from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.encoder import Encoder
 from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.gravity_direction import GravityDirection
@@ -81,6 +82,7 @@ _OURS: tuple[Kind, ...] = (
     TouchBeside,
     PlanePlace,
     CameraPose,
+    Encoder,
     LinkDeflection,
     JointCompliance,
     BearingTilt,

@@ -66,6 +66,9 @@ class ServoQuantisation(HiddenEffect):
         step = np.where(self.step > 0, self.step, 1.0)
         return np.where(self.step > 0, np.round(q / step) * step, q)
 
+    def before(self, torques: Array, state: State) -> Array:
+        return self.joints(state.q, state) - state.q
+
 
 @dataclass(frozen=True)
 class FrictionHysteresis(HiddenEffect):
@@ -135,6 +138,10 @@ class ServoDroop(HiddenEffect):
     def held(self, torques: Array, state: State) -> Array | float:
         loaded = np.abs(torques) > self.friction
         return self.deadband * np.where(loaded, np.sign(torques), -state.approach)
+
+    def before(self, torques: Array, state: State) -> Array:
+        turning = np.array([j.type == "revolute" for j in state.arm.joints if j.commanded])
+        return turning * self.yielding * torques + self.held(torques, state)
 
 
 @dataclass(frozen=True)
