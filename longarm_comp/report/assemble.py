@@ -181,7 +181,7 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding, real: Practical) -> dic
         "seen_mm": _pair_mm(real.seen),
         "commanded_mm": _pair_mm(real.commanded),
         "doubts": [f"{p.name} could stand for its {p.part}" for p in found.partial_aliases],
-        "action": first.action,
+        "action": first.advice(diagnosis.arm),
     }
 
 
