@@ -29,10 +29,10 @@ from longarm_comp.core.identify.intervals import intervals
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.next_poses import next_poses
 from longarm_comp.core.identify.noise import from_repeats
-from longarm_comp.core.identify.posterior.offers import tolerances
 from longarm_comp.core.identify.plausible import check_fits, check_noise
-from longarm_comp.core.identify.proof import LearnedCorrection, prove
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session, without
+from longarm_comp.core.identify.posterior.offers import tolerances
+from longarm_comp.core.identify.proof import LearnedCorrection, prove
 from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.identify.structure import examine
 from longarm_comp.core.identify.wind_up import as_fitted, refined, wind_up, with_run_ups

@@ -18,10 +18,10 @@ from longarm_comp.core.identify.in_words import improvement, left_in_words, sent
 from longarm_comp.core.identify.intervals import Interval
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.next_poses import NextPoses
+from longarm_comp.core.identify.posterior.explain import ExplainedSession
 from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.identify.practical import Gain
 from longarm_comp.core.identify.proof import NETWORK, LearnedCorrection, Proof
-from longarm_comp.core.identify.posterior.explain import ExplainedSession
 from longarm_comp.core.identify.structure import Structure
 from longarm_comp.core.model.model import Model
 

@@ -13,7 +13,9 @@ from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.posterior.found import FoundEffect
 
 
-def expected_commanded(fits: Mapping[str, ModelFit], found: Sequence[FoundEffect]) -> dict[str, float]:
+def expected_commanded(
+    fits: Mapping[str, ModelFit], found: Sequence[FoundEffect]
+) -> dict[str, float]:
     """RMS error (m) of a command by each model, expected under the posterior.
 
     By the rows that were fitted.  A row's residual is what the model leaves there, less the share

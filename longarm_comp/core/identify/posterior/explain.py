@@ -30,8 +30,6 @@ from longarm_comp.core.identify.step_scan import UnknownStep, scan
 from longarm_comp.core.identify.thresholds import retuned
 from longarm_comp.core.model.model import Model
 
-import os
-DEBUG=os.environ.get('DBG')
 ROUNDS = 8
 """Of posterior and fit, at most, of the library and then of functions; three are usual."""
 REFORMED = 3
@@ -153,7 +151,6 @@ class _Exploration:
             standing = max(b.standing for b in banks)
             if explained.evidence < standing + BETTER:
                 break
-            if DEBUG: print("   %.1f -> %.1f"%(standing, explained.evidence), [(b.tolerance, round(b.standing)) for b in banks])
             for f in explained.found:
                 say(Candidate(f.name, f.terms).label)
             if not self._take(explained.found):

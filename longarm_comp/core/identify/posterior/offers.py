@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import TypeVar
 
@@ -308,8 +308,14 @@ def offered(
     at = {tuple(t.variant for t in c.terms): n for n, c in enumerate(things)}
     known = (at.get(tuple(t.variant for t in f.terms)) for f in found)
     return OfferedEffects(
-        fitted, things, OfferBank(offers, gram, along, lower, upper), widths, columns, [n for n in known if n is not None],
-        marginal.evidence, tolerance,
+        fitted,
+        things,
+        OfferBank(offers, gram, along, lower, upper),
+        widths,
+        columns,
+        [n for n in known if n is not None],
+        marginal.evidence,
+        tolerance,
     )
 
 

@@ -219,15 +219,14 @@ def _sized(chosen: Sequence[Offer], mean: np.ndarray) -> tuple[np.ndarray, float
     """
     scale, total, start = [], 0.0, 0
     for offer in chosen:
+        sizes = list(zip(offer.sizes, offer.chances, strict=True))
         for columns in offer.columns:
             own = mean[start : start + len(columns)]
             start += len(own)
-            tried = [
-                (chance - 0.5 * float(own @ own) / size**2 - len(own) * math.log(size), size, chance)
-                for size, chance in zip(offer.sizes, offer.chances, strict=True)
-            ]
+            square, count = float(own @ own), len(own)
+            tried = [(p - 0.5 * square / s**2 - count * math.log(s), s, p) for s, p in sizes]
             _, size, chance = max(tried)
-            scale += [size] * len(own)
+            scale += [size] * count
             total += chance
     return np.array(scale), total
 
