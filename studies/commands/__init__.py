@@ -13,7 +13,6 @@ STUDIES = (
     Entry("day", "day", "A day of work: wear, warmth, changing payloads."),
     Entry("path", "path", "Planned paths, before and after compensation."),
     Entry("discover", "discover", "Causes in no library: what finds them."),
-    Entry
     Entry("loop", "loop", "Benchmark the diagnosis on simulated arms."),
 )
 """Name, module in this folder, one line of help."""
