@@ -185,6 +185,9 @@ def base(rng: np.random.Generator) -> Diagnosis:
             {"index": 203, "why": "12 mm off, 22 standard deviations", "point": ""},
         ],
         "discovered": [],
+        "none_of_these": 0.59,
+        "written": {"model": "calibrated", "expected_commanded_mm": {"calibrated": 0.71}},
+        "doubtful": [],
         "provenance": {
             "seed": 7,
             "data_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
