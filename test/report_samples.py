@@ -231,6 +231,8 @@ def named(rng: np.random.Generator) -> Diagnosis:
                 "title": "play",
                 "reading": "",
                 "set": ["backlash"],
+                "probability": 0.9999,
+                "set_probability": {"backlash": 0.9999},
                 "unnamed": "",
                 "where": ["joint 2"],
                 "called": {},

@@ -182,15 +182,21 @@ def test_backlash_is_named(data_dir: Path, tmp_path: Path) -> None:
 
 
 def test_the_mixed_twin_is_traced(data_dir: Path, tmp_path: Path) -> None:
-    """25 mm as declared; the eight hidden effects, by the names that this library has for them."""
+    """25 mm as declared, eight effects hidden at three levels a joint: the sets hold most of them.
+
+    At three levels a gear's error stands for steps of the servos, so poses between the levels err
+    by more than the noise, and the verdict says so.
+    """
     found, left = twin(data_dir, "paper_twin_900", tmp_path)
-    named = {f["effect"] for f in found["findings"]}
+    named = {name for f in found["findings"] for name in f["set"]}
     hidden = {
         *("friction_hysteresis", "backlash", "joint_gain", "prismatic_pitch"),
         *("telescope_clearance", "servo_quantisation", "camera_radial", "gear_eccentricity"),
     }
-    assert len(named & hidden) >= 6
-    assert np.linalg.norm(left, axis=1).mean() < 2e-3
+    assert len(named & hidden) >= 7
+    assert found["verdict"] == "partly"
+    assert "held-out poses" in found["structure_left"]["text"]
+    assert np.linalg.norm(left, axis=1).mean() < 5e-3
 
 
 # ------------------------------------------------------------------ real arms, declared rigid
