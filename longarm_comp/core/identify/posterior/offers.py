@@ -16,7 +16,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from longarm_comp.core.identify.aliasing import are_aliases
 from longarm_comp.core.identify.candidates import Candidate, Term
 from longarm_comp.core.identify.discover.inputs import levels_of
 from longarm_comp.core.identify.evidence import FitColumns, shift_of
@@ -36,6 +35,7 @@ from longarm_comp.core.identify.posterior.single_effects import (
     SingleEffect,
 )
 from longarm_comp.core.identify.structure import smooth_in
+from longarm_comp.core.model.encoders import tell_apart
 from longarm_comp.core.model.model import slots_of
 
 TOLERANCES = (0.01, 0.03, 0.1)
@@ -235,13 +235,14 @@ class OfferedEffects:
     def _aliases(self) -> dict[str, set[str]]:
         """Names on offer that are the same physics, as their effects declare it."""
         made: dict[str, set[str]] = {}
+        arm = self.fitted.model.arm
+        read = [arm.commanded[k] for k in self.fitted.session.read_joints]
         for name, number in self._first.items():
             term = self.things[number].terms[0]
-            alike = (n for n in set(term.aliases) & set(self._first) if are_aliases(
-                self.fitted, term, self.things[self._first[n]].terms[0]))  # fmt: skip
-            for other in alike:
-                made.setdefault(name, set()).add(other)
-                made.setdefault(other, set()).add(name)
+            for other in set(term.aliases) & set(self._first):
+                if not tell_apart(arm, read, term, self.things[self._first[other]].terms[0]):
+                    made.setdefault(name, set()).add(other)
+                    made.setdefault(other, set()).add(name)
         return made
 
 
