@@ -189,7 +189,7 @@ def base(rng: np.random.Generator) -> Diagnosis:
             "seed": 7,
             "data_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
             "version": "0.1.0",
-            "holdout_uses": 1,
+            "holdout_uses": ["9f86d081884c7d65"],
         },
     }
     detail = Detail(
@@ -228,7 +228,6 @@ def named(rng: np.random.Generator) -> Diagnosis:
                 "title": "play",
                 "reading": "",
                 "set": ["backlash"],
-                "untold": [],
                 "unnamed": "",
                 "where": ["joint 2"],
                 "called": {},
@@ -256,7 +255,6 @@ def named(rng: np.random.Generator) -> Diagnosis:
                 "tip_mm": {"median": 2.4, "max": 3.9},
                 "seen_mm": [2.41, 0.71],
                 "commanded_mm": [2.41, 0.71],
-                "stable": 1.0,
                 "doubts": [],
                 "action": "Tighten or replace the gear, coupling or clamp of the joint.",
             }

@@ -233,7 +233,12 @@ class OfferedEffects:
 
     @cached_property
     def _aliases(self) -> dict[str, set[str]]:
-        """Names on offer that are the same physics, as their effects declare it."""
+        """Names on offer that are the same physics, as their effects declare it.
+
+        But for those that readings of joints tell apart.
+        """
+        arm, rows = self.fitted.model.arm, self.fitted.session.read_joints
+        read = [arm.commanded[k] for k in rows]
         made: dict[str, set[str]] = {}
         arm = self.fitted.model.arm
         read = [arm.commanded[k] for k in self.fitted.session.read_joints]
