@@ -241,6 +241,8 @@ class OfferedEffects:
         arm, rows = self.fitted.model.arm, self.fitted.session.read_joints
         read = [arm.commanded[k] for k in rows]
         made: dict[str, set[str]] = {}
+        arm = self.fitted.model.arm
+        read = [arm.commanded[k] for k in self.fitted.session.read_joints]
         for name, number in self._first.items():
             term = self.things[number].terms[0]
             for other in set(term.aliases) & set(self._first):

@@ -1,0 +1,54 @@
+"""The evidence of one candidate: against plain integrals, and the loads that its prior rests on."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from demo_rows import session_of
+from discover_rows import DEMO
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.effects.joint_term import reach, typical_loads
+from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.link_stiffness import LinkStiffness
+from longarm_comp.core.identify.candidates import Candidate
+from longarm_comp.core.identify.evidence import FitMarginal, columns_at, score
+from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.model.model import Model
+from studies.real_sessions import declared
+
+
+@pytest.mark.parametrize("scale", [0.2, 1.0, 30.0])
+def test_evidence_counts_the_bounds_of_a_parameter(scale: float) -> None:
+    """Against the integral over the possible values: a beam cannot be ten times stiffer."""
+    truth = dataclasses.replace(Model(DEMO), effects=())
+    fitted = fit(Model(DEMO, (LinkDeflection(),)), session_of(DEMO, 7), sigma=np.full(3, 4e-4))
+    rigid = scale * (truth.tip(fitted.session.q) - fitted.model.tip(fitted.session.q))
+    softer = Candidate("link_stiffness", (LinkStiffness(beam=DEMO.links[-1].name),))
+    columns = columns_at(fitted)
+    marginal = FitMarginal(fitted, data=fitted.data + fitted.whitened(rigid[..., None])[:, 0])
+    white = fitted.whitened(columns.of(softer.terms))[:, 0]
+    u = np.linspace(-0.9 / 0.5, 8.0, 400_001)
+    s, t = white @ marginal.project(white), white @ marginal.py
+    log = u * t - 0.5 * u * u * (1.0 + s)
+    whole = np.trapezoid(np.exp(log - log.max()), u) / np.trapezoid(np.exp(-0.5 * u * u), u)
+    found = score(fitted, marginal, softer, columns)
+    assert found.log_bayes_factor == pytest.approx(np.log(whole) + log.max(), abs=0.02)
+    assert found.mean[0] >= -0.9
+
+
+def test_loads_are_known_where_a_mass_is_where_a_column_says() -> None:
+    """No column is at hand when they are asked for."""
+    plain = DEMO.model_dump(mode="json", exclude_none=True)
+    trolley = {"name": "t", "frame": 2, "mass_kg": 0.7, "position_columns": ["mx", "my", "mz"]}
+    placed = Arm.parse({**plain, "point_masses": [trolley]}, "trolley")
+    assert typical_loads(placed)[1] > 0.0
+
+
+def test_a_mass_at_a_recorded_place_has_a_typical_load() -> None:
+    """Where it sits is known with a row only, so the moment that a bearing carries is not."""
+    arm = declared("justin_right")
+    force, torque = typical_loads(arm)
+    assert torque == pytest.approx(force * reach(arm) / 4)
