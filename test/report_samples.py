@@ -266,6 +266,10 @@ def named(rng: np.random.Generator) -> Diagnosis:
         ],
         "candidates": candidates({("backlash", "joint 2"): 214.6}),
         "held_out": held_out(rows, "calibrated", "with_effects", [1.42, 1.93]),
+        "written": {
+            "model": "with_effects",
+            "expected_commanded_mm": {"calibrated": 2.61, "with_effects": 0.71},
+        },
     }
     report["structure_left"] = report["structure_left"] | {"share_explained": 0.97}
     geometry = tuple(f"dh_error joint {k} {p}" for k in range(1, 8) for p in ("a", "alpha", "d"))
