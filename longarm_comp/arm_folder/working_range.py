@@ -7,8 +7,6 @@ from typing import Any
 
 from longarm_comp.core.errors import InputError
 
-DEFAULT_DEG = 45.0
-
 
 def narrowed(
     data: Mapping[str, Any], range_deg: float, home_deg: Mapping[str, float]

@@ -12,7 +12,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.devices.servo_bus import ServoModel, models
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class ServoSettings(BaseModel):
@@ -41,14 +41,14 @@ class JointConfig(ServoSettings):
     servo_id: int = Field(ge=0, le=252)
     model: str
     type: Literal["revolute", "prismatic"]
-    zero_ticks: Finite
+    zero_ticks: _Finite
     direction: Literal[1, -1] = 1
     gear_ratio: Positive = 1.0
     screw_lead_m: Positive | None = None
     pinion_radius_m: Positive | None = Field(None, validate_default=True)
     multi_turn: bool = False
-    lower: Finite
-    upper: Finite
+    lower: _Finite
+    upper: _Finite
     max_velocity: Positive
     max_temperature_c: float = Field(65.0, ge=30.0, le=100.0)
     max_load: float = Field(0.8, gt=0.0, le=1.0)

@@ -26,7 +26,7 @@ from longarm_comp.core.arm.spatial import IDENTITY, ZERO, Frame, Scalar, Twist, 
 
 Twists = Mapping[int, Twist]
 _Made = TypeVar("_Made")
-LineLoads = dict[int, list[tuple[Scalar, Scalar]]]
+_LineLoads = dict[int, list[tuple[Scalar, Scalar]]]
 BASE, PLACEMENT = 0, 1
 """Stations of the base and, before it in the chain, of where it stands: that twist may be large."""
 _UNIT: tuple[Vec, Vec, Vec] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -123,11 +123,6 @@ class Chain:
                 made = [(row, float(w)) for row, w in enumerate(weights, 1) if w != 0.0]
             self._coupled[joint] = tuple(made)
         return self._coupled[joint]
-
-    @cached_property
-    def row_of_joint(self) -> tuple[int, ...]:
-        """Row id of each commanded joint."""
-        return self.arm.commanded
 
     def place(self, q: Sequence[Scalar], twists: Twists) -> tuple[list[Frame], list[Scalar]]:
         """Every station's frame in the base frame, and every element's length by station.
@@ -236,19 +231,19 @@ class Posture:
         return masses
 
     @cached_property
-    def line_loads(self) -> LineLoads:
+    def line_loads(self) -> _LineLoads:
         """By element station: (mass per length kg/m, loaded length m back from its far end).
 
         A sliding body lies in its own beam and, for the rest of its length, inside the
         beams before it.
         """
-        loads: LineLoads = {}
+        loads: _LineLoads = {}
         for row in self.chain.rows:
             for elements in (row.elements_a, row.elements_d):
                 self._spread(elements, loads)
         return loads
 
-    def _spread(self, elements: tuple[Element, ...], loads: LineLoads) -> None:
+    def _spread(self, elements: tuple[Element, ...], loads: _LineLoads) -> None:
         for k, e in enumerate(elements):
             length = abs_(self.lengths[e.station])
             own = loads.setdefault(e.station, [])

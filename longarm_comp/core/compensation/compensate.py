@@ -48,7 +48,7 @@ from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.outline import reach
 
-ContextAt = Callable[[np.ndarray], Context]
+_ContextAt = Callable[[np.ndarray], Context]
 
 
 def rigid(model: Model) -> Model:
@@ -89,7 +89,7 @@ def compensate(
     locked: Sequence[int | str] = (),
     doubtful: np.ndarray | None = None,
     realisable: bool | Lattice = True,
-    context_at: ContextAt | None = None,
+    context_at: _ContextAt | None = None,
     starts: int = ik.MAX_STARTS,
     **settling: Any,
 ) -> Compensation:
@@ -147,7 +147,7 @@ class _Task:
     settling: Settling
     doubtful: np.ndarray | None = None
     lattice: Lattice | None = None
-    context_at: ContextAt | None = None
+    context_at: _ContextAt | None = None
     starts: int = ik.MAX_STARTS
 
     def run(self, target: np.ndarray, context: Context, seed: np.ndarray) -> Compensation:

@@ -39,7 +39,7 @@ TOLERANCE = 1e-9
 REACHED = 1e-6
 """Tolerance of success, m and rad. On the boundary of the reachable space, the last digits of a
 target decide whether any joints meet it more closely."""
-MAX_ITERATIONS = 60
+_MAX_ITERATIONS = 60
 MAX_STARTS = 16
 _MACHINE = (Engine.AUTO, Engine.COMPILED)
 
@@ -119,7 +119,7 @@ def solve(
     position_only: bool = False,
     locked: Sequence[int | str] = (),
     tol: float = TOLERANCE,
-    max_iterations: int = MAX_ITERATIONS,
+    max_iterations: int = _MAX_ITERATIONS,
     max_starts: int = MAX_STARTS,
     rng: np.random.Generator | None = None,
     engine: Engine = Engine.AUTO,
@@ -164,7 +164,7 @@ def solve_many(
     position_only: bool = False,
     locked: Sequence[int | str] = (),
     tol: float = TOLERANCE,
-    max_iterations: int = MAX_ITERATIONS,
+    max_iterations: int = _MAX_ITERATIONS,
     max_starts: int = MAX_STARTS,
     rng: np.random.Generator | None = None,
     engine: Engine = Engine.AUTO,
@@ -187,7 +187,7 @@ def solve_many(
         threads: number of threads, in machine code only.
     """
     arm = model.arm
-    position, axes = checked_targets(targets, position_only)
+    position, axes = _checked_targets(targets, position_only)
     start = checked_seed(model, seed, len(position))
     if not (np.isfinite(tol) and tol > 0):
         raise InputError("ik.solve_many", "tol", tol, "a number above 0")
@@ -244,7 +244,7 @@ def _axes(T: np.ndarray) -> np.ndarray:
     return T[:, :3, :3].transpose(0, 2, 1).reshape(-1, 9)
 
 
-def checked_targets(
+def _checked_targets(
     targets: np.ndarray, position_only: bool, where: str = "ik.solve_many"
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Checked positions (N, 3) and axes n, o, a (N, 9) or None."""

@@ -64,9 +64,9 @@ class Flock:
     horizon: int  # T, iterations in all
 
 
-Discover = Callable[[np.random.Generator, Array, Array, int, bool], Array]
+_Discover = Callable[[np.random.Generator, Array, Array, int, bool], Array]
 Follow = Callable[[np.random.Generator, Array, Array], Array]
-Starve = Callable[[np.random.Generator, Array, Array, Flock], Array]
+_Starve = Callable[[np.random.Generator, Array, Array, Flock], Array]
 Watch = Callable[[np.random.Generator, Array, Array, Flock], Array]
 
 
@@ -74,9 +74,9 @@ Watch = Callable[[np.random.Generator, Array, Array, Flock], Array]
 class Rules:
     """The four moves of one form of the algorithm; each takes and returns (m, D) positions."""
 
-    discover: Discover  # (rng, position, rank (m,), horizon, alarmed)
+    discover: _Discover  # (rng, position, rank (m,), horizon, alarmed)
     follow: Follow  # (rng, position, leader (D,))
-    starve: Starve  # (rng, position, rank (m,), flock)
+    starve: _Starve  # (rng, position, rank (m,), flock)
     watch: Watch  # (rng, position, fitness (m,), flock)
 
 
