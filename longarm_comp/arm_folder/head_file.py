@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.arm_folder.measured import FILE, note_measured, read_measured
-from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
+from longarm_comp.arm_folder.parameter_file import parameters_of
 from longarm_comp.arm_folder.yaml_edit import edited, ros_path
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.errors import InputError
@@ -23,7 +23,7 @@ _NAMES = ("hand_eye.xyz", "hand_eye.quaternion")
 def head_pose(folder: Path) -> np.ndarray:
     """Left optical frame in the base frame (4, 4), as the folder's stereo_bridge.yaml has it."""
     file = folder / BRIDGE
-    given = own_parameters("stereo_bridge") | read_parameters(file)
+    given = parameters_of("stereo_bridge", file)
     return _pose(file, "hand_eye", [given[name] for name in _NAMES])
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
+from longarm_comp.arm_folder.parameter_file import parameters_of
 from longarm_comp.core.arm import quaternion
 
 if TYPE_CHECKING:
@@ -166,10 +166,7 @@ def view_beside(arm: Path) -> View | None:
     files = [arm.absolute().parent / f"{node}.yaml" for node in nodes]
     if not all(file.is_file() for file in files):
         return None
-    bridge, simulated = (
-        own_parameters(node) | read_parameters(file)
-        for node, file in zip(nodes, files, strict=True)
-    )
+    bridge, simulated = (parameters_of(node, file) for node, file in zip(nodes, files, strict=True))
     if bridge["marker.kind"] != "tags":
         return None
     view, lens = View.of(bridge, simulated), _lens_beside(arm)

@@ -52,9 +52,7 @@ def command(
 
 
 def _marker(folder: Path) -> CharucoTarget | TagBoard:
-    from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
+    from longarm_comp.arm_folder.parameter_file import parameters_of
     from longarm_comp.devices.stereo.marker import marker_of
 
-    return marker_of(
-        own_parameters("stereo_bridge") | read_parameters(folder / "stereo_bridge.yaml")
-    )
+    return marker_of(parameters_of("stereo_bridge", folder / "stereo_bridge.yaml"))

@@ -15,6 +15,10 @@ Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
+Transmission = Annotated[float, Field(ge=1e-6, le=1e6)]
+"""Ratio, or travel per turn in m, of any gear, screw or pinion: beyond it the unit is wrong."""
+
+
 class ServoSettings(BaseModel):
     """Base of the configuration records: frozen. Unknown keys and true for 1 are errors."""
 
@@ -43,9 +47,9 @@ class JointConfig(ServoSettings):
     type: Literal["revolute", "prismatic"]
     zero_ticks: _Finite
     direction: Literal[1, -1] = 1
-    gear_ratio: Positive = 1.0
-    screw_lead_m: Positive | None = None
-    pinion_radius_m: Positive | None = Field(None, validate_default=True)
+    gear_ratio: Transmission = 1.0
+    screw_lead_m: Transmission | None = None
+    pinion_radius_m: Transmission | None = Field(None, validate_default=True)
     multi_turn: bool = False
     lower: _Finite
     upper: _Finite

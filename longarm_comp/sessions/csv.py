@@ -5,7 +5,8 @@ measured: ``x,y,z`` (m), ``qx,qy,qz,qw``, ``distance`` (m, with ``anchor``), ``t
 (names of what the tip touched); blank is not measured (`sessions/csv_readings.py`).  Known besides:
 ``index, t_s, temperature_c, payload_kg, approach, repeat_id, sigma_x..z, cov_xx..zz, role, group,
 marker, incl_<frame>_x/_y`` and ``approach_q1..qn`` (the direction per joint, where one for all
-joints does not do), ``run_up_q1..qn`` (where each joint came from last).
+joints does not do), ``run_up_q1..qn`` (where each joint came from last), ``read_q1..qn`` (where its
+encoder says that it stands).
 
 A further column is kept as context, numbers as numbers and text as labels, unless its name
 comes close to a known one: then it is an error that says which.
@@ -134,7 +135,9 @@ def approach_names(n: int) -> tuple[str, ...]:
 
 
 def _known(n: int) -> tuple[str, ...]:
-    per_joint = [f"{what}_{name}" for what in ("approach", "run_up") for name in joint_names(n)]
+    per_joint = [
+        f"{what}_{name}" for what in ("approach", "run_up", "read") for name in joint_names(n)
+    ]
     return (*XYZ, *READ, *_INDEX, *UNITS, *SIGMA, *_COVARIANCE, *LABELS, *per_joint)
 
 

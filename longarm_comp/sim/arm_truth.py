@@ -62,6 +62,11 @@ class TrueArm:
         """True joint loads, (N, n): N m about a turning axis, N along a sliding one."""
         return self.settled(q, context).torques
 
+    def shafts(self, q: Array, context: TrueContext | None = None) -> Array:
+        """Where the motors' encoders stand, (N, n), rad or m: what acts behind them left out."""
+        state, torques = State.of(self.arm, q, context), self.torques(q, context)
+        return state.q + sum((e.before(torques, state) for e in self.hidden), np.zeros(1))
+
     def settled(
         self, q: Array, context: TrueContext | None = None, *, trace: bool = False
     ) -> Settled:

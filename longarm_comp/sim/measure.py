@@ -95,6 +95,22 @@ class TrueCamera:
 
 
 @dataclass(frozen=True)
+class TrueEncoders:
+    """Encoders of the motors: zero (n,) and scale (n,) off, noise and resolution, rad and m."""
+
+    step: Array | float = 2 * np.pi / 4096 / 20
+    zero: Array | float = 0.0
+    scale: Array | float = 0.0
+    sigma: Array | float = 0.0
+
+    def read(self, shafts: Array, rng: np.random.Generator) -> Array:
+        """(N, n) readings of where the motors stand."""
+        seen = (1.0 + self.scale) * shafts + self.zero
+        seen = seen + self.sigma * rng.standard_normal(shafts.shape)
+        return np.asarray(np.round(seen / self.step) * self.step)
+
+
+@dataclass(frozen=True)
 class SimulatedSession:
     """A measured session and its truth.
 
@@ -122,6 +138,7 @@ def measure_session(
     start_s: float = 0.0,
     warming_k: float = 10.0,
     payload_kg: float | Array | None = None,
+    encoders: TrueEncoders | None = None,
 ) -> SimulatedSession:
     """Drive the true arm through poses and measure its tip.
 
@@ -133,6 +150,7 @@ def measure_session(
         outliers: share of rows with a gross error of 4-15 mm.
         start_s: time of the first row.
         warming_k: rise of the room temperature over hours.
+        encoders: of the motors; none are read by default.
     """
     arm = true_arm.arm
     poses = State.of(arm, poses, None).q
@@ -168,6 +186,9 @@ def measure_session(
     for effect in true_arm.hidden:
         for name, clean in effect.readings(State.of(arm, q, context)).items():
             columns[name] = clean + 5e-5 * rng.standard_normal(rows)
+    if encoders is not None:
+        read = encoders.read(true_arm.shafts(q, context), rng)
+        columns |= {f"read_q{k + 1}": read[:, k] for k in range(arm.n)}
     return SimulatedSession(columns, {"tip": tip, "seen": seen, "side": side, "outlier": gross})
 
 

@@ -29,9 +29,12 @@ from longarm_comp.core.effects.camera_radial import CameraRadial
 from longarm_comp.core.effects.camera_scale import CameraScale
 from longarm_comp.core.effects.column_bending import ColumnBending
 from longarm_comp.core.effects.creep import Creep
+from longarm_comp.core.effects.cylinder_pins import CylinderPins
+from longarm_comp.core.effects.cylinder_play import CylinderPlay
 from longarm_comp.core.effects.dh_error import DhError
 from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
 from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.encoder import Encoder
 from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.gravity_direction import GravityDirection
@@ -69,6 +72,7 @@ GROUP = "longarm_comp.effects"
 _OURS: tuple[Kind, ...] = (
     JointZero,
     DhError,
+    CylinderPins,
     BasePose,
     TipOffset,
     TipOrientation,
@@ -78,6 +82,7 @@ _OURS: tuple[Kind, ...] = (
     TouchBeside,
     PlanePlace,
     CameraPose,
+    Encoder,
     LinkDeflection,
     JointCompliance,
     BearingTilt,
@@ -93,6 +98,7 @@ _OURS: tuple[Kind, ...] = (
     MeasuredTilt,
     GravityDirection,
     Backlash,
+    CylinderPlay,
     FrictionHysteresis,
     GearEccentricity,
     JointGain,

@@ -14,16 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import atomic_path
+from longarm_comp.core.files import atomic_path, check_unpacked
 from longarm_comp.core.learn.inputs import INPUT_KINDS, Encoding, raw_names
 from longarm_comp.core.learn.network import NetworkShape
 from longarm_comp.core.learn.predictor import LearnedGain, Predictor, Provenance
 
 FORMAT = "longarm/predictor"
 VERSION = 1
-
-_MOST_BYTES = 256_000_000
-"""An ensemble of the widest networks is a tenth of this."""
 
 _LARGEST = 1e6
 """Inputs, weights and lengths (m) are far below it: no arm is a thousand kilometres long."""
@@ -152,7 +149,7 @@ def belongs(predictor: Predictor, path: str | os.PathLike[str], model_hash: str,
 def _arrays(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
     try:
         with zipfile.ZipFile(Path(path)) as probe:
-            _check_size(path, probe)
+            check_unpacked(path, probe)
             broken = probe.testzip()
             if broken is not None:
                 raise InputError(path, broken, "checksum does not match", "an undamaged file")
@@ -171,13 +168,6 @@ def _arrays(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
         if not isinstance(arrays.get(name), np.ndarray):
             raise InputError(path, name, "missing", f"the arrays {['header', *_ARRAYS]}")
     return arrays
-
-
-def _check_size(path: str | os.PathLike[str], archive: zipfile.ZipFile) -> None:
-    """Refuse what would unpack to more than a predictor can hold, before it is unpacked."""
-    size = sum(entry.file_size for entry in archive.infolist())
-    if size > _MOST_BYTES:
-        raise InputError(path, "unpacked size", f"{size} bytes", f"at most {_MOST_BYTES} bytes")
 
 
 _HEADER_TYPES: dict[str, type | tuple[type, ...]] = {

@@ -8,12 +8,14 @@ from __future__ import annotations
 import csv
 import io
 import re
+import zipfile
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import check_unpacked
 from longarm_comp.sessions.foreign.units import unit_of
 
 MOST_CELLS = 20_000_000
@@ -170,6 +172,8 @@ def _sheet(path: Path, name: str | None) -> Lines:
     import pandas as pd
 
     try:
+        with zipfile.ZipFile(path) as archive:
+            check_unpacked(path, archive)
         with pd.ExcelFile(path, engine="openpyxl") as book:
             sheets = [str(sheet) for sheet in book.sheet_names]
             if name is None and len(sheets) > 1:

@@ -25,7 +25,7 @@ JOINT = "joint"
 _JOINT = re.compile(r"(?:q|j|joint|axis|a|theta)0*(\d{1,3})")
 _XYZ = re.compile(r"(?:p|pos|position|tip|tcp|meas|measured|measurement|marker)?([xyz])")
 _EXACT = re.compile(
-    r"index|repeat_id|approach(_q\d+)?|run_up_q\d+|sigma_([xyz]|rot)|cov_[xyz]{2}|distance|anchor|touch|plane"
+    r"index|repeat_id|approach(_q\d+)?|(run_up|read)_q\d+|sigma_([xyz]|rot)|cov_[xyz]{2}|distance|anchor|touch|plane"
     r"|ray_[xyz]|sensor|incl_\w+_[xy]|q[xyzw]|t_s|temperature_c|payload_kg|role|group|marker"
 )
 _TURNED = re.compile(
@@ -48,7 +48,7 @@ class Column:
 
 def kind_of(name: str, arm: Arm | None = None) -> str:
     """What the values of a session's column are: a kind of unit, `JOINT`, or nothing."""
-    joint = re.fullmatch(r"(?:run_up_)?q(\d+)", name)
+    joint = re.fullmatch(r"(?:run_up_|read_)?q(\d+)", name)
     if joint:
         number = int(joint.group(1))
         if arm is None or not 1 <= number <= arm.n:

@@ -32,7 +32,9 @@ from longarm_comp.sessions.foreign.units import ANGLE, UNITS, Unit, split_name
 from longarm_comp.sessions.table import write_table
 from longarm_comp.sessions.targets import QUATERNION
 
-_MAY_BE_BLANK = (*XYZ, "distance", "repeat_id", "approach", "ray_x", "ray_y", "ray_z", "sigma_rot")
+_MAY_BE_BLANK = re.compile(
+    r"[xyz]|distance|repeat_id|approach|ray_[xyz]|sigma_rot|q[xyzw]|read_q\d+"
+)
 
 
 @dataclass(frozen=True)
@@ -286,7 +288,7 @@ def _values(cells: Cells, column: Column) -> np.ndarray:
         return clock
     power = 2 if column.name.startswith("cov_") else 1
     unit = column.unit
-    values = _numbers(cells, column.place, column.name in (*_MAY_BE_BLANK, *QUATERNION))
+    values = _numbers(cells, column.place, bool(_MAY_BE_BLANK.fullmatch(column.name)))
     if column.name.startswith(("index", "repeat_id", "approach")) or unit is None:
         return values
     return values * unit.factor**power + unit.offset

@@ -76,6 +76,10 @@ class HiddenEffect(Dosed):
         """Joint offsets (N, n) that depend on the settled torques (N, n), N m or N; see `gated`."""
         return 0.0
 
+    def before(self, torques: Array, state: State) -> Array | float:
+        """Of the joints' displacements (N, n), rad or m, those that a motor's encoder sees."""
+        return 0.0
+
     def rows(self, rows: Array, state: State) -> Array:
         """True geometry (4, R, N): alpha, a, theta offset, d of every row (without q)."""
         return rows

@@ -66,6 +66,9 @@ class ServoQuantisation(HiddenEffect):
         step = np.where(self.step > 0, self.step, 1.0)
         return np.where(self.step > 0, np.round(q / step) * step, q)
 
+    def before(self, torques: Array, state: State) -> Array:
+        return self.joints(state.q, state) - state.q
+
 
 @dataclass(frozen=True)
 class FrictionHysteresis(HiddenEffect):
@@ -136,6 +139,10 @@ class ServoDroop(HiddenEffect):
         loaded = np.abs(torques) > self.friction
         return self.deadband * np.where(loaded, np.sign(torques), -state.approach)
 
+    def before(self, torques: Array, state: State) -> Array:
+        turning = np.array([j.type == "revolute" for j in state.arm.joints if j.commanded])
+        return turning * self.yielding * torques + self.held(torques, state)
+
 
 @dataclass(frozen=True)
 class CoggingBump(HiddenEffect):
@@ -172,3 +179,48 @@ class CableDrag(HiddenEffect):
         q = q.copy()
         q[:, self.joint] += self.pull * place[:, self.wound_by[0]] * place[:, self.wound_by[1]]
         return q
+
+
+@dataclass(frozen=True)
+class CylinderPins(HiddenEffect):
+    """A joint's cylinder has the length that the drawing asks for, between pins elsewhere.
+
+    The triangle is solved exactly for the angle.
+
+    Attributes:
+        joint: index in q.
+        drawn: near, far (m) and angle at q = 0 (rad), as declared; the angle grows with q.
+        true: near, far (m), and what the sensor's zero adds to the length (m).
+    """
+
+    name: ClassVar[str] = "cylinder_pins"
+    joint: int
+    drawn: tuple[float, float, float]
+    true: tuple[float, float, float]
+
+    def joints(self, q: Array, state: State) -> Array:
+        near, far, zero = self.drawn
+        length = np.hypot(near - far * np.cos(zero + q[:, self.joint]),
+                          far * np.sin(zero + q[:, self.joint]))  # fmt: skip
+        a, b, more = self.true
+        turned = q.copy()
+        turned[:, self.joint] = np.arccos((a**2 + b**2 - (length + more) ** 2) / (2 * a * b)) - zero
+        return turned
+
+
+@dataclass(frozen=True)
+class CylinderPlay(CylinderPins):
+    """Worn pins: the cylinder is half the play shorter or longer, as the approach left it."""
+
+    name: ClassVar[str] = "cylinder_play"
+    play: float = 0.0
+
+    def joints(self, q: Array, state: State) -> Array:
+        came = np.broadcast_to(state.approach, q.shape)[:, self.joint]
+        made = q.copy()
+        for side in (-1.0, 1.0):
+            a, b, more = self.true
+            short = CylinderPins(self.joint, self.drawn, (a, b, more - side * self.play / 2))
+            rows = came == side
+            made[rows] = short.joints(q, state)[rows]
+        return made
