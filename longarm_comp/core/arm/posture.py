@@ -26,7 +26,7 @@ from longarm_comp.core.arm.spatial import IDENTITY, ZERO, Frame, Scalar, Twist, 
 
 Twists = Mapping[int, Twist]
 _Made = TypeVar("_Made")
-_LineLoads = dict[int, list[tuple[Scalar, Scalar]]]
+LineLoads = dict[int, list[tuple[Scalar, Scalar]]]
 BASE, PLACEMENT = 0, 1
 """Stations of the base and, before it in the chain, of where it stands: that twist may be large."""
 _UNIT: tuple[Vec, Vec, Vec] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -232,19 +232,19 @@ class Posture:
         return masses
 
     @cached_property
-    def line_loads(self) -> _LineLoads:
+    def line_loads(self) -> LineLoads:
         """By element station: (mass per length kg/m, loaded length m back from its far end).
 
         A sliding body lies in its own beam and, for the rest of its length, inside the
         beams before it.
         """
-        loads: _LineLoads = {}
+        loads: LineLoads = {}
         for row in self.chain.rows:
             for elements in (row.elements_a, row.elements_d):
                 self._spread(elements, loads)
         return loads
 
-    def _spread(self, elements: tuple[Element, ...], loads: _LineLoads) -> None:
+    def _spread(self, elements: tuple[Element, ...], loads: LineLoads) -> None:
         for k, e in enumerate(elements):
             length = abs_(self.lengths[e.station])
             own = loads.setdefault(e.station, [])
