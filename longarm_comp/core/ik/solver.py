@@ -25,7 +25,6 @@ from longarm_comp.core.ik.engines import (
     restart_points,
     run,
     warm_up,
-    with_radii,
 )
 from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.ik.newton import ROTATION_TOLERANCE
@@ -121,7 +120,6 @@ def solve(
     tol: float = TOLERANCE,
     max_iterations: int = _MAX_ITERATIONS,
     max_starts: int = MAX_STARTS,
-    rng: np.random.Generator | None = None,
     engine: Engine = Engine.AUTO,
 ) -> Solution:
     """Joints that bring the tip to one target: see `solve_many`."""
@@ -130,7 +128,7 @@ def solve(
     target = np.asarray(target, dtype=float)
     if target.shape not in ((3,), (4, 4)):
         raise InputError("ik.solve", "target", f"shape {target.shape}", "shape (3,) or (4, 4)")
-    if rng is None and not locked and engine in _MACHINE:
+    if not locked and engine in _MACHINE:
         m = 3 if position_only or target.size == 3 else 6
         found = solve_compiled(model, target, seed, context, (m, tol, max_iterations), engine)
         if found is not None:
@@ -149,7 +147,6 @@ def solve(
         tol=tol,
         max_iterations=max_iterations,
         max_starts=max_starts,
-        rng=rng,
         engine=engine,
     )
     return many[0]
@@ -166,7 +163,6 @@ def solve_many(
     tol: float = TOLERANCE,
     max_iterations: int = _MAX_ITERATIONS,
     max_starts: int = MAX_STARTS,
-    rng: np.random.Generator | None = None,
     engine: Engine = Engine.AUTO,
     threads: int = 1,
 ) -> Solutions:
@@ -182,7 +178,6 @@ def solve_many(
         tol: tolerance of the search on the position (m) and on the angle (rad).
         max_iterations: per start.
         max_starts: number of starts including the seed; 1 never leaves the seed's branch.
-        rng: draws the restarts; by default they are a fixed low-discrepancy sequence.
         engine: how to run the search; see `warm_up` for the compiled one.
         threads: number of threads, in machine code only.
     """
@@ -195,8 +190,7 @@ def solve_many(
     upper = np.repeat(arm.upper[None], len(position), axis=0)
     for k in locked_joints(model, locked):
         lower[:, k] = upper[:, k] = start[:, k]
-    more = max(max_starts - 1, 0)
-    points = restart_points(arm.n, more) if rng is None else with_radii(rng.random((more, arm.n)))
+    points = restart_points(arm.n, max(max_starts - 1, 0))
     targets = np.zeros((len(position), 12))
     targets[:, :3] = position
     if axes is not None:
