@@ -22,13 +22,21 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.errors import LongarmError
+from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.keep_out import keeper
+from longarm_comp.core.vibration.shaper import shaping
 from longarm_comp.devices.servo_arm import Cycle, JointReading, ServoArm
 from longarm_comp.devices.servo_bus import BusUnplugged, IncompleteReply
 from longarm_comp.devices.servo_config import BusConfig, FollowerConfig, ServoConfig
-from longarm_comp.devices.servo_follower import Accepted, Event, EventKind, FollowerState, KeepsOut
+from longarm_comp.devices.servo_follower import (
+    Accepted,
+    Event,
+    EventKind,
+    FollowerState,
+    KeepsOut,
+    Shapes,
+)
 from longarm_comp.devices.servo_joint import JointConfig
 from longarm_comp.nodes import intake
 from longarm_comp.nodes import interfaces as graph
@@ -37,7 +45,8 @@ from longarm_comp.nodes.follow import FollowServer
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
 from longarm_comp.nodes.intake import Intake
 from longarm_comp.nodes.messages import trajectory_of
-from longarm_comp.nodes.params import Param, declare, nested, overrides, redeclare
+from longarm_comp.nodes.model_files import ModelFiles
+from longarm_comp.nodes.params import Param, declare, nested, overrides, redeclare, where
 from longarm_comp.nodes.runner import run
 from longarm_comp.nodes.steady import steady_timer
 from longarm_interfaces.msg import DriverState, Motion
@@ -45,6 +54,8 @@ from longarm_interfaces.msg import DriverState, Motion
 PARAMS = (
     Param("rate_hz", 50.0, "cycles a second: read all servos, command all", 1.0, 500.0),
     Param("arm", "", "arm.yaml whose steps and keep-out boxes hold; empty: not checked"),
+    Param("shaping", False, "moves from rest are sent in parts that cancel the ring of `arm`"),
+    Param("model", "", "model.yaml that says how the arm rings; empty: the arm as declared"),
     Param("autostart", True, "configure and activate by itself, and again after a failure"),
     Param("retry_s", 1.0, "pause between two such attempts", 0.1, 60.0),
     Param("patience_s", 5.0, "no servos at the start are an error only after it", 0.0, 600.0),
@@ -71,8 +82,14 @@ class ServoDriver(LifecycleNode):
         p = declare(self, PARAMS, sections=tuple(SECTIONS))
         self._config = self._servo_config()
         self._keeps_out: KeepsOut | None = None
+        self._shapes: Shapes | None = None
         if p["arm"]:
             self._keeps_out = self._rules_of(Arm.load(p["arm"]), p["arm"])
+        if p["shaping"]:
+            if not p["arm"]:
+                raise InputError(where(self), "shaping", True, "false, or arm: the arm's file")
+            model = ModelFiles(p["arm"], p["model"]).loaded.model
+            self._shapes = shaping(model, list(self._config.joints), p["arm"])
         self._autostart, self._period_s = p["autostart"], 1.0 / p["rate_hz"]
         self._arm: ServoArm | None = None
         self._active = False
@@ -142,7 +159,7 @@ class ServoDriver(LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open the port and find every servo."""
         try:
-            self._arm = ServoArm(self._config, self._keeps_out)
+            self._arm = ServoArm(self._config, self._keeps_out, self._shapes)
         except LongarmError as error:
             return self._failed(error)
         self._fault = ""
