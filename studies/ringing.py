@@ -28,8 +28,8 @@ from studies.path import ELASTIC, StudiedArm
 
 SAG_M = 0.02
 DAMPING = 0.01
-SPEED = 0.5
-"""Mean speed of the tip, m/s."""
+SPEED, RANGE_S = 0.5, 1.5
+"""Mean speed of the tip at most, m/s, and time for a joint's whole range at least, s."""
 CAMERA_HZ, SEEN_S, NOISE_M = 30.0, 4.0, 2e-4
 """Of the one ring that is watched."""
 _STEP_S = 4e-3
@@ -102,7 +102,8 @@ def one_arm(declared: Arm, number: int, seed: int, moves: int) -> list[dict[str,
     for _ in range(moves + 1):
         start, end = random_joints(studied.arm, 2, rng)
         far = np.linalg.norm(np.diff(studied.model.tip(np.stack([start, end])), axis=0))
-        seconds = float(far / SPEED)
+        share = np.abs(end - start) / (studied.arm.upper - studied.arm.lower)
+        seconds = float(max(far / SPEED, RANGE_S * share.max()))
         way = straight(start, end, seconds)
         if heard is None:  # the first move is watched
             times = np.arange(0.0, SEEN_S, 1.0 / CAMERA_HZ)
@@ -113,9 +114,11 @@ def one_arm(declared: Arm, number: int, seed: int, moves: int) -> list[dict[str,
         for shaping in SHAPINGS:
             made, longer = way, 0.0
             if shaping.model:
-                told = modes(known[shaping.model], end)
-                told = corrected(told, *heard) if shaping.seen else told
-                shaper = shaper_of(replace(told, omega=shaping.factor * told.omega), DAMPING)
+                ends = [modes(known[shaping.model], q) for q in (start, end)]
+                if shaping.seen:
+                    ends = [corrected(each, *heard) for each in ends]
+                wrong = [replace(each, omega=shaping.factor * each.omega) for each in ends]
+                shaper = shaper_of(wrong, DAMPING)
                 assert shaper is not None
                 made, longer = shaper.shaped(way), shaper.duration
             lines.append({

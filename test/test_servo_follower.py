@@ -192,7 +192,7 @@ def ring_of(rig: Rig, since: int) -> float:
 
 def test_a_shaped_move_takes_one_period_more_and_leaves_no_ring() -> None:
     left, took = [], []
-    for shapes in (None, lambda end: PARTS):
+    for shapes in (None, lambda start, end: PARTS):
         rig = Rig(shapes=shapes)
         rig.send((0.9, {"turn": 0.6, "slide": 0.05}))
         steps = rig.run(2.5)
@@ -208,7 +208,7 @@ def test_a_shaped_move_takes_one_period_more_and_leaves_no_ring() -> None:
 
 def test_what_replaces_a_running_move_is_not_shaped_and_a_hold_brakes_at_once() -> None:
     told = []
-    for rig in (Rig(), Rig(shapes=lambda end: PARTS)):
+    for rig in (Rig(), Rig(shapes=lambda start, end: PARTS)):
         rig.send((0.9, {"turn": 0.6}))
         rig.run(0.5)
         rig.send((0.5, {"turn": 0.1}))
@@ -230,7 +230,7 @@ def test_parts_of_a_move_are_kept_out_of_boxes_too() -> None:
 
     weights = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
     late = Shaper(weights, np.array([[0.0, 0.0], [0.4, 0.4], [0.4, 0.4]]))
-    rig = Rig(keeps_out=keeps_out, shapes=lambda end: late)
+    rig = Rig(keeps_out=keeps_out, shapes=lambda start, end: late)
     rig.send((0.9, {"turn": 0.6, "slide": 0.05}))
     rig.run(2.0)
     gone = np.stack([rig.column("turn"), rig.column("slide")], axis=1)

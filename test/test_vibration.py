@@ -124,7 +124,7 @@ def test_a_shaper_cancels_its_mode_and_forgives_a_wrong_frequency() -> None:
 def test_a_shaped_move_of_the_arm_leaves_little_and_ends_where_it_was_sent() -> None:
     start, end = ARM.mid + 0.2 * (ARM.upper - ARM.lower), ARM.mid
     found, way = modes(SOFT_ARM, end), straight(start, end, 0.7)
-    shaper = shaper_of(found, 0.01)
+    shaper = shaper_of([found], 0.01)
     assert shaper is not None
     plain = along(found, way, 0.7, 0.01)
     shaped = along(found, way, 0.7, 0.01, shaper)
@@ -151,7 +151,7 @@ def test_the_true_arm_rings_as_the_model_says() -> None:
 
 def test_the_true_arms_wave_goes_on_as_its_modes_change() -> None:
     true = TrueArm(ARM, [loads.JointCompliance(SOFT)])
-    step, ring = 0.048 * (ARM.upper - ARM.lower), Ringing(true, 0.01)
+    step, ring = 0.019 * (ARM.upper - ARM.lower), Ringing(true, 0.01)
     ring.moved(0.0, ARM.mid)
     before = [ring.moved(0.1 + 0.01 * k, ARM.mid + step) for k in range(2)]
     after = ring.moved(0.12, ARM.mid + 1.06 * step)  # beyond what one set of modes serves

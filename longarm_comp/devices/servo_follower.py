@@ -45,8 +45,8 @@ _SETTLED_TICKS_S = 30.0
 
 KeepsOut = Callable[[Array], str]
 """Says why an arm must not go through joints (N, n); empty where it may."""
-Shapes = Callable[[Array], Shaper | None]
-"""How a move from rest to joints (n,) is sent in parts; None: as it is."""
+Shapes = Callable[[Array, Array], Shaper | None]
+"""How a move from rest at joints (n,) to others is sent in parts; None: as it is."""
 
 
 class TrajectoryFollower:
@@ -128,7 +128,7 @@ class TrajectoryFollower:
         taken = self._taken_over(path, start)
         way: TakenOver | InParts = taken
         if wanted is not None and self._shapes is not None and not accepted.replaces:
-            shaper = self._shapes(path.end)
+            shaper = self._shapes(start, path.end)
             way = taken if shaper is None else InParts(taken, shaper)
         if wanted is not None and self._keeps_out is not None:
             entry = self._keeps_out(way.postures())

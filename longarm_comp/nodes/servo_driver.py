@@ -6,7 +6,6 @@ switched off on deactivate, cleanup, shutdown, emergency stop and at the end of 
 
 from __future__ import annotations
 
-import inspect
 import os
 import sys
 import time
@@ -14,14 +13,12 @@ import uuid
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.keep_out import keeper
@@ -46,7 +43,7 @@ from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
 from longarm_comp.nodes.intake import Intake
 from longarm_comp.nodes.messages import trajectory_of
 from longarm_comp.nodes.model_files import ModelFiles
-from longarm_comp.nodes.params import Param, declare, nested, overrides, redeclare, where
+from longarm_comp.nodes.params import Param, declare, declare_sections, where
 from longarm_comp.nodes.runner import run
 from longarm_comp.nodes.steady import steady_timer
 from longarm_interfaces.msg import DriverState, Motion
@@ -81,15 +78,7 @@ class ServoDriver(LifecycleNode):
         super().__init__("servo_driver", automatically_declare_parameters_from_overrides=True)
         p = declare(self, PARAMS, sections=tuple(SECTIONS))
         self._config = self._servo_config()
-        self._keeps_out: KeepsOut | None = None
-        self._shapes: Shapes | None = None
-        if p["arm"]:
-            self._keeps_out = self._rules_of(Arm.load(p["arm"]), p["arm"])
-        if p["shaping"]:
-            if not p["arm"]:
-                raise InputError(where(self), "shaping", True, "false, or arm: the arm's file")
-            model = ModelFiles(p["arm"], p["model"]).loaded.model
-            self._shapes = shaping(model, list(self._config.joints), p["arm"])
+        self._keeps_out, self._shapes = self._rules_of(p)
         self._autostart, self._period_s = p["autostart"], 1.0 / p["rate_hz"]
         self._arm: ServoArm | None = None
         self._active = False
@@ -129,22 +118,25 @@ class ServoDriver(LifecycleNode):
         self._health.fault(error)
 
     def _servo_config(self) -> ServoConfig:
-        given = {k: v for k, v in overrides(self).items() if k.split(".")[0] in SECTIONS}
-        for name in given:
-            text = inspect.getdoc(SECTIONS[name.split(".")[0]]) or ""
-            redeclare(
-                self, name, given[name], ParameterDescriptor(description=text, read_only=True)
-            )
-        return ServoConfig.parse(nested(given), "parameters of servo_driver")
+        return ServoConfig.parse(declare_sections(self, SECTIONS), "parameters of servo_driver")
 
-    def _rules_of(self, arm: Arm, file: str) -> KeepsOut | None:
-        """Check the declared steps; how moves are kept out of the declared boxes, if there are any.
+    def _rules_of(self, p: Mapping[str, Any]) -> tuple[KeepsOut | None, Shapes | None]:
+        """How moves are kept out of the declared boxes and shaped; the declared steps are checked.
 
         Raises:
-            InputError: a step that the servo does not have; boxes, and a joint without a servo.
+            InputError: a step that the servo does not have; a joint without a servo; shaping of
+                no arm.
         """
+        file, names = p["arm"], list(self._config.joints)
+        if not file:
+            if p["shaping"]:
+                raise InputError(where(self), "shaping", True, "false, or arm: the arm's file")
+            return None, None
+        files = ModelFiles(file, p["model"])
+        arm = files.arm
         self._config.check_steps(dict(zip(arm.joint_names, arm.steps.tolist(), strict=True)), file)
-        return keeper(declared_model(arm), list(self._config.joints), file)
+        keeps_out = keeper(declared_model(arm), names, file)
+        return keeps_out, shaping(files.loaded.model, names, file) if p["shaping"] else None
 
     # ------------------------------------------------------------------ lifecycle
 

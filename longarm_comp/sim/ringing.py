@@ -22,7 +22,7 @@ Array = np.ndarray
 PIECES = 6
 """Of each rod."""
 MODES = 8
-_AGAIN = 0.05  # of a joint's range: so far the modes are those of the posture before
+_AGAIN = 0.02  # of a joint's range: so far the modes are those of the posture before
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +31,7 @@ class Vibration:
 
     Attributes:
         omega: (k,) rad/s. shape: (3 P, k) of all masses. mass: (3 P,) kg. tip: (3, k).
+        carried: (3 P, n) motion of all masses by a unit of each joint, the springs held.
         driven: (k, n) by a unit of each joint's acceleration.
     """
 
@@ -38,6 +39,7 @@ class Vibration:
     shape: Array
     mass: Array
     tip: Array
+    carried: Array
     driven: Array
 
 
@@ -87,8 +89,7 @@ class _Build:
                         len(self.springs))  # fmt: skip
 
     def _mass(self, mass: float, at: Array) -> None:
-        if mass > 0.0:
-            self.masses.append((at, mass, len(self.springs)))
+        self.masses.append((at, mass, len(self.springs)))
 
     def _row(self, row: int) -> None:
         joint, rows = self.arm.joints[row - 1], self._walk._rows[:, row - 1, 0]
@@ -171,7 +172,7 @@ def vibration(true: TrueArm, q: Array, context: TrueContext | None = None) -> Vi
     omega = 1.0 / np.sqrt(values[chosen])
     shape = heavy @ axes[:, chosen] * omega
     return Vibration(
-        omega, shape, mass, gives[-3:] @ axes[:, chosen] * omega,
+        omega, shape, mass, gives[-3:] @ axes[:, chosen] * omega, hang,
         -shape.T @ (mass[:, None] * hang),
     )  # fmt: skip
 
@@ -225,13 +226,15 @@ class Ringing:
         if self._about is None:
             self._wave = np.zeros(len(new.omega), complex)
         else:
-            old = self._about[1]
+            old, last = self._about[1], self._last
             damped = [v.omega * np.sqrt(1.0 - self._damping**2) for v in (old, new)]
             decay = [self._damping * v.omega for v in (old, new)]
             place = self._wave.real
             speed = -decay[0] * place - damped[0] * self._wave.imag
-            carry = new.shape.T @ (new.mass[:, None] * old.shape)
-            there, then = carry @ place, carry @ speed
+            pull = new.shape.T * new.mass  # the masses go on where they are and as they move
+            there = pull @ (old.shape @ place)
+            turning = (old.carried - new.carried) @ (np.zeros(len(q)) if last is None else last[2])
+            then = pull @ (old.shape @ speed + turning)
             self._wave = there - 1j * (then + decay[1] * there) / damped[1]
         self._about = np.array(q), new
         return new
