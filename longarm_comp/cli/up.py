@@ -27,6 +27,8 @@ from longarm_comp.cli.output import note
     help="Folder of parameter files NODE.yaml; default: ARM's. The package's own for the rest.",
 )
 @click.option("--composed", is_flag=True, help="kinematics and error_predictor in one process.")
+@click.option("--paths", is_flag=True, help="trajectory_compensator too, for planned paths.")
+@click.option("--shaping", is_flag=True, help="Moves that leave no ring (docs/ringing.md).")
 @click.option("--respawn/--no-respawn", default=True, help="Restart a node that dies.")
 def command(
     arm: Path,
@@ -41,6 +43,8 @@ def command(
     namespace: str,
     config: Path | None,
     composed: bool,
+    paths: bool,
+    shaping: bool,
     respawn: bool,
 ) -> None:
     """Start ARM's nodes as processes, until SIGINT or SIGTERM.
@@ -73,6 +77,8 @@ def command(
         port=port,
         speed=speed,
         composed=composed,
+        paths=paths,
+        shaping=shaping,
         set={"simulated_arm": {"hidden": hidden, "seed": seed}} if sim else {},
     )
     stop = threading.Event()
