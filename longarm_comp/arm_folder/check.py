@@ -27,19 +27,12 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.devices.servo_config import ServoConfig
 
 _REACH_M = (0.05, 20.0)
-_SAG_SHARE = 0.15
-"""A sag above this share of the reach is no arm's, or no longer a small deflection."""
-_TICK = 1.5
 _OFF_MM = 10.0
 _SESSIONS = ("samples.csv", "session", "session_1")
 
 
 def check_folder(folder: Path) -> list[FolderFinding]:
-    """Findings on a folder, what blocks first.
-
-    Raises:
-        InputError: there is no such folder.
-    """
+    """Findings on a folder, what blocks first."""
     if not folder.is_dir():
         raise InputError(folder, "DIR", "missing", "an arm's folder: `longarm init DIR` makes one")
     arm, found = _loaded(folder / ARM, Arm.load)
@@ -91,7 +84,8 @@ def _of_arm(arm: Arm) -> Iterator[FolderFinding]:
         yield unmeasured(f"{ARM}: links", "no beam is declared: the arm is taken as rigid")
     else:
         sag = np.linalg.norm(declared_model(arm).tip(q) - rigid, axis=1)
-        if float(sag.max()) > _SAG_SHARE * reach:
+        # A sag above this share of the reach is no arm's, or no longer a small deflection
+        if float(sag.max()) > 0.15 * reach:
             said = f"the tip sags by up to {1e3 * sag.max():.0f} mm of {1e3 * reach:.0f} mm"
             yield implausible(f"{ARM}: links", f"{said}: check E_pa, sections, masses")
         yield from of_beams(arm, q)
@@ -116,7 +110,8 @@ def _of_servos(folder: Path, arm: Arm) -> list[FolderFinding]:
     for name, lower, upper in zip(arm.joint_names, arm.lower, arm.upper, strict=True):
         joint = servos.joints[name]
         off = max(abs(joint.lower - lower), abs(joint.upper - upper))
-        if off > _TICK * joint.si_per_tick:
+        # a tick of rounding, and half of one
+        if off > 1.5 * joint.si_per_tick:
             said = f"limits {joint.lower:g} to {joint.upper:g} {joint.unit}; "
             said += f"arm.yaml has {lower:g} to {upper:g}"
             found.append(implausible(f"{path.name}: joints.{name}", said))

@@ -26,11 +26,7 @@ def own_text(node: str) -> str:
 
 
 def read_parameters(path: Path) -> dict[str, Any]:
-    """Values by dotted name of a ROS parameter file.
-
-    Raises:
-        InputError: unreadable, or no ROS parameter file.
-    """
+    """Values by dotted name of a ROS parameter file."""
     return _flat(ros_parameters(read_yaml(path), path))
 
 
@@ -73,11 +69,7 @@ def own_parameters(node: str) -> dict[str, Any]:
 
 
 def ros_parameters(data: Any, where: object) -> dict[str, Any]:
-    """The section ``ros__parameters`` of a parsed parameter file.
-
-    Raises:
-        InputError: the file has no such section.
-    """
+    """The section ``ros__parameters`` of a parsed parameter file."""
     for node in data.values() if isinstance(data, dict) else ():
         if isinstance(node, dict) and isinstance(node.get("ros__parameters"), dict):
             return dict(node["ros__parameters"])
@@ -88,7 +80,6 @@ def with_values(node: str, values: Mapping[str, Any], head: str) -> str:
     """The package's own file of a node with other values; comments of parameters are kept.
 
     Args:
-        node: whose file.
         values: by dotted name. A mapping replaces a whole section.
         head: comment on top, instead of the file's own.
     """

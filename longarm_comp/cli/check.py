@@ -8,6 +8,7 @@ import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json
+from longarm_comp.core.errors import JobError
 
 
 @click.command()
@@ -28,7 +29,6 @@ def command(folder: Path, as_json: bool) -> None:
       longarm check my_arm
     """
     from longarm_comp.arm_folder.check import check_folder
-    from longarm_comp.core.errors import JobError
 
     found = check_folder(folder)
     if as_json:

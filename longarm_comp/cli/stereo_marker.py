@@ -9,6 +9,7 @@ import click
 
 from longarm_comp.cli import board_options, options, outputs
 from longarm_comp.cli.output import note
+from longarm_comp.core.errors import InputError
 
 if TYPE_CHECKING:
     from longarm_comp.devices.stereo import CharucoTarget, TagBoard
@@ -37,7 +38,6 @@ def command(
       longarm stereo marker --board 7x5 --square-mm 25 -o board.pdf
     """
     from longarm_comp.arm_folder.marker_sheet import write_sheet
-    from longarm_comp.core.errors import InputError
 
     if (folder is None) == (board is None):
         given = "neither" if folder is None else "both"

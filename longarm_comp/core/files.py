@@ -20,11 +20,7 @@ _STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 def check_regular(path: str | os.PathLike[str]) -> None:
-    """Refuse what is neither a file nor a folder: a pipe or a device has no end to read up to.
-
-    Raises:
-        InputError: it exists and is something else.
-    """
+    """Refuse what is neither a file nor a folder: a pipe or a device has no end to read up to."""
     try:
         mode = os.stat(path).st_mode
     except (OSError, ValueError):  # missing or unreadable: who opens it says so
@@ -51,10 +47,6 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     The temporary file keeps the suffix of ``path``, for writers that go by it, and is synced
     first. When the block raises, ``path`` is left as it was. Missing parent folders are made. What
     a writer of ``path`` left that was killed meanwhile is removed.
-
-    Raises:
-        InputError: the folder cannot be made or written to, or ``path`` is a folder.
-        JobError: the disk is full or fails.
     """
     target = Path(path)
     try:
@@ -79,11 +71,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write ``text`` as UTF-8 to ``path``, whole or not at all.
-
-    Raises:
-        InputError: as ``atomic_path``.
-    """
+    """Write ``text`` as UTF-8 to ``path``, whole or not at all."""
     with atomic_path(path) as partial:
         partial.write_text(text, encoding="utf-8", newline="\n")
 

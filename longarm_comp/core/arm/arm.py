@@ -82,6 +82,10 @@ class Joint(Declared):
     step_m: Positive | None = Field(
         default=None, description="the servo's step, at a prismatic joint; absent: continuous"
     )
+    encoder: Literal["motor", "joint"] = Field(
+        default="motor",
+        description="where a commanded joint is read: a motor's encoder sees neither play nor gear",
+    )
     mimic: Mimic | list[Mimic] | None = Field(
         default=None, description="a passive joint; several terms are summed"
     )

@@ -37,6 +37,7 @@ class JointTerm(Effect):
     """
 
     actions: ClassVar[Mapping[str, str]] = {}
+    acts = "gear"
 
     joint: int = place(moving_joints)
 

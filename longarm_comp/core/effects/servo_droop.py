@@ -27,7 +27,7 @@ from longarm_comp.core.errors import InputError
 class ServoDroop(JointTerm):
     """Proportional sag plus deadband: ``sag * torque + deadband * side``.
 
-    With no deadband it cannot be told from `joint_compliance`: report both.
+    With no deadband only a reading of the joint tells it from `joint_compliance`.
 
     Attributes:
         gate: load under which friction decides the side of the deadband (`JointTerm.side`);
@@ -37,6 +37,7 @@ class ServoDroop(JointTerm):
 
     name: ClassVar[str] = "servo_droop"
     title: ClassVar[str] = "servo that gives way"
+    acts = "servo"
     action: ClassVar[str] = (
         "Raise the gain of the servo or add integral action; otherwise fit a stronger one."
     )

@@ -32,12 +32,7 @@ _ARRAYS = (
 
 
 def save(predictor: Predictor, path: str | os.PathLike[str]) -> None:
-    """Write ``predictor`` to ``path``, whole or not at all.
-
-    Raises
-    ------
-    InputError: the folder cannot be written to.
-    """
+    """Write ``predictor`` to ``path``, whole or not at all."""
     origin, encoding = predictor.provenance, predictor.encoding
     header = {
         "format": FORMAT, "version": VERSION, "arm_hash": origin.arm_hash,
@@ -74,13 +69,7 @@ def load(
     arm_hash: str | None = None,
     joint_names: tuple[str, ...] | None = None,
 ) -> Predictor:
-    """Read a predictor. A given ``arm_hash`` or ``joint_names`` must match the file.
-
-    Raises
-    ------
-    InputError: naming the file and the field: missing, truncated, corrupt, other version, arrays
-        that do not fit each other or are not finite, trained for another arm.
-    """
+    """Read a predictor. A given ``arm_hash`` or ``joint_names`` must match the file."""
     arrays = _arrays(path)
     header = _header(path, arrays)
     joints, context, hidden = header["joints"], tuple(header["context"]), header["hidden"]
@@ -150,10 +139,6 @@ def belongs(predictor: Predictor, path: str | os.PathLike[str], model_hash: str,
         path: file of the predictor, for the error message.
         model_hash: SHA-256 of model.yaml; empty for the declared arm.
         to: the expected model, for the error message.
-
-    Raises
-    ------
-    InputError: it was trained with another model.
     """
     found = predictor.provenance.settings.get("model_hash", model_hash)
     if found != model_hash:

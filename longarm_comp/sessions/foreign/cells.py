@@ -24,7 +24,6 @@ _POINT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _COMMA = re.compile(r"[-+]?(\d+,?\d*|,\d+)([eE][-+]?\d+)?")
 _DATED = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{2,4}|\d:\d\d")
 _NONE = {"", "nan", "n/a", "na", "#n/a", "-", "--", "null", "none"}
-_SAMPLE = 200
 
 
 @dataclass(frozen=True)
@@ -73,12 +72,8 @@ def read_cells(path: Path, sheet: str | None = None, decimal: str | None = None)
     """Read a table.
 
     Args:
-        path: a CSV file with any separator, or an XLSX workbook.
         sheet: name of the sheet; by default the only one.
         decimal: ``.`` or ``,``; by default as the cells show it.
-
-    Raises:
-        InputError: unreadable, no row of numbers, rows of different length, several sheets.
     """
     where, separator = str(path), ""
     if path.suffix.lower() in (".xlsx", ".xlsm"):
@@ -120,7 +115,7 @@ def _text(path: Path) -> str:
 
 def _separated(where: str, text: str) -> tuple[str, Lines]:
     """The separator that makes the most lines of the file's beginning rows of numbers."""
-    sample = "\n".join(text.splitlines()[:_SAMPLE])
+    sample = "\n".join(text.splitlines()[:200])
     scores = {mark: _score(_grid(where, sample, mark)) for mark in _SEPARATORS}
     best = max(scores, key=scores.__getitem__)  # the first of equal ones
     if scores[best] == (0, 0):
