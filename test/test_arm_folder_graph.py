@@ -72,7 +72,7 @@ def test_faults_are_rehearsed_and_a_second_graph_is_refused(
             client.until(lost, 60.0, "the marker is still seen")
             assert shell("sim", "cover", "left", "--back") == 0
             client.until(lambda: not lost(), 60.0, "the marker is not seen again")
-            assert "elbow" in shell.refused("sim", "unplug", "elbow", code=3)
+            assert "swing" in shell.refused("sim", "unplug", "knee", code=3)
             assert shell("sim", "unplug", "swing") == 0
             with pytest.raises(DriverStopped):
                 client.until(lambda: not client.driver_takes(), 60.0, "the driver takes orders")
