@@ -59,6 +59,7 @@ COMMANDS = (
     Entry("servo set-id", "servo_set_id", "Give the one servo that is connected its id."),
     Entry("servo setup", "servo_setup", "Ids, zeros and directions of the servos, by hand."),
     Entry("stereo marker", "stereo_marker", "Marker or calibration board as a page to print."),
+    Entry("stereo webcams", "stereo_webcams", "The webcams, a picture of each, their ROS nodes."),
     Entry("stereo calibrate", "stereo_calibrate", "Calibrate the two cameras from a board."),
     Entry("stereo hand-eye", "stereo_hand_eye", "Find where the two cameras stand."),
     Entry("undo", "undo", "Restore the version of a model.yaml before the last change."),
