@@ -11,7 +11,7 @@ from longarm_comp.devices.servo_bus.exchange import Answers, BusCounters, ask
 from longarm_comp.devices.servo_bus.port import SerialPort
 from longarm_comp.devices.servo_bus.registry import models, protocols
 
-_ALL_IDS = range(253)
+ALL_IDS = range(253)
 _LOOKS, _DAMAGED = 5, 2
 """States read of a servo that answers, and damaged ones among them that are no accident."""
 
@@ -55,7 +55,7 @@ def scan_line(
     port: str,
     protocol: str | None = None,
     baudrate: int | None = None,
-    ids: Iterable[int] = _ALL_IDS,
+    ids: Iterable[int] = ALL_IDS,
     reply_timeout_s: float = 0.02,
     tell: Tell = lambda text, share: None,
 ) -> Scan | None:
