@@ -85,7 +85,7 @@ class SingleEffect:
     @cached_property
     def there(self) -> float:
         """Probability that it is there at all."""
-        return float(self.q.sum())
+        return min(float(self.q.sum()), 1.0)
 
     @cached_property
     def best(self) -> int:
