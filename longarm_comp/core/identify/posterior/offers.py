@@ -259,6 +259,8 @@ def offered(
     functions: Sequence[Proposition],
     found: Sequence[FoundEffect],
     tolerance: float,
+    *,
+    others: bool = True,
 ) -> OfferedEffects:
     """The bank at a fit.
 
@@ -269,6 +271,7 @@ def offered(
         functions: without a name.
         found: what was found so far; it stays on offer in its present form.
         tolerance: share of its own shift by which the form of each of these may err.
+        others: whether more than these is on offer.
     """
     arm = fitted.model.arm
     names = {c.name for c in library}
@@ -290,6 +293,9 @@ def offered(
         prior = share - math.log(forms[f.name]) if f.name in names else math.log(UNNAMED)
         thing = Candidate(f.name, f.terms)
         listed.append((thing, prior, SIZES, CHANCES))
+    if not others:
+        kept = {tuple(t.variant for t in f.terms) for f in found}
+        listed = [entry for entry in listed if tuple(t.variant for t in entry[0].terms) in kept]
     terms = list({t.variant: t for c, _, _, _ in listed for t in c.terms}.values())
     held = {t.key for f in found for t in f.terms}
     beside = tolerances(fitted, columns, found, tolerance)
