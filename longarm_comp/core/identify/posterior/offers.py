@@ -47,6 +47,9 @@ UNNAMED = 0.05
 SIZES = (1.0, 4.0, 16.0)
 """Prior standard deviations of an effect, in its own prior's: few arms are so ill, but some are."""
 CHANCES = tuple(math.log(p) for p in (0.6, 0.3, 0.1))
+LOOKED_AT = 1e-4
+"""Probability from which on another name is fitted in the place of an effect: with one size for all
+of an offer's coefficients it may be as much too low."""
 AMPLITUDES = (3.0, 30.0, 300.0)
 """Of a function without a name: prior standard deviations of its shift, in units of the noise."""
 
@@ -188,7 +191,7 @@ class OfferedEffects:
         own -= offer.log_prior - NONE
         rivals = []
         for name, chance in _falling(shared):
-            if name == terms[0].name or chance < 0.01:
+            if name == terms[0].name or chance < LOOKED_AT:
                 continue
             number = best_of.get(name, self._first[name])
             log_odds = math.log(max(q[number], 1e-300) / max(q[effect.best], 1e-300))
