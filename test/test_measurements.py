@@ -256,7 +256,7 @@ def test_diagnose_names_the_effect_from_poses_and_from_a_mixture(kind: str, tmp_
     assert found.verdict in ("named", "set")
     assert [(f.name, f.where) for f in found.findings] == [("joint_gain", ("joint 2",))]
     assert miss(found.model, GAIN) < GOOD
-    assert found.diagnosis.proof.misfit == pytest.approx(1.0, abs=0.35)
+    assert not found.diagnosis.structure.flag
     found.save(tmp_path / "out")
     checked(found.report())
 

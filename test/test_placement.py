@@ -304,8 +304,6 @@ def test_gates_are_asked(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generat
     monkeypatch.setattr(plausible, "WORSE", 0.0)
     with pytest.raises(JobError, match="worse on unseen rows"):
         la.calibrate(SMALL, session)
-    with pytest.raises(JobError, match="worse on unseen rows"):
-        la.diagnose(SMALL, session, network=False)
 
 
 def test_stages_start_from_a_known_model(rng: np.random.Generator) -> None:

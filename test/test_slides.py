@@ -21,9 +21,6 @@ from longarm_comp.core.effects.slide_play import SlidePlay
 from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.model.model import Model
-from longarm_comp.report.assemble import record_of
-from longarm_comp.report.cards import cards
-from longarm_comp.report.record import checked
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import loads
 
@@ -113,40 +110,24 @@ def test_a_declared_guide_has_its_own_effects(demo_arm_path) -> None:
     assert GuideCurvature.rows(demo) == [3, 7]
 
 
-@pytest.mark.parametrize("in_order", [True, False])
-def test_time_that_runs_with_the_column_makes_a_set_and_is_named(in_order: bool) -> None:
-    """Rows sorted by the column's height: sinking, a camera that drifts and a wrong pitch."""
+def test_sinking_and_a_drift_of_the_camera_are_a_set() -> None:
     rng = np.random.default_rng(4)
     q = poses(160)
-    q = q[np.argsort(q[:, 0])] if in_order else q
     t = np.linspace(0.0, 7200.0, len(q))
     model = Model(arm()).plus(BaseSettling(sink=-3e-3))
     seen = model.measured(q, Context(columns={"t_s": t})) + rng.normal(0.0, 3e-4, (len(q), 3))
     found = diagnose(arm(), Session.record(q, seen, columns={"t_s": t}), seed=1)
     (finding,) = found.findings
     assert {"camera_drift", "base_settling"} <= set(finding.names)
-    together = [note for note in found.confirmed.notes[finding.name] if "run together" in note]
-    assert [note.startswith("q1 and t_s") for note in together] == ([True] if in_order else [])
+    assert found.verdict == "set"
 
 
-@pytest.mark.parametrize("scatter", [0.28, 5.0])
-def test_a_drift_is_not_named_alone_where_time_runs_with_the_column(scatter: float) -> None:
-    """The rows tell a drift in time from one with height, but not from all that height may do."""
+def test_a_drift_is_told_from_a_bent_guide() -> None:
     rng = np.random.default_rng(1)
     q = poses(120)
-    height = (q[:, 0] - q[:, 0].mean()) / q[:, 0].std()
-    q = q[np.argsort(height + scatter * rng.standard_normal(len(q)))]
     t = np.linspace(0.0, 7200.0, len(q))
     drift = np.outer(t / 3600.0, [1.5e-3, -1e-3, 0.0])
     seen = TrueArm(arm()).tip(q) + drift + rng.normal(0.0, 3e-4, (len(q), 3))
     rows = Session.record(q, seen, columns={"t_s": t})
     found = diagnose(arm(), rows, seed=1, kinds=(CameraDrift, GuideCurvature))
-    (finding,) = found.findings
-    assert finding.names == ("camera_drift",)
-    (card,) = cards(checked(record_of(found, (), "0" * 64)))
-    together = bool(np.corrcoef(q[:, 0], t)[0, 1] > 0.95)
-    assert together == (scatter < 1.0)
-    assert found.verdict == ("set" if together else "named")
-    assert finding.untold == (("q1",) if together else ())
-    assert ("q1 ran together with t_s: either may drive it" in found.summary) == together
-    assert ("the name is open" in card.sure) == together
+    assert [f.names for f in found.findings] == [("camera_drift",)]

@@ -145,7 +145,7 @@ def diagnose(
         expected=expected,
         written=written,
         intervals=ends,
-        structure=with_unseen(structure, final, held_out),
+        structure=with_unseen(structure, found.fit, held_out),
         models=models,
         proof=prove(models, None if network is None else (final.model, network), held_out),
         network=network,

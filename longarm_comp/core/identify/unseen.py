@@ -11,7 +11,10 @@ from scipy.stats import binomtest
 from longarm_comp.core.data.measurement import equations, metres, posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.model_fit import ModelFit
-from longarm_comp.core.identify.structure import SIGNIFICANT, WORTH, Structure, smallest
+from longarm_comp.core.identify.structure import SIGNIFICANT, Structure, smallest
+
+OFF = 0.5
+"""Excess over the noise, as a share of it, that counts: the noise itself is known to a tenth."""
 
 
 def with_unseen(structure: Structure, fit: ModelFit, rows: Session) -> Structure:
@@ -37,10 +40,12 @@ def with_unseen(structure: Structure, fit: ModelFit, rows: Session) -> Structure
         return structure
     size = np.linalg.norm(found.residual * held / spread, axis=1)[some]
     ratio = size / np.sqrt(2.0 * gammaincinv(held.sum(axis=1)[some] / 2, 0.5))
-    p = float(binomtest(int((ratio > 1.0).sum()), len(ratio), alternative="greater").pvalue)
+    count = max(round(len(ratio) * (1.0 - fit.rho) / (1.0 + fit.rho)), 1)  # rows that count
+    above = round(float((ratio > 1.0).mean()) * count)
+    p = float(binomtest(above, count, alternative="greater").pvalue)
     expected = np.sqrt(((spread * metres(fit.model, rows)) ** 2 * held).sum(1)[some].mean())
     excess = float(expected * np.sqrt(max(np.median(ratio) ** 2 - 1.0, 0.0)))
-    if p > SIGNIFICANT or excess < max(WORTH * expected, smallest(fit)):
+    if p > SIGNIFICANT or excess < max(OFF * expected, smallest(fit)):
         return structure
     return dataclasses.replace(
         structure,

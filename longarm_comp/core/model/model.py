@@ -378,13 +378,13 @@ class Model:
 
     def _reloaded(self, slot: Slot, step: float, posture: Posture) -> TwistChange:
         """Change of the twists that depend on the loads, with a parameter that changes these."""
-        changed = self._moved(slot, step)
         terms = list(self.terms)
         if slot.term < len(terms) and terms[slot.term] is slot.owner:
-            terms[slot.term] = changed
+            terms[slot.term] = self._moved(slot, step)
             model = self._with_terms(terms)
-        else:
-            model = self.plus(changed)
+        else:  # a load that the model does not hold: from none of it on
+            none = slot.owner.with_values({p.name: 0.0 for p in slot.owner.parameters(self.arm)})
+            model = self.plus(self._moved(dataclasses.replace(slot, owner=none), step))
             model.__dict__["chain"] = self.chain
         raised = model._under_load(model._weighed(posture))
         return TwistChange(raised, self._under_load(posture), 1.0 / step)

@@ -188,7 +188,7 @@ class _Exploration:
             offered(fitted, columns, library, self.propositions, found, t, others=False)
             for t in TOLERANCES
         )
-        return max((bank.standing, bank.tolerance) for bank in every)
+        return max((bank.pruned, bank.tolerance) for bank in every)
 
     def _compare(self, number: int) -> None:
         """Fit what may stand in the place of one effect; its probability is that of the fit."""

@@ -46,7 +46,7 @@ UNNAMED = 0.05
 """Probability, beforehand, of a cause that the library does not hold."""
 SIZES = (1.0, 4.0, 16.0)
 """Prior standard deviations of an effect, in its own prior's: few arms are so ill, but some are."""
-CHANCES = tuple(math.log(p) for p in (0.6, 0.3, 0.1))
+CHANCES = tuple(math.log(p) for p in (0.8, 0.15, 0.05))
 LOOKED_AT = 1e-4
 """Probability from which on another name is fitted in the place of an effect: with one size for all
 of an offer's coefficients it may be as much too low."""
@@ -86,7 +86,7 @@ class OfferedEffects:
     def explained(self) -> Explained:
         """The posterior over the offers."""
         best = explain(self.bank, self.known)
-        offers, effects = self._located(best)
+        offers, effects = self._located(best.chosen), best.effects
         instead = self._instead(best)
         evidence, values = self.bank.joint(offers)
         every = [self._found(e, offers, k, values[k], instead[k]) for k, e in enumerate(effects)]
@@ -97,6 +97,19 @@ class OfferedEffects:
     def standing(self) -> float:
         """Log evidence of what was found before, as it is in the model."""
         return self.base + self.bank.evidence([self.bank.offers[n] for n in self.known])
+
+    @cached_property
+    def pruned(self) -> float:
+        """The same without effects and places that are not worth their price beside the rest."""
+        offers = [self.bank.offers[n] for n in self.known]
+        best = self.bank.evidence(offers)
+        while offers:
+            fewer = [[o for o in offers if o is not gone] for gone in offers]
+            worth = [self.bank.evidence(some) for some in fewer]
+            if max(worth) <= best:
+                break
+            best, offers = max(worth), fewer[int(np.argmax(worth))]
+        return self.base + max(best, self.bank.evidence(self._located(offers)))
 
     def judged(
         self, found: Sequence[FoundEffect]
@@ -136,12 +149,12 @@ class OfferedEffects:
                         effects[n] = effects.get(n, 0.0) + chance / len(new)
         return made
 
-    def _located(self, best: Explanation) -> tuple[list[Offer], tuple[SingleEffect, ...]]:
+    def _located(self, chosen: Sequence[Offer]) -> list[Offer]:
         """The best offers without the places that bring nothing.
 
         One place more costs as much as the choice among as many places.
         """
-        offers = list(best.chosen)
+        offers = list(chosen)
         for k, offer in enumerate(offers):
             price = math.log(max(len(offer.keys), 1))
             while len(offers[k].keys) > 1:
@@ -152,7 +165,7 @@ class OfferedEffects:
                 if here - tried[least] >= price:
                     break
                 offers[k] = fewer[least]
-        return offers, best.effects
+        return offers
 
     def _found(
         self,
