@@ -119,6 +119,7 @@ class _Exploration:
     fit: ModelFit = field(init=False)
     noise: NoiseEstimate = field(init=False)
     columns: FitColumns = field(init=False)
+    _changed: bool = False
 
     def searched(self, say: Callable[[str], None]) -> ExplainedSession:
         say("geometry")
@@ -126,11 +127,10 @@ class _Exploration:
         self._repeat(say, lambda: ())
         if self.functions:
             self._repeat(say, lambda: propositions(self.fit, self.found))
-        self._settle()
-        found, doubtful = max(self._offered(), key=lambda b: b.standing).judged(self.found)
-        self.found = found
-        for k in range(len(found)):
-            self._compare(k)
+        doubtful = self._compared()
+        if self._changed:
+            self._repeat(say, lambda: self.propositions)
+            doubtful = self._compared()
         found, tolerance = self.found, self._standing(self.fit, self.found)[1]
         return ExplainedSession(
             self.fit,
@@ -190,6 +190,19 @@ class _Exploration:
         )
         return max((bank.pruned, bank.tolerance) for bank in every)
 
+    def _compared(self) -> tuple[FoundEffect, ...]:
+        """Take the fit to its end, and compare what may stand in the place of every effect.
+
+        Returns what is doubtful. Where another effect is better, all else is explained anew.
+        """
+        self._changed = False
+        self._settle()
+        self.found, doubtful = max(self._offered(), key=lambda b: b.standing).judged(self.found)
+        for k in range(len(self.found)):
+            if not self._changed:
+                self._compare(k)
+        return doubtful
+
     def _compare(self, number: int) -> None:
         """Fit what may stand in the place of one effect; its probability is that of the fit."""
         mine, here = self.found[number], self._standing(self.fit, self.found)[0]
@@ -216,8 +229,10 @@ class _Exploration:
         ordered = sorted(names.items(), key=lambda c: (c[0] != terms[0].name, -c[1]))
         judged = dataclasses.replace(mine, terms=terms, names=tuple(ordered), rivals=tuple(rivals))
         found = (*self.found[:number], judged, *self.found[number + 1 :])
-        if worth[best] <= 0 or self._take(found):
+        if worth[best] <= 0:
             self.found = found
+        else:
+            self._changed = self._take(found)
 
     def _instead(self, number: int, rival: Candidate) -> float:
         """Log evidence with a rival in the place of one effect, fitted."""
