@@ -235,7 +235,7 @@ def test_a_heavy_base_makes_no_soft_joint_implausible() -> None:
 
 
 @pytest.mark.xfail(
-    reason="ends at 11.6 with a gain of 0.25 beside it, and a noise 25 times too large"
+    reason="ends at 11.6 with a gain of 0.25 beside it, and a noise 25 times too big"
 )
 def test_a_joint_far_softer_than_its_prior_has_its_value() -> None:
     found = soft_joint(20.0)

@@ -81,7 +81,9 @@ class FitColumns(CandidateColumns):
 
     def _together(self, terms: Sequence[Term]) -> Scaled:
         self.prepare(terms)
-        parts = [self._cross[term.variant] for term in terms]
+        design = self._fitted.design
+        none = np.zeros((len(design), 0)), np.zeros((design.shape[1], 0))
+        parts = [none, *(self._cross[term.variant] for term in terms)]
         b = np.concatenate([b.T for b, _ in parts]).T
         slots = slots_of(self.model.arm, terms)
         widths = priors(slots)
