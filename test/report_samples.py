@@ -185,6 +185,9 @@ def base(rng: np.random.Generator) -> Diagnosis:
             {"index": 203, "why": "12 mm off, 22 standard deviations", "point": ""},
         ],
         "discovered": [],
+        "none_of_these": 0.59,
+        "written": {"model": "calibrated", "expected_commanded_mm": {"calibrated": 0.71}},
+        "doubtful": [],
         "provenance": {
             "seed": 7,
             "data_sha256": "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08",
@@ -228,6 +231,8 @@ def named(rng: np.random.Generator) -> Diagnosis:
                 "title": "play",
                 "reading": "",
                 "set": ["backlash"],
+                "probability": 0.9999,
+                "set_probability": {"backlash": 0.9999},
                 "unnamed": "",
                 "where": ["joint 2"],
                 "called": {},
@@ -261,6 +266,10 @@ def named(rng: np.random.Generator) -> Diagnosis:
         ],
         "candidates": candidates({("backlash", "joint 2"): 214.6}),
         "held_out": held_out(rows, "calibrated", "with_effects", [1.42, 1.93]),
+        "written": {
+            "model": "with_effects",
+            "expected_commanded_mm": {"calibrated": 2.61, "with_effects": 0.71},
+        },
     }
     report["structure_left"] = report["structure_left"] | {"share_explained": 0.97}
     geometry = tuple(f"dh_error joint {k} {p}" for k in range(1, 8) for p in ("a", "alpha", "d"))

@@ -330,7 +330,8 @@ def held_out(folder: Path, nominal_mm: float, with_effects_mm: float) -> None:
         )
     ]
     table = report.held_out.model_copy(update={"rows": rows})
-    changed = report.model_copy(update={"held_out": table})
+    written = record.Written(model="with_effects", expected_commanded_mm={})
+    changed = report.model_copy(update={"held_out": table, "written": written})
     (folder / "report.json").write_text(record.text(changed))
 
 
@@ -352,6 +353,7 @@ def test_a_calibration_that_lowers_the_error_is_worth_it(
     diagnosed: Callable[..., Path], tmp_path: Path
 ) -> None:
     folder = diagnosed(verdict="noise")
+    held_out(folder, 1.0, 0.95)
     with pytest.raises(JobError, match="nothing to apply"):
         apply(folder, ARM, at_work(tmp_path), network=False)
     held_out(folder, 1.0, 0.85)

@@ -76,7 +76,7 @@ def test_the_report_names_the_effect_and_every_candidate(work: Path) -> None:
     assert list(states.values()).count("accepted") == 1
     assert "not_testable" in states.values()
     assert all(c["why"] for c in found["candidates"])
-    assert found["provenance"]["holdout_uses"] == 1
+    assert len(found["provenance"]["holdout_uses"]) == 1
     assert found["held_out"]["n"] == 40
     assert (work / "out" / "report.html").stat().st_size > 10_000
 
@@ -182,32 +182,37 @@ def test_backlash_is_named(data_dir: Path, tmp_path: Path) -> None:
 
 
 def test_the_mixed_twin_is_traced(data_dir: Path, tmp_path: Path) -> None:
-    """25 mm as declared; the eight hidden effects, by the names that this library has for them."""
+    """25 mm as declared, eight effects hidden at three levels a joint: the sets hold most of them.
+
+    At three levels a gear's error stands for steps of the servos, so poses between the levels err
+    by more than the noise, and the verdict says so.
+    """
     found, left = twin(data_dir, "paper_twin_900", tmp_path)
-    named = {f["effect"] for f in found["findings"]}
+    named = {name for f in found["findings"] for name in f["set"]}
     hidden = {
         *("friction_hysteresis", "backlash", "joint_gain", "prismatic_pitch"),
         *("telescope_clearance", "servo_quantisation", "camera_radial", "gear_eccentricity"),
     }
-    assert len(named & hidden) >= 6
-    assert np.linalg.norm(left, axis=1).mean() < 2e-3
+    assert len(named & hidden) >= 7
+    assert found["verdict"] == "partly"
+    assert "held-out poses" in found["structure_left"]["text"]
+    assert np.linalg.norm(left, axis=1).mean() < 5e-3
 
 
 # ------------------------------------------------------------------ real arms, declared rigid
 
 
 def test_gravity_compliance_of_a_real_arm(data_dir: Path) -> None:
-    """DLR Justin, right arm: torsion and lateral compliance first, said to overlap."""
+    """DLR Justin, right arm: torsion and lateral compliance, and nothing else."""
     part = justin(data_dir / "real")[0]
     rigid = declared_model(part.arm, deflection=False)
     found = diagnose(part.arm, part.train, test=part.test, model=rigid)
-    first = {s.candidate.name for s in found.search.first[:3]}
-    assert first & {"joint_compliance", "bearing_tilt", "servo_droop"} == first
-    torsion, lateral = found.findings[:2]
-    assert set(torsion.names) == {"joint_compliance", "servo_droop"}  # one sag, two names
-    assert lateral.name == "bearing_tilt"
-    overlaps = [set(o.names) for o in found.confirmed.overlaps]
-    assert any("bearing_tilt" in pair and pair & set(torsion.names) for pair in overlaps)
+    sag = {"joint_compliance", "servo_droop"}  # one sag, two names
+    assert {frozenset(f.names) for f in found.findings} == {
+        frozenset(sag),
+        frozenset({"bearing_tilt"}),
+    }
+    assert not found.causes
     rows = found.proof.rows
     assert rows["calibrated"].mean > 10e-3
     assert rows["with_effects"].mean < 3.5e-3
@@ -220,4 +225,4 @@ def test_a_stiff_real_arm_is_not_said_to_be_understood(data_dir: Path) -> None:
     found = diagnose(part.arm, part.train, test=part.test, model=rigid)
     assert found.verdict not in ("named", "set")
     assert found.proof.rows["with_effects"].mean < 1.1e-4
-    assert not found.findings or found.proof.better
+    assert found.seen_gain.after < found.seen_gain.before

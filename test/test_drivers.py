@@ -89,18 +89,21 @@ def test_the_diagnosis_names_the_driver_and_not_the_noise(rng: np.random.Generat
     xyz = rows.xyz + np.outer(4e-3 * np.sin(6.0 * pump), [1.0, 0.0, 0.0])
     driven = dataclasses.replace(rows, xyz=xyz, columns={**rows.columns, "pump_bar": pump})
     found = diagnose(ARM, driven, kinds=(JointGain,))
-    assert found.verdict == "unknown"
-    assert found.structure.flag
-    assert found.structure.inputs[0] == "pump_bar"
-    assert found.structure.size_m == pytest.approx(4e-3 / np.sqrt(2), rel=0.15)
-    assert "x moves with sin(" in found.summary
-    assert found.search.fit.sigma[0] > 2e-3
+    assert found.verdict == "partly" and not found.findings
+    (cause,) = found.causes
+    assert cause.inputs == ("pump_bar",)
+    assert abs(cause.amounts[0].value) == pytest.approx(4e-3, rel=0.02)
+    assert any("camera" in place for place in cause.where)
+    assert found.written == "with_functions"
     np.testing.assert_allclose(found.search.noise.sigma, HIDDEN_SIGMA, rtol=0.35)
 
 
-def test_noise_that_is_far_larger_on_one_axis_is_doubted(rng: np.random.Generator) -> None:
+def test_noise_that_is_far_larger_on_one_axis_is_noise_of_that_axis(
+    rng: np.random.Generator,
+) -> None:
     rows = session(n=N)
     uneven = dataclasses.replace(rows, xyz=rows.xyz + rng.normal(0.0, [8e-3, 0.0, 0.0], (N, 3)))
     found = diagnose(ARM, uneven, kinds=(JointGain,))
-    assert (found.verdict, found.findings) == ("unknown", ())
-    assert "noise of one axis" in found.summary
+    assert (found.verdict, found.findings) == ("noise", ())
+    assert found.search.noise.sigma[0] == pytest.approx(8e-3, rel=0.2)
+    np.testing.assert_allclose(found.search.noise.sigma[1:], HIDDEN_SIGMA, rtol=0.35)

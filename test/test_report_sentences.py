@@ -19,9 +19,10 @@ from report_pages import Page
 from small_arm import ARM
 
 from longarm_comp.core.data.measurement import errors
+from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.evidence import Score
+from longarm_comp.core.identify.findings import Rival
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.practical import practical
 from longarm_comp.core.identify.structure import SIGNIFICANT
@@ -74,7 +75,7 @@ def drawn(seed: int) -> Diagnosis:
     """Another diagnosis: of the same arm, all that a sentence may speak of drawn anew."""
     rng, base = np.random.default_rng(seed), real()
     found = base.findings[: int(rng.integers(len(base.findings) + 1))]
-    rolled_back = not found and bool(rng.integers(2))
+    written = "calibrated" if not found or rng.random() < 0.1 else "with_effects"
     network = Network() if rng.random() < 0.3 else None
     size = 10 ** rng.uniform(-4, -1.5)
     n = len(base.proof.errors["nominal"])
@@ -111,8 +112,8 @@ def drawn(seed: int) -> Diagnosis:
             commanded=commanded,
             turned=dict.fromkeys(seen, np.zeros((0, 3))),
         ),
-        discovery=None,
-        rolled_back=rolled_back,
+        causes=(),
+        written=written,
         network=network,
         split_by=(),
     )
@@ -120,12 +121,19 @@ def drawn(seed: int) -> Diagnosis:
 
 def varied(finding: Any, rng: np.random.Generator) -> Any:
     """A finding with other odds, and sometimes a name that cannot be told from it."""
-    best: Score | None = finding.runner_up
-    odds = float(rng.uniform(0, 60))
-    if best is not None:
-        best = dataclasses.replace(best, log_bayes_factor=odds - float(rng.uniform(-2, 20)))
-    other = (best,) if best is not None and rng.random() < 0.4 else ()
-    return dataclasses.replace(finding, log_bayes_factor=odds, runner_up=best, alternatives=other)
+    odds, chance = float(rng.uniform(0, 60)), float(rng.uniform(0, 0.5))
+    best = Rival(Candidate("bearing_tilt", finding.terms), odds - float(rng.uniform(0, 20)), chance)
+    other = (best,) if chance > 0.05 else ()
+    chances = ((finding.name, 1 - chance), ("bearing_tilt", chance))
+    sure = float(rng.choice([0.96, 0.9995]))
+    return dataclasses.replace(
+        finding,
+        log_bayes_factor=odds,
+        probability=sure,
+        chances=chances,
+        runner_up=best,
+        alternatives=other,
+    )
 
 
 Told = tuple[record.DiagnosisReport, Page]
@@ -248,7 +256,7 @@ def test_the_sentence_has_the_figures_of_the_table(told: list[Told]) -> None:
 def test_what_is_said_of_the_gain_is_what_its_interval_says(told: list[Told]) -> None:
     for report, page in told:
         held, words = report.held_out, page.words()
-        added = bool(report.findings) or held.after == "with_network"
+        added = held.after in ("with_effects", "with_network")
         assert (held.before_after_ci95_mm is not None) == added
         unproven = added and held.before_after_ci95_mm[0] <= 0  # type: ignore[index]
         assert ("the gain is not proven" in words) == unproven
@@ -275,12 +283,15 @@ def test_no_line_of_the_table_is_below_the_noise(told: list[Told]) -> None:
         )
 
 
-def test_effects_that_were_taken_back_leave_the_calibrated_model(told: list[Told]) -> None:
-    back = [report for report, _ in told if "the model was left as it was" in report.summary]
-    assert len(back) > 5
-    for report in back:
-        rows = {row.model: row.model_copy(update={"model": ""}) for row in report.held_out.rows}
-        assert rows["with_effects"] == rows["calibrated"]
+def test_what_the_written_model_leaves_out_is_not_compensated(told: list[Told]) -> None:
+    left_out = [r for r, _ in told if r.findings and r.written and r.written.model == "calibrated"]
+    assert len(left_out) > 2
+    for report in left_out:
+        assert "with the model calibrated, which was written" in report.summary
+        assert report.held_out.after in ("calibrated", "with_network")
+        for finding, card in zip(report.findings, cards.cards(report), strict=True):
+            assert not finding.compensated and "Commands leave it out" in card.software
+            assert all(p.ci95 is None for p in finding.parameters)
 
 
 def test_structure_that_is_left_is_in_the_excess(told: list[Told]) -> None:
@@ -290,7 +301,8 @@ def test_structure_that_is_left_is_in_the_excess(told: list[Told]) -> None:
         assert ("No structure is left" in words) == (not left.flag and left.p_value >= SIGNIFICANT)  # type: ignore[operator]
         assert ("of the structure that was there" in words) == (left.flag and bool(report.findings))
         if left.flag:
-            used = next(row for row in report.held_out.rows if row.model == "with_effects")
+            assert report.written is not None
+            used = next(row for row in report.held_out.rows if row.model == report.written.model)
             size = left.size_mm or 0.0
             assert used.excess_mm >= min(size, used.rms_mm) - 1e-9
             assert left.text in words and left.text[:4] in report.summary
@@ -307,12 +319,7 @@ def test_cards_say_what_their_numbers_say(told: list[Told]) -> None:
             )
             assert numbers(card.tip)[0] == pytest.approx(finding.tip_mm.median, abs=6e-3)
             assert ("the name is open" in card.sure) == (len(finding.set) > 1)
-            assert card.sure.startswith("certain") == (finding.log_bayes_factor >= np.log(1000))
-            margin = finding.log_bayes_factor
-            if finding.runner_up is not None and len(finding.set) == 1:
-                margin -= finding.runner_up.log_bayes_factor
-            if margin < np.log(20):
-                assert card.sure != "certain"
+            assert card.sure.startswith("certain") == (finding.probability >= 0.999)
             assert ("compensates it" in card.software) == finding.compensated
 
 
@@ -332,7 +339,8 @@ def test_the_floor_leaves_room_for_structure(told: list[Told]) -> None:
     for report, _ in told:
         floor, left = tables.floor_of(report), report.structure_left
         if floor is not None and left.flag:
-            used = next(row for row in report.held_out.rows if row.model == "with_effects")
+            assert report.written is not None
+            used = next(row for row in report.held_out.rows if row.model == report.written.model)
             together = sqrt(floor.figures.rms**2 + (left.size_mm or 0.0) ** 2)
             assert together <= used.rms_mm + 1e-9
             shown += floor.limited

@@ -144,6 +144,7 @@ def _provenance(seed: int, data_sha256: str, uses: tuple[str, ...]) -> dict[str,
 
 def _finding(diagnosis: Diagnosis, found: EffectFinding, real: Practical) -> dict[str, Any]:
     ends, parameters = diagnosis.intervals_of(found), []
+    left_out = _left_out(diagnosis, found)
     for slot in diagnosis.search.fit.slots:
         interval = ends.get((*slot.owner.key, slot.parameter.name))
         if interval is None:
@@ -154,7 +155,7 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding, real: Practical) -> dic
                 "where": slot.owner.where,
                 "value": interval.value,
                 "unit": slot.parameter.unit,
-                "ci95": None if interval.at_bound else [interval.low, interval.high],
+                "ci95": None if interval.at_bound or left_out else [interval.low, interval.high],
                 "prior_scale": slot.parameter.prior,
             }
         )
@@ -176,7 +177,7 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding, real: Practical) -> dic
         "runner_up": None
         if runner is None
         else {"effect": runner.candidate.name, "log_bayes_factor": runner.log_bayes_factor},
-        "compensated": all(commandable(t) for t in found.terms) and not _left_out(diagnosis, found),
+        "compensated": all(commandable(t) for t in found.terms) and not left_out,
         "tip_mm": {"median": float(np.median(tip_mm)), "max": float(tip_mm.max())},
         "seen_mm": _pair_mm(real.seen),
         "commanded_mm": _pair_mm(real.commanded),

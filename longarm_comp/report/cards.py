@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from math import log
 
 from longarm_comp.core.effects.units import for_people
 from longarm_comp.report.record import (
@@ -15,8 +14,8 @@ from longarm_comp.report.record import (
 )
 from longarm_comp.report.words import change, interval, listed, millimetres, number, odds
 
-CERTAIN, LIKELY = log(1000.0), log(20.0)
-"""Log odds from which on something is called certain, and likely."""
+CERTAIN, LIKELY = 0.999, 0.95
+"""Probability from which on something is called certain, and likely."""
 FEW = 0.05
 """Share of a mean error below which a change of it is no improvement worth a word."""
 MOST_SIZES = 8
@@ -165,22 +164,22 @@ def _tip(finding: ReportFinding) -> str:
 
 def _sure(finding: ReportFinding) -> tuple[str, str]:
     """How sure, and the figures behind it."""
-    there = finding.log_bayes_factor
-    said = [f"Odds of {odds(there)} for it against leaving it out"]
+    there = finding.probability
+    said = [f"Odds of {odds(finding.log_bayes_factor)} for it against leaving it out"]
     others = [name for name in finding.set if name != finding.effect]
-    margin = there
     if others:
         said.append(f"These data do not tell it from {listed(others)}")
     elif finding.runner_up is not None:
-        margin = there - finding.runner_up.log_bayes_factor
+        margin = finding.log_bayes_factor - finding.runner_up.log_bayes_factor
         said.append(f"Next best: {finding.runner_up.effect}, odds of {odds(margin)} for the name")
     if finding.unnamed:
         said.append(f"It may be a cause without a name: {finding.unnamed}")
     sure = _word(there)
+    named = _word(there * finding.set_probability.get(finding.effect, 1.0))
     if finding.open:
         sure += "; the name is open"
-    elif _word(margin) != sure:
-        sure += f"; the name is {_word(margin)}"
+    elif named != sure:
+        sure += f"; the name is {named}"
     else:
         sure += _with_doubts(finding.doubts)
     return sure, ". ".join(said) + "."
@@ -192,10 +191,10 @@ def _with_doubts(doubts: list[str]) -> str:
     return ", with a doubt" if len(doubts) == 1 else ", with doubts"
 
 
-def _word(log_odds: float) -> str:
-    if log_odds >= CERTAIN:
+def _word(probability: float) -> str:
+    if probability >= CERTAIN:
         return "certain"
-    return "likely" if log_odds >= LIKELY else "not sure"
+    return "likely" if probability >= LIKELY else "not sure"
 
 
 def _software(finding: ReportFinding, report: DiagnosisReport) -> str:

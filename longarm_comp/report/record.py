@@ -65,8 +65,8 @@ class ReportFinding(_Record):
     title: str = ""
     reading: str = ""
     set: list[str]
-    probability: float | None = Field(default=None, ge=0, le=1)
-    set_probability: dict[str, float] = {}
+    probability: float = Field(ge=0, le=1)
+    set_probability: dict[str, float]
     unnamed: str = ""
     where: list[str]
     called: dict[str, str] = {}

@@ -117,7 +117,8 @@ def floor_of(report: DiagnosisReport) -> NoiseFloor | None:
         ErrorFigures(r.mean_mm, r.rms_mm, r.p95_mm, r.max_mm, r.mean_abs_z_mm, r.variance_mm2)
         for r in held.rows
     ]
-    used = next((r.rms_mm for r in held.rows if r.model == "with_effects"), None)
+    written = "calibrated" if report.written is None else report.written.model
+    used = next((r.rms_mm for r in held.rows if r.model == written), None)
     shown = left.flag and left.size_mm is not None and used is not None
     structure = (used or 0.0, left.size_mm or 0.0) if shown else None
     return noise_floor(report.noise.sigma_mm, held.n, rows, structure)

@@ -150,7 +150,7 @@ def mean_errors(report: DiagnosisReport) -> tuple[Pair | None, Pair | None]:
     """
     rows = {row.model: row for row in report.held_out.rows}
     before = rows.get("nominal")
-    after = rows.get("with_functions") or rows.get("with_effects")
+    after = None if report.written is None else rows.get(report.written.model)
     if before is None or after is None:
         return None, None
     seen = (before.mean_mm, after.mean_mm)

@@ -35,6 +35,7 @@ from longarm_comp.core.identify.posterior.offers import tolerances
 from longarm_comp.core.identify.proof import LearnedCorrection, prove
 from longarm_comp.core.identify.standing import standing
 from longarm_comp.core.identify.structure import examine
+from longarm_comp.core.identify.unseen import with_unseen
 from longarm_comp.core.identify.wind_up import as_fitted, refined, wind_up, with_run_ups
 from longarm_comp.core.identify.written import expected_commanded, least
 from longarm_comp.core.model.model import Model
@@ -144,7 +145,7 @@ def diagnose(
         expected=expected,
         written=written,
         intervals=ends,
-        structure=structure,
+        structure=with_unseen(structure, final, held_out),
         models=models,
         proof=prove(models, None if network is None else (final.model, network), held_out),
         network=network,

@@ -21,6 +21,7 @@ from longarm_comp.core.identify.discover.inputs import levels_of
 from longarm_comp.core.identify.evidence import FitColumns, shift_of
 from longarm_comp.core.identify.linear import Products
 from longarm_comp.core.identify.model_fit import ModelFit
+from longarm_comp.core.identify.plausible import INCREDIBLE
 from longarm_comp.core.identify.posterior.ascent import Explanation, explain
 from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
@@ -355,6 +356,7 @@ def _columns(
     free = [t for t in terms if slots_of(arm, [t])]
     whole = [t for t in terms if not slots_of(arm, [t])]
     scaled = columns.scaled(free)
+    most = np.array([INCREDIBLE if s.owner.searched else np.inf for s in slots_of(arm, free)])
     parts, crosses = [scaled.b], [scaled.cross]
     where: dict[tuple[object, ...], tuple[int, ...]] = {}
     start = 0
@@ -362,7 +364,8 @@ def _columns(
         count = len(slots_of(arm, [term]))
         where[term.variant] = tuple(range(start, start + count))
         start += count
-    lower, upper, widths = [scaled.lower], [scaled.upper], [scaled.widths]
+    lower, upper = [np.maximum(scaled.lower, -most)], [np.minimum(scaled.upper, most)]
+    widths = [scaled.widths]
     for term in whole:
         white = fitted.whitened(columns.shift([term])[..., None])
         parts.append(white)
