@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from longarm_comp.core.effects.catalogue import LIBRARY
+
 PACKAGE = "longarm_comp"
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -202,6 +204,19 @@ def test_core_imports_point_upward() -> None:
     assert {"longarm_comp.core.errors", "longarm_comp.core.files"} <= known()
     faults = order_faults(graph())
     assert not faults, "\n".join(faults)
+
+
+def test_the_diagnosis_names_no_effect() -> None:
+    """An effect of another package is searched for as ours are."""
+    ours = {kind.__module__ for kind in LIBRARY}
+    faults = [
+        f"{module} imports {entry.name}"
+        for module in sources()
+        if module.startswith("longarm_comp.core.identify")
+        for entry in read(module)
+        if entry.name in ours
+    ]
+    assert len(ours) > 20 and faults == []
 
 
 def test_no_module_imports_itself_through_others() -> None:

@@ -20,6 +20,8 @@ from longarm_comp.core.arm.spatial import Scalar
 
 SAME_POSE = 1e-6
 """Commanded joints that differ by less are the same pose (rad, m)."""
+SLIDE = 0.1
+"""Metres of a slide that count as a radian of a turning joint."""
 
 
 def onward(legs: Sequence[float], way: float) -> list[float]:

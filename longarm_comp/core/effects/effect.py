@@ -170,6 +170,9 @@ class _Term:
         displaces_joint: its only parameter displaces one joint. Its column is then the effect of
             any displacement of that joint at the tip, and remaining structure is sought in it.
         stepped: has steps of a size that a scan finds (`of_step`).
+        remembers: how far its joint winds up is part of its form: `near` and `far`, radii of two
+            play operators, and `run_up`, one for the whole session, which are sought in the data.
+            Its first parameter is what the side of arrival alone decides.
         bounded: holds within the data that it was found in only (`Effect.outside`).
         acts: where in the drive of its joint it acts: ``servo``, ``gear`` or ``arm``. An encoder at
             the motor sees what the servo does, one at the joint what the gear does too.
@@ -191,6 +194,7 @@ class _Term:
     displaces_joint: ClassVar[bool] = False
     stepped: ClassVar[bool] = False
     bounded: ClassVar[bool] = False
+    remembers: ClassVar[bool] = False
     acts: ClassVar[Literal["servo", "gear", "arm"]] = "arm"
 
     @classmethod

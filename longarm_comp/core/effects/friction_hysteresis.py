@@ -7,14 +7,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.history import SLIDE
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.effects.effect import Parameter, form, parameter
 from longarm_comp.core.effects.joint_term import JointTerm, with_prior
-
-SLIDE = 0.1
-"""Metres of a slide that count as a radian of a turning joint."""
-
 
 @dataclass(frozen=True)
 class FrictionHysteresis(JointTerm):
@@ -39,6 +36,7 @@ class FrictionHysteresis(JointTerm):
         "cable": "Clean and grease sheaves and conduits; look for cables that rub.",
     }
     needs: ClassVar[tuple[str, ...]] = ("approach",)
+    remembers: ClassVar[bool] = True
 
     near: float = form(0.04)
     far: float = form(0.15)

@@ -17,9 +17,9 @@ from typing import TypeVar
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.history import SLIDE
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Bias, Effect
-from longarm_comp.core.effects.friction_hysteresis import SLIDE, FrictionHysteresis
 from longarm_comp.core.identify.candidates import Candidate, CandidateColumns, distinct
 from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.fit import fit
@@ -42,6 +42,11 @@ FARTHEST = 0.6
 _FINER = (1.25, 1.1, 1.04)
 _WORTH = 0.1
 AnyTerm = TypeVar("AnyTerm", bound=Effect | Bias)
+
+
+def remembers(term: Effect | Bias) -> bool:
+    """Whether an effect is of its joint's history, with radii of memory in its form."""
+    return isinstance(term, Effect) and term.remembers
 
 
 @dataclass(frozen=True)
@@ -67,7 +72,7 @@ class WindUp:
         """Terms with these radii."""
 
         def shaped(term: AnyTerm) -> AnyTerm:
-            if not isinstance(term, FrictionHysteresis):
+            if not remembers(term):
                 return term
             return dataclasses.replace(term, near=self.near, far=self.far, run_up=self.run_up)
 
@@ -82,7 +87,7 @@ def with_run_ups(session: Session, arm: Arm, run_up: float) -> Session:
 
 def as_fitted(session: Session, model: Model) -> Session:
     """The session with unrecorded run-ups taken to be as long as a model was fitted with."""
-    taken = [e.run_up for e in model.effects if isinstance(e, FrictionHysteresis) and e.run_up > 0]
+    taken = [e.run_up for e in model.effects if remembers(e) and e.run_up > 0]
     return with_run_ups(session, model.arm, taken[0]) if taken else session
 
 
@@ -96,7 +101,7 @@ def wind_up(
         rows: the rows to fit, with unrecorded run-ups taken to be so long (rad).
         candidates: the library.
     """
-    families = [tuple(t for t in c.terms if isinstance(t, FrictionHysteresis)) for c in candidates]
+    families = [tuple(t for t in c.terms if remembers(t)) for c in candidates]
     terms = max(families, key=len, default=())
     if not terms:
         return None
@@ -116,7 +121,7 @@ def refined(
         rows: as in `wind_up`.
     """
     was = traced.fit
-    terms = tuple(t for t in was.model.effects if isinstance(t, FrictionHysteresis))
+    terms = tuple(t for t in was.model.effects if remembers(t))
     if not terms:
         return traced, found
     better = _Evidence.of_fit(was, rows, terms).finer(found)
@@ -134,7 +139,7 @@ class _Evidence:
     fitted: ModelFit
     marginal: Marginal
     rows: Callable[[float], Session]
-    terms: tuple[FrictionHysteresis, ...]
+    terms: tuple[Effect, ...]
     side_alone: float = 0.0
     known: dict[float, CandidateColumns] = field(default_factory=dict)
 
@@ -143,10 +148,10 @@ class _Evidence:
         cls,
         fitted: ModelFit,
         rows: Callable[[float], Session],
-        terms: tuple[FrictionHysteresis, ...],
+        terms: tuple[Effect, ...],
     ) -> _Evidence:
         """On top of the rest of a model that holds the terms."""
-        rest = [not isinstance(s.owner, FrictionHysteresis) for s in fitted.slots]
+        rest = [not remembers(s.owner) for s in fitted.slots]
         return cls(fitted, Marginal(fitted.design[:, rest], fitted.data), rows, terms)
 
     @classmethod
@@ -155,7 +160,7 @@ class _Evidence:
         model: Model,
         rows: Callable[[float], Session],
         candidates: Sequence[Candidate],
-        terms: tuple[FrictionHysteresis, ...],
+        terms: tuple[Effect, ...],
     ) -> _Evidence:
         """On top of a model without the terms and of all else that the library holds."""
         fitted = fit(model, rows(_middle(RUN_UPS)))
