@@ -20,7 +20,7 @@ from longarm_comp.core.identify.calibrate import declared_model, geometry
 from longarm_comp.core.identify.candidates import Candidate
 from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.fit import fit
-from longarm_comp.core.identify.intervals import Interval, _slopes, intervals
+from longarm_comp.core.identify.intervals import STEP, Interval, _slopes, intervals
 from longarm_comp.core.identify.model_fit import ModelFit, priors
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives
@@ -90,18 +90,15 @@ def test_a_scale_of_a_form_may_be_half_the_way_to_the_next() -> None:
     base = Model(DEMO, (LinkDeflection(), *geometry(DEMO, data)))
     rows = fit(base.plus(play), data, sigma=np.full(3, 4e-4))
     (term,) = (t for t in rows.model.terms if isinstance(t, Backlash))
-    tried = [Backlash(6, gate=g, blend=b) for g, b in ((0.2, 0.2), (0.6, 0.2), (0.3, 0.5))]
+    tried = [Backlash(6, gate=g, blend=b) for g, b in ((0.1, 0.2), (0.4, 0.2), (0.3, 0.5))]
     forms = [Candidate(play.name, (t,)) for t in tried]
     gate, blend = _slopes(rows, columns_at(rows), [term], forms)
-    for found, field, way in ((gate, "gate", 0.4), (blend, "blend", 0.49)):
+    for found, field, way in ((gate, "gate", -0.3), (blend, "blend", 0.49)):
         here, known = getattr(term, field), rows.session.context()
-        tips = [
-            moved(rows.model, dataclasses.replace(term, **{field: here + h})).tip(data.q, known)
-            for h in (-1e-3, 1e-3)
-        ]
-        expected = (tips[1] - tips[0]) / 2e-3 * 0.5 * way
-        off = np.linalg.norm(found[..., 0] - expected)
-        assert off < 0.15 * np.linalg.norm(expected)
+        other = dataclasses.replace(term, **{field: here + STEP * way})
+        change = moved(rows.model, other).tip(data.q, known) - rows.model.tip(data.q, known)
+        expected = change / STEP * 0.5 * np.sign(way)
+        assert np.linalg.norm(found[..., 0] - expected) < 0.02 * np.linalg.norm(expected)
 
 
 @pytest.mark.parametrize("lasts", [1, 8])
