@@ -63,7 +63,7 @@ def test_what_is_there_is_as_large_as_the_data_say() -> None:
     """A gain of ten times its prior, few rows: its prior would pull the interval off the truth."""
     rows = fitted(gain(0.5, n=14), JointGain(2))
     slot = next(s for s in rows.slots if isinstance(s.owner, JointGain))
-    assert 5 * float(priors([slot])[0]) < 0.5
+    assert 5 * float(priors((slot,))[0]) < 0.5
     free, pulled = of(rows, JointGain), of(rows, JointGain, found=False)
     assert free.low < 0.5 < free.high
     assert free.high > pulled.high

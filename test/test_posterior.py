@@ -45,12 +45,12 @@ def columns() -> np.ndarray:
 
 
 def test_the_evidence_is_that_of_the_integral_over_sizes_and_bounds(columns: np.ndarray) -> None:
-    y = 0.7 * columns[:, 0] + np.random.default_rng(1).standard_normal(80)
+    y = 0.36 * columns[:, 0] + np.random.default_rng(1).standard_normal(80)
     sizes, chances = (1.0, 4.0), (math.log(0.6), math.log(0.4))
-    upper = np.array([0.5, np.inf, np.inf])
+    upper = np.array([0.4, np.inf, np.inf])
     offer = single("a", 0, sizes=sizes, chances=chances)
     found = bank(y, columns, [offer], upper).single(columns.T @ y, frozenset(), frozenset())
-    b = np.linspace(-40.0, 0.5, 400_001)
+    b = np.linspace(-40.0, 0.4, 400_001)
     likelihood = b * (columns[:, 0] @ y) - 0.5 * b * b * (columns[:, 0] @ columns[:, 0])
     odds = 0.0
     for size, chance in zip(sizes, chances, strict=True):
@@ -59,8 +59,9 @@ def test_the_evidence_is_that_of_the_integral_over_sizes_and_bounds(columns: np.
             math.exp(chance) * np.trapezoid(np.exp(likelihood) * prior, b) / np.trapezoid(prior, b)
         )
     odds *= 0.1 * math.exp(-NONE)
-    assert found.there == pytest.approx(odds / (1.0 + odds), rel=0.02)
-    assert found.mean[0] <= 0.5
+    assert 0.1 < odds < 10.0
+    assert found.there / (1.0 - found.there) == pytest.approx(odds, rel=0.02)
+    assert found.mean[0] <= 0.4
 
 
 def integral(rest: np.ndarray, x: np.ndarray, size: float, upper: float = np.inf) -> float:
@@ -76,12 +77,12 @@ def integral(rest: np.ndarray, x: np.ndarray, size: float, upper: float = np.inf
 def across() -> np.ndarray:
     """(80, 4) columns that tell nothing of each other."""
     made = np.linalg.qr(np.random.default_rng(7).standard_normal((80, 4)))[0]
-    return made * [9.0, 6.0, 4.0, 3.0]
+    return made * [9.0, 6.0, 4.0, 0.3]
 
 
 def test_the_joint_evidence_is_that_of_the_integral_with_priors_paid(across: np.ndarray) -> None:
     """One that is whole or not, one within bounds, one that may be large, one that is."""
-    y = across @ [1.0, 0.9, 0.3, 20.0] + np.random.default_rng(8).standard_normal(80)
+    y = across @ [1.0, 0.9, 1.5, 40.0] + np.random.default_rng(8).standard_normal(80)
     upper = np.array([np.inf, 0.8, np.inf, np.inf])
     more = {"sizes": (1.0, 16.0), "chances": (math.log(0.7), math.log(0.3))}
     offers = [
@@ -101,7 +102,7 @@ def test_the_joint_evidence_is_that_of_the_integral_with_priors_paid(across: np.
     assert of.evidence([]) == 0.0
     assert values[0] == [1.0]
     assert values[1][0] <= 0.8
-    assert values[3][0] == pytest.approx(20.0, rel=0.05)
+    assert values[3][0] > 25.0  # one of the size of its prior would be 3
 
 
 def test_what_is_there_whole_is_taken_off_before_the_rest(across: np.ndarray) -> None:
