@@ -13,6 +13,7 @@ from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.effects.effect import Parameter, form, parameter
 from longarm_comp.core.effects.joint_term import JointTerm, with_prior
 
+
 @dataclass(frozen=True)
 class FrictionHysteresis(JointTerm):
     """Lost motion against the way that the joint came: a stack of play operators.

@@ -127,8 +127,11 @@ class _Exploration:
         if self.functions:
             self._repeat(say, lambda: propositions(self.fit, self.found))
         self._settle()
-        bank = max(self._offered(), key=lambda b: b.standing)
-        found, doubtful = bank.judged(self.found)
+        found, doubtful = max(self._offered(), key=lambda b: b.standing).judged(self.found)
+        self.found = found
+        for k in range(len(found)):
+            self._compare(k)
+        found, tolerance = self.found, self._standing(self.fit, self.found)[1]
         return ExplainedSession(
             self.fit,
             found,
@@ -136,7 +139,7 @@ class _Exploration:
             self.noise,
             tuple(self.candidates),
             tuple(self.unknown.values()),
-            bank.tolerance,
+            tolerance,
         )
 
     def _repeat(
@@ -153,11 +156,86 @@ class _Exploration:
                 break
             for f in explained.found:
                 say(Candidate(f.name, f.terms).label)
+            before = self.found, self.fit, self.noise, self.columns
             if not self._take(explained.found):
                 break
             for _ in range(REFORMED):
                 if not self._reform(say):
                     break
+            if not self._rose(before[1], before[0]):
+                self.found, self.fit, self.noise, self.columns = before
+                break
+
+    def _rose(self, fitted: ModelFit, found: tuple[FoundEffect, ...]) -> bool:
+        """Whether the explanation in the model is better, once fitted, than the one before.
+
+        Columns are those of small changes: of two effects that need each other, as a load needs
+        what gives way, one seems to do what only both can.
+        """
+        now = self.fit
+        again = fit(
+            fitted.model, self.session, sigma=now.sigma, rho=now.rho, weights=now.weights,
+            max_iterations=STEPS, close=NEAR, begun=fitted,
+        )  # fmt: skip
+        return self._standing(now, self.found)[0] > self._standing(again, found)[0] + BETTER
+
+    def _standing(self, fitted: ModelFit, found: Sequence[FoundEffect]) -> tuple[float, float]:
+        """Log evidence of an explanation that is fitted, and the tolerance where it is highest."""
+        columns, library = columns_at(fitted), self.candidates
+        if not found:
+            return columns.without(()).evidence, TOLERANCES[0]
+        every = (
+            offered(fitted, columns, library, self.propositions, found, t, others=False)
+            for t in TOLERANCES
+        )
+        return max((bank.standing, bank.tolerance) for bank in every)
+
+    def _compare(self, number: int) -> None:
+        """Fit what may stand in the place of one effect; its probability is that of the fit."""
+        mine, here = self.found[number], self._standing(self.fit, self.found)[0]
+        same = {name for name, p in mine.names if p >= mine.names[0][1] and name != mine.name}
+        worth: dict[str, float] = {}
+        for rival, _ in mine.rivals:
+            if rival.name not in same:
+                worth[rival.name] = self._instead(number, rival) - here
+        if not worth:
+            return
+        share = {n: p for n, p in mine.names if n == mine.name or n in same}
+        total = sum(share.values()) or 1.0
+        odds = {n: math.exp(min(w, 700.0)) for n, w in worth.items()}
+        whole = 1.0 + sum(odds.values())
+        names = {n: p / total / whole for n, p in share.items()}
+        names |= {n: o / whole for n, o in odds.items()}
+        rivals = [(c, mine.log_bayes_factor + worth.get(c.name, 0.0)) for c, _ in mine.rivals]
+        best, terms = max(worth, key=lambda name: worth[name]), mine.terms
+        if worth[best] > 0:
+            first = next(c for c, _ in rivals if c.name == best)
+            rest = [(c, factor) for c, factor in rivals if c.name != best]
+            rivals = [(Candidate(mine.name, mine.terms), mine.log_bayes_factor), *rest]
+            terms = first.terms
+        ordered = sorted(names.items(), key=lambda c: (c[0] != terms[0].name, -c[1]))
+        judged = dataclasses.replace(mine, terms=terms, names=tuple(ordered), rivals=tuple(rivals))
+        found = (*self.found[:number], judged, *self.found[number + 1 :])
+        if worth[best] <= 0 or self._take(found):
+            self.found = found
+
+    def _instead(self, number: int, rival: Candidate) -> float:
+        """Log evidence with a rival in the place of one effect, fitted."""
+        taken = dataclasses.replace(self.found[number], terms=rival.terms)
+        found = (*self.found[:number], taken, *self.found[number + 1 :])
+        known = {t.variant: t for t in self.fit.model.terms}
+        terms = [known.get(t.variant, t) for f in found for t in f.terms]
+        now = self.fit
+        if len({t.key for t in terms}) < len(terms):
+            return -math.inf
+        try:
+            fitted = fit(
+                _with(self.base, now.model, terms), self.session, sigma=now.sigma, rho=now.rho,
+                weights=now.weights, max_iterations=STEPS, close=NEAR, near=now,
+            )  # fmt: skip
+        except JobError:
+            return -math.inf
+        return self._standing(fitted, found)[0]
 
     def _offered(self) -> list[OfferedEffects]:
         """By tolerance of the forms of what is in the model; one where there is nothing."""

@@ -47,6 +47,9 @@ UNNAMED = 0.05
 SIZES = (1.0, 4.0, 16.0)
 """Prior standard deviations of an effect, in its own prior's: few arms are so ill, but some are."""
 CHANCES = tuple(math.log(p) for p in (0.6, 0.3, 0.1))
+LOOKED_AT = 1e-4
+"""Probability from which on another name is fitted in the place of an effect: with one size for all
+of an offer's coefficients it may be as much too low."""
 AMPLITUDES = (3.0, 30.0, 300.0)
 """Of a function without a name: prior standard deviations of its shift, in units of the noise."""
 
@@ -188,7 +191,7 @@ class OfferedEffects:
         own -= offer.log_prior - NONE
         rivals = []
         for name, chance in _falling(shared):
-            if name == terms[0].name or chance < 0.01:
+            if name == terms[0].name or chance < LOOKED_AT:
                 continue
             number = best_of.get(name, self._first[name])
             log_odds = math.log(max(q[number], 1e-300) / max(q[effect.best], 1e-300))
@@ -259,6 +262,8 @@ def offered(
     functions: Sequence[Proposition],
     found: Sequence[FoundEffect],
     tolerance: float,
+    *,
+    others: bool = True,
 ) -> OfferedEffects:
     """The bank at a fit.
 
@@ -269,6 +274,7 @@ def offered(
         functions: without a name.
         found: what was found so far; it stays on offer in its present form.
         tolerance: share of its own shift by which the form of each of these may err.
+        others: whether more than these is on offer.
     """
     arm = fitted.model.arm
     names = {c.name for c in library}
@@ -290,6 +296,9 @@ def offered(
         prior = share - math.log(forms[f.name]) if f.name in names else math.log(UNNAMED)
         thing = Candidate(f.name, f.terms)
         listed.append((thing, prior, SIZES, CHANCES))
+    if not others:
+        kept = {tuple(t.variant for t in f.terms) for f in found}
+        listed = [entry for entry in listed if tuple(t.variant for t in entry[0].terms) in kept]
     terms = list({t.variant: t for c, _, _, _ in listed for t in c.terms}.values())
     held = {t.key for f in found for t in f.terms}
     beside = tolerances(fitted, columns, found, tolerance)

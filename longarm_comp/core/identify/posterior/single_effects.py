@@ -85,7 +85,7 @@ class SingleEffect:
     @cached_property
     def there(self) -> float:
         """Probability that it is there at all."""
-        return float(self.q.sum())
+        return min(float(self.q.sum()), 1.0)
 
     @cached_property
     def best(self) -> int:
@@ -213,22 +213,17 @@ def _solved(
 
 
 def _sized(chosen: Sequence[Offer], mean: np.ndarray) -> tuple[np.ndarray, float]:
-    """(k,) the most probable size of the coefficients at each place, and the log chance of these.
+    """(k,) the most probable size of each coefficient, and the log chance of these.
 
-    One place may be far worse than the next, so each has a size of its own.
+    One place may be far worse than the next, and a base that sinks need not tilt, so each
+    coefficient has a size of its own.
     """
-    scale, total, start = [], 0.0, 0
-    for offer in chosen:
-        sizes = list(zip(offer.sizes, offer.chances, strict=True))
-        for columns in offer.columns:
-            own = mean[start : start + len(columns)]
-            start += len(own)
-            square, count = float(own @ own), len(own)
-            tried = [(p - 0.5 * square / s**2 - count * math.log(s), s, p) for s, p in sizes]
-            _, size, chance = max(tried)
-            scale += [size] * count
-            total += chance
-    return np.array(scale), total
+    sizes = np.array([o.sizes for o in chosen for _ in o.places])
+    chances = np.array([o.chances for o in chosen for _ in o.places])
+    tried = chances - 0.5 * (mean[:, None] / sizes) ** 2 - np.log(sizes)
+    best = tried.argmax(axis=1)
+    each = np.arange(len(mean))
+    return sizes[each, best], float(chances[each, best].sum())
 
 
 class _Stack:
