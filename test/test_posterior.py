@@ -87,14 +87,14 @@ def test_the_joint_evidence_is_that_of_the_integral_with_priors_paid(across: np.
     more = {"sizes": (1.0, 16.0), "chances": (math.log(0.7), math.log(0.3))}
     offers = [
         single("whole", 0, fixed=True),
-        single("bounded", 1),
+        single("bounded", 1, **more),
         single("small", 2, **more),
         single("large", 3, **more),
     ]
     of = bank(y, across, offers, upper)
     evidence, values = of.joint(offers)
     expected = across[:, 0] @ y - 0.5 * across[:, 0] @ across[:, 0]
-    expected += integral(y, across[:, 1], 1.0, 0.8)
+    expected += integral(y, across[:, 1], 1.0, 0.8) + math.log(0.7)
     expected += integral(y, across[:, 2], 1.0) + math.log(0.7)
     expected += integral(y, across[:, 3], 16.0) + math.log(0.3)
     expected += 4 * (math.log(0.1) - NONE)
