@@ -27,7 +27,7 @@ from longarm_comp.core.identify.posterior.explain import ExplainedSession, expla
 from longarm_comp.core.identify.posterior.single_effects import NONE, Offer, OfferBank
 from longarm_comp.core.model.model import Model
 
-UNBOUND = np.full(6, np.inf)
+UNBOUND = np.full(9, np.inf)
 
 
 def bank(y: np.ndarray, x: np.ndarray, offers: list[Offer], upper: np.ndarray) -> OfferBank:
@@ -45,12 +45,12 @@ def columns() -> np.ndarray:
 
 
 def test_the_evidence_is_that_of_the_integral_over_sizes_and_bounds(columns: np.ndarray) -> None:
-    y = 0.7 * columns[:, 0] + np.random.default_rng(1).standard_normal(80)
+    y = 0.36 * columns[:, 0] + np.random.default_rng(1).standard_normal(80)
     sizes, chances = (1.0, 4.0), (math.log(0.6), math.log(0.4))
-    upper = np.array([0.5, np.inf, np.inf])
+    upper = np.array([0.4, np.inf, np.inf])
     offer = single("a", 0, sizes=sizes, chances=chances)
     found = bank(y, columns, [offer], upper).single(columns.T @ y, frozenset(), frozenset())
-    b = np.linspace(-40.0, 0.5, 400_001)
+    b = np.linspace(-40.0, 0.4, 400_001)
     likelihood = b * (columns[:, 0] @ y) - 0.5 * b * b * (columns[:, 0] @ columns[:, 0])
     odds = 0.0
     for size, chance in zip(sizes, chances, strict=True):
@@ -59,8 +59,113 @@ def test_the_evidence_is_that_of_the_integral_over_sizes_and_bounds(columns: np.
             math.exp(chance) * np.trapezoid(np.exp(likelihood) * prior, b) / np.trapezoid(prior, b)
         )
     odds *= 0.1 * math.exp(-NONE)
-    assert found.there == pytest.approx(odds / (1.0 + odds), rel=0.02)
-    assert found.mean[0] <= 0.5
+    assert 0.1 < odds < 10.0
+    assert found.there / (1.0 - found.there) == pytest.approx(odds, rel=0.02)
+    assert found.mean[0] <= 0.4
+
+
+def integral(rest: np.ndarray, x: np.ndarray, size: float, upper: float = np.inf) -> float:
+    """Log evidence of one column with a normal prior up to a bound, by quadrature."""
+    b = np.linspace(-12.0 * size, min(12.0 * size, upper), 200_001)
+    log = b * (x @ rest) - 0.5 * b * b * (x @ x)
+    prior = np.exp(-0.5 * (b / size) ** 2)
+    top = log.max()
+    return float(top + np.log(np.trapezoid(np.exp(log - top) * prior, b) / np.trapezoid(prior, b)))
+
+
+@pytest.fixture
+def across() -> np.ndarray:
+    """(80, 4) columns that tell nothing of each other."""
+    made = np.linalg.qr(np.random.default_rng(7).standard_normal((80, 4)))[0]
+    return made * [9.0, 6.0, 4.0, 0.3]
+
+
+def test_the_joint_evidence_is_that_of_the_integral_with_priors_paid(across: np.ndarray) -> None:
+    """One that is whole or not, one within bounds, one that may be large, one that is."""
+    y = across @ [1.0, 0.9, 1.5, 40.0] + np.random.default_rng(8).standard_normal(80)
+    upper = np.array([np.inf, 0.8, np.inf, np.inf])
+    more = {"sizes": (1.0, 16.0), "chances": (math.log(0.7), math.log(0.3))}
+    offers = [
+        single("whole", 0, fixed=True),
+        single("bounded", 1, **more),
+        single("small", 2, **more),
+        single("large", 3, **more),
+    ]
+    of = bank(y, across, offers, upper)
+    evidence, values = of.joint(offers)
+    expected = across[:, 0] @ y - 0.5 * across[:, 0] @ across[:, 0]
+    expected += integral(y, across[:, 1], 1.0, 0.8) + math.log(0.7)
+    expected += integral(y, across[:, 2], 1.0) + math.log(0.7)
+    expected += integral(y, across[:, 3], 16.0) + math.log(0.3)
+    expected += 4 * (math.log(0.1) - NONE)
+    assert evidence == pytest.approx(expected, abs=0.02)
+    assert of.evidence([]) == 0.0
+    assert values[0] == [1.0]
+    assert values[1][0] <= 0.8
+    assert values[3][0] > 25.0  # one of the size of its prior would be 3
+
+
+def test_what_is_there_whole_is_taken_off_before_the_rest(across: np.ndarray) -> None:
+    """A column that runs with it explains nothing more."""
+    x = np.column_stack([across[:, 0], across[:, 0] + 0.2 * across[:, 1]])
+    y = across[:, 0] + 0.1 * np.random.default_rng(9).standard_normal(80)
+    whole, beside = single("whole", 0, fixed=True), single("beside", 1)
+    of = bank(y, x, [whole, beside], UNBOUND[:2])
+    left = integral(y - x[:, 0], x[:, 1], 1.0)
+    assert of.evidence([whole, beside]) - of.evidence([whole]) == pytest.approx(
+        left + math.log(0.1) - NONE, abs=0.02
+    )
+
+
+def test_a_single_effect_that_is_whole_has_the_odds_of_its_likelihood(across: np.ndarray) -> None:
+    y = 0.55 * across[:, 0] + 0.1 * across[:, 1]
+    whole = single("whole", 0, fixed=True)
+    found = bank(y, across[:, :1], [whole], UNBOUND[:1]).single(
+        across[:, :1].T @ y, frozenset(), frozenset()
+    )
+    log_odds = 0.55 * 81.0 - 0.5 * 81.0 + math.log(0.1) - NONE
+    assert math.log(found.there / (1.0 - found.there)) == pytest.approx(log_odds, abs=1e-6)
+    assert found.mean[0] == pytest.approx(found.there)
+
+
+def test_a_further_place_of_a_name_has_half_of_the_probability(across: np.ndarray) -> None:
+    """Of six names: three times as likely as any single other."""
+    first = single("a", 0)
+    second = dataclasses.replace(single("a", 1), keys=("there",))
+    others = [single(name, 1) for name in "bcdef"]
+    y = across @ [2.0, 1.0, 0.0, 0.0]
+    of = bank(y, across[:, :2], [first, second, *others], UNBOUND[:2])
+    gap = of.evidence([first, second]) - of.evidence([first, others[0]])
+    assert gap == pytest.approx(math.log(3.0))
+    rest = of.along - of.gram @ [2.0, 0.0]
+    beside = of.single(rest, frozenset(), frozenset({"a"}), frozenset({"a"}))
+    assert beside.q[1] == pytest.approx(3.0 * beside.q[2])
+    assert beside.q[0] == 0.0
+    shut = of.single(rest, frozenset({1}), frozenset({"a"}), frozenset({"a"}))
+    assert shut.q[1] == 0.0
+    assert shut.q[2] == pytest.approx(1.0 / 5.0, abs=0.01)
+
+
+def test_a_restart_leaves_a_local_optimum() -> None:
+    """One column imitates the sum of two: uphill it comes first and, alone, it would stay."""
+    rng = np.random.default_rng(5)
+    x = rng.standard_normal((100, 3))
+    x[:, 2] = x[:, 0] + x[:, 1] + 0.3 * rng.standard_normal(100)
+    y = 3.0 * x[:, 0] + 3.0 * x[:, 1] + rng.standard_normal(100)
+    offers = [single(n, k) for k, n in enumerate(("one", "two", "sum"))]
+    found = explain(bank(y, x, offers, UNBOUND[:3]))
+    assert {o.name for o in found.chosen} == {"one", "two"}
+    assert any({o.name for o in e.chosen} & {"sum"} for e in found.others)
+
+
+def test_what_is_known_stays_where_it_is_better() -> None:
+    """Seven effects of which an ascent from nothing finds three at once."""
+    rng = np.random.default_rng(6)
+    x = rng.standard_normal((200, 7))
+    y = x @ np.full(7, 2.0) + rng.standard_normal(200)
+    of = bank(y, x, [single(f"n{k}", k) for k in range(7)], np.full(7, np.inf))
+    assert len(explain(of).effects) == 3
+    assert len(explain(of, known=range(5)).effects) == 7
 
 
 def test_the_best_explanation_is_that_of_all_subsets() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import pytest
 from hidden_arm import SIGMA, at, session, tip
 from small_arm import ARM
 
+from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import searched
 from longarm_comp.core.effects.joint_gain import JointGain
@@ -20,8 +20,7 @@ from longarm_comp.core.identify.candidates import Candidate, library
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.evidence import FitMarginal, columns_at, score
-from longarm_comp.core.identify.search_state import SearchState
-from longarm_comp.core.model.model import Model
+from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
 from longarm_comp.core.model.model_file import load_model, save_model, store
 from longarm_comp.sim.hidden import drives
 from longarm_comp.sim.hidden.base import HiddenEffect
@@ -30,18 +29,17 @@ STEP, SLIDE = math.radians(0.37), 1.3e-3
 STEPS = drives.ServoQuantisation(at(2, STEP) + at(3, SLIDE))
 
 
-def looked(rows: Session) -> SearchState:
-    """The first look at a session, with the declared geometry."""
-    base = declared_model(ARM)
-    tried = library(ARM, rows.context(), (JointGain, ServoQuantisation))
-    state = SearchState(base, rows, tried.testable, None, tried.stepped)
-    state.refit()
-    state.scan_steps()
-    return state
+def looked(rows: Session, arm: Arm = ARM) -> ExplainedSession:
+    """A session explained by gains and steps, with the declared geometry."""
+    base = declared_model(arm)
+    tried = library(arm, rows.context(), (JointGain, ServoQuantisation), base.terms)
+    return explain_session(base, rows, tried.testable, stepped=tried.stepped, functions=False)
 
 
-def scanned(state: SearchState) -> list[Candidate]:
-    return [c for c in state.candidates if c.scanned]
+def steps(state: ExplainedSession) -> list[int]:
+    """Joints whose steps were found, or offered at last."""
+    terms = [*state.chosen, *(c.terms[0] for c in state.candidates if c.scanned)]
+    return [t.joint for t in terms if isinstance(t, ServoQuantisation)]
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +74,7 @@ def test_the_tip_stands_where_the_found_steps_say(found: Diagnosis, tmp_path: Pa
 def test_nothing_hidden_shows_no_step(levels: int) -> None:
     for seed in range(6):
         state = looked(session(n=150, seed=seed, levels=levels))
-        assert not scanned(state)
+        assert steps(state) == []
         assert not state.unknown_steps
 
 
@@ -84,11 +82,12 @@ def test_on_few_levels_a_step_is_unknown_and_never_added() -> None:
     hidden = drives.ServoQuantisation(at(2, math.radians(0.77)))
     rows = session([hidden], n=200, seed=3, levels=5)
     state = looked(rows)
-    assert not scanned(state)
-    assert list(state.unknown_steps) == ["joint 2"]
-    why = state.unknown_steps["joint 2"].why
+    assert not any(c.scanned for c in state.candidates)
+    (step,) = state.unknown_steps
+    assert step.where == "joint 2"
+    why = step.why
     assert why.startswith("step unknown at joint 2, which stood at 5 positions only: ")
-    assert [c.terms[0].joint for c in scanned(looked(session([hidden], n=200, seed=3)))] == [2]
+    assert steps(looked(session([hidden], n=200, seed=3))) == [2]
 
 
 @pytest.mark.parametrize(
@@ -98,7 +97,7 @@ def test_on_few_levels_a_step_is_unknown_and_never_added() -> None:
 )
 def test_what_is_no_step_is_not_taken_for_one(hidden: HiddenEffect) -> None:
     state = looked(session([hidden], n=200, seed=3))
-    assert not scanned(state)
+    assert steps(state) == []
     assert not state.unknown_steps
 
 
@@ -120,13 +119,7 @@ def test_a_joint_that_declares_its_step_is_not_scanned() -> None:
     joints[1] = joints[1].model_copy(update={"step_deg": 0.5})
     arm = ARM.model_copy(update={"joints": tuple(joints)})
     rows = session([STEPS], n=120, seed=3)
-    base = Model(arm, declared_model(arm).effects)
-    tried = library(arm, rows.context(), (ServoQuantisation,), base.terms)
-    state = SearchState(base, rows, tried.testable, None, tried.stepped)
-    state.refit()
-    state.scan_steps()
-    assert all(c.terms[0].joint != 2 for c in scanned(state))
-    assert dataclasses.replace(state.fit).model.effects == base.effects
+    assert 2 not in steps(looked(rows, arm))
 
 
 def test_effects_that_were_not_asked_for_are_not_scanned() -> None:

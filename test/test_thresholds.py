@@ -19,7 +19,7 @@ from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.linear import OUTLIER
 from longarm_comp.core.identify.model_fit import ModelFit
-from longarm_comp.core.identify.search import search
+from longarm_comp.core.identify.posterior.explain import explain_session
 from longarm_comp.core.identify.thresholds import retuned
 from longarm_comp.core.model.model import Model
 
@@ -90,6 +90,8 @@ def test_the_search_ends_at_a_threshold_between_two_that_are_tried(arm: Arm, see
     """By the believed rows alone it ended at 0.75, with six and ten flipped rows set aside."""
     rows = session_of(arm, seed, dataclasses.replace(PLAY, gate=0.2))
     base = Model(arm, (LinkDeflection(), *geometry(arm, rows)))
-    found = search(base, rows, library(arm, rows.context(), (Backlash,), base.terms).testable)
+    found = explain_session(
+        base, rows, library(arm, rows.context(), (Backlash,), base.terms).testable
+    )
     assert play_of(found.fit).gate == pytest.approx(0.2, abs=0.005)
     assert len(found.fit.outliers) <= 1

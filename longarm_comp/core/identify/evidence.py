@@ -81,14 +81,15 @@ class FitColumns(CandidateColumns):
 
     def _together(self, terms: Sequence[Term]) -> Scaled:
         self.prepare(terms)
-        parts = [self._cross[term.variant] for term in terms]
-        b = np.concatenate([np.zeros((0, len(self._fitted.data))), *(b.T for b, _ in parts)]).T
+        design = self._fitted.design
+        none = np.zeros((len(design), 0)), np.zeros((design.shape[1], 0))
+        parts = [none, *(self._cross[term.variant] for term in terms)]
+        b = np.concatenate([b.T for b, _ in parts]).T
         slots = slots_of(self.model.arm, terms)
         widths = priors(slots)
         lower = np.array([s.parameter.lower for s in slots]) / widths
         upper = np.array([s.parameter.upper for s in slots]) / widths
-        none = np.zeros((self._fitted.design.shape[1], 0))
-        cross = np.concatenate([none, *(cross for _, cross in parts)], axis=1)
+        cross = np.concatenate([cross for _, cross in parts], axis=1)
         return Scaled(b, b.T @ b, cross, lower, upper, widths)
 
 

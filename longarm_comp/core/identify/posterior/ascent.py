@@ -120,7 +120,7 @@ def _ascended(
                 if n != k and e.there > THERE
             )
             now = bank.single(bank.along - bank.gram @ rest, closed, held, names)
-            moved = max(moved, float(np.abs(now.q - was.q).max()))
+            moved = max(moved, float(np.abs(now.q - was.q).max(initial=0.0)))
             effects[k], taken = now, rest + now.mean
         if moved < STILL:
             break

@@ -22,7 +22,7 @@ from longarm_comp.core.identify.evidence import FitColumns, columns_at, refined
 from longarm_comp.core.identify.fit import fit, unfitted
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
-from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition
+from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect, Proposition
 from longarm_comp.core.identify.posterior.offers import TOLERANCES, OfferedEffects, offered
 from longarm_comp.core.identify.posterior.propositions import propositions
 from longarm_comp.core.identify.posterior.single_effects import NONE
@@ -197,7 +197,12 @@ class _Exploration:
         """
         self._changed = False
         self._settle()
-        self.found, doubtful = max(self._offered(), key=lambda b: b.standing).judged(self.found)
+        found, doubtful = max(self._offered(), key=lambda b: b.standing).judged(self.found)
+        sure = tuple(f for f in found if f.there >= CREDIBLE)
+        if len(sure) < len(found) and self._take(sure):
+            self._settle()
+            doubtful = (*doubtful, *(f for f in found if f.there < CREDIBLE))
+        self.found = sure
         for k in range(len(self.found)):
             if not self._changed:
                 self._compare(k)

@@ -15,6 +15,7 @@ from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
+from scipy.special import expit
 
 from longarm_comp.core.identify.candidates import Candidate, Term
 from longarm_comp.core.identify.discover.inputs import levels_of
@@ -119,8 +120,13 @@ class OfferedEffects:
         again = {frozenset(t.key for t in f.terms): f for f in explained.found}
         fitted = {t.key: t for t in self.fitted.model.terms}
         made = []
+        offers = [self.bank.offers[n] for n in self.known]
         for f in found:
             now = again.get(frozenset(t.key for t in f.terms), f)
+            if now is f:  # not found again: by what it is worth beside the others
+                rest = [o for o in offers if set(o.keys).isdisjoint(t.key for t in f.terms)]
+                worth = self.bank.evidence(offers) - self.bank.evidence(rest)
+                now = dataclasses.replace(f, there=float(expit(worth)), log_bayes_factor=worth)
             made.append(dataclasses.replace(now, terms=tuple(fitted[t.key] for t in f.terms)))
         held = {t.key for f in found for t in f.terms}
         doubtful = (*explained.doubtful, *(f for f in explained.found if f.name not in

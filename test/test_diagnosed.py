@@ -1,0 +1,153 @@
+"""What a diagnosis names, and what it does not: sizes, bounds, few positions, thresholds."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from discover_rows import DEMO
+from hidden_arm import SIGMA, at, session
+from small_arm import ARM
+from test_thresholds import session_of
+
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.backlash import Backlash
+from longarm_comp.core.effects.bearing_tilt import BearingTilt
+from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
+from longarm_comp.core.effects.gravity_direction import GravityDirection
+from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.link_stiffness import LinkStiffness
+from longarm_comp.core.effects.measured_tilt import MeasuredTilt
+from longarm_comp.core.effects.servo_quantisation import ServoQuantisation
+from longarm_comp.core.effects.thermal_growth import ThermalGrowth
+from longarm_comp.core.identify.candidates import library
+from longarm_comp.core.identify.diagnose import diagnose
+from longarm_comp.core.model.model import Model
+from longarm_comp.report.assemble import assemble
+from longarm_comp.sim.hidden import drives
+
+
+def of_truth(
+    truth: Model, n: int, columns: dict[str, np.ndarray] | None = None, seed: int = 5
+) -> Session:
+    """Rows of a model, with the usual noise."""
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(truth.arm.lower, truth.arm.upper, (n, truth.arm.n))
+    rows = Session.record(q, np.zeros((n, 3)), columns=columns or {})
+    return dataclasses.replace(
+        rows, xyz=truth.tip(q, rows.context()) + SIGMA * rng.standard_normal((n, 3))
+    )
+
+
+@pytest.mark.parametrize(("gain", "named"), [(1.6e-3, True), (2e-4, False)])
+def test_a_tiny_effect_is_named_where_its_rows_tell_it(gain: float, named: bool) -> None:
+    """0.03 mm in 2000 rows of 0.35 mm of noise is four times the noise of their mean."""
+    found = diagnose(ARM, session([drives.JointGain(at(2, gain))], n=2000), kinds=(JointGain,))
+    assert [f.name for f in found.findings] == (["joint_gain"] if named else [])
+    assert found.verdict == ("named" if named else "noise")
+    if named:
+        low, high = next((i.low, i.high) for i in found.intervals_of(found.findings[0]).values())
+        assert low < gain < high
+
+
+def test_a_place_that_the_rows_tell_stays_beside_a_far_larger_one() -> None:
+    gains = drives.JointGain(at(2, 0.02) + at(1, 7e-4))
+    (found,) = diagnose(ARM, session([gains], n=2000), kinds=(JointGain,)).findings
+    assert found.where == ("joint 1", "joint 2")
+
+
+@pytest.mark.parametrize(
+    ("levels", "names"),
+    [(3, {"gear_eccentricity", "servo_quantisation"}), (0, {"gear_eccentricity"})],
+)
+def test_few_positions_leave_a_function_of_the_joint_open(levels: int, names: set[str]) -> None:
+    """Any two numbers through three positions: steps of some size and an eccentric gear alike."""
+    turning = np.array([0.0, 1.0, 0.0, 0.0])
+    wave = drives.GearEccentricity(np.stack([8e-3 * turning] * 2), np.full((2, 4), 0.7))
+    kinds = (GearEccentricity, ServoQuantisation)
+    (found,) = diagnose(ARM, session([wave], levels=levels), kinds=kinds).findings
+    assert (set(found.names), found.where) == (names, ("joint 2",))
+
+
+@pytest.mark.xfail(raises=AssertionError, reason="named, four beams at the bound of -0.9 (852)")
+def test_an_impossible_size_is_no_finding() -> None:
+    """A beam cannot be stiffer than ten times; one that does not bend at all is something else."""
+    found = diagnose(DEMO, of_truth(Model(DEMO), 200), kinds=(LinkStiffness,))
+    assert not any(t.softness == -0.9 for t in found.model.effects if isinstance(t, LinkStiffness))
+    assert found.verdict != "named"
+
+
+@pytest.mark.xfail(raises=AssertionError, reason="the verdict is noise; no sign but 10 of 120 rows")
+def test_rows_left_out_that_share_a_displacement_are_no_noise() -> None:
+    """Nothing tells them from the others."""
+    rows = session()
+    group = np.arange(120) % 12 == 7
+    shifted = dataclasses.replace(rows, xyz=rows.xyz + np.outer(group, [1e-3, -2e-3, 2e-3]))
+    assert diagnose(ARM, shifted, test=session(n=40, seed=9), kinds=()).verdict == "unknown"
+
+
+def test_outliers_of_the_hold_out_withdraw_no_true_effect() -> None:
+    gain = (drives.JointGain(at(2, 0.02)),)
+    held = session(gain, n=60, seed=9)
+    xyz = held.xyz.copy()
+    xyz[[3, 17]] += 0.02
+    found = diagnose(
+        ARM, session(gain), test=dataclasses.replace(held, xyz=xyz), kinds=(JointGain,)
+    )
+    assert [f.name for f in found.findings] == ["joint_gain"]
+    assert found.written == "with_effects"
+
+
+def test_what_never_changed_is_not_testable() -> None:
+    rows = of_truth(Model(ARM), 40, {"temperature_c": np.full(40, 27.5)})
+    tried = library(ARM, rows.context(), (ThermalGrowth, JointGain))
+    assert {c.name for c in tried.testable} == {"joint_gain"}
+    assert [name for name, _ in tried.not_testable] == ["thermal_growth"]
+    assert "27.5 in all rows" in tried.not_testable[0][1]
+
+
+def test_a_tilt_sensor_on_solid_ground_is_left_out() -> None:
+    rng = np.random.default_rng(8)
+    solid = dict(zip(("incl_0_x", "incl_0_y"), 2e-5 * rng.standard_normal((2, 150)), strict=True))
+    shaky = dict(zip(("incl_3_x", "incl_3_y"), 5e-3 * rng.standard_normal((2, 150)), strict=True))
+    rows = of_truth(Model(ARM, (MeasuredTilt(frame=3),)), 150, solid | shaky)
+    found = diagnose(ARM, rows, kinds=(MeasuredTilt,))
+    assert [(f.name, f.where) for f in found.findings] == [("measured_tilt", ("frame 3",))]
+
+
+def test_a_value_at_its_bound_is_not_shown_as_an_interval() -> None:
+    """The bearing gives about one axis only: the other parameter is 0 or hardly more."""
+    truth = Model(DEMO, (LinkDeflection(), BearingTilt(4, about_y=0.01)))
+    found = diagnose(DEMO, of_truth(truth, 200, seed=6), kinds=(BearingTilt, GearEccentricity))
+    (finding,) = found.findings
+    assert finding.name == "bearing_tilt"
+    by_name = {p: i for (_, _, p), i in found.intervals_of(finding).items()}
+    assert by_name["about_x"].at_bound
+    assert not by_name["about_y"].at_bound
+    assert by_name["about_y"].low < 0.01 < by_name["about_y"].high
+    assert "about_x" not in found.summary
+    shown = {p["name"]: p["ci95"] for p in assemble(found, "")[0]["findings"][0]["parameters"]}
+    assert shown["about_x"] is None
+    assert shown["about_y"] is not None
+
+
+def test_steps_are_found_where_the_poses_stand_between_two() -> None:
+    """All servos step by 2 deg; at these levels only joint 4 ever stands between two steps."""
+    rng = np.random.default_rng(3)
+    q = ARM.lower + rng.integers(3, size=(150, ARM.n)) / 2 * (ARM.upper - ARM.lower)
+    servos = tuple(ServoQuantisation(joint=j, steps_per_turn=180) for j in (1, 2, 4))
+    xyz = Model(ARM, servos).tip(q) + SIGMA * rng.standard_normal((150, 3))
+    found = diagnose(ARM, Session.record(q, xyz), kinds=(ServoQuantisation,))
+    assert [t.where for t in found.search.chosen] == ["joint 4"]
+    assert found.search.chosen[0].steps_per_turn == 180  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("seed", [2, 10])
+def test_rows_in_which_a_switch_is_undecided_get_no_name(seed: int) -> None:
+    """Play whose threshold is a little off left rows that turned gravity would put right."""
+    rows = session_of(DEMO, seed, Backlash(6, gate=0.1, blend=0.05, width=0.03))
+    (found,) = diagnose(DEMO, rows, kinds=(Backlash, GravityDirection)).findings
+    assert found.names == ("backlash",)
+    assert found.where == ("joint 6",)

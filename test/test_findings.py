@@ -1,0 +1,106 @@
+"""Findings of single effects: one a name, with the set of what the data cannot tell from it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from longarm_comp.core.effects.bearing_tilt import BearingTilt
+from longarm_comp.core.effects.discovered import Discovered
+from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
+from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.identify.candidates import Candidate
+from longarm_comp.core.identify.findings import findings
+from longarm_comp.core.identify.posterior.found import FoundEffect
+
+GEAR = Candidate("gear_eccentricity", (GearEccentricity(5),))
+TILT = Candidate("bearing_tilt", (BearingTilt(5),))
+WAVE = Candidate("discovered", (Discovered("joint 5", "turn z", "linear(q5)", "q5 0..1"),))
+
+
+def gain(joint: int, *names: tuple[str, float], factor: float = 40.0) -> FoundEffect:
+    """A gain, or what else it may be; a rival's evidence is less by 2 for each in the row."""
+    rivals = [(c, factor - 2.0 * k) for k, c in enumerate((GEAR, TILT, WAVE), 1)]
+    shown = tuple((c, f) for c, f in rivals if c.name in dict(names))
+    every = (("joint_gain", 1.0 - sum(p for _, p in names)), *names)
+    return FoundEffect(
+        (JointGain(joint, gain=0.01),), 0.9, every, (((f"joint {joint}",), 1.0),), factor, shown
+    )
+
+
+def test_a_credible_set_is_the_smallest_with_95_percent() -> None:
+    part = gain(5, ("gear_eccentricity", 0.3), ("bearing_tilt", 0.08), ("x", 0.04))
+    assert part.credible == ("joint_gain", "gear_eccentricity", "bearing_tilt")
+    assert gain(5, ("gear_eccentricity", 0.04)).credible == ("joint_gain",)
+    exact = dataclasses.replace(part, names=(("a", 0.95), ("b", 0.05)))
+    assert exact.credible == ("a",)
+
+
+def test_single_effects_of_one_name_are_one_finding_and_the_strongest_is_first() -> None:
+    soft = FoundEffect(
+        (JointCompliance(3),), 0.99, (("joint_compliance", 1.0),), ((("joint 3",), 1.0),), 50.0
+    )
+    first, second = findings([gain(2, factor=30.0), soft, gain(5, factor=40.0)])
+    assert (first.name, first.where) == ("joint_gain", ("joint 2", "joint 5"))
+    assert first.log_bayes_factor == 70.0
+    assert first.probability == pytest.approx(1.0 - 0.1 * 0.1)
+    assert (second.name, second.names, second.open) == (
+        "joint_compliance",
+        ("joint_compliance",),
+        False,
+    )
+    assert second.runner_up is None
+
+
+def test_a_name_that_may_stand_for_all_parts_is_an_alternative() -> None:
+    (found,) = findings([gain(2, ("gear_eccentricity", 0.5)), gain(5, ("gear_eccentricity", 0.1))])
+    assert found.names == ("joint_gain", "gear_eccentricity")
+    assert found.open
+    assert dict(found.chances)["gear_eccentricity"] == pytest.approx(0.3)
+    assert found.chances[0][0] == "joint_gain"
+    (rival,) = found.alternatives
+    assert rival.probability == pytest.approx(0.3)
+    assert rival.log_bayes_factor == pytest.approx(80.0 - 2.0)
+    assert found.partial_aliases == ()
+
+
+def test_a_name_that_may_stand_for_one_part_only_is_a_partial_alias() -> None:
+    parts = [gain(2, factor=10.0), gain(5, ("gear_eccentricity", 0.3), factor=30.0)]
+    (found,) = findings(parts)
+    assert found.names == ("joint_gain",)
+    assert not found.open
+    assert [(p.part, p.name) for p in found.partial_aliases] == [
+        ("part at joint 5", "gear_eccentricity")
+    ]
+    assert found.runner_up is not None
+    assert found.runner_up.candidate is GEAR
+    assert dict(found.chances)["gear_eccentricity"] == pytest.approx(0.3 * 30.0 / 40.0)
+
+
+def test_the_runner_up_is_the_most_probable_other_name() -> None:
+    (found,) = findings([gain(5, ("bearing_tilt", 0.3), ("gear_eccentricity", 0.2))])
+    assert found.runner_up is not None
+    assert found.runner_up.candidate is TILT
+    assert [a.candidate.name for a in found.alternatives] == ["bearing_tilt", "gear_eccentricity"]
+
+
+def test_a_function_that_may_be_the_cause_opens_a_name_and_is_no_name() -> None:
+    (found,) = findings([gain(5, ("discovered", 0.3))])
+    assert found.names == ("joint_gain",)
+    assert found.open
+    assert "joint 5, turn z, linear(q5)" in found.unnamed
+    (sure,) = findings([gain(5, ("discovered", 0.01))])
+    assert not sure.open
+    assert sure.unnamed == ""
+
+
+def test_a_function_alone_is_no_finding() -> None:
+    (term,) = WAVE.terms
+    alone = FoundEffect((term,), 0.99, (("discovered", 1.0),), ((("joint 5",), 1.0),), 40.0)
+    assert findings([alone]) == ()
+    assert alone.unnamed
+    assert alone.chance_unnamed == 1.0
+    assert gain(5, ("discovered", 0.3)).chance_unnamed == pytest.approx(0.3)
+    assert gain(5, ("gear_eccentricity", 0.3)).chance_unnamed == 0.0

@@ -1,0 +1,147 @@
+"""What is on offer to the posterior: priors of names, functions, forms; who is alike."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from demo_rows import session_of
+from discover_rows import DEMO, ROWS, calibrated, measured
+from small_arm import ARM as SMALL
+
+from longarm_comp.core.effects.discovered import Discovered
+from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
+from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.servo_droop import ServoDroop
+from longarm_comp.core.identify.calibrate import geometry
+from longarm_comp.core.identify.candidates import Candidate, library
+from longarm_comp.core.identify.evidence import columns_at
+from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.model_fit import ModelFit
+from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition
+from longarm_comp.core.identify.posterior.offers import OfferedEffects, offered, tolerances
+from longarm_comp.core.identify.posterior.propositions import propositions
+from longarm_comp.core.model.model import Model
+from studies.outside import PumpShake, RubberStop
+
+KINDS = (JointCompliance, JointGain, GearEccentricity, ServoDroop)
+
+
+def chance(bank: OfferedEffects, *names: str) -> float:
+    return sum(math.exp(o.log_prior) for o in bank.bank.offers if o.name in names)
+
+
+def test_every_name_is_as_likely_and_functions_have_a_twentieth() -> None:
+    rows = session_of(DEMO, 2)
+    fitted = fit(Model(DEMO, (LinkDeflection(), *geometry(DEMO, rows))), rows)
+    tried = library(DEMO, rows.context(), KINDS, fitted.model.terms).testable
+    terms = [Discovered("joint 5", "turn z", f"legendre(q5, {k}.0)", "q5 -1..1") for k in (2, 3)]
+    functions = [Proposition((t,), math.log(0.5)) for t in terms]
+    bank = offered(fitted, columns_at(fitted), tried, functions, (), 0.01)
+    shares = [chance(bank, name) for name in ("joint_compliance", "joint_gain", "servo_droop")]
+    assert shares == pytest.approx([0.95 / 4] * 3)
+    assert chance(bank, "discovered") == pytest.approx(0.05)
+    forms = [o for o in bank.bank.offers if o.name == "joint_gain"]
+    assert len(forms) > 1
+    assert len({o.log_prior for o in forms}) == 1
+    assert bank.known == ()
+    assert bank.standing == pytest.approx(bank.base)
+
+
+def planted(seed: int = 2) -> tuple[ModelFit, FoundEffect]:
+    rows = session_of(DEMO, seed, JointGain(5, gain=0.04))
+    model = Model(DEMO, (LinkDeflection(), *geometry(DEMO, rows))).plus(JointGain(5))
+    fitted = fit(model, rows, sigma=np.full(3, 4e-4))
+    (term,) = (t for t in fitted.model.terms if isinstance(t, JointGain))
+    found = FoundEffect((term,), 1.0, ((term.name, 1.0),), (((term.where,), 1.0),), 200.0)
+    return fitted, found
+
+
+def test_what_is_in_the_model_is_weighed_as_if_it_were_not() -> None:
+    """The evidence of the effect that was fitted is that of a model without it and with it."""
+    fitted, found = planted()
+    kinds = library(DEMO, fitted.session.context(), (JointGain,)).testable
+    bank = offered(fitted, columns_at(fitted), kinds, (), (found,), 0.0)
+    (known,) = bank.known
+    assert bank.bank.offers[known].keys == (found.terms[0].key,)
+    assert bank.standing > bank.base + 100.0
+    explained = bank.explained()
+    assert [t.where for f in explained.found for t in f.terms] == ["joint 5"]
+    assert explained.found[0].terms[0].gain == pytest.approx(0.04, rel=0.1)  # type: ignore[union-attr]
+    assert explained.evidence == pytest.approx(bank.standing, abs=0.5)
+
+
+def test_a_form_that_moved_off_the_library_stays_on_offer() -> None:
+    fitted, found = planted()
+    other = [Candidate("joint_gain", (JointGain(2),))]
+    bank = offered(fitted, columns_at(fitted), other, (), (found,), 0.0)
+    assert [bank.things[n].where for n in bank.known] == [("joint 5",)]
+    assert bank.bank.offers[bank.known[0]].log_prior == pytest.approx(math.log(0.95))
+
+
+def test_a_form_may_err_by_a_share_of_its_own_shift() -> None:
+    """RMS of the tolerance's columns together: the share, of every effect's own shift."""
+    fitted, found = planted()
+    columns = columns_at(fitted)
+    assert tolerances(fitted, columns, (), 0.1) is None
+    small, large = (tolerances(fitted, columns, (found,), t) for t in (0.01, 0.1))
+    assert small is not None and large is not None
+    np.testing.assert_allclose(large, 10.0 * small)
+    (k,) = (i for i, s in enumerate(fitted.slots) if isinstance(s.owner, JointGain))
+    shift = fitted.columns[..., k] * fitted.model.values[k]
+    white = fitted.whitened(shift[..., None])[:, 0]
+    ratio = np.sqrt((large**2).sum() / (white**2).sum())
+    assert ratio == pytest.approx(0.1, rel=0.5)
+    assert np.linalg.norm(large[np.abs(white) < 1e-12]) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_its_own_form_may_leave_has_less_evidence() -> None:
+    """A tolerance of a tenth marginalises what a hundredth counts as structure."""
+    fitted, found = planted()
+    kinds = library(DEMO, fitted.session.context(), KINDS).testable
+    wide, narrow = (
+        offered(fitted, columns_at(fitted), kinds, (), (found,), t).standing for t in (0.1, 0.01)
+    )
+    assert wide < narrow
+
+
+def test_names_that_no_measurement_distinguishes_share_evenly() -> None:
+    rows = session_of(DEMO, 1, JointCompliance(2, compliance=8e-3))
+    fitted = fit(
+        Model(DEMO, (LinkDeflection(), *geometry(DEMO, rows))), rows, sigma=np.full(3, 4e-4)
+    )
+    kinds = library(DEMO, rows.context(), KINDS, fitted.model.terms).testable
+    bank = offered(fitted, columns_at(fitted), kinds, (), (), 0.01)
+    (found,) = bank.explained().found
+    chances = dict(found.names)
+    assert chances["joint_compliance"] == pytest.approx(chances["servo_droop"], rel=1e-6)
+    assert sum(chances.values()) == pytest.approx(1.0, abs=1e-4)
+    ((rival, factor),) = [r for r in found.rivals if r[0].name == "servo_droop"]
+    assert rival.terms[0].searched
+    assert factor == pytest.approx(found.log_bayes_factor, abs=2.0)
+
+
+# ------------------------------------------------------------------ functions on offer
+
+
+def test_functions_on_offer_are_the_best_and_none_is_of_geometry() -> None:
+    fitted = calibrated(SMALL, measured(SMALL, (PumpShake(sway=2e-3, waves=6.0),), ROWS, 3))
+    made = propositions(fitted, ())
+    assert 0 < len(made) <= 60
+    assert any("pump_bar" in t.function for t in made[0].terms)  # type: ignore[union-attr]
+    still = [p for p in made if all(t.function == "1" for t in p.terms)]  # type: ignore[union-attr]
+    for p in still:
+        assert not any(t.where.split(", ")[1].startswith(("move", "turn")) for t in p.terms)
+
+
+def test_a_unit_of_a_functions_prior_moves_the_rows_by_one_noise() -> None:
+    fitted = calibrated(
+        SMALL, measured(SMALL, (RubberStop(joint=1, begins=0.8, holds=0.1),), ROWS, 3)
+    )
+    (term,) = next(p.terms for p in propositions(fitted, ()) if len(p.terms) == 1)
+    inside = fitted.weights > 0
+    white = columns_at(fitted).of([term])[inside, :, 0] / fitted.sigma
+    assert np.sqrt((white**2).sum() / inside.sum()) == pytest.approx(1.0, rel=0.02)
