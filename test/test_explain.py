@@ -93,10 +93,10 @@ def test_correlated_noise_is_no_effect_and_reaches_the_fit() -> None:
 
 
 def test_beams_are_not_seven_bearings() -> None:
-    """All beams but the first are softer: where, the data tell as one of two, and say so."""
+    """All beams but the first are softer; seven bearings that tilt alike are hardly likely."""
     soft = [LinkStiffness(beam=beam.name, softness=0.5) for beam in DEMO.links[1:]]
     found = one(explained(session_of(DEMO, 16, *soft), LinkStiffness, BearingTilt, JointCompliance))
-    assert found.credible == ("link_stiffness",)
+    assert found.name == "link_stiffness" and dict(found.names)["link_stiffness"] > 0.8
     first, second = (chance for _, chance in found.where[:2])
     assert 0.3 < second <= first < 0.7
 

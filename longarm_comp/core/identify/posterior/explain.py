@@ -30,6 +30,8 @@ from longarm_comp.core.identify.step_scan import UnknownStep, scan
 from longarm_comp.core.identify.thresholds import retuned
 from longarm_comp.core.model.model import Model
 
+LOOSE = 3.0
+"""Times the amount of a function that its prior must reach, so that it hardly pulls at it."""
 ROUNDS = 8
 """Of posterior and fit, at most, of the library and then of functions; three are usual."""
 REFORMED = 3
@@ -157,7 +159,7 @@ class _Exploration:
             for f in explained.found:
                 say(Candidate(f.name, f.terms).label)
             before = self.found, self.fit, self.noise, self.columns
-            if not self._take(explained.found):
+            if not self._take(tuple(map(_loose, explained.found))):
                 break
             for _ in range(REFORMED):
                 if not self._reform(say):
@@ -209,9 +211,14 @@ class _Exploration:
         return doubtful
 
     def _compare(self, number: int) -> None:
-        """Fit what may stand in the place of one effect; its probability is that of the fit."""
+        """Fit what may stand in the place of one effect; its probability is that of the fit.
+
+        But for what no measurement distinguishes from it, and for functions, which need no other
+        effect: of these the columns tell all.
+        """
         mine, here = self.found[number], self._standing(self.fit, self.found)[0]
         same = {name for name, p in mine.names if p >= mine.names[0][1] and name != mine.name}
+        same |= {c.name for c, _ in mine.rivals if not c.terms[0].searched}
         worth: dict[str, float] = {}
         for rival, _ in mine.rivals:
             if rival.name not in same:
@@ -333,6 +340,17 @@ class _Exploration:
                 for f in self.found
             )
         )
+
+
+def _loose(found: FoundEffect) -> FoundEffect:
+    """With a prior that hardly pulls at the amount of a function: that it is there is decided."""
+    if not found.unnamed:
+        return found
+    terms = tuple(
+        dataclasses.replace(t, scale=max(t.scale, LOOSE * abs(t.amount)))  # type: ignore
+        for t in found.terms
+    )
+    return dataclasses.replace(found, terms=terms)
 
 
 def without(model: Model, places: Container[tuple[str, str]]) -> Model:
