@@ -122,7 +122,10 @@ class View:
                 turned = np.degrees(np.arccos(np.clip(facing[k], -1.0, 1.0)))
                 why.append(f"turned away: {turned:.0f} deg")
             elif pixels[k] < _TAG_PX:
-                why.append(f"too far: {depth[k]:.2f} m, a tag is {pixels[k]:.0f} px")
+                why.append(
+                    f"too far: {depth[k]:.2f} m, a tag is {pixels[k]:.0f} px, "
+                    f"{np.ceil(_TAG_PX):.0f} needed"
+                )
             else:
                 why.append("")
         return why

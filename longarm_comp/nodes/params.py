@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from pydantic import BaseModel
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -152,6 +153,30 @@ def redeclare(node: Node, name: str, value: Any, descriptor: ParameterDescriptor
     if node.has_parameter(name):
         node.undeclare_parameter(name)
     node.declare_parameter(name, value, descriptor, ignore_override=True)
+
+
+def declare_sections(node: Node, sections: Mapping[str, type[BaseModel]]) -> dict[str, Any]:
+    """Declare what was given below some prefixes, each field described; nested, to be checked."""
+    given = {k: v for k, v in overrides(node).items() if k.split(".")[0] in sections}
+    for name, value in given.items():
+        redeclare(node, name, value, described(sections[name.split(".")[0]], name.split(".")[-1]))
+    return nested(given)
+
+
+def described(section: type[BaseModel], field: str) -> ParameterDescriptor:
+    """The descriptor of one field of a section that is checked elsewhere: meaning and range."""
+    made = ParameterDescriptor(read_only=True)
+    found = section.model_fields.get(field)
+    if found is None:
+        return made  # refused by the section's own check
+    made.description = found.description or ""
+    bounds: dict[str, float] = {}
+    for rule in found.metadata:
+        bounds |= {k: getattr(rule, k) for k in ("ge", "gt", "le", "lt") if hasattr(rule, k)}
+    if bounds:
+        words = {"ge": "from", "gt": "above", "le": "to", "lt": "below"}
+        made.additional_constraints = " ".join(f"{words[k]} {v:g}" for k, v in bounds.items())
+    return made
 
 
 def overrides(node: Node) -> dict[str, Any]:

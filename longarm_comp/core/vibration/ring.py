@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 from longarm_comp.core.compensation.retime import Timed
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.vibration.modes import Modes
-from longarm_comp.core.vibration.shaper import Shaper, Way
+from longarm_comp.math.shaper import Shaper, Way
 
 SMALL_M = 1e-4
 """A ring below it is over: what a good camera sees of one picture."""

@@ -130,7 +130,7 @@ class DynamixelWire(Wire):
                 return OVER_LIMIT
             motor.goal = float(goal)
         device.memory[address:end] = data
-        device.kept = bytes(device.memory)
+        device.kept, device.servo_id = bytes(device.memory), device.get(ID, 1)
         if address <= TORQUE < end:
             if not motor.torque_on:
                 motor.goal = motor.position

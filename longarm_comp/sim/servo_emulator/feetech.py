@@ -100,6 +100,7 @@ class FeetechWire(Wire):
         device.memory[address:end] = data
         if not device.get(LOCK, 1):
             device.kept = bytes(device.memory)  # while locked, changes last until power is lost
+        device.servo_id = device.get(ID, 1)
         motor = device.motor
         if address <= GOAL_SPEED < end:
             motor.speed_limit = float(device.get(GOAL_SPEED, 2) & 0x7FFF)
