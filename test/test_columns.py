@@ -85,7 +85,7 @@ def test_load_effects_act_through_the_elastic_ones(arm):
             assert np.abs(got - want).max() < 0.06 * np.abs(want).max(), slot.label
 
 
-def test_every_effect_moves_the_tip(arm):
+def test_every_effect_moves_the_tip_or_a_reading(arm):
     """A parameter that moves nothing anywhere is a mistake (or a joint whose axis is vertical)."""
     q, context = situation(arm)
     model = Model(arm, (LinkDeflection(),))
@@ -95,8 +95,9 @@ def test_every_effect_moves_the_tip(arm):
         if not term.parameters(arm):
             continue
         slots = model.plus(term).slots
-        motion = model.plus(term).motion(posture, slots, turns=True)
-        columns = np.concatenate([motion.point()[1], motion.axes()[1]], axis=1)
+        motion = model.plus(term).motion(posture, slots, turns=True, joints=True)
+        read = [motion.read(k, row)[1] for k, row in enumerate(arm.commanded)]
+        columns = np.concatenate([motion.point()[1], motion.axes()[1], *read], axis=1)
         if not np.abs(columns).max(axis=(0, 1)).any():
             still.append(f"{term.name} {term.where}")
     assert set(still) <= {"joint_compliance joint 1", "servo_droop joint 1", "backlash joint 1"}

@@ -41,7 +41,6 @@ from longarm_comp.math.shaper import Shaper
 
 __all__ = ["Accepted", "Event", "EventKind", "FollowerState", "Step", "TrajectoryFollower"]
 
-_SETTLED_TICKS_S = 30.0
 
 KeepsOut = Callable[[Array], str]
 """Says why an arm must not go through joints (N, n); empty where it may."""
@@ -56,7 +55,6 @@ class TrajectoryFollower:
     ``now`` is monotonic seconds everywhere.
 
     Args:
-        config: the joints and their limits.
         keeps_out: asked of every trajectory; None: nothing is kept out of.
         shapes: asked of every trajectory that begins at rest; None: none is shaped.
     """
@@ -103,11 +101,6 @@ class TrajectoryFollower:
         as the limits allow. A trajectory that is too fast is slowed down evenly, and an event
         SLOWED reports the factor. It always ends at rest: then an event ARRIVED follows, or SHORT
         where a joint stands still and is not where it was sent.
-
-        Raises:
-            InputError: unknown or repeated joint, wrong length, not finite, times not increasing,
-                outside the limits, also between points; nothing changes then.
-            JobError: no trusted read-back yet, fault, emergency stop, held, or kept out.
         """
         self._check_ready(now)
         start = self._start()
@@ -183,11 +176,7 @@ class TrajectoryFollower:
         self._say(EventKind.ESTOP, "emergency stop")
 
     def reset(self, now: float) -> None:
-        """Back to idle after a fault or an emergency stop.
-
-        Raises:
-            JobError: a servo is still silent, hot or alarmed; the message says which.
-        """
+        """Back to idle after a fault or an emergency stop."""
         self._check_health(now)
         self._watch.forget_errors()
         self._drop_motion()
@@ -204,9 +193,6 @@ class TrajectoryFollower:
 
         ``driven``, given now and then, is the result of ``ServoBus.driven``. It reveals a servo
         that lost power for a moment: it answers as before, but its torque is off.
-
-        Raises:
-            InputError: ``now`` is not finite.
         """
         if not math.isfinite(now):
             raise InputError("servo follower", "now", now, "finite seconds")
@@ -253,7 +239,7 @@ class TrajectoryFollower:
     def _settle(self, dt: float) -> None:
         """Report once that the arm has come to rest: at the end of its trajectory, or short."""
         states = [self._watch.state(name) for name in self._names]
-        still = all(s is not None and abs(s.velocity_ticks_s) < _SETTLED_TICKS_S for s in states)
+        still = all(s is not None and abs(s.velocity_ticks_s) < 30.0 for s in states)  # ticks/s
         self._still_s = self._still_s + dt if still else 0.0
         if self._settled or not still:
             return

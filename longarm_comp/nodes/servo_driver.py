@@ -62,8 +62,6 @@ PARAMS = (
 SECTIONS = {"bus": BusConfig, "joints": JointConfig, "follower": FollowerConfig}
 """Parameters below these names are the servo configuration (`devices/servo_config.py`)."""
 
-_STATE_S = 0.5
-"""Pause between two messages of the state, s. It is also told when it changes."""
 
 _BREAKS = (EventKind.FAULT, EventKind.ESTOP, EventKind.SHORT, EventKind.HELD)
 """Events after which the joints are not where they were sent."""
@@ -98,7 +96,8 @@ class ServoDriver(LifecycleNode):
         graph.HOLD.server(self, self._on_hold)
         graph.RESET.server(self, self._on_reset)
         self._timer = steady_timer(self, self._period_s, self._cycle)
-        steady_timer(self, _STATE_S, self._tell_state)
+        # Pause between two messages of the state, s. It is also told when it changes
+        steady_timer(self, 0.5, self._tell_state)
         self._health = Health(
             self, {"servo bus": self._bus_report, "arm": self._arm_report}, p[PERIOD.name]
         )

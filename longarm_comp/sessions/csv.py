@@ -5,7 +5,8 @@ measured: ``x,y,z`` (m), ``qx,qy,qz,qw``, ``distance`` (m, with ``anchor``), ``t
 (names of what the tip touched); blank is not measured (`sessions/csv_readings.py`).  Known besides:
 ``index, t_s, temperature_c, payload_kg, approach, repeat_id, sigma_x..z, cov_xx..zz, role, group,
 marker, incl_<frame>_x/_y`` and ``approach_q1..qn`` (the direction per joint, where one for all
-joints does not do), ``run_up_q1..qn`` (where each joint came from last).
+joints does not do), ``run_up_q1..qn`` (where each joint came from last), ``read_q1..qn`` (where its
+encoder says that it stands).
 
 A further column is kept as context, numbers as numbers and text as labels, unless its name
 comes close to a known one: then it is an error that says which.
@@ -49,13 +50,8 @@ def read_csv(path: str | Path, arm: Arm, joint_columns: Sequence[str] | None = N
     """Read a session.
 
     Args:
-        path: the file.
-        arm: its commanded joints say how many q columns there are.
         joint_columns: names of the joint columns when they are not ``q1..qn`` (an arm that is
             one branch of a larger robot); other ``q`` columns are then kept as context.
-
-    Raises:
-        InputError: names file, line and column, what was found and what is allowed.
     """
     table = read_table(path)
     joints = tuple(joint_columns or joint_names(arm.n))
@@ -84,11 +80,7 @@ def read_csv(path: str | Path, arm: Arm, joint_columns: Sequence[str] | None = N
 
 
 def write_csv(session: Session, path: str | Path) -> None:
-    """Write a session; `read_session` gives the same one back.
-
-    Raises:
-        InputError: the folder cannot be written to.
-    """
+    """Write a session; `read_session` gives the same one back."""
     joints = joint_names(session.n)
     columns: dict[str, Sequence[object] | np.ndarray] = {"index": session.index}
     columns.update({name: session.columns[name] for name in UNITS if name in session.columns})
@@ -143,7 +135,9 @@ def approach_names(n: int) -> tuple[str, ...]:
 
 
 def _known(n: int) -> tuple[str, ...]:
-    per_joint = [f"{what}_{name}" for what in ("approach", "run_up") for name in joint_names(n)]
+    per_joint = [
+        f"{what}_{name}" for what in ("approach", "run_up", "read") for name in joint_names(n)
+    ]
     return (*XYZ, *READ, *_INDEX, *UNITS, *SIGMA, *_COVARIANCE, *LABELS, *per_joint)
 
 
@@ -164,11 +158,7 @@ def _refuse_further_joints(table: Table, arm: Arm) -> None:
 
 
 def read_approach(table: Table, n: int) -> np.ndarray | None:
-    """Sides as a table has them: (N,) for all joints, (N, n) per joint, or None.
-
-    Raises:
-        InputError: both, or another number than -1, 0, +1.
-    """
+    """Sides as a table has them: (N,) for all joints, (N, n) per joint, or None."""
 
     def side(value: float) -> bool:
         return value in (-1.0, 0.0, 1.0)

@@ -5,6 +5,7 @@ A row measures what it holds, and blank is not measured.  A column that no row f
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -21,6 +22,10 @@ READ = tuple(
     cell for kind in FURTHER for cell in (*kind.cells, *([kind.sigma] if kind.sigma else []))
 )
 """Columns of the readings beside x, y, z, and of their standard deviations."""
+
+
+JOINT_READING = re.compile(r"read_q[1-9]\d*")
+"""Columns of where the joints' encoders say that they stand."""
 
 
 def check_measured(table: Table) -> None:
@@ -44,14 +49,10 @@ def read_xyz(table: Table) -> np.ndarray:
 
 
 def read_readings(table: Table) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Readings of the other kinds, and their standard deviations, by kind.
-
-    Raises:
-        InputError: a column of a kind is missing; a reading is blank in part, impossible, or
-            without the name that it needs.
-    """
+    """Readings of the other kinds, and their standard deviations, by kind."""
     readings, sigmas = {}, {}
-    for kind in FURTHER:
+    joints = (KINDS[name] for name in table.header if JOINT_READING.fullmatch(name))
+    for kind in (*FURTHER, *joints):
         if any(name in table.cells for name in kind.cells):  # none of a kind that a text measures
             readings[kind.name] = _read(table, kind)
             if kind.sigma in table.cells:
@@ -65,7 +66,7 @@ def read_readings(table: Table) -> tuple[dict[str, np.ndarray], dict[str, np.nda
 def written_readings(session: Session) -> dict[str, Sequence[object] | np.ndarray]:
     """The columns that `read_readings` reads."""
     made: dict[str, Sequence[object] | np.ndarray] = {}
-    for kind in FURTHER:
+    for kind in (*FURTHER, *(KINDS[f"read_q{k + 1}"] for k in session.read_joints)):
         if kind.name in session.readings:
             made.update(zip(kind.cells, session.readings[kind.name].T, strict=True))
         if kind.name in session.sigmas:

@@ -68,11 +68,7 @@ class TrueCamera:
 
     @classmethod
     def of(cls, arm: Arm, effects: Sequence[CameraEffect] = ()) -> TrueCamera:
-        """The declared head of an arm, upright.
-
-        Raises:
-            InputError: the arm declares no camera, or one that looks straight up or down.
-        """
+        """The declared head of an arm, upright."""
         if arm.camera is None:
             raise InputError(arm.name, "camera", "missing", "position_m and optical_axis")
         z = np.asarray(arm.camera.optical_axis, float)
@@ -96,6 +92,22 @@ class TrueCamera:
         """Unit line of sight to each point, (N, 3)."""
         line = points - self.position_m
         return line / np.linalg.norm(line, axis=1, keepdims=True)
+
+
+@dataclass(frozen=True)
+class TrueEncoders:
+    """Encoders of the motors: zero (n,) and scale (n,) off, noise and resolution, rad and m."""
+
+    step: Array | float = 2 * np.pi / 4096 / 20
+    zero: Array | float = 0.0
+    scale: Array | float = 0.0
+    sigma: Array | float = 0.0
+
+    def read(self, shafts: Array, rng: np.random.Generator) -> Array:
+        """(N, n) readings of where the motors stand."""
+        seen = (1.0 + self.scale) * shafts + self.zero
+        seen = seen + self.sigma * rng.standard_normal(shafts.shape)
+        return np.asarray(np.round(seen / self.step) * self.step)
 
 
 @dataclass(frozen=True)
@@ -126,24 +138,19 @@ def measure_session(
     start_s: float = 0.0,
     warming_k: float = 10.0,
     payload_kg: float | Array | None = None,
+    encoders: TrueEncoders | None = None,
 ) -> SimulatedSession:
     """Drive the true arm through poses and measure its tip.
 
     Args:
-        true_arm: the arm.
-        camera: the stereo head.
-        poses: commanded joints (N, n).
-        rng: source of all randomness.
         approach: `both`: every pose twice, from below and from above; `random`: one side at
             random; `mixed`: a third of these left blank; `previous`: all blank; `below`:
             every pose from below. A blank row arrives joint by joint from the row before.
         repeats: number of random poses that are visited two more times during the session.
-        lost: share of rows without a sighting.
         outliers: share of rows with a gross error of 4-15 mm.
-        noise: `Noise()` by default.
         start_s: time of the first row.
         warming_k: rise of the room temperature over hours.
-        payload_kg: carried mass, scalar or (N,); as declared by default.
+        encoders: of the motors; none are read by default.
     """
     arm = true_arm.arm
     poses = State.of(arm, poses, None).q
@@ -179,6 +186,9 @@ def measure_session(
     for effect in true_arm.hidden:
         for name, clean in effect.readings(State.of(arm, q, context)).items():
             columns[name] = clean + 5e-5 * rng.standard_normal(rows)
+    if encoders is not None:
+        read = encoders.read(true_arm.shafts(q, context), rng)
+        columns |= {f"read_q{k + 1}": read[:, k] for k in range(arm.n)}
     return SimulatedSession(columns, {"tip": tip, "seen": seen, "side": side, "outlier": gross})
 
 
@@ -199,11 +209,7 @@ def arrival(q: Array, written: Array) -> Array:
 
 
 def write_session(path: str | Path, columns: Mapping[str, Array]) -> None:
-    """Write samples.csv (or any columns of one length); NaN becomes blank.
-
-    Raises:
-        InputError: the columns differ in length, or the file cannot be written.
-    """
+    """Write samples.csv (or any columns of one length); NaN becomes blank."""
     lengths = {len(column) for column in columns.values()}
     if len(lengths) != 1:
         raise InputError(path, "columns", f"lengths {sorted(lengths)}", "columns of one length")

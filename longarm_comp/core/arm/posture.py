@@ -66,7 +66,6 @@ class Chain:
     """The order of an arm's stations.
 
     Args:
-        arm: the declared arm.
         elements_per_beam: pieces that each beam is cut in (1 leaves 0.008 mm at
             18 mm of sag; see docs/physics.md).
     """

@@ -7,6 +7,7 @@ further kind is one class here.
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -49,6 +50,7 @@ class Kind(ABC):
             with a text measures that the tip was there.
         takes: rows that it takes to solve what a text names, where there are no cells.
         sigma: column of its standard deviation in a file, or empty.
+        of_joint: whether it measures a joint and not the tip.
     """
 
     name: ClassVar[str]
@@ -59,6 +61,7 @@ class Kind(ABC):
     label: ClassVar[str] = ""
     takes: ClassVar[int] = 0
     sigma: ClassVar[str] = ""
+    of_joint: ClassVar[bool] = False
 
     def measured(self, values: np.ndarray) -> np.ndarray:
         """(N, k) which equations readings (N, c) hold; NaN is not measured."""
@@ -217,10 +220,41 @@ class Plane(Kind):
         return Equations(-point[:, 2:], columns[:, 2:], motion.pull(self.name)[:, 2:])
 
 
-KINDS: Mapping[str, Kind] = {
-    k.name: k for k in (Position(), Orientation(), Distance(), Ray(), Touch(), Plane())
-}
-"""Every kind by name; positions come first in the channels of a session."""
+class JointReading(Kind):
+    """Where the encoder of a joint says that it stands, rad (m of a slide), at rest."""
+
+    unit = "rad"
+    of_joint = True
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+        self.name = f"read_q{number}"  # type: ignore[misc]
+        self.cells = self.scalars = (self.name,)  # type: ignore[misc]
+
+    def framed(self, arm: Arm) -> bool:
+        return False
+
+    def equations(
+        self, motion: TipMotion, values: np.ndarray, arm: Arm, labels: Labels
+    ) -> Equations:
+        read, columns = motion.read(self.number - 1, arm.commanded[self.number - 1])
+        return Equations(values - read, columns, np.zeros((*read.shape, 3)))
+
+
+class _Kinds(dict[str, Kind]):
+    """The kinds that measure the tip, and by name one for the reading of every joint."""
+
+    def __missing__(self, name: str) -> Kind:
+        return JointReading(int(name.removeprefix("read_q")))
+
+    def __contains__(self, name: object) -> bool:
+        return super().__contains__(name) or bool(re.fullmatch(r"read_q[1-9]\d*", str(name)))
+
+
+KINDS: Mapping[str, Kind] = _Kinds(
+    {k.name: k for k in (Position(), Orientation(), Distance(), Ray(), Touch(), Plane())}
+)
+"""Every kind by name; positions come first in the channels of a session, joints last."""
 
 
 def across(directions: np.ndarray) -> np.ndarray:

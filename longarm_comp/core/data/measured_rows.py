@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from longarm_comp.core.arm.measuring import KnownDistance
-from longarm_comp.core.data.kinds import KINDS, Kind
+from longarm_comp.core.data.kinds import KINDS, JointReading, Kind
 from longarm_comp.core.errors import InputError
 
 
@@ -34,6 +34,7 @@ class ChannelBlock:
 class MeasuredRows:
     """The measuring side of a `Session`, whose fields it reads."""
 
+    q: np.ndarray
     xyz: np.ndarray
     sigma: np.ndarray | None
     labels: Mapping[str, np.ndarray]
@@ -63,7 +64,8 @@ class MeasuredRows:
     @cached_property
     def placed(self) -> np.ndarray:
         """(N,) whether anything was measured that depends on where the tip is."""
-        where = [not KINDS[b.kind].turns for b in self.blocks for _ in b.channels]
+        kinds = [KINDS[b.kind] for b in self.blocks for _ in b.channels]
+        where = [not kind.turns and not kind.of_joint for kind in kinds]
         return np.asarray(self.measured[:, where].any(axis=1))
 
     @cached_property
@@ -81,6 +83,12 @@ class MeasuredRows:
     def turns(self) -> bool:
         """Whether a kind of measurement depends on the tip's axes."""
         return any(kind.turns for kind in self.kinds)
+
+    @cached_property
+    def read_joints(self) -> tuple[int, ...]:
+        """Positions among the commanded joints of those that were read."""
+        kinds = (KINDS[b.kind] for b in self.blocks)
+        return tuple(kind.number - 1 for kind in kinds if isinstance(kind, JointReading))
 
     @cached_property
     def channels(self) -> tuple[str, ...]:
@@ -184,12 +192,15 @@ class MeasuredRows:
     def _check_readings(self, n_rows: int) -> None:
         readings: dict[str, np.ndarray] = {}
         for name, given in self.readings.items():
-            known = [k for k, v in KINDS.items() if k != "position" and v.cells]
-            if name not in known:
-                raise InputError(self.source, f"readings {name}", "unknown kind", ", ".join(known))
+            if name == "position" or name not in KINDS or not KINDS[name].cells:
+                known = [k for k, v in KINDS.items() if k != "position" and v.cells]
+                allowed = ", ".join([*known, "read_q1", "..."])
+                raise InputError(self.source, f"readings {name}", "unknown kind", allowed)
             kind = KINDS[name]
             values = np.asarray(given, dtype=float)
             check_shape(self.source, name, values, (n_rows, len(kind.cells)))
+            if isinstance(kind, JointReading) and kind.number > self.q.shape[1]:
+                raise InputError(self.source, name, "unknown", f"read_q1..q{self.q.shape[1]}")
             wrong, allowed = kind.wrong(values)
             partly = np.isnan(values).any(axis=1) & ~np.isnan(values).all(axis=1)
             for row in np.flatnonzero(wrong | partly | np.isinf(values).any(axis=1)):
@@ -216,10 +227,13 @@ class MeasuredRows:
         names = np.unique(self.labels.get("sensor", np.array([""])))
         held = {k: v.measured(self.reading(v)).any(axis=1) for k, v in KINDS.items()}
         kinds = [k for k in KINDS if held[k].any()] or ["position"]
+        joints = (KINDS[name] for name in self.readings if KINDS[name].of_joint)
+        read = tuple(ChannelBlock(k.name) for k in sorted(joints, key=lambda k: k.number))
         if len(names) < 2:
-            return tuple(ChannelBlock(kind) for kind in kinds)
+            return tuple(ChannelBlock(kind) for kind in kinds) + read
         mine = {str(name): self.labels["sensor"] == name for name in names}
-        return tuple(ChannelBlock(k, s) for k in kinds for s in mine if (held[k] & mine[s]).any())
+        sensed = ((k, s) for k in kinds for s in mine if (held[k] & mine[s]).any())
+        return (*(ChannelBlock(k, s) for k, s in sensed), *read)
 
 
 def check_shape(where: str, name: str, values: np.ndarray, shape: tuple[int, ...]) -> None:

@@ -16,6 +16,7 @@ from longarm_comp.core.data.kinds import KINDS, Equations
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.touched import completed
 from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.model.model import Model, Slot
 from longarm_comp.core.model.tip_motion import TipMotion
 
@@ -28,17 +29,12 @@ def posture(model: Model, session: Session) -> Posture:
 def equations(
     model: Model, session: Session, at: Posture, slots: Sequence[Slot] | None = None
 ) -> Equations:
-    """Equations of all channels of a session by some parameters, all of a model's by default.
-
-    Args:
-        model: predicts.
-        session: N rows.
-        at: the model's posture at these rows.
-        slots: the parameters.
-    """
+    """Equations of all channels of a session by some parameters, all of a model's by default."""
     slots = model.slots if slots is None else slots
     model = completed(model, session, at)
-    return _stacked(model.motion(at, slots, session.turns), session, model)
+    return _stacked(
+        model.motion(at, slots, session.turns, bool(session.read_joints)), session, model
+    )
 
 
 def shifts(
@@ -46,20 +42,28 @@ def shifts(
 ) -> np.ndarray:
     """(N, d, k) change of the prediction by each of k terms outside the model."""
     model = completed(model, session, at)
-    return _stacked(model.added(at, terms, session.turns), session, model).columns
+    motion = model.added(at, terms, session.turns, bool(session.read_joints))
+    return _stacked(motion, session, model).columns
 
 
 def metres(model: Model, session: Session) -> np.ndarray:
     """(d,) length at the tip (m) that a unit of each channel stands for: 0 of an orientation.
 
-    A ray's is the median distance of the tip from its camera.
+    A ray's is the median distance of the tip from its camera, an encoder's the median lever of the
+    tip about its joint.
     """
     units = np.array(session.units)
     made = (units == "m").astype(float)
+    rows = [model.arm.commanded[k] for k in session.read_joints]
+    if rows:
+        zeros = [JointZero(row, offset=1.0) for row in rows]
+        moved = model.added(posture(model, session), zeros).point()[1]
+        levers = np.median(np.linalg.norm(moved, axis=1), axis=0)
+        made[[session.channels.index(f"read_q{k + 1}") for k in session.read_joints]] = levers
     if "ray" not in session.readings:
         return made
     pull = np.linalg.norm(equations(model, session, posture(model, session), ()).pull, axis=2)
-    for k in np.flatnonzero(units == "rad"):
+    for k in np.flatnonzero((units == "rad") & (made == 0.0)):
         held = pull[:, k][pull[:, k] > 0]
         made[k] = 1.0 / float(np.median(held)) if len(held) else 0.0
     return made
@@ -72,8 +76,6 @@ def errors(model: Model, session: Session, near: Posture | None = None) -> np.nd
     that explains the row: along a measured axis, along the line to an anchor.
 
     Args:
-        model: predicts.
-        session: N rows.
         near: a similar model's `posture` at the M rows, which saves time.
     """
     placed = session.take(session.placed)

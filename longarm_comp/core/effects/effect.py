@@ -14,7 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 from typing_extensions import Self
 
@@ -22,7 +22,7 @@ from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Lumped, Posture
-from longarm_comp.core.arm.spatial import Frame, Twist, Vec
+from longarm_comp.core.arm.spatial import Frame, Scalar, Twist, Vec
 from longarm_comp.core.errors import InputError
 
 FLAT = 1000.0
@@ -159,8 +159,8 @@ class _Term:
         continuous: changes little for a small motion of the joints.
         loaded: depends on the loads, so that it must be iterated as the arm sags.
         searched: tried by a diagnosis. Geometry is always fitted instead.
-        aliases: effects that no measurement can distinguish from it. One of the two must declare
-            it.
+        aliases: effects that no measurement of the tip can distinguish from it, whatever the
+            poses. One of the two must declare it.
         limit_aliases: effects that it equals at an end of its form's scale or of a parameter's
             bounds. Studies accept either name there.
         free_levels: for an effect that depends only on the position of one turning joint: number
@@ -171,6 +171,8 @@ class _Term:
             any displacement of that joint at the tip, and remaining structure is sought in it.
         stepped: has steps of a size that a scan finds (`of_step`).
         bounded: holds within the data that it was found in only (`Effect.outside`).
+        acts: where in the drive of its joint it acts: ``servo``, ``gear`` or ``arm``. An encoder at
+            the motor sees what the servo does, one at the joint what the gear does too.
     """
 
     name: ClassVar[str]
@@ -189,6 +191,7 @@ class _Term:
     displaces_joint: ClassVar[bool] = False
     stepped: ClassVar[bool] = False
     bounded: ClassVar[bool] = False
+    acts: ClassVar[Literal["servo", "gear", "arm"]] = "arm"
 
     @classmethod
     def heading(cls) -> str:
@@ -253,6 +256,10 @@ class _Term:
     def where(self) -> str:
         """Its places in words: ``joint 2``, ``joint 3, driver 1``; ``arm`` for the whole arm."""
         return ", ".join(f"{name} {value}" for name, value in self.places.items()) or "arm"
+
+    def advice(self, arm: Arm) -> str:
+        """What can be done about it at an arm."""
+        return self.action
 
     @property
     def reading(self) -> str:
@@ -370,6 +377,10 @@ class Bias(_Term, ABC):
     @abstractmethod
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
         """Point reported by the camera for a tip at `point` (m, base frame)."""
+
+    def read(self, value: Scalar, row: int) -> Scalar:
+        """What the encoder of a row reads where it sees its joint at a value (rad or m)."""
+        return value
 
     def seen_pose(self, tip: Frame, context: Context, arm: Arm) -> Frame:
         """Pose reported for a tip; by default its axes move with the points around it.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from typing_extensions import Self
@@ -32,7 +33,11 @@ class JointTerm(Effect):
 
     Attributes:
         joint: row id.
+        actions: instead of `action`, by the joint's kind of drive.
     """
+
+    actions: ClassVar[Mapping[str, str]] = {}
+    acts = "gear"
 
     joint: int = place(moving_joints)
 
@@ -50,6 +55,10 @@ class JointTerm(Effect):
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
         """Each joint alone."""
         return [(cls(joint=row),) for row in cls.rows(arm)]
+
+    def advice(self, arm: Arm) -> str:
+        """By the joint's kind of drive."""
+        return self.actions.get(arm.joints[self.joint - 1].drive, self.action)
 
     def history_joints(self, arm: Arm) -> tuple[int, ...]:
         """Its own joint if it reads a history."""

@@ -27,7 +27,7 @@ from longarm_comp.core.errors import InputError
 class ServoDroop(JointTerm):
     """Proportional sag plus deadband: ``sag * torque + deadband * side``.
 
-    With no deadband it cannot be told from `joint_compliance`: report both.
+    With no deadband only a reading of the joint tells it from `joint_compliance`.
 
     Attributes:
         gate: load under which friction decides the side of the deadband (`JointTerm.side`);
@@ -37,9 +37,17 @@ class ServoDroop(JointTerm):
 
     name: ClassVar[str] = "servo_droop"
     title: ClassVar[str] = "servo that gives way"
+    acts = "servo"
     action: ClassVar[str] = (
         "Raise the gain of the servo or add integral action; otherwise fit a stronger one."
     )
+    actions: ClassVar[Mapping[str, str]] = {
+        "hydraulic": (
+            "Add integral action to the valve's controller, or check it for leakage and deadband."
+        ),
+        "motor": "Raise the gain of the position controller, or add integral action.",
+        "cable": "Raise the gain of the position controller, or measure the angle at the joint.",
+    }
     loaded: ClassVar[bool] = True
     aliases: ClassVar[tuple[str, ...]] = ("joint_compliance",)  # a sag is a compliance
     limit_aliases: ClassVar[tuple[str, ...]] = ("backlash",)  # without sag

@@ -37,6 +37,7 @@ class ServoQuantisation(JointTerm):
 
     name: ClassVar[str] = "servo_quantisation"
     title: ClassVar[str] = "servo steps"
+    acts = "servo"
     action: ClassVar[str] = (
         "Nothing to repair: declare the steps in arm.yaml; finer ones need another servo."
     )

@@ -32,6 +32,7 @@ from longarm_comp.core.identify.minor import share, smallest, worth
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.search import SearchResult
 from longarm_comp.core.identify.search_state import ODDS
+from longarm_comp.core.model.encoders import tell_apart
 from longarm_comp.core.model.model import slots_of
 
 FEW = 3
@@ -199,9 +200,12 @@ def _fitted(result: SearchResult, term: Term) -> Term:
     return next(t for t in result.fit.model.terms if t.variant == term.variant)
 
 
-def are_aliases(one: Term, other: Term) -> bool:
-    """Whether no pose can tell two effects apart, whatever is measured."""
-    return other.name in one.aliases or one.name in other.aliases
+def are_aliases(fit: ModelFit, one: Term, other: Term) -> bool:
+    """Whether no pose can tell two effects apart by what the fit's session measured."""
+    if other.name not in one.aliases and one.name not in other.aliases:
+        return False
+    arm = fit.model.arm
+    return not tell_apart(arm, [arm.commanded[k] for k in fit.session.read_joints], one, other)
 
 
 def _finding(
@@ -240,7 +244,7 @@ def _finding(
         small = _size(result, option) <= _size(result, mine) + 1
         if not alike and small and _plausible(result, marginal, columns, option):
             alike = _likelihood(result, marginal, columns, option) > limit - CLOSE
-        alias = are_aliases(terms[0], new[0])
+        alias = are_aliases(result.fit, terms[0], new[0])
         known = close.get(other)
         if (alike or alias) and (known is None or scored.log_bayes_factor > known.log_bayes_factor):
             close[other] = scored

@@ -104,12 +104,14 @@ def repeat_scatter(model: Model, session: Session) -> tuple[np.ndarray, np.ndarr
 def _told(rows: Session) -> np.ndarray:
     """(N, d) which channels a repeat tells something in.
 
-    Where the reading is that the joints stand so, the same joints again are no second reading.
+    Where the reading is that the joints stand so, the same joints again are no second reading;
+    nor is one of an encoder, which repeats its own error.
     """
     again = np.ones(len(rows), dtype=bool)
     again[np.unique(rows.q, axis=0, return_index=True)[1]] = False
-    stood = np.array([not KINDS[b.kind].cells for b in rows.blocks for _ in b.channels])
-    return ~(again[:, None] & stood)
+    kinds = [KINDS[b.kind] for b in rows.blocks for _ in b.channels]
+    stood = np.array([not kind.cells for kind in kinds])
+    return ~(again[:, None] & stood) & ~np.array([kind.of_joint for kind in kinds])
 
 
 def _deviations(values: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -20,6 +20,7 @@ from longarm_comp.core.data.measurement import posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.anchor_place import AnchorPlace
 from longarm_comp.core.effects.effect import Bias
+from longarm_comp.core.effects.encoder import Encoder
 from longarm_comp.core.effects.sensor_place import SensorPlace
 from longarm_comp.core.effects.tip_orientation import TipOrientation
 from longarm_comp.core.errors import InputError
@@ -40,6 +41,7 @@ def sensor_frames(arm: Arm, session: Session) -> tuple[Bias, ...]:
         if held is None or held.xyz_m is None:
             made.append(AnchorPlace(anchor=name))
     made += [SensorPlace(sensor=name) for name in _sensors(session)[1:]]
+    made += [Encoder(joint=arm.commanded[k]) for k in session.read_joints]
     return (*made, *touched.unknowns(arm, session))
 
 

@@ -23,7 +23,16 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import PLACEMENT, Chain, Lumped, Posture, Twists
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter
-from longarm_comp.core.model.tip_motion import Reseen, TipMotion, TwistChange, moved, stack
+from longarm_comp.core.model import encoders
+from longarm_comp.core.model.encoders import Parts
+from longarm_comp.core.model.tip_motion import (
+    Reseen,
+    TipMotion,
+    TwistChange,
+    moved,
+    stack,
+    summed,
+)
 from longarm_comp.core.model.uncertainty import ModelUncertainty
 
 
@@ -246,6 +255,12 @@ class Model:
                 tip = bias.seen_pose(tip, context, self.arm)
         return tip
 
+    def read(self, value: Scalar, row: int) -> Scalar:
+        """What the encoder of a row reads where it sees its joint at a value (rad or m)."""
+        for bias in self.biases:
+            value = bias.read(value, row)
+        return value
+
     def tip(self, q: np.ndarray, context: Context | None = None) -> np.ndarray:
         """Predicted true tip position, q (..., n) -> (..., 3) in m, base frame."""
         return stack(self.tip_frame(self.posture(unstack(q), context)).p)
@@ -280,13 +295,18 @@ class Model:
         return self.motion(posture, slots).point()
 
     def motion(
-        self, posture: Posture, slots: Sequence[Slot] | None = None, turns: bool = False
+        self,
+        posture: Posture,
+        slots: Sequence[Slot] | None = None,
+        turns: bool = False,
+        joints: bool = False,
     ) -> TipMotion:
         """The tip at N postures and its motion per unit of every parameter, as `columns`.
 
         Args:
             posture, slots: as in `columns`.
             turns: whether the turns of the tip's axes are wanted.
+            joints: whether what the joints' encoders see is.
         """
         slots = self.slots if slots is None else slots
         total = self._at_last(posture) if slots else {}
@@ -301,11 +321,15 @@ class Model:
                 ends.append(self._reloaded(slot, step, posture))
                 continue
             up, down = (self._moved(slot, by).twists(posture) for by in (step, -step))
-            ends.append(TwistChange(up, down, 0.5 / step))
-        return self._motion(posture, total, ends, turns)
+            ends.append(TwistChange([(term, up)], [(term, down)], 0.5 / step))
+        return self._motion(posture, total, ends, turns, joints)
 
     def added(
-        self, posture: Posture, terms: Sequence[Effect | Bias], turns: bool = False
+        self,
+        posture: Posture,
+        terms: Sequence[Effect | Bias],
+        turns: bool = False,
+        joints: bool = False,
     ) -> TipMotion:
         """The tip and its motion by each of some terms outside the model.
 
@@ -316,8 +340,8 @@ class Model:
             if isinstance(term, Bias):
                 ends.append(Reseen(self.plus(term), self, 1.0, term.sees))
             else:
-                ends.append(TwistChange(term.twists(posture), {}, 1.0))
-        return self._motion(posture, self._at_last(posture), ends, turns)
+                ends.append(TwistChange([(term, term.twists(posture))], [], 1.0))
+        return self._motion(posture, self._at_last(posture), ends, turns, joints)
 
     def _at_last(self, posture: Posture) -> Twists:
         """`twists`, kept for the posture that was asked for last."""
@@ -327,13 +351,26 @@ class Model:
         return held[1]
 
     def _motion(
-        self, posture: Posture, total: Twists, ends: Sequence[TwistChange | Reseen], turns: bool
+        self,
+        posture: Posture,
+        total: Twists,
+        ends: Sequence[TwistChange | Reseen],
+        turns: bool,
+        joints: bool,
     ) -> TipMotion:
         tip = self.tip_frame(posture)
         arm_side = [e for e in ends if isinstance(e, TwistChange)]
-        shifts = iter(moved(posture, tip.p, total, arm_side, turns))
+        shifts = iter(moved(posture, tip.p, total, arm_side, turns, joints))
         changes = [next(shifts) if isinstance(e, TwistChange) else e for e in ends]
-        return TipMotion(self, tip, posture.context, changes)
+        return TipMotion(
+            self, tip, posture.context, changes, self.encoders_at(posture) if joints else ()
+        )
+
+    def encoders_at(self, posture: Posture) -> tuple[Scalar, ...]:
+        """Where the encoder of each commanded joint sees it, n scalars (rad or m)."""
+        parts = [(e, e.twists(posture)) for e in self.effects if e.acts != "arm"]
+        off = encoders.seen(posture.chain, parts)
+        return tuple(q + by for q, by in zip(posture.q, off, strict=True))
 
     def _moved(self, slot: Slot, by: float) -> Any:
         name = slot.parameter.name
@@ -352,9 +389,9 @@ class Model:
         raised = model._under_load(model._weighed(posture))
         return TwistChange(raised, self._under_load(posture), 1.0 / step)
 
-    def _under_load(self, posture: Posture) -> Twists:
-        """Sum of the twists that depend on the loads, by station."""
-        return summed(e.twists(posture) for e in self.effects if e.loaded or e.changes_loads)
+    def _under_load(self, posture: Posture) -> Parts:
+        """The twists that depend on the loads."""
+        return [(e, e.twists(posture)) for e in self.effects if e.loaded or e.changes_loads]
 
     def _reseen(self, slot: Slot, by: float) -> Model:
         """The model with a parameter of the camera side moved."""
@@ -366,16 +403,6 @@ class Model:
         else:
             biases.append(changed)
         return dataclasses.replace(self, biases=tuple(biases))
-
-
-def summed(parts: Iterable[Twists]) -> Twists:
-    """Sum of twists by station."""
-    total: dict[int, spatial.Twist] = {}
-    for part in parts:
-        for station, twist in part.items():
-            held = total.get(station)
-            total[station] = twist if held is None else spatial.add_twists(held, twist)
-    return total
 
 
 def slots_of(arm: Arm, terms: Sequence[Effect | Bias]) -> tuple[Slot, ...]:

@@ -7,7 +7,7 @@ side moves what is reported of a tip that stays.  A kind of measurement
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -17,6 +17,8 @@ from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import PLACEMENT, Posture, Twists
 from longarm_comp.core.arm.spatial import IDENTITY, Frame, Scalar, Vec
+from longarm_comp.core.model import encoders
+from longarm_comp.core.model.encoders import Parts
 
 _H = 1e-3
 """Step (of a unit parameter, of a rad) of differences through the camera side."""
@@ -29,13 +31,19 @@ class Sensor(Protocol):
 
     def seen_axes(self, tip: Frame, context: Context) -> Frame: ...
 
+    def read(self, value: Scalar, row: int) -> Scalar: ...
+
 
 @dataclass(frozen=True)
 class Moved:
-    """A change of the arm: shift of the tip (m) and turn of its axes (rad), in the base frame."""
+    """A change of the arm: shift of the tip (m) and turn of its axes (rad), in the base frame.
+
+    `joints`: by how much each joint's encoder sees it displaced (rad or m), where that is wanted.
+    """
 
     shift: Vec
     turn: Vec
+    joints: tuple[Scalar, ...] = ()
 
 
 STILL = Moved(spatial.ZERO, spatial.ZERO)
@@ -60,12 +68,14 @@ class TipMotion:
         frame: pose of the tip in the base frame.
         context: circumstances of the postures.
         changes: one per parameter.
+        joints: where each joint's encoder sees it (rad or m), where that is wanted.
     """
 
     sensor: Sensor
     frame: Frame
     context: Context
     changes: Sequence[Moved | Reseen]
+    joints: tuple[Scalar, ...] = ()
 
     def point(self, kind: str = "position") -> tuple[np.ndarray, np.ndarray]:
         """Reported point (N, 3) in m and its derivative (N, 3, p)."""
@@ -88,6 +98,27 @@ class TipMotion:
             spatial.sub(tip, spatial.scale(_H, change.shift)), self.context, kind
         )
         return spatial.scale(0.5 / _H, spatial.sub(up, down))
+
+    def read(self, joint: int, row: int) -> tuple[np.ndarray, np.ndarray]:
+        """Reading (N, 1) of a joint's encoder, rad or m, and its derivative (N, 1, p).
+
+        Args:
+            joint: position among the commanded joints.
+            row: its row in the arm.
+        """
+        at, sensor = self.joints[joint], self.sensor
+        gain = (sensor.read(at + _H, row) - sensor.read(at - _H, row)) * (0.5 / _H)
+        each = [
+            gain * change.joints[joint]
+            if isinstance(change, Moved)
+            else change.per * (change.raised.read(at, row) - change.lowered.read(at, row))
+            for change in self.changes
+        ]
+        whole = np.broadcast_to(sensor.read(at, row), np.shape(stack(self.frame.p))[:-1])
+        columns = np.empty((*whole.shape, 1, len(each)))
+        for k, column in enumerate(each):
+            columns[..., 0, k] = column
+        return whole[..., None], columns
 
     def pull(self, kind: str) -> np.ndarray:
         """(N, 3, 3) derivative of the reported point by the tip's position."""
@@ -134,15 +165,30 @@ class TipMotion:
 
 
 class TwistChange(NamedTuple):
-    """A change of twists: ``per`` times the difference of two."""
+    """A change of effects' twists: ``per`` times the difference of two."""
 
-    raised: Twists
-    lowered: Twists
+    raised: Parts
+    lowered: Parts
     per: float
 
 
+def summed(parts: Iterable[Twists]) -> Twists:
+    """Sum of twists by station."""
+    total: dict[int, spatial.Twist] = {}
+    for part in parts:
+        for station, twist in part.items():
+            held = total.get(station)
+            total[station] = twist if held is None else spatial.add_twists(held, twist)
+    return total
+
+
 def moved(
-    posture: Posture, tip: Vec, total: Twists, ends: Sequence[TwistChange], turns: bool
+    posture: Posture,
+    tip: Vec,
+    total: Twists,
+    ends: Sequence[TwistChange],
+    turns: bool,
+    joints: bool = False,
 ) -> list[Moved]:
     """Eq. (5): the tip's motion under changes of twists.
 
@@ -154,9 +200,10 @@ def moved(
     made = []
     for e in ends:
         shift, turn = [0.0] * 3, [0.0] * 3
-        for station in sorted({*e.raised, *e.lowered}):
-            up = e.raised.get(station, spatial.ZERO_TWIST)
-            down = e.lowered.get(station, spatial.ZERO_TWIST)
+        raised, lowered = (summed(twists for _, twists in part) for part in e[:2])
+        for station in sorted({*raised, *lowered}):
+            up = raised.get(station, spatial.ZERO_TWIST)
+            down = lowered.get(station, spatial.ZERO_TWIST)
             for k, (a, b) in enumerate(zip(up, down, strict=True)):
                 if a is b or (type(a) is float and type(b) is float and a == b):
                     continue
@@ -166,7 +213,9 @@ def moved(
                 _add(shift, per, turned[k] if k < 3 else shifted[k - 3])
                 if turns and k >= 3:
                     _add(turn, per, turned[k - 3])
-        made.append(Moved(tuple(shift), tuple(turn)))  # type: ignore[arg-type]
+        both = (encoders.seen(posture.chain, part) for part in e[:2]) if joints else ((), ())
+        read = tuple(e.per * (a - b) for a, b in zip(*both, strict=True))
+        made.append(Moved(tuple(shift), tuple(turn), read))  # type: ignore[arg-type]
     return made
 
 

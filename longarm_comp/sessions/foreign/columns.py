@@ -25,7 +25,7 @@ JOINT = "joint"
 _JOINT = re.compile(r"(?:q|j|joint|axis|a|theta)0*(\d{1,3})")
 _XYZ = re.compile(r"(?:p|pos|position|tip|tcp|meas|measured|measurement|marker)?([xyz])")
 _EXACT = re.compile(
-    r"index|repeat_id|approach(_q\d+)?|run_up_q\d+|sigma_([xyz]|rot)|cov_[xyz]{2}|distance|anchor|touch|plane"
+    r"index|repeat_id|approach(_q\d+)?|(run_up|read)_q\d+|sigma_([xyz]|rot)|cov_[xyz]{2}|distance|anchor|touch|plane"
     r"|ray_[xyz]|sensor|incl_\w+_[xy]|q[xyzw]|t_s|temperature_c|payload_kg|role|group|marker"
 )
 _TURNED = re.compile(
@@ -48,7 +48,7 @@ class Column:
 
 def kind_of(name: str, arm: Arm | None = None) -> str:
     """What the values of a session's column are: a kind of unit, `JOINT`, or nothing."""
-    joint = re.fullmatch(r"(?:run_up_)?q(\d+)", name)
+    joint = re.fullmatch(r"(?:run_up_|read_)?q(\d+)", name)
     if joint:
         number = int(joint.group(1))
         if arm is None or not 1 <= number <= arm.n:
@@ -112,18 +112,12 @@ def understand(
     """The columns of the session that a file holds.
 
     Args:
-        where: the file.
-        names: its columns.
         given: by name of a column, with or without its unit: a session's column, or one and its
             unit (``q3:mm``).
         defaults: by kind, the unit of columns that name none.
         arm: names its joints and says which slide; None: joints without a unit turn.
         apart: columns that are read otherwise (an orientation).
         is_clock: whether the column at a place holds wall-clock times, which have no unit.
-
-    Raises:
-        InputError: a name of ``given`` is no column, two columns mean the same, a unit is missing
-            or of another kind.
     """
     told = {_place(where, names, key): key for key in given}
     meant = [given[key].partition(":")[0] for key in told.values()]

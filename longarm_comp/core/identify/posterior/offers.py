@@ -16,6 +16,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from longarm_comp.core.identify.aliasing import are_aliases
 from longarm_comp.core.identify.candidates import Candidate, Term
 from longarm_comp.core.identify.discover.inputs import levels_of
 from longarm_comp.core.identify.evidence import FitColumns, shift_of
@@ -204,7 +205,10 @@ class OfferedEffects:
         """Names on offer that are the same physics, as their effects declare it."""
         made: dict[str, set[str]] = {}
         for name, number in self._first.items():
-            for other in set(self.things[number].terms[0].aliases) & set(self._first):
+            term = self.things[number].terms[0]
+            alike = (n for n in set(term.aliases) & set(self._first) if are_aliases(
+                self.fitted, term, self.things[self._first[n]].terms[0]))  # fmt: skip
+            for other in alike:
                 made.setdefault(name, set()).add(other)
                 made.setdefault(other, set()).add(name)
         return made

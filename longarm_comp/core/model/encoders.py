@@ -1,0 +1,55 @@
+"""What joint encoders see: the command, and what displaces a joint before its encoder.
+
+A drive is a chain: servo, gear, arm (`Effect.acts`).  A motor's encoder sees what the servo does,
+one at the joint what the gear does too.  What an effect displaces is its twist about the joint's
+own axis, so that readings need no physics of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.posture import Chain, Twists
+from longarm_comp.core.arm.spatial import ZERO_TWIST, Scalar
+from longarm_comp.core.effects.effect import Bias, Effect
+
+BEFORE: Mapping[str, frozenset[str]] = {
+    "motor": frozenset({"servo"}),
+    "joint": frozenset({"servo", "gear"}),
+}
+"""By place of an encoder, what acts before it."""
+
+Parts = Iterable[tuple[Effect, Twists]]
+"""Effects, each with its twists by station."""
+
+
+def sees(arm: Arm, row: int, term: Effect | Bias) -> bool:
+    """Whether the encoder of a commanded row sees what a term does to its joint."""
+    mine = not term.joints or row in term.joints
+    return isinstance(term, Effect) and mine and term.acts in BEFORE[arm.joints[row - 1].encoder]
+
+
+def tell_apart(arm: Arm, rows: Iterable[int], one: Effect | Bias, other: Effect | Bias) -> bool:
+    """Whether readings of some rows show one of two terms and not the other."""
+    return any(
+        sees(arm, row, one) != sees(arm, row, other)
+        for row in rows
+        if row in one.joints or row in other.joints
+    )
+
+
+def seen(chain: Chain, parts: Parts) -> tuple[Scalar, ...]:
+    """By how much the encoder of each commanded joint sees it displaced, n scalars (rad or m)."""
+    arm = chain.arm
+    total: list[Scalar] = [0.0] * arm.n
+    for term, twists in parts:
+        for k, row in enumerate(arm.commanded):
+            if not sees(arm, row, term):
+                continue
+            moved = dict(chain.coupled(row))
+            at = row if row in moved else next(iter(moved))
+            axis = 2 if arm.joints[at - 1].type == "prismatic" else 5
+            twist = twists.get(chain.rows[at - 1].bearing, ZERO_TWIST)
+            total[k] = total[k] + twist[axis] * (1.0 / moved[at])
+    return tuple(total)

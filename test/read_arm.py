@@ -1,0 +1,62 @@
+"""A heavy four-joint arm whose motors are read: droop before the encoders, softness behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.session import Session
+from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.context import TrueContext
+from longarm_comp.sim.hidden.base import HiddenEffect
+from longarm_comp.sim.measure import TrueEncoders
+
+SIGMA = 2e-4
+ENCODERS = TrueEncoders(step=1e-4, zero=np.array([2e-3, -1e-3, 5e-4, 0.0]), scale=1e-3)
+
+
+def heavy(**of_joints: object) -> Arm:
+    """The arm, with further keys in every joint's row."""
+    rows = (
+        {"d_m": 0.1, "limits_deg": [-40, 40]},
+        {"alpha_deg": 90, "limits_deg": [-20, 60]},
+        {"a_m": 0.35, "limits_deg": [-70, 10]},
+        {"a_m": 0.3, "limits_deg": [-60, 60]},
+    )
+    data = {
+        "name": "heavy",
+        "convention": "mdh_craig",
+        "tip": {"frame": 4, "position_m": [0.2, 0.03, 0.02]},
+        "joints": [
+            {"id": k, "type": "revolute", **row, **of_joints} for k, row in enumerate(rows, 1)
+        ],
+        "point_masses": [
+            {"name": "elbow", "frame": 3, "mass_kg": 0.3},
+            {"name": "tool", "frame": 4, "position_m": [0.2, 0.0, 0.0], "mass_kg": 0.8},
+        ],
+    }
+    return Arm.parse(data, "heavy arm")
+
+
+ARM = heavy()
+
+
+def readings(values: np.ndarray) -> dict[str, np.ndarray]:
+    """(N, n) as a session has them."""
+    return {f"read_q{k + 1}": values[:, k : k + 1] for k in range(values.shape[1])}
+
+
+def session(
+    hidden: Sequence[HiddenEffect] = (), n: int = 120, seed: int = 1, encoders: bool = True
+) -> Session:
+    """Random poses of the arm as it really stands, each from a random side."""
+    rng = np.random.default_rng(seed)
+    q = ARM.lower + rng.random((n, ARM.n)) * (ARM.upper - ARM.lower)
+    side = rng.choice([-1.0, 1.0], n)
+    true, context = TrueArm(ARM, hidden), TrueContext(approach=np.repeat(side[:, None], ARM.n, 1))
+    xyz = true.tip(q, context) + SIGMA * rng.standard_normal((n, 3))
+    read = ENCODERS.read(true.shafts(q, context), rng)
+    told = readings(read) if encoders else None
+    return Session.record(q, xyz, approach=side, readings=told)

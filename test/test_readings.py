@@ -1,0 +1,205 @@
+"""Joint readings: equations of what acts before the encoders, and what a diagnosis makes of them."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hidden_arm import at
+from read_arm import ARM, ENCODERS, heavy, readings, session
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.measurement import equations, posture
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.backlash import Backlash
+from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.effects.encoder import Encoder
+from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.servo_droop import ServoDroop
+from longarm_comp.core.effects.tip_payload import TipPayload
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.calibrate import geometry
+from longarm_comp.core.identify.diagnose import diagnose
+from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.identify.noise import from_repeats
+from longarm_comp.core.model.model import Model
+from longarm_comp.sessions.csv import read_csv, write_csv
+from longarm_comp.sim.hidden import drives
+
+DROOP = drives.ServoDroop(at(3, 1.5e-3), at(3, 1e-3), 0.0)
+
+
+def soft(*joints: int) -> drives.HiddenEffect:
+    """Joints that give way behind their encoders."""
+    from longarm_comp.sim.hidden.loads import JointCompliance as Soft
+
+    return Soft(sum(at(j, 1.5e-3) for j in joints))
+
+
+def shown(arm: Arm, term: Effect, q: np.ndarray) -> np.ndarray:
+    """(N, n) by how much the encoders see the joints displaced."""
+    model, rows = Model(arm, (term,)), Session.record(q, np.zeros((len(q), 3)))
+    return (
+        np.stack([np.broadcast_to(s, len(q)) for s in model.encoders_at(posture(model, rows))], -1)
+        - q
+    )
+
+
+@pytest.mark.parametrize(
+    ("encoder", "term", "seen"),
+    [
+        ("motor", ServoDroop(2, sag=1e-3), True),
+        ("motor", JointCompliance(2, compliance=1e-3), False),
+        ("joint", ServoDroop(2, sag=1e-3), True),
+        ("joint", JointCompliance(2, compliance=1e-3), True),
+    ],
+)
+def test_an_encoder_sees_what_acts_before_it(encoder: str, term: Effect, seen: bool) -> None:
+    q = session(n=20).q
+    off = shown(heavy(encoder=encoder), term, q)
+    assert (np.abs(off[:, 1]) > 1e-4).all() == seen
+    assert not off[:, [0, 2, 3]].any()
+
+
+def test_readings_move_as_their_columns_say() -> None:
+    """Also by what acts through the loads, by the encoder itself, and through its scale."""
+    rows = session((DROOP,))
+    terms = (ServoDroop(2, sag=1e-3, deadband=1e-3), JointCompliance(2, compliance=1e-3))
+    off = Encoder(2, zero=0.01, scale=0.1)
+    model = Model(ARM, (*terms, *TipPayload.for_arm(ARM))).plus(off)
+    at_rows = posture(model, rows)
+    columns = equations(model, rows, at_rows).columns[:, 3:]
+    for k, slot in enumerate(model.slots):
+        step = 1e-3 * slot.parameter.prior
+        ends = []
+        for sign in (1, -1):
+            values = model.values.copy()
+            values[k] += sign * step
+            moved = model.with_values(values)
+            ends.append(equations(moved, rows, posture(moved, rows), ()).residual[:, 3:])
+        want = (ends[1] - ends[0]) / (2 * step)
+        np.testing.assert_allclose(
+            columns[..., k], want, atol=0.02 * max(np.abs(want).max(), 4.0), err_msg=slot.label
+        )
+        if slot.parameter.name in ("sag", "mass", "zero", "scale"):
+            assert np.abs(want).max() > 1e-3, slot.label
+
+
+def test_a_reading_of_a_joint_beside_the_chain_is_its_own() -> None:
+    """What its motor does shows in the rows that follow it, by their share."""
+    data = heavy().model_dump(mode="json", exclude_defaults=True)
+    del data["joints"][2]["limits_deg"]
+    data["joints"][2]["mimic"] = {"joint": 2, "multiplier": -2.0}
+    data["joints"][1]["moves"] = False
+    arm = Arm.parse(data, "belt")
+    q = np.full((1, arm.n), 0.05)
+    off = shown(arm, ServoDroop(2, deadband=1e-3), q)
+    assert np.abs(off) == pytest.approx(np.array([[0.0, 1e-3, 0.0]]))
+
+
+def test_rows_without_readings_are_what_they_were() -> None:
+    """Byte for byte: the equations of the tip, beside readings or not."""
+    with_them, without = session((DROOP,)), session((DROOP,), encoders=False)
+    np.testing.assert_array_equal(with_them.xyz, without.xyz)
+    assert without.plain and without.hash != with_them.hash
+    terms = [t for t in geometry(ARM, with_them) if not isinstance(t, Encoder)]
+    assert tuple(terms) == geometry(ARM, without)
+    model = Model(ARM, (ServoDroop(2),)).plus(*terms)
+    alone = equations(model, without, posture(model, without))
+    beside = equations(model, with_them, posture(model, with_them))
+    assert alone.residual.tobytes() == beside.residual[:, :3].tobytes()
+    assert alone.columns.tobytes() == np.ascontiguousarray(beside.columns[:, :3]).tobytes()
+
+
+def test_zero_scale_and_noise_of_every_encoder_are_found() -> None:
+    rows = session((drives.ServoDroop(at(3, 1.5e-3), at(3, 0.0), 0.0),), n=200)
+    fitted = fit(Model(ARM, (ServoDroop(3),)).plus(*geometry(ARM, rows)), rows)
+    held = {t.joint: t for t in fitted.model.biases if isinstance(t, Encoder)}
+    for k, row in enumerate(ARM.commanded):
+        assert held[row].zero == pytest.approx(ENCODERS.zero[k], abs=5e-5)
+        assert held[row].scale == pytest.approx(1e-3, abs=3e-4)
+    droop = next(t for t in fitted.model.effects if isinstance(t, ServoDroop))
+    assert droop.sag == pytest.approx(1.5e-3, rel=0.03)
+    assert fitted.sigma[3:] == pytest.approx(np.full(4, ENCODERS.step / np.sqrt(12)), rel=0.2)
+
+
+def test_repeats_say_nothing_of_an_encoder() -> None:
+    """It repeats its rounding, which is not noise."""
+    q = np.repeat(session(n=20).q, 3, axis=0)
+    rng = np.random.default_rng(5)
+    xyz = Model(ARM).tip(q) + 2e-4 * rng.standard_normal((60, 3))
+    told = readings(np.round(q, 3))
+    found = from_repeats(Model(ARM), Session.record(q, xyz, readings=told))
+    assert found is not None and np.isfinite(found.sigma[:3]).all()
+    assert np.isinf(found.sigma[3:]).all()
+
+
+def test_two_cameras_do_not_make_two_encoders() -> None:
+    q = session(n=20).q
+    sensor = np.where(np.arange(20) % 2, "left", "right")
+    rows = Session.record(q, Model(ARM).tip(q), labels={"sensor": sensor}, readings=readings(q))
+    assert rows.channels == (
+        "left x", "left y", "left z", "right x", "right y", "right z",
+        "read_q1", "read_q2", "read_q3", "read_q4",
+    )  # fmt: skip
+    assert rows.measured[:, -1].all()
+
+
+@pytest.mark.parametrize(
+    ("hidden", "name", "places"),
+    [
+        ((DROOP,), "servo_droop", ["joint 3"]),
+        ((soft(3),), "joint_compliance", ["joint 3"]),
+        ((drives.Backlash(at(3, 3e-3), np.inf),), None, ["joint 3"]),
+    ],
+)
+def test_a_reading_names_what_no_pose_can(hidden, name, places) -> None:
+    """Droop and softness are one set without readings; play is not in the servo."""
+    found = diagnose(ARM, session(hidden)).findings
+    assert [list(f.where) for f in found] == [places]
+    if name is None:
+        assert "servo_droop" not in found[0].names
+    else:
+        assert found[0].names == (name,)
+
+
+def test_without_a_reading_droop_and_softness_stay_a_set() -> None:
+    (found,) = diagnose(ARM, session((soft(3),), encoders=False)).findings
+    assert {"joint_compliance", "servo_droop"} <= set(found.names)
+
+
+def test_both_at_one_joint_are_both_found() -> None:
+    found = diagnose(ARM, session((DROOP, soft(3)))).findings
+    assert {f.names for f in found} == {("servo_droop",), ("joint_compliance",)}
+
+
+def test_a_session_keeps_its_readings_in_a_file(tmp_path: Path) -> None:
+    rows = session((DROOP,))
+    part = dict(rows.readings)
+    part["read_q2"] = np.where(np.arange(120)[:, None] < 5, np.nan, part["read_q2"])
+    rows = dataclasses.replace(rows, readings=part, blocks=())
+    write_csv(rows, tmp_path / "samples.csv")
+    again = read_csv(tmp_path / "samples.csv", ARM)
+    assert again.hash == rows.hash
+    assert again.read_joints == (0, 1, 2, 3)
+    assert again.measured[:, 4].sum() == 115
+
+
+def test_a_reading_of_a_joint_that_the_arm_lacks_is_refused(tmp_path: Path) -> None:
+    write_csv(session(), tmp_path / "samples.csv")
+    text = (tmp_path / "samples.csv").read_text().replace("read_q4", "read_q5")
+    (tmp_path / "samples.csv").write_text(text)
+    with pytest.raises(InputError, match="read_q5"):
+        read_csv(tmp_path / "samples.csv", ARM)
+
+
+def test_play_is_behind_a_motors_encoder_and_before_a_joints() -> None:
+    q = session(n=5).q
+    play = Backlash(2, width=0.01)
+    rows = Session.record(q, np.zeros((5, 3)), approach=np.ones(5))
+    for encoder, amount in (("motor", 0.0), ("joint", 0.005)):
+        model = Model(heavy(encoder=encoder), (play,))
+        read = np.broadcast_to(model.encoders_at(posture(model, rows))[1], 5)
+        assert np.abs(read - q[:, 1]) == pytest.approx(np.full(5, amount))
