@@ -1,4 +1,4 @@
-"""Joint readings: equations of what acts before the encoders, and what a diagnosis makes of them."""
+"""Joint readings: equations of what acts before encoders, and what `diagnose` makes of them."""
 
 from __future__ import annotations
 

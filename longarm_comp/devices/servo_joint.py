@@ -12,7 +12,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.devices.servo_bus import ServoModel, models
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 Transmission = Annotated[float, Field(ge=1e-6, le=1e6)]
@@ -31,7 +31,7 @@ class JointConfig(ServoSettings):
     servo_id: int = Field(ge=0, le=252, description="on the bus")
     model: str = Field(description="of the servo")
     type: Literal["revolute", "prismatic"] = Field(description="revolute or prismatic")
-    zero_ticks: Finite = Field(description="encoder reading at joint value 0")
+    zero_ticks: _Finite = Field(description="encoder reading at joint value 0")
     direction: Literal[1, -1] = Field(1, description="+1 when ticks grow with the joint value")
     gear_ratio: Transmission = Field(
         1.0, description="servo turns for one turn of the joint, of the screw or of the pinion"
@@ -47,8 +47,8 @@ class JointConfig(ServoSettings):
         description="the servo turns more than once over the range. It loses its turn count "
         "without power, so the joint must be within the turn of its zero at power-on",
     )
-    lower: Finite = Field(description="limit, rad or m")
-    upper: Finite = Field(description="limit, rad or m")
+    lower: _Finite = Field(description="limit, rad or m")
+    upper: _Finite = Field(description="limit, rad or m")
     max_velocity: Positive = Field(description="rad/s or m/s")
     max_temperature_c: float = Field(
         65.0, ge=30.0, le=100.0, description="a hotter servo is a fault, degC"

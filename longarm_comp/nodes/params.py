@@ -23,7 +23,7 @@ from rclpy.parameter import Parameter
 
 from longarm_comp.core.errors import InputError
 
-ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides")
+_ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides")
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) ->
     """
     known = {param.name: param for param in table}
     given = {k: v for k, v in overrides(node).items() if k.split(".")[0] not in sections}
-    refuse_unknown(node, given, tuple(known))
+    _refuse_unknown(node, given, tuple(known))
     values = {}
     for name, param in known.items():
         value = given.get(name, param.default)
@@ -182,11 +182,11 @@ def described(section: type[BaseModel], field: str) -> ParameterDescriptor:
 def overrides(node: Node) -> dict[str, Any]:
     """Parameters given on the command line and in its files, without ROS's own."""
     names = node.list_parameters([], 0).names
-    own = [name for name in names if name.split(".")[0] not in ROS_OWN]
+    own = [name for name in names if name.split(".")[0] not in _ROS_OWN]
     return {name: node.get_parameter(name).value for name in own}
 
 
-def refuse_unknown(node: Node, given: Mapping[str, Any], known: Sequence[str]) -> None:
+def _refuse_unknown(node: Node, given: Mapping[str, Any], known: Sequence[str]) -> None:
     """Raise `InputError` for a parameter that the node does not have."""
     for name in given:
         if name not in known:

@@ -120,12 +120,7 @@ class ServoDriver(LifecycleNode):
         return ServoConfig.parse(declare_sections(self, SECTIONS), "parameters of servo_driver")
 
     def _rules_of(self, p: Mapping[str, Any]) -> tuple[KeepsOut | None, Shapes | None]:
-        """How moves are kept out of the declared boxes and shaped; the declared steps are checked.
-
-        Raises:
-            InputError: a step that the servo does not have; a joint without a servo; shaping of
-                no arm.
-        """
+        """Check the declared steps; how moves are kept out of boxes, and shaped."""
         file, names = p["arm"], list(self._config.joints)
         if not file:
             if p["shaping"]:

@@ -44,7 +44,7 @@ def hidden_effects(
     return tuple(effects)
 
 
-def with_play(hidden: tuple[HiddenEffect, ...], more: Array) -> tuple[HiddenEffect, ...]:
+def _with_play(hidden: tuple[HiddenEffect, ...], more: Array) -> tuple[HiddenEffect, ...]:
     """Hidden effects with play (n,), rad or m, added to the play that is there already."""
     if not more.any():
         return hidden
@@ -112,7 +112,7 @@ class Plant:
             if not 0.0 <= value < np.inf:
                 raise InputError("plant", f"more_play {joint}", value, "0 or more, rad or m")
         more = np.array([play.get(name, 0.0) for name in names])
-        self._true = TrueArm(self.config.arm, with_play(self.config.hidden, more), steps=_STEPS)
+        self._true = TrueArm(self.config.arm, _with_play(self.config.hidden, more), steps=_STEPS)
         self._last = None
 
     def start(self) -> None:

@@ -183,9 +183,6 @@ class Ringing:
     Args:
         true: the arm at rest.
         damping: share of critical damping of every mode.
-
-    Raises:
-        InputError: no such damping.
     """
 
     def __init__(self, true: TrueArm, damping: float) -> None:

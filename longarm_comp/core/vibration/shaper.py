@@ -19,11 +19,7 @@ from longarm_comp.math.shaper import Shaper
 
 
 def zvd(omega: np.ndarray, damping: float) -> Shaper:
-    """Shapers of modes of frequencies (n,) rad/s, undamped, and a share of critical damping.
-
-    Raises:
-        InputError: the damping is not above 0 and below 1.
-    """
+    """Shapers of modes of frequencies (n,) rad/s, undamped, and a share of critical damping."""
     if not 0.0 < damping < 1.0:
         raise InputError("ringing", "damping", damping, "above 0 and below 1")
     root = np.sqrt(1.0 - damping**2)
