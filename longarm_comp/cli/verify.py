@@ -36,7 +36,7 @@ def command(
     model: Path | None,
     method: str | None,
     sightings: int,
-    dwell: float,
+    dwell: float | None,
     move: float,
     namespace: str,
     seed: int,
@@ -62,8 +62,9 @@ def command(
     from longarm_comp.cli.signals import stop_on_signals
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.compensation.compensate import Method
-    from longarm_comp.core.data.plan import random_targets
+    from longarm_comp.core.data.plan import random_targets, sobol
     from longarm_comp.core.files import write_text
+    from longarm_comp.core.vibration.dwell import rest_s
     from longarm_comp.jobs.client import ArmClient
     from longarm_comp.jobs.pace import Pace
     from longarm_comp.jobs.targets import TargetRunner
@@ -77,7 +78,8 @@ def command(
     if targets is not None:
         given = read_targets(targets).xyz
         draw, count = one_by_one(given), len(given)
-    pace = Pace(sightings=sightings, dwell_s=dwell, move_s=move)
+    rest = rest_s(drawn_from, sobol(declared, 16, seed).q, move, dwell)
+    pace = Pace(sightings=sightings, dwell_s=rest, move_s=move)
     with (
         stop_on_signals() as stop,
         ArmClient(declared, namespace, stop, "verify") as client,

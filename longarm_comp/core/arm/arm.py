@@ -359,8 +359,9 @@ class Arm(Declared):
 
     @cached_property
     def hash(self) -> str:
-        """SHA-256 of the arm's contents (not of the file's layout)."""
-        text = json.dumps(self.model_dump(mode="json", exclude_defaults=True), sort_keys=True)
+        """SHA-256 of what a model depends on: the contents but for `damping`, not the layout."""
+        held = self.model_dump(mode="json", exclude_defaults=True, exclude={"damping"})
+        text = json.dumps(held, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     @classmethod
