@@ -1,4 +1,4 @@
-"""Joint readings: equations of what acts before the encoders, and what a diagnosis makes of them."""
+"""Joint readings: equations of what acts before encoders, and what `diagnose` makes of them."""
 
 from __future__ import annotations
 
@@ -41,9 +41,10 @@ def soft(*joints: int) -> drives.HiddenEffect:
 def shown(arm: Arm, term: Effect, q: np.ndarray) -> np.ndarray:
     """(N, n) by how much the encoders see the joints displaced."""
     model, rows = Model(arm, (term,)), Session.record(q, np.zeros((len(q), 3)))
-    return np.stack(
-        [np.broadcast_to(s, len(q)) for s in model.encoders_at(posture(model, rows))], -1
-    ) - q
+    return (
+        np.stack([np.broadcast_to(s, len(q)) for s in model.encoders_at(posture(model, rows))], -1)
+        - q
+    )
 
 
 @pytest.mark.parametrize(
@@ -138,9 +139,7 @@ def test_repeats_say_nothing_of_an_encoder() -> None:
 def test_two_cameras_do_not_make_two_encoders() -> None:
     q = session(n=20).q
     sensor = np.where(np.arange(20) % 2, "left", "right")
-    rows = Session.record(
-        q, Model(ARM).tip(q), labels={"sensor": sensor}, readings=readings(q)
-    )
+    rows = Session.record(q, Model(ARM).tip(q), labels={"sensor": sensor}, readings=readings(q))
     assert rows.channels == (
         "left x", "left y", "left z", "right x", "right y", "right z",
         "read_q1", "read_q2", "read_q3", "read_q4",

@@ -172,11 +172,11 @@ def view_beside(arm: Path) -> View | None:
     bridge, simulated = (parameters_of(node, file) for node, file in zip(nodes, files, strict=True))
     if bridge["marker.kind"] != "tags":
         return None
-    view, lens = View.of(bridge, simulated), lens_beside(arm)
+    view, lens = View.of(bridge, simulated), _lens_beside(arm)
     return view if lens is None else replace(view, lens=lens)
 
 
-def lens_beside(arm: Path) -> Lens | None:
+def _lens_beside(arm: Path) -> Lens | None:
     """The cameras' lens by the calibration beside an arm.yaml; None where there is none."""
     from longarm_comp.arm_folder.camera_files import SIDES, camera_path, read_camera
 

@@ -13,8 +13,6 @@ from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 
-DEFAULT_DEG = 45.0
-
 _RANGES = (45.0, 40.0, 35.0, 30.0, 25.0, 20.0, 15.0)
 
 

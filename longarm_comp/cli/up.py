@@ -33,6 +33,8 @@ _FORGOTTEN_S = 22.0
     help="Folder of parameter files NODE.yaml; default: ARM's. The package's own for the rest.",
 )
 @click.option("--composed", is_flag=True, help="kinematics and error_predictor in one process.")
+@click.option("--paths", is_flag=True, help="trajectory_compensator too, for planned paths.")
+@click.option("--shaping", is_flag=True, help="Moves that leave no ring (docs/ringing.md).")
 @click.option("--respawn/--no-respawn", default=True, help="Restart a node that dies.")
 def command(
     arm: Path,
@@ -47,6 +49,8 @@ def command(
     namespace: str,
     config: Path | None,
     composed: bool,
+    paths: bool,
+    shaping: bool,
     respawn: bool,
 ) -> None:
     """Start ARM's nodes as processes, until SIGINT or SIGTERM.
@@ -78,6 +82,8 @@ def command(
         port=port,
         speed=speed,
         composed=composed,
+        paths=paths,
+        shaping=shaping,
         set={"simulated_arm": {"hidden": hidden, "seed": seed}} if sim else {},
     )
     stop = threading.Event()

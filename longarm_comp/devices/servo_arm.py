@@ -23,6 +23,7 @@ from longarm_comp.devices.servo_follower import (
     Accepted,
     FollowerState,
     KeepsOut,
+    Shapes,
     Step,
     TrajectoryFollower,
 )
@@ -65,9 +66,11 @@ class ServoArm:
         JobError: a servo is of another model than configured.
     """
 
-    def __init__(self, config: ServoConfig, keeps_out: KeepsOut | None = None) -> None:
+    def __init__(
+        self, config: ServoConfig, keeps_out: KeepsOut | None = None, shapes: Shapes | None = None
+    ) -> None:
         self.config = config
-        self.follower = TrajectoryFollower(config, keeps_out)
+        self.follower = TrajectoryFollower(config, keeps_out, shapes)
         self._ids = list(config.ids.values())
         self._powered = False
         self._owing_off = False  # torque off is still to be sent to an unplugged bus

@@ -51,6 +51,7 @@ PARAMS = (
     Param("wire_faults_hz", 0.0, "servo replies lost, cut or damaged a second", 0.0, 50.0),
     Param("temperature_c", 22.0, "at the start", -50.0, 100.0),
     Param("warming_k", 0.0, "rise over hours", -50.0, 50.0),
+    Param("damping", 0.0, "it rings with this share of critical damping; 0: not at all", 0.0, 0.9),
     Param("payload_kg", 0.25, "carried at the tool", 0.0, 1000.0),
     Param("camera.position", [0.75, -1.7, 0.3], "left camera in the base frame, m"),
     Param("camera.axis", [0.0, 1.0, 0.0], "where it looks"),
@@ -72,6 +73,8 @@ PARAMS = (
     PERIOD,
 )
 
+_RINGS_S = 0.01
+"""Between two steps of the arm's vibration, s: a small part of the first modes' periods."""
 _SIDES = ("left", "right")
 
 
@@ -128,6 +131,7 @@ class SimulatedArm(Node):
             ),
             temperature_c=(p["temperature_c"], p["warming_k"]),
             payload_kg=p["payload_kg"],
+            damping=p["damping"],
         )
         self._plant = Plant(config, Path(p["port"]), rng)
         self._covered: list[str] = []
@@ -151,6 +155,8 @@ class SimulatedArm(Node):
         if p["wire_faults_hz"]:
             self._chance = np.random.default_rng([p["seed"], 1])
             steady_timer(self, 1.0 / p["wire_faults_hz"], self._spoil)
+        if p["damping"]:
+            steady_timer(self, _RINGS_S, self._ring)
         self._health = Health(self, {"plant": self._report}, p[PERIOD.name])
         self._plant.start()
 
@@ -182,6 +188,9 @@ class SimulatedArm(Node):
         except InputError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _ring(self) -> None:
+        self._plant.ring(time.monotonic() - self._started)
 
     def _expose(self) -> None:
         if not self._worker.submit(self._frame):

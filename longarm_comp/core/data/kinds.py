@@ -8,7 +8,6 @@ further kind is one class here.
 from __future__ import annotations
 
 import re
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

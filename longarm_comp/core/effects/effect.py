@@ -25,7 +25,7 @@ from longarm_comp.core.arm.posture import Lumped, Posture
 from longarm_comp.core.arm.spatial import Frame, Scalar, Twist, Vec
 from longarm_comp.core.errors import InputError
 
-FLAT = 1000.0
+_FLAT = 1000.0
 """Width of a prior that knows nothing, in ordinary sizes: 50 m and 50 rad for a base."""
 
 
@@ -50,7 +50,7 @@ class Parameter:
     @property
     def width(self) -> float:
         """Standard deviation of the fit's prior."""
-        return FLAT * self.prior if self.unknown else self.prior
+        return _FLAT * self.prior if self.unknown else self.prior
 
 
 _PARAMETER, _PLACE, _FORM = "parameter", "place", "form"

@@ -19,7 +19,7 @@ FIRMWARE, MODEL, ID, MIN_ANGLE, MAX_ANGLE, MAX_TEMPERATURE = 0, 3, 5, 9, 11, 13
 TORQUE, GOAL, GOAL_SPEED, LOCK = 40, 42, 46, 55
 POSITION, SPEED, LOAD, VOLTS, TEMPERATURE, STATUS, MOVING, AMPS = 56, 58, 60, 62, 63, 65, 66, 69
 MEMORY = 87
-STATUS_BITS = {VOLTAGE: 1, SENSOR: 2, OVERHEAT: 4, CURRENT: 8, OVERLOAD: 32}
+_STATUS_BITS = {VOLTAGE: 1, SENSOR: 2, OVERHEAT: 4, CURRENT: 8, OVERLOAD: 32}
 
 
 class FeetechWire(Wire):
@@ -141,7 +141,7 @@ def _status(device: Device, data: bytes) -> tuple[int, bytes]:
 
 
 def _status_bits(motor: Motor) -> int:
-    return sum(STATUS_BITS[name] for name in motor.alarms)
+    return sum(_STATUS_BITS[name] for name in motor.alarms)
 
 
 def _sign_magnitude(value: int, bit: int) -> int:

@@ -15,7 +15,7 @@ from typing import Any
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import read_yaml
 
-TICKS_PER_TURN = 4096.0
+_TICKS_PER_TURN = 4096.0
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def _joint(name: str, fields: Mapping[str, Any]) -> EmulatedJoint:
         turn = float(fields["screw_lead_m"])
     elif fields["type"] == "prismatic":
         turn *= float(fields["pinion_radius_m"])
-    gearing = float(fields.get("gear_ratio", 1.0)) * TICKS_PER_TURN
+    gearing = float(fields.get("gear_ratio", 1.0)) * _TICKS_PER_TURN
     return EmulatedJoint(
         name=str(name),
         servo_id=int(fields["servo_id"]),
