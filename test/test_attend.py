@@ -58,7 +58,7 @@ def test_a_hand_can_guide_the_arm_while_touches_are_taken(rig: Rig) -> None:
         rig.stage.spin(rig.driving)
         with pytest.raises(ZeroDivisionError), limp(client):
             assert rig.free()
-            ticks = rig.emulator.positions()[1] + 200.0
+            ticks = rig.emulator.positions()[1] + 100.0
             rig.emulator.push(1, ticks)
             stood = rig.joints()["shoulder"]
             rig.stage.spin(
