@@ -12,8 +12,7 @@ from cli_shell import Shell
 from driver_rig import Rig
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.jobs.client import ArmClient, DriverStopped, GraphClient
-from longarm_comp.jobs.touch import limp
+from longarm_comp.jobs.client import ArmClient, DriverStopped
 from longarm_interfaces.msg import DriverState
 
 TWO_JOINTS = Arm.parse(
@@ -49,26 +48,6 @@ def test_an_arm_is_held_stopped_and_goes_on(rig: Rig, shell: Shell) -> None:
     rig.is_idle()
     rig.goes(shoulder=0.1)
     assert shell("reset") == 0 and "nothing to reset" in shell.err
-
-
-def test_a_hand_can_guide_the_arm_while_touches_are_taken(rig: Rig) -> None:
-    """Torque off, joints are still read; on again where the hand left it, also after an error."""
-    with GraphClient(name="touch") as client:
-        rig.is_in(DriverState.READY)
-        rig.stage.spin(rig.driving)
-        with pytest.raises(ZeroDivisionError), limp(client):
-            assert rig.free()
-            ticks = rig.emulator.positions()[1] + 100.0
-            rig.emulator.push(1, ticks)
-            stood = rig.joints()["shoulder"]
-            rig.stage.spin(
-                lambda: any(abs(dict(zip(m.name, m.position, strict=True))["shoulder"] - stood)
-                            < 1e-2 for m in rig.states[-3:])
-            )  # fmt: skip
-            raise ZeroDivisionError
-        rig.is_in(DriverState.READY)
-        rig.stage.spin(rig.driving)
-        assert abs(rig.emulator.positions()[1] - ticks) < 20.0
 
 
 def test_a_fault_is_told_with_its_cause_and_stays_until_it_is_cured(rig: Rig, shell: Shell) -> None:
