@@ -85,7 +85,10 @@ class Model:
     def __repr__(self) -> str:
         counts = Counter(term.name for term in self.terms)
         held = (f"{count} {name}" if count > 1 else name for name, count in counts.items())
-        return f"Model({self.arm.name}: {', '.join(held) or 'rigid'})"
+        beams = len(self.arm.links)
+        left_out = beams and "link_deflection" not in counts
+        rest = f"; {beams} declared beams left out, see la.declared_model" if left_out else ""
+        return f"Model({self.arm.name}: {', '.join(held) or 'rigid'}{rest})"
 
     def __getstate__(self) -> dict[str, object]:
         """State for copies and other processes, without compiled programs."""
