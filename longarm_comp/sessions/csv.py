@@ -144,7 +144,9 @@ def approach_names(n: int) -> tuple[str, ...]:
 
 
 def _known(n: int) -> tuple[str, ...]:
-    per_joint = [f"{what}_{name}" for what in ("approach", "run_up", "read") for name in joint_names(n)]
+    per_joint = [
+        f"{what}_{name}" for what in ("approach", "run_up", "read") for name in joint_names(n)
+    ]
     return (*XYZ, *READ, *_INDEX, *UNITS, *SIGMA, *_COVARIANCE, *LABELS, *per_joint)
 
 

@@ -6,7 +6,6 @@ A row measures what it holds, and blank is not measured.  A column that no row f
 from __future__ import annotations
 
 import re
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -8,7 +8,6 @@ further kind is one class here.
 from __future__ import annotations
 
 import re
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -52,6 +51,7 @@ class Kind(ABC):
         takes: rows that it takes to solve what a text names, where there are no cells.
         sigma: column of its standard deviation in a file, or empty.
         of_joint: whether it measures a joint and not the tip.
+        number: of that joint, from 1.
     """
 
     name: ClassVar[str]
@@ -63,6 +63,7 @@ class Kind(ABC):
     takes: ClassVar[int] = 0
     sigma: ClassVar[str] = ""
     of_joint: ClassVar[bool] = False
+    number: int = 0
 
     def measured(self, values: np.ndarray) -> np.ndarray:
         """(N, k) which equations readings (N, c) hold; NaN is not measured."""

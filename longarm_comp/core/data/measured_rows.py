@@ -46,8 +46,9 @@ class MeasuredRows:
 
     @cached_property
     def seen(self) -> np.ndarray:
-        """(N,) whether anything was measured."""
-        return np.asarray(self.measured.any(axis=1))
+        """(N,) whether anything was measured of the tip."""
+        of_tip = [not KINDS[b.kind].of_joint for b in self.blocks for _ in b.channels]
+        return np.asarray(self.measured[:, of_tip].any(axis=1))
 
     @cached_property
     def located(self) -> np.ndarray:

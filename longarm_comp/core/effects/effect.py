@@ -54,6 +54,7 @@ class Parameter:
 
 
 _PARAMETER, _PLACE, _FORM = "parameter", "place", "form"
+Drive = Literal["servo", "gear", "arm"]
 Places = Callable[[Arm], Sequence[int] | Sequence[str]]
 
 
@@ -191,7 +192,7 @@ class _Term:
     displaces_joint: ClassVar[bool] = False
     stepped: ClassVar[bool] = False
     bounded: ClassVar[bool] = False
-    acts: ClassVar[Literal["servo", "gear", "arm"]] = "arm"
+    acts: ClassVar[Drive] = "arm"
 
     @classmethod
     def heading(cls) -> str:

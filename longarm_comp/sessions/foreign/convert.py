@@ -32,7 +32,9 @@ from longarm_comp.sessions.foreign.units import ANGLE, UNITS, Unit, split_name
 from longarm_comp.sessions.table import write_table
 from longarm_comp.sessions.targets import QUATERNION
 
-_MAY_BE_BLANK = re.compile(r"[xyz]|distance|repeat_id|approach|ray_[xyz]|sigma_rot|q[xyzw]|read_q\d+")
+_MAY_BE_BLANK = re.compile(
+    r"[xyz]|distance|repeat_id|approach|ray_[xyz]|sigma_rot|q[xyzw]|read_q\d+"
+)
 
 
 @dataclass(frozen=True)
