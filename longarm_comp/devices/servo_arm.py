@@ -68,9 +68,11 @@ class ServoArm:
         JobError: a servo is of another model than configured.
     """
 
-    def __init__(self, config: ServoConfig, keeps_out: KeepsOut | None = None) -> None:
+    def __init__(
+        self, config: ServoConfig, keeps_out: KeepsOut | None = None, trim: bool = False
+    ) -> None:
         self.config = config
-        self.follower = TrajectoryFollower(config, keeps_out)
+        self.follower = TrajectoryFollower(config, keeps_out, trim)
         self._ids = list(config.ids.values())
         self._powered = False
         self._owing_off = False  # torque off is still to be sent to an unplugged bus

@@ -47,6 +47,8 @@ class FollowerConfig(ServoSettings):
             count as a stall.
         lost_error_ticks: position error over ``stall_time_s`` that is a fault at any load.
         jump_ticks: a read-back further than this from any reachable position is rejected.
+        trim_ticks: largest correction by trim (`docs/readings.md`).
+        trim_pause_s: rest between two of its steps: a period of the arm's slowest swing, at least.
     """
 
     blend_s: Positive = 0.2
@@ -56,6 +58,8 @@ class FollowerConfig(ServoSettings):
     stall_time_s: Positive = 0.5
     lost_error_ticks: Positive = 400.0
     jump_ticks: Positive = 200.0
+    trim_ticks: Positive = 100.0
+    trim_pause_s: Positive = 0.12
 
 
 class ServoConfig(ServoSettings):

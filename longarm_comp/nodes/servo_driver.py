@@ -48,6 +48,7 @@ PARAMS = (
     Param("autostart", True, "configure and activate by itself, and again after a failure"),
     Param("retry_s", 1.0, "pause between two such attempts", 0.1, 60.0),
     Param("patience_s", 5.0, "no servos at the start are an error only after it", 0.0, 600.0),
+    Param("trim", False, "after a move, goals are moved until the readings stand where sent"),
     *intake.PARAMS,
     PERIOD,
 )
@@ -73,6 +74,7 @@ class ServoDriver(LifecycleNode):
         self._keeps_out: KeepsOut | None = None
         if p["arm"]:
             self._keeps_out = self._rules_of(Arm.load(p["arm"]), p["arm"])
+        self._trim = p["trim"]
         self._autostart, self._period_s = p["autostart"], 1.0 / p["rate_hz"]
         self._arm: ServoArm | None = None
         self._active = False
@@ -142,7 +144,7 @@ class ServoDriver(LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open the port and find every servo."""
         try:
-            self._arm = ServoArm(self._config, self._keeps_out)
+            self._arm = ServoArm(self._config, self._keeps_out, self._trim)
         except LongarmError as error:
             return self._failed(error)
         self._fault = ""

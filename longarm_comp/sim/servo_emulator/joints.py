@@ -16,11 +16,16 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import read_yaml
 
 TICKS_PER_TURN = 4096.0
+STALL_NM = 2.94
+"""Torque of an STS3215 at full effort (12 V)."""
 
 
 @dataclass(frozen=True)
 class EmulatedJoint:
-    """One joint: value (rad, m) = travel * (ticks - zero), ``travel`` signed, per tick."""
+    """One joint: value (rad, m) = travel * (ticks - zero), ``travel`` signed, per tick.
+
+    ``full_effort``: N m or N at the joint when its servo gives its full effort.
+    """
 
     name: str
     servo_id: int
@@ -28,6 +33,7 @@ class EmulatedJoint:
     travel: float
     lower: float
     upper: float
+    full_effort: float
 
     def value(self, ticks: float) -> float:
         """Joint value, rad or m."""
@@ -91,4 +97,7 @@ def _joint(name: str, fields: Mapping[str, Any]) -> EmulatedJoint:
         travel=int(fields.get("direction", 1)) * turn / gearing,
         lower=float(fields["lower"]),
         upper=float(fields["upper"]),
+        full_effort=float(
+            fields.get("full_effort", STALL_NM * 2.0 * math.pi * gearing / (turn * TICKS_PER_TURN))
+        ),
     )
