@@ -9,7 +9,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 INSTALL := $(PIP) install --quiet --no-compile
 STAMPS := $(VENV)/stamps
 
-.PHONY: setup test long fuzz soak lint demo docs pictures bench format system colcon clean
+.PHONY: setup test long fuzz soak lint demo docs pictures bench figures format system colcon clean
 
 setup: $(STAMPS)/dev
 
@@ -60,7 +60,7 @@ long: setup
 
 # Damaged files given to every command that reads one; `make test` runs a tenth of it.
 fuzz: setup
-	LONGARM_FUZZ_RUNS=2000 $(BIN)/python -m pytest $(PYTEST_ARGS) test/test_fuzz.py
+	LONGARM_FUZZ_RUNS=3000 $(BIN)/python -m pytest $(PYTEST_ARGS) test/test_fuzz.py
 
 # Hours of targets on a simulated arm, with random faults: SOAK_ARGS='--hours 8'.
 SOAK_ARGS ?=
@@ -98,6 +98,11 @@ $(STAMPS)/bench: $(STAMPS)/dev
 
 bench: $(STAMPS)/bench
 	$(BIN)/longarm bench -o build/bench
+
+# The tables of figures in docs/, printed anew: hours. A second call goes on where the first ended.
+FIGURES_ARGS ?=
+figures: $(STAMPS)/bench
+	$(BIN)/python docs/made_by/figures.py $(FIGURES_ARGS)
 
 # Debian packages: a compiler for the ROS interfaces, a browser for the test of the report's page.
 system:

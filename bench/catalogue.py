@@ -103,8 +103,6 @@ BENCHMARKS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
             "ros_composed_target_to_trajectory_vs_echo_p99_ms",
             "ros_composed_compensate_vs_echo_p50_ms",
             "ros_composed_compensate_vs_echo_p99_ms",
-            "ros_plain_target_to_trajectory_vs_echo_p50_ms",
-            "ros_plain_target_to_trajectory_vs_echo_p99_ms",
         ),
     },
 }

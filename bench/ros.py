@@ -1,8 +1,7 @@
 """Benchmarks of the graph's latency against a bare rclpy echo of the same messages.
 
 Processes: `kinematics`, `error_predictor` with a trained predictor, the echo, and this one.
-`composed` has the first two in one process, as `longarm up --composed`; `plain` gives messages to
-the workers through rclpy's executor, as where `nodes/rclpy_inside.py` does not fit.
+`composed` has the first two in one process, as `longarm up --composed`.
 Blocks of calls alternate, so that all sides are measured under the same load.  The p50 of a target
 is divided into shares.  DDS is the echo.  The predictor is the round trip of its service times the
 requests of a target.  The inverse kinematics is the whole compensation, computed here with a known
@@ -108,18 +107,6 @@ def ros_composed_compensate_vs_echo_p99_ms() -> Result:
     return _beside("ros_composed_compensate_vs_echo_p99_ms", f.service, f.service_echo, 99)
 
 
-def ros_plain_target_to_trajectory_vs_echo_p50_ms() -> Result:
-    """`target_pose` to `joint_trajectory` through rclpy's executor."""
-    f = figures("plain")
-    return _beside("ros_plain_target_to_trajectory_vs_echo_p50_ms", f.topic, f.topic_echo, 50)
-
-
-def ros_plain_target_to_trajectory_vs_echo_p99_ms() -> Result:
-    """The slow ones."""
-    f = figures("plain")
-    return _beside("ros_plain_target_to_trajectory_vs_echo_p99_ms", f.topic, f.topic_echo, 99)
-
-
 def ros_flood_compensate_p99_ms() -> Result:
     """Round trip of `compensate` beside a flood of targets."""
     from bench.ros_calls import Calls
@@ -193,10 +180,10 @@ def _share(of: str, **further: object) -> Result:
     return alone(f"ros_share_{of}_ms", "ms", figures().shares[of], note, **further)
 
 
-How = Literal["processes", "composed", "plain"]
+How = Literal["processes", "composed"]
 
 
-@lru_cache(maxsize=3)
+@lru_cache(maxsize=2)
 def figures(how: How = "processes", blocks: int = BLOCKS, per_block: int = PER_BLOCK) -> Figures:
     """All measurements of one kind of graph, taken once per process."""
     from bench.ros_calls import Calls
@@ -235,11 +222,10 @@ def _graph(arm: Arm, how: How) -> Iterator[Callable[[Any], Any]]:
         os.environ.setdefault("ROS_LOG_DIR", scratch)
         predictor = Path(scratch) / "predictor.npz"
         train_dummy(arm, predictor)
-        direct = {"direct": how != "plain"}
         graph = BringUp(
             arm=demo_arm_file(), predictor=predictor, namespace=space, composed=how == "composed",
             without=tuple(node for node in REAL if node not in COMPOSED),
-            set={"kinematics": {**direct, "acknowledged": False}, "error_predictor": direct},
+            set={"kinematics": {"acknowledged": False}},
         )  # fmt: skip
         echo = str(Path(__file__).with_name("ros_echo.py"))
         ros = ["--ros-args", "-r", f"__ns:=/{space}"]

@@ -15,11 +15,7 @@ _SOURCES = Path(__file__).resolve().parents[1]
 
 
 def folder(name: str) -> Path:
-    """``config`` or ``launch`` of this package: of its checkout, else as installed.
-
-    Raises:
-        InputError: it is in none of the places.
-    """
+    """``config`` or ``launch`` of this package: of its checkout, else as installed."""
     places = [_SOURCES / name] if _is_checkout() else []
     places += installed(PACKAGE, name)
     for place in places:

@@ -25,9 +25,6 @@ def import_urdf(path: str | Path, base: str, tip: str) -> dict[str, Any]:
     mass is lumped at its centre of mass; what hangs beside the chain (a gripper, another arm) is
     carried with its own joints at zero.  The tip's frame holds the fixed joints behind the last
     axis.
-
-    Raises:
-        InputError: no URDF, no such link, a joint type or value that an arm cannot have.
     """
     robot = UrdfRobot(path)
     way = robot.path(base, tip)
@@ -67,11 +64,7 @@ def import_urdf(path: str | Path, base: str, tip: str) -> dict[str, Any]:
 
 
 def chain_ends(path: str | Path, base: str = "", tip: str = "") -> tuple[str, str]:
-    """Base and tip link of a chain; the root and the only link at an end where none is given.
-
-    Raises:
-        InputError: no URDF, no such link, several links at an end.
-    """
+    """Base and tip link of a chain; the root and the only link at an end where none is given."""
     robot = UrdfRobot(path)
     if not base:
         base = next(link for link in robot.links if link not in robot.above)

@@ -51,10 +51,6 @@ def export_urdf(model: Model, group: str = "", marker: str = "") -> str:
         model: arm and effects; those that are no geometry are left out.
         group: base placement, where the model has several.
         marker: marker that `tip` is, instead of the arm's tip.
-
-    Raises:
-        InputError: the model needs a group or a marker; a joint follows several others, which a
-            URDF cannot say.
     """
     arm, geometry = model.arm, rigid(model)
     context = _context(geometry, group, marker)

@@ -63,16 +63,8 @@ class UrdfJoint:
         return made
 
 
-_ABSURD = 30.0
-"""Times the robot's length: from there on millimetres taken for metres (1000) are the nearer."""
-
-
 class UrdfRobot:
-    """The tree of a URDF file.
-
-    Raises:
-        InputError: no URDF, xacro, a name twice or unknown, a value that is not a number, a cycle.
-    """
+    """The tree of a URDF file."""
 
     def __init__(self, path: str | Path) -> None:
         self.where = str(path)
@@ -102,7 +94,9 @@ class UrdfRobot:
         )  # fmt: skip
         for name, link in self.links.items():
             far = float(np.linalg.norm(link.com))
-            if link.mass > 0 and extent > 0 and far > _ABSURD * extent:
+            # Times the robot's length: from there on millimetres taken for metres (1000) are the
+            # nearer
+            if link.mass > 0 and extent > 0 and far > 30.0 * extent:
                 allowed = f"metres; all joints together are {extent:.3g} m long"
                 raise self.error(f"link {name} inertial origin", f"{far:.6g} m", allowed)
 

@@ -10,19 +10,21 @@ import copy
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.compensation.compensate import commandable
-from longarm_comp.core.compensation.realisable import KNOWN_TO, Lattice, Realisables, Search, choose
+from longarm_comp.core.compensation.realisable import KNOWN_TO, Lattice, Search
 from longarm_comp.core.effects.tip_offset import TipOffset
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.forward import tip_poses
 from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
+from studies.many import chosen
 
 SLIDE_STEP_M = 1e-4
 POSE_LENGTH_M = 0.3
@@ -81,10 +83,10 @@ class StudyTargets:
         length = POSE_LENGTH_M if pose else characteristic_length(self.case.model)
         return Search(length, **options)
 
-    def choose(self, rows: slice = slice(None), **options: Any) -> Realisables:
+    def choose(self, rows: slice = slice(None), **options: Any) -> SimpleNamespace:
         """The joints chosen for some of the targets."""
         case = self.case
-        return choose(
+        return chosen(
             case.model.arm,
             Lattice.of(case.model.arm),
             lambda q, _: tip_poses(case.model, q),
@@ -260,6 +262,6 @@ def _path_move(case: ArmCase, q: np.ndarray) -> float:
     return float(np.degrees(np.abs(np.diff(q[:, case.turning], axis=0)).max()))
 
 
-def _moved(case: ArmCase, got: Realisables, q: np.ndarray) -> float:
+def _moved(case: ArmCase, got: SimpleNamespace, q: np.ndarray) -> float:
     """How far (deg) the revolute joint that moves most is from its ideal, mean over targets."""
     return float(np.degrees(np.abs(q - got.ideal)[:, case.turning].max(axis=1).mean()))

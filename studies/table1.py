@@ -28,7 +28,6 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.compensate import (
     Method,
     commandable,
-    compensate_many,
     rigid,
 )
 from longarm_comp.core.data.plan import grid, paper_grid, random_joints
@@ -44,6 +43,7 @@ from longarm_comp.sim.hidden.drives import ServoQuantisation
 from longarm_comp.sim.measure import TrueCamera, measure_session
 from longarm_comp.workflows.residual import training_rows
 from studies.extra import extra
+from studies.many import compensate_many
 from studies.peers import train_gaussian_process
 from studies.random_arms import Mix, paper_mix, random_arm
 
@@ -278,16 +278,10 @@ class Bench:
             {"temperature_c": self.temperature_c, "payload_kg": payload},
         )
         sent = compensate_many(
-            model,
-            predictor,
-            self.poses,
-            context=known,
-            seed=self.seed_q,
-            method=setting.method,
-            position_only=not whole_poses,
-            single_pass=setting.single_pass,
-            realisable=setting.realisable,
-        )
+            model, predictor, self.poses, context=known, seed=self.seed_q,
+            method=setting.method, position_only=not whole_poses,
+            single_pass=setting.single_pass, realisable=setting.realisable,
+        )  # fmt: skip
         circumstances = sim_context.TrueContext(
             np.repeat(self.side[:, None], arm.n, axis=1), self.temperature_c, payload
         )
@@ -298,7 +292,7 @@ class Bench:
             setting.row,
             Errors.of(tip - targets),
             Errors.of(self.camera.seen(tip) - targets),
-            int((sent.status != 0).sum()),
+            sum(map(bool, sent.status)),
             float(_angle(pose, wanted).mean()) if whole_poses else math.nan,
         )
 

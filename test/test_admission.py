@@ -66,6 +66,9 @@ def test_degrees(session: Session) -> None:
     q = session.q.copy()
     q[:, [0, 1, 3]] = np.degrees(q[:, [0, 1, 3]])
     assert "this looks like degrees" in refusal(dataclasses.replace(session, q=q))
+    q = ARM.mid + 0.3 * (session.q - ARM.mid)
+    q[:, [0, 1, 3]] = np.degrees(q[:, [0, 1, 3]])
+    assert "this looks like degrees" in refusal(dataclasses.replace(session, q=q))
     q = session.q.copy()
     q[:, 0] += np.where(np.arange(len(q)) == 4, 3.0, 0.0)  # within a turn: may be radians
     q[:, 0] *= 0.9 * np.pi / np.abs(q[:, 0]).max()

@@ -250,9 +250,47 @@ def test_what_was_measured_is_no_longer_listed(shell: Shell, hobby: Path) -> Non
     after = levels(folder, "unmeasured")
     assert after == ["stereo_bridge.yaml: hand_eye", "stereo_bridge.yaml: marker", "cameras"]
     listed = shell.json("check", folder)
-    assert [finding["where"] for finding in listed] == after
+    assert [f["where"] for f in listed if f["level"] != "declared"] == after
     assert "no such" not in shell.err
     assert shell.refused("check", shell.folder / "nowhere").startswith("longarm: ")
+
+
+BOX = """
+name: boom
+convention: mdh_craig
+tip: {frame: 3}
+joints:
+  - {id: 1, type: revolute, limits_deg: [-60, 60]}
+  - {id: 2, type: revolute, alpha_deg: 90, limits_deg: [-5, 50]}
+  - {id: 3, type: revolute, a_m: 1.0, limits_deg: [-1, 1]}
+links:
+  - name: box
+    row: 3
+    role: a
+    length_m: 1.0
+    E_pa: 7.0e+10
+    poisson: 0.33
+    mass_kg: 1.5
+    body_length_m: 1.0
+    section: {type: rect, width_m: WIDTH, height_m: HEIGHT}
+point_masses: [{name: tool, frame: 3, mass_kg: 2.0}]
+"""
+
+
+@pytest.mark.parametrize(("width", "height", "lines"), [(0.02, 0.04, 2), (0.04, 0.02, 4)])
+def test_check_draws_sections_as_they_stand_and_prints_the_sag(
+    width: float, height: float, lines: int, tmp_path: Path
+) -> None:
+    """A clamped beam by the textbook. Its height is along the level axis of joint 2."""
+    text = BOX.replace("WIDTH", str(width)).replace("HEIGHT", str(height))
+    (tmp_path / "arm.yaml").write_text(text)
+    beam, sag = (f.text for f in check_folder(tmp_path) if f.level == "declared")
+    expected = 9.80665 * (2.0 / 3 + 1.5 / 8) / (7e10 * height * width**3 / 12)
+    found = re.search(r"sags by ([\d.]+) mm", sag)
+    assert found is not None and float(found[1]) == pytest.approx(1e3 * expected, rel=0.02)
+    assert "held out to 1.00 m" in sag
+    assert "width_m is upright there, to 0 deg" in beam
+    assert beam.count("|") == 2 * lines
 
 
 def test_the_marker_is_printed_in_true_size(shell: Shell, hobby: Path) -> None:

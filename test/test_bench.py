@@ -213,6 +213,7 @@ def test_outside_of_a_checkout_the_command_says_where_it_runs(
     checkout = importlib.import_module("longarm_comp.cli.checkout")
     monkeypatch.setattr(checkout, "__file__", str(tmp_path / "a" / "b" / "c" / "checkout.py"))
     monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.delitem(sys.modules, "longarm_comp.cli.bench", raising=False)
     monkeypatch.chdir(tmp_path)
     assert run(["bench", "--list"]) == 3
     assert "run from a checkout of the project" in capsys.readouterr().err

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from column_arm import arm as column_arm
 from small_arm import ARM, measured
+from test_cylinder import boom
 from wind_up import Sliders
 
 from longarm_comp.core.arm.arm import Arm
@@ -101,7 +102,7 @@ def demo(demo_arm_path) -> Arm:
 )
 def test_every_engine_reaches_the_plain_model_in_every_form(demo: Arm, engine: Engine) -> None:
     covered = set()
-    for arm in (demo, column_arm()):
+    for arm in (demo, column_arm(), boom()):
         q, context = circumstances(arm)
         for model in models(arm):
             target = model.tip(q, context)

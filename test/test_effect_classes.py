@@ -110,6 +110,7 @@ def test_the_library_is_what_its_classes_say() -> None:
     assert not any(k.geometry or k.name == "link_deflection" for k in LIBRARY)
     assert {n: dict(k.scales()) for n, k in BUILT_IN.items() if k.scales()} == {
         "backlash": {"gate": (0.0, 1.0), "blend": (0.01, 0.5)},
+        "cylinder_play": {"gate": (0.0, 1.0), "blend": (0.01, 0.5)},
         "servo_droop": {"gate": (0.0, 1.0), "blend": (0.01, 0.5)},
         "creep": {"time": (100.0, 1e5)},
     }

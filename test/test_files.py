@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import stat
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +48,38 @@ def test_writers_that_go_by_the_suffix_hit_the_file(tmp_path: Path) -> None:
         np.savez(partial, weights=np.arange(3.0))
     with np.load(target, allow_pickle=False) as held:
         assert held["weights"].tolist() == [0.0, 1.0, 2.0]
+
+
+HALF = """
+import sys
+from longarm_comp.core.files import atomic_path
+with atomic_path(sys.argv[1]) as partial:
+    partial.write_text("half of the new")
+    print("half", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_what_a_killed_writer_left_goes_with_the_next_and_a_living_one_keeps_its_own(
+    tmp_path: Path,
+) -> None:
+    target = tmp_path / "model.yaml"
+    write_text(tmp_path / ".model.original.yaml", "the user's")
+    writers = [
+        subprocess.Popen([sys.executable, "-c", HALF, target], stdin=subprocess.PIPE,
+                         stdout=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]  # fmt: skip
+    for writer in writers:
+        assert writer.stdout is not None and writer.stdout.readline() == "half\n"
+    killed, living = writers
+    killed.kill()
+    killed.wait()
+    write_text(target, "whole")
+    assert len(os.listdir(tmp_path)) == 3
+    living.communicate("")
+    assert target.read_text() == "half of the new"
+    assert sorted(os.listdir(tmp_path)) == [".model.original.yaml", "model.yaml"]
 
 
 def test_permissions_are_those_of_a_plain_or_of_the_replaced_file(tmp_path: Path) -> None:

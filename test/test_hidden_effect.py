@@ -14,7 +14,6 @@ from small_arm import ARM
 
 import longarm_comp.sim
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.compensation.compensate import compensate_many
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.catalogue import LIBRARY
@@ -27,6 +26,7 @@ from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.visible_size import detectable
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives, geometry
+from studies.many import compensate_many
 
 GAIN = (drives.JointGain(at(2, 0.02)),)
 LAG = (drives.FrictionHysteresis(at(2, 0.006)),)

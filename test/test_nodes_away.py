@@ -86,11 +86,8 @@ def passes(stage: Bench, seconds: float) -> None:
     stage.spin(lambda: time.monotonic() > end)
 
 
-@pytest.mark.parametrize("direct", [True, False])
-def test_what_its_clients_gave_up_meanwhile_moves_nothing(
-    stage: Bench, arm: Arm, direct: bool
-) -> None:
-    stand = Stand(stage, arm, direct=direct)
+def test_what_its_clients_gave_up_meanwhile_moves_nothing(stage: Bench, arm: Arm) -> None:
+    stand = Stand(stage, arm)
     targets = graph.TARGET_POSE.publisher(stage.node)
     reach = ActionClient(stage.node, Reach, graph.REACH.name)
     stage.connected(targets)

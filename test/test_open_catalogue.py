@@ -15,7 +15,6 @@ from hidden_arm import at, session
 
 from longarm_comp.cli.run import run
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.compensation.compensate import compensate_many
 from longarm_comp.core.effects import catalogue
 from longarm_comp.core.effects.catalogue import BUILT_IN, load_file
 from longarm_comp.core.effects.joint_gain import JointGain
@@ -27,6 +26,7 @@ from longarm_comp.core.model.model_file import load_model, save_model, store
 from longarm_comp.sessions.csv import read_csv
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import drives
+from studies.many import compensate_many
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples" / "custom_effect.py"

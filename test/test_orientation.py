@@ -14,7 +14,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.compensation.compensate import compensate_many, rigid
+from longarm_comp.core.compensation.compensate import rigid
 from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.effects.dh_error import DhError
 from longarm_comp.core.effects.joint_compliance import JointCompliance
@@ -23,6 +23,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import geometry, loads
+from studies.many import compensate_many
 
 ZEROS = {1: 0.03, 4: -0.04, 5: 0.05, 6: -0.03}  # rad, by row
 TILT = 0.02  # rad, twist of row 5

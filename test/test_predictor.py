@@ -121,14 +121,16 @@ def test_a_joint_whose_side_is_not_known_does_not_blur_the_others(small):
 
 def test_it_refuses_outside_the_training_region_and_says_why(data, small):
     predictor, _ = small
-    q = np.tile(data.q.mean(0), (3, 1))
-    q[1, 2] = 0.2
-    near = Context((1.0,) * 7, {"temperature_c": np.array([25.0, 25.0, 90.0])})
+    q = np.tile(data.q.mean(0), (5, 1))
+    q[[1, 3], 2] = 0.2, data.q[:, 2].min() - 0.2
+    near = Context((1.0,) * 7, {"temperature_c": np.array([25.0, 25.0, 90.0, 25.0, -40.0])})
     found = predictor.predict(q, near)
-    np.testing.assert_array_equal(found.in_domain, [True, False, False])
+    np.testing.assert_array_equal(found.in_domain, [True, False, False, False, False])
     assert found.reason[0] == ""
     assert found.reason[1].startswith("q3 = 0.2 outside the training range")
     assert "temperature_c = 90" in found.reason[2]
+    assert found.reason[3].startswith(f"q3 = {q[3, 2]:.4g} outside the training range")
+    assert "temperature_c = -40" in found.reason[4]
 
 
 def test_variance_alone_can_refuse():

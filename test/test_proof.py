@@ -11,8 +11,10 @@ from hidden_arm import at, session
 from small_arm import ARM
 
 from longarm_comp.core.effects.joint_gain import JointGain
+from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.discover.hold_out import together
+from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.proof import (
     AGAINST,
     DECIDES,
@@ -24,7 +26,9 @@ from longarm_comp.core.identify.proof import (
     off_levels,
     prove,
 )
+from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives
+from longarm_comp.sim.hidden.geometry import JointZero
 
 SPREAD = 1e-4
 
@@ -66,6 +70,21 @@ def test_no_single_row_makes_odds_for_an_effect(sigmas: float, odds: float) -> N
     before, after = (one, none) if sigmas > 0 else (none, one)
     pair = (_Unseen(error, spread, held, np.ones(3)) for error in (before, after))
     assert _log_odds(*pair) == pytest.approx(odds)
+
+
+def test_few_rows_leave_the_fit_uncertain_and_unseen_rows_know_it() -> None:
+    """Residuals of poses far from those few are as large as noise and uncertainty say."""
+    hidden = (JointZero(np.array([0.012, -0.01, 0.001, 0.008])),)
+
+    def white(rng: np.random.Generator, n: int) -> np.ndarray:
+        return SPREAD * rng.standard_normal((n, 3))
+
+    rows, far = (session(hidden, n=n, seed=n, noise=white) for n in (120, 300))
+    near = rows.take(np.argsort(np.abs(rows.q - ARM.mid).sum(axis=1))[:10])
+    model = Model(ARM).plus(*geometry(ARM, near))
+    unseen = _Unseen.of(fit(model, near, sigma=np.full(3, SPREAD)), far)
+    assert np.sqrt(np.mean((unseen.residual / SPREAD) ** 2)) > 2
+    assert 0.3 < np.sqrt(np.mean((unseen.residual / unseen.spread) ** 2)) < 1.5
 
 
 def missed(error: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The calls of rclpy that its documentation does not list, and what works without them."""
+"""The calls of rclpy that its documentation does not list."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ from geometry_msgs.msg import PoseStamped
 from nodes_bench import ROOT, Bench, bench
 from rclpy.qos import QoSProfile
 
-from longarm_comp.nodes import inlets, rclpy_inside
+from longarm_comp.core.errors import JobError
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.rclpy_inside import CHECKED, DirectInlets, missing
+from longarm_comp.nodes import rclpy_inside
+from longarm_comp.nodes.rclpy_inside import CHECKED, check_rclpy
 from longarm_comp.nodes.worker import Worker
 from longarm_interfaces.srv import PredictError
 
@@ -28,16 +29,14 @@ from longarm_interfaces.srv import PredictError
 def test_this_rclpy_is_the_one_that_the_calls_were_checked_against() -> None:
     """With another version: read its `executors.py`, run the node tests, then change `CHECKED`."""
     assert version("rclpy").startswith(f"{CHECKED}.")
-    assert missing() == ()
+    check_rclpy()
 
 
 def test_a_call_that_is_missing_is_named() -> None:
     part = SimpleNamespace(**vars(rclpy_inside.rclpy_implementation))
     part.Client = SimpleNamespace(send_request=None)
-    del part.WaitSet
-    lacks = missing(part)
-    assert "Client.take_response" in lacks and "Client.send_request" not in lacks
-    assert "WaitSet.wait" in lacks and "Service.service_take_request" not in lacks
+    with pytest.raises(JobError, match=r"no Client\.take_response; use rclpy 7\.1"):
+        check_rclpy(part)
 
 
 def test_nothing_else_looks_inside_rclpy() -> None:
@@ -67,37 +66,25 @@ def stage(ros_domain: int) -> Iterator[Bench]:
         yield made
 
 
-def test_an_rclpy_without_them_is_used_through_its_executor(
-    stage: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert isinstance(inlets.inlets(stage.node, direct=True), DirectInlets)
-    monkeypatch.setattr(inlets, "missing", lambda: ("WaitSet.wait",))
-    made = inlets.inlets(stage.node, direct=True)
-    assert isinstance(made, inlets.PlainInlets)
-    assert isinstance(inlets.inlets(stage.node, direct=False), inlets.PlainInlets)
-
-
-@pytest.mark.parametrize("direct", [True, False])
-def test_a_worker_hears_serves_asks_and_counts_either_way(stage: Bench, direct: bool) -> None:
+def test_a_worker_hears_serves_asks_and_counts(stage: Bench) -> None:
     errors: list[Exception] = []
     heard: list[PoseStamped] = []
     threads = set()
 
     def serve(
         request: PredictError.Request, reply: Callable[[PredictError.Response], None],
-        sent: float | None,
+        sent: float,
     ) -> None:  # fmt: skip
-        assert sent is None or time.monotonic() - 60.0 < sent <= time.monotonic()
-        assert (sent is not None) is direct
+        assert time.monotonic() - 60.0 < sent <= time.monotonic()
         threads.add(threading.current_thread())
         reply(PredictError.Response(sigma=2.0 * request.temperature_c))
 
     node, executor = stage.node, stage.executor
-    server = Worker(node, executor, 10, errors.append, direct=direct)
+    server = Worker(node, executor, 10, errors.append)
     server.inlets.serve(graph.PREDICT_ERROR, serve)
     server.inlets.hear(graph.TARGET_POSE, heard.append)
     server.start()
-    asker = Worker(node, executor, 10, errors.append, direct=direct)
+    asker = Worker(node, executor, 10, errors.append)
     caller = asker.inlets.caller(graph.PREDICT_ERROR)
     asker.start()
     good = graph.TARGET_POSE.publisher(node)
@@ -132,15 +119,12 @@ def test_a_worker_hears_serves_asks_and_counts_either_way(stage: Bench, direct: 
     assert not errors
 
 
-@pytest.mark.parametrize("direct", [True, False])
-def test_of_two_publishers_every_target_is_heard_or_counted_as_lost(
-    stage: Bench, direct: bool
-) -> None:
+def test_of_two_publishers_every_target_is_heard_or_counted_as_lost(stage: Bench) -> None:
     """More than the queue holds, while nobody takes them."""
     heard: list[PoseStamped] = []
     errors: list[Exception] = []
     go_on = threading.Event()
-    worker = Worker(stage.node, stage.executor, 10, errors.append, direct=direct)
+    worker = Worker(stage.node, stage.executor, 10, errors.append)
     worker.inlets.hear(graph.TARGET_POSE, heard.append)
     worker.start()
     both = [graph.TARGET_POSE.publisher(stage.node) for _ in range(2)]

@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,9 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.compensation.realisable import Lattice, Realisables, Search, choose
+from longarm_comp.core.compensation.realisable import Lattice, Search, choose
 from longarm_comp.core.errors import InputError
+from studies.many import chosen
 
 STEP = 2 * math.pi / 1000
 SLIDE = 1e-4
@@ -85,9 +87,9 @@ class Linear:
 
     def choose(
         self, price: float = PRICE, kept: int = 16, rounds: int = 2, **more: Any
-    ) -> Realisables:
+    ) -> SimpleNamespace:
         search = Search(LENGTH, price_m=price, kept=kept, rounds=rounds, max_nodes=200_000)
-        return choose(
+        return chosen(
             self.arm, self.lattice, self.predict, self.targets, self.ideal, search, **more
         )
 
@@ -141,7 +143,7 @@ def test_a_second_look_mends_what_the_first_took_for_linear(rng: np.random.Gener
 
     targets = bent(case.ideal, np.zeros(0))
     left = [
-        choose(
+        chosen(
             case.arm, case.lattice, bent, targets, case.ideal, Search(LENGTH, kept=1, rounds=r)
         ).error[:, 0]
         for r in (1, 2)
@@ -203,7 +205,7 @@ def test_continuous_joints_are_solved_for_inside_their_limits(rng: np.random.Gen
             assert case.cost(got.joints[i], i) <= cost * (1 + 1e-6)
             np.testing.assert_allclose(got.joints[i], best, atol=1e-5)
             at_limit += best[3] in (low[3], high[3]) or abs(best[3] - middle) > 0.59 * SLIDE
-        assert list(got.on_lattice) == list(step > 0)
+        assert list(got.on_lattice[0]) == list(step > 0)
     assert at_limit > 0
 
 
@@ -213,18 +215,18 @@ def test_what_is_not_known_to_a_share_of_the_step_stays(rng: np.random.Generator
         case.lattice, offset_sd=case.lattice.step * [0.149, 0.151, 0.0, 0.149]
     )
     got = case.choose()
-    assert list(got.on_lattice) == [True, False, True, True]
+    assert list(got.on_lattice[0]) == [True, False, True, True]
     np.testing.assert_array_equal(got.joints[:, 1], case.ideal[:, 1])
     np.testing.assert_array_equal(got.rounded[:, 1], case.ideal[:, 1])
     assert (got.joints[:, 0] != case.ideal[:, 0]).all()
-    assert got.note == (
+    assert got.note[0] == (
         "joint2 stays at its ideal value: the offset of its steps is not known to 0.15 of a step"
     )
     nothing = dataclasses.replace(case.lattice, offset_sd=case.lattice.step)
-    held = choose(case.arm, nothing, case.predict, case.targets, case.ideal, Search(LENGTH))
+    held = chosen(case.arm, nothing, case.predict, case.targets, case.ideal, Search(LENGTH))
     np.testing.assert_array_equal(held.joints, case.ideal)
     assert set(held.reason) == {"no joint's steps are known"}
-    assert held.note.count("stays at its ideal value") == 4
+    assert held.note[0].count("stays at its ideal value") == 4
 
 
 def test_a_joint_whose_limits_hold_no_step_stays(rng: np.random.Generator) -> None:
@@ -236,7 +238,7 @@ def test_a_joint_whose_limits_hold_no_step_stays(rng: np.random.Generator) -> No
     case.ideal[:, 2] = at
     got = case.choose()
     np.testing.assert_allclose(got.joints[:, 2], at, atol=1e-15)
-    assert got.note == "joint3 stays at its ideal value: none of its steps lies inside its limits"
+    assert got.note[0].startswith("joint3 stays at its ideal value: none of its steps lies inside")
     assert (got.error[:, 0] <= got.rounded_error[:, 0]).all()
 
 
@@ -244,12 +246,12 @@ def test_locked_joints_stay_and_the_others_make_up_for_them(rng: np.random.Gener
     case = Linear.draw(rng)
     got = case.choose(locked=[1, 3])
     np.testing.assert_array_equal(got.joints[:, [1, 3]], case.ideal[:, [1, 3]])
-    assert list(got.on_lattice) == [True, False, True, False]
+    assert list(got.on_lattice[0]) == [True, False, True, False]
     continuous = dataclasses.replace(case.lattice, step=case.lattice.step * [1, 1, 1, 0])
     search = Search(LENGTH)
     args = (case.arm, continuous, case.predict, case.targets, case.ideal, search)
-    assert (choose(*args, locked=[3]).joints[:, 3] == case.ideal[:, 3]).all()
-    assert (choose(*args).joints[:, 3] != case.ideal[:, 3]).all()
+    assert (chosen(*args, locked=[3]).joints[:, 3] == case.ideal[:, 3]).all()
+    assert (chosen(*args).joints[:, 3] != case.ideal[:, 3]).all()
     grid = case.brute()
     for i, ideal in enumerate(case.ideal):
         some = grid.copy()
@@ -266,19 +268,19 @@ def test_each_target_has_its_own_circumstances(rng: np.random.Generator) -> None
         return case.predict(q, rows) + push[rows]
 
     search = Search(LENGTH)
-    many = choose(case.arm, case.lattice, predict, case.targets, case.ideal, search)
+    many = chosen(case.arm, case.lattice, predict, case.targets, case.ideal, search)
     for i in range(len(case.ideal)):
-        one = choose(
+        one = chosen(
             case.arm,
             case.lattice,
             lambda q, rows, i=i: case.predict(q, rows) + push[i],
             case.targets[i : i + 1],
             case.ideal[i : i + 1],
             search,
-        )[0]
-        np.testing.assert_array_equal(one.joints, many[i].joints)
-        np.testing.assert_allclose(one.error, many[i].error, atol=1e-15)
-        assert one.nodes == many[i].nodes > 0
+        ).rows[0]
+        np.testing.assert_array_equal(one.joints, many.joints[i])
+        np.testing.assert_allclose(one.error, many.error[i], atol=1e-15)
+        assert one.nodes == many.nodes[i] > 0
     assert not np.array_equal(many.joints, case.choose().joints)
 
 
@@ -292,7 +294,7 @@ def test_a_step_where_the_model_says_nothing_is_never_taken(rng: np.random.Gener
         tip[(np.abs(q - best.joints[rows]) < 1e-9).all(axis=1) & other[rows]] = math.nan
         return tip
 
-    got = choose(case.arm, case.lattice, predict, case.targets, case.ideal, Search(LENGTH))
+    got = chosen(case.arm, case.lattice, predict, case.targets, case.ideal, Search(LENGTH))
     assert np.isfinite(got.error).all()
     assert other.sum() > 6
     assert (got.joints != best.joints).any(axis=1)[other].all()
@@ -301,9 +303,8 @@ def test_a_step_where_the_model_says_nothing_is_never_taken(rng: np.random.Gener
 
 def test_no_targets_are_no_commands(rng: np.random.Generator) -> None:
     case = Linear.draw(rng, count=0)
-    got = case.choose()
-    assert len(got) == 0
-    assert got.joints.shape == (0, 4)
+    given = (case.predict, case.targets, case.ideal, Search(LENGTH))
+    assert choose(case.arm, case.lattice, *given) == []
 
 
 BAD: list[tuple[Callable[[Linear], None], str, str]] = [

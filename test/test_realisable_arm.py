@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,13 +16,14 @@ import yaml
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.compensate import commandable
-from longarm_comp.core.compensation.realisable import Lattice, Realisables, Search, choose
+from longarm_comp.core.compensation.realisable import Lattice, Search
 from longarm_comp.core.effects.tip_payload import TipPayload
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.forward import tip_poses
 from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
+from studies.many import chosen
 
 STEP = 2 * math.pi / 1000
 SLIDE = 1e-4
@@ -49,7 +51,7 @@ def commanded(
     offset: Any = 0.0,
     locked: tuple[int, ...] = (),
     price: float = PRICE,
-) -> tuple[Realisables, np.ndarray]:
+) -> tuple[SimpleNamespace, np.ndarray]:
     """Choices for the tips at joints (N, n), found from elsewhere; and the targets."""
     targets = model.pose(q) if pose else model.tip(q)
     seed = np.tile(model.arm.mid, (len(q), 1))
@@ -61,7 +63,7 @@ def commanded(
     search = Search(length, price_m=price)
     lattice = Lattice.of(model.arm, offset)
     predict = lambda q, rows: tip_poses(model, q)  # noqa: E731
-    return choose(model.arm, lattice, predict, targets, ideal, search, locked=locked), targets
+    return chosen(model.arm, lattice, predict, targets, ideal, search, locked=locked), targets
 
 
 def on_steps(model: Model, q: np.ndarray, offset: Any = 0.0) -> np.ndarray:
@@ -119,7 +121,7 @@ def test_few_steps_by_the_arms_own_model(model: Model, rng: np.random.Generator)
         q = rng.uniform(low, high, (5, arm.n))
         targets = model.pose(q) if pose else model.tip(q)
         search = Search(LENGTH, max_nodes=100_000)
-        got = choose(
+        got = chosen(
             small, Lattice.of(arm), lambda q, _: model.pose(q), targets, q, search
         )  # fmt: skip
         steps = [
@@ -154,7 +156,7 @@ def test_locked_joints_and_limits_of_the_demonstration_arm(
         q[:, joint] = np.where(rng.random(30) < 0.5, arm.lower[joint], arm.upper[joint])
         q[:, (joint + 1) % arm.n] = arm.lower[(joint + 1) % arm.n]
         lattice = Lattice.of(arm, 0.4 * arm.steps)
-        edge = choose(arm, lattice, lambda q, _: model.tip(q), model.tip(q), q, Search(LENGTH))
+        edge = chosen(arm, lattice, lambda q, _: model.tip(q), model.tip(q), q, Search(LENGTH))
         assert (edge.joints >= arm.lower).all() and (edge.joints <= arm.upper).all()
         assert on_steps(model, edge.joints, 0.4 * arm.steps).max() < 1e-6
         assert (edge.error[:, 0] <= edge.rounded_error[:, 0]).all()

@@ -16,7 +16,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import LEGS, Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.arrive import CompensationOptions, compensate_move
-from longarm_comp.core.compensation.compensate import commandable, compensate, compensate_many
+from longarm_comp.core.compensation.compensate import commandable, compensate
 from longarm_comp.core.compensation.realisable import Lattice
 from longarm_comp.core.compensation.result import Method, Status
 from longarm_comp.core.effects.backlash import Backlash
@@ -26,6 +26,7 @@ from longarm_comp.core.learn.predictor import Prediction
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.workflows.compensate import Commands
+from studies.many import compensate_many
 
 
 @pytest.fixture(scope="module")

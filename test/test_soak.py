@@ -107,6 +107,7 @@ def test_settings_are_checked(tmp_path: Path) -> None:
         SoakSettings(tmp_path, rate_hz=0.0)
 
 
+@pytest.mark.long
 def test_half_a_minute_of_faults(ros_domain: int, tmp_path: Path) -> None:
     words = ["--hours", "0.008", "--fault-every", "2", "--seed", "2", "--json"]
     done = subprocess.run(
@@ -152,8 +153,10 @@ class DeafPredictor:
 
 @pytest.mark.parametrize(
     ("fault", "said"),
-    [(StuckStop(), "servo_driver is stopped"), (DeafPredictor(), "status 1")],
-    ids=["stop", "predictor"],
+    [
+        pytest.param(StuckStop(), "servo_driver is stopped", id="stop"),
+        pytest.param(DeafPredictor(), "status 1", id="predictor", marks=pytest.mark.long),
+    ],
 )
 def test_an_arm_that_stays_dead_fails_the_soak(
     fault: StuckStop | DeafPredictor,

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import yaml
 from cli_shell import Shell
+from openpyxl import Workbook
 from small_arm import ARM
 
 from longarm_comp.core.arm.arm import Arm
@@ -253,7 +254,7 @@ def with_member(source: Path, name: str, data: bytes | None) -> bytes:
     made = io.BytesIO()
     with zipfile.ZipFile(source) as old, zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as new:
         for entry in old.infolist():
-            if entry.filename != f"{name}.npy":
+            if entry.filename != name:
                 new.writestr(entry.filename, old.read(entry))
             elif data is not None:
                 new.writestr(entry.filename, data)
@@ -262,6 +263,16 @@ def with_member(source: Path, name: str, data: bytes | None) -> bytes:
                     for _ in range(300):
                         member.write(bytes(1_000_000))
     return made.getvalue()
+
+
+def test_a_workbook_that_unpacks_to_more_than_any_table_is_refused(shell: Shell) -> None:
+    book = Workbook()
+    book.active.append(("q1", "x", "y", "z"))
+    book.active.append((1.0, 2.0, 3.0, 4.0))
+    book.save("log.xlsx")
+    for member in ("xl/worksheets/sheet1.xml", "docProps/core.xml"):
+        Path("bomb.xlsx").write_bytes(with_member(Path("log.xlsx"), member, None))
+        assert "unpacked size" in shell.refused("import-data", "bomb.xlsx", "-o", "s.csv")
 
 
 def npy_header(shape: str) -> bytes:
@@ -273,13 +284,13 @@ def test_predictors_that_are_refused(work: Path, shell: Shell) -> None:
     evaluate = ("evaluate", work / "arm.yaml", "--test", work / "test.csv", "--model",
                 work / "model.yaml", "--predictor", "p.npz")  # fmt: skip
     source = work / "predictor.npz"
-    Path("p.npz").write_bytes(with_member(source, "weights", None))
+    Path("p.npz").write_bytes(with_member(source, "weights.npy", None))
     assert Path("p.npz").stat().st_size < 1_000_000
     assert "unpacked size" in shell.refused(*evaluate)
     for shape in ("(1000000000000, 9)", "(-3,)", "(2, 3", "(999999999999999999999999,)"):
-        Path("p.npz").write_bytes(with_member(source, "weights", npy_header(shape)))
+        Path("p.npz").write_bytes(with_member(source, "weights.npy", npy_header(shape)))
         assert "p.npz: predictor file: " in shell.refused(*evaluate)
-    Path("p.npz").write_bytes(with_member(source, "header", b"[" * 100_000))
+    Path("p.npz").write_bytes(with_member(source, "header.npy", b"[" * 100_000))
     shell.refused(*evaluate)
     good = bytearray(with_member(source, "none", None))
     for at in range(60, len(good) - 2000, 37):

@@ -188,6 +188,7 @@ def test_an_error_is_a_result(arm, monkeypatch):
     assert not summary([line])
 
 
+@pytest.mark.long
 def test_a_dask_cluster_gives_the_same_lines(study, arm, tmp_path):
     distributed = pytest.importorskip("dask.distributed")
     cases, _, lines = study

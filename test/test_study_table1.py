@@ -34,6 +34,12 @@ def arm(demo_arm_path: Path) -> Arm:
 
 
 @pytest.fixture(scope="module")
+def drawn(arm: Arm) -> table1.Bench:
+    """One arm with few rows."""
+    return table1.Bench.draw(arm, 3, 0, 5)
+
+
+@pytest.fixture(scope="module")
 def outcomes(arm: Arm) -> list[table1.Outcome]:
     """A short table on one arm."""
     return table1.one_arm(arm, 3, 0, SHORT)
@@ -64,13 +70,12 @@ def test_commanding_improves_in_the_expected_order(outcomes: list[table1.Outcome
     assert all(o.tip.n == table1.TARGETS for o in outcomes)
 
 
-def test_error_is_where_the_true_arm_went(arm: Arm) -> None:
+def test_error_is_where_the_true_arm_went(drawn: table1.Bench) -> None:
     """A sound arm without hidden effects goes where the deflected model says."""
-    bench = table1.Bench.draw(arm, 3, 0, 1)
     sound = table1.replace(
-        bench,
-        true=table1.TrueArm(bench.declared.arm),
-        camera=table1.TrueCamera.of(bench.declared.arm),
+        drawn,
+        true=table1.TrueArm(drawn.declared.arm),
+        camera=table1.TrueCamera.of(drawn.declared.arm),
     )
     stiff, sagging = (sound.run(s, 0) for s in SHORT[:2])
     assert sagging.tip.max < 1.5e-4
@@ -78,16 +83,15 @@ def test_error_is_where_the_true_arm_went(arm: Arm) -> None:
     assert sagging.seen.mean == pytest.approx(sagging.tip.mean)
 
 
-def test_steps_that_the_arm_declares_are_chosen_among(arm: Arm) -> None:
+def test_steps_that_the_arm_declares_are_chosen_among(drawn: table1.Bench) -> None:
     """With nothing hidden but the servos' steps: rounding misses, joints chosen together do not."""
-    bench = table1.Bench.draw(arm, 3, 0, 1)
-    declared = bench.declared.arm
+    declared = drawn.declared.arm
     np.testing.assert_allclose(
         declared.steps, [2 * np.pi / 1000 * (s > 0) for s in declared.steps], rtol=1e-12
     )
     assert (declared.steps > 0).sum() == 5
     stepped = table1.replace(
-        bench,
+        drawn,
         true=table1.TrueArm(declared, [table1.ServoQuantisation(declared.steps)]),
         camera=table1.TrueCamera.of(declared),
     )
@@ -99,10 +103,9 @@ def test_steps_that_the_arm_declares_are_chosen_among(arm: Arm) -> None:
     assert chosen.mean < 0.15 * rounded.mean
 
 
-def test_whole_poses_are_turned_as_far_as_the_physics_knows(arm: Arm) -> None:
+def test_whole_poses_are_turned_as_far_as_the_physics_knows(drawn: table1.Bench) -> None:
     """A sound arm: the sag turns the tip of the stiff model's command, and of no other."""
-    bench = table1.Bench.draw(arm, 3, 0, 1)
-    sound = table1.replace(bench, true=table1.TrueArm(bench.declared.arm))
+    sound = table1.replace(drawn, true=table1.TrueArm(drawn.declared.arm))
     stiff, sagging = (sound.run(s, 0, whole_poses=True) for s in SHORT[:2])
     assert 0 < sagging.tip.n <= table1.TARGETS  # what cannot be reached is left out
     assert stiff.turned > 10e-3
@@ -131,12 +134,13 @@ def test_the_network_of_the_paper_never_refuses(arm: Arm) -> None:
     assert far.in_domain.all() and np.isfinite(far.error).all()
 
 
-def test_same_seed_same_arm_and_other_number_other_arm(arm: Arm) -> None:
+def test_same_seed_same_arm_and_other_number_other_arm(arm: Arm, drawn: table1.Bench) -> None:
     """Everything follows from the seed."""
-    one, again, other = (table1.Bench.draw(arm, 3, k, 5) for k in (0, 0, 1))
-    assert np.array_equal(one.targets, again.targets)
-    assert np.array_equal(one.session.xyz, again.session.xyz)
-    assert one.declared.arm.hash != other.declared.arm.hash
+    again = table1.Bench.draw(arm, 3, 0, 5)
+    assert np.array_equal(drawn.targets, again.targets)
+    assert np.array_equal(drawn.session.xyz, again.session.xyz)
+    one, other = (table1.random_arm(np.random.default_rng([3, k]), arm) for k in (0, 1))
+    assert one.hash != other.hash
 
 
 def _arm(*z_mm: float) -> list[table1.Outcome]:

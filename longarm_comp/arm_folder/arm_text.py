@@ -30,8 +30,6 @@ def arm_text(data: Mapping[str, Any], head: str, of_rows: Mapping[int, str]) -> 
     """The file.
 
     Args:
-        data: what it holds.
-        head: comment on top.
         of_rows: a comment beside a row of `joints`, by id.
     """
     lines = _commented(head)

@@ -38,11 +38,7 @@ def write_cameras(folder: Path, found: BoardCalibration) -> list[Path]:
 
 
 def camera_values(folder: Path) -> dict[str, object]:
-    """Values of both files as the record of measurements names them.
-
-    Raises:
-        InputError: a file that cannot be read.
-    """
+    """Values of both files as the record of measurements names them."""
     return _values({side: read_camera(camera_path(folder, side)) for side in SIDES})
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from longarm_comp.arm_folder.beams import of_beams
 from longarm_comp.arm_folder.findings import (
     LEVELS,
     FolderFinding,
@@ -17,7 +18,7 @@ from longarm_comp.arm_folder.findings import (
 )
 from longarm_comp.arm_folder.make import ARM, NODES
 from longarm_comp.arm_folder.measured_check import of_record, recorded
-from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
+from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters, strangers
 from longarm_comp.arm_folder.servos import ZERO_TICKS
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import sobol
@@ -26,19 +27,12 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.devices.servo_config import ServoConfig
 
 _REACH_M = (0.05, 20.0)
-_SAG_SHARE = 0.15
-"""A sag above this share of the reach is no arm's, or no longer a small deflection."""
-_TICK = 1.5
 _OFF_MM = 10.0
 _SESSIONS = ("samples.csv", "session", "session_1")
 
 
 def check_folder(folder: Path) -> list[FolderFinding]:
-    """Findings on a folder, what blocks first.
-
-    Raises:
-        InputError: there is no such folder.
-    """
+    """Findings on a folder, what blocks first."""
     if not folder.is_dir():
         raise InputError(folder, "DIR", "missing", "an arm's folder: `longarm init DIR` makes one")
     arm, found = _loaded(folder / ARM, Arm.load)
@@ -90,9 +84,11 @@ def _of_arm(arm: Arm) -> Iterator[FolderFinding]:
         yield unmeasured(f"{ARM}: links", "no beam is declared: the arm is taken as rigid")
     else:
         sag = np.linalg.norm(declared_model(arm).tip(q) - rigid, axis=1)
-        if float(sag.max()) > _SAG_SHARE * reach:
+        # A sag above this share of the reach is no arm's, or no longer a small deflection
+        if float(sag.max()) > 0.15 * reach:
             said = f"the tip sags by up to {1e3 * sag.max():.0f} mm of {1e3 * reach:.0f} mm"
             yield implausible(f"{ARM}: links", f"{said}: check E_pa, sections, masses")
+        yield from of_beams(arm, q)
     weight = sum(b.mass_kg for b in arm.links) + sum(m.mass_kg for m in arm.point_masses)
     if not weight:
         said = "no part has a mass: weigh them. Without weight no compliance can be found"
@@ -114,7 +110,8 @@ def _of_servos(folder: Path, arm: Arm) -> list[FolderFinding]:
     for name, lower, upper in zip(arm.joint_names, arm.lower, arm.upper, strict=True):
         joint = servos.joints[name]
         off = max(abs(joint.lower - lower), abs(joint.upper - upper))
-        if off > _TICK * joint.si_per_tick:
+        # a tick of rounding, and half of one
+        if off > 1.5 * joint.si_per_tick:
             said = f"limits {joint.lower:g} to {joint.upper:g} {joint.unit}; "
             said += f"arm.yaml has {lower:g} to {upper:g}"
             found.append(implausible(f"{path.name}: joints.{name}", said))
@@ -139,7 +136,10 @@ def _of_cameras(folder: Path, arm: Arm, look: bool) -> list[FolderFinding]:
         given, faults = _loaded(folder / f"{node}.yaml", read_parameters)
         found += faults
         if given is not None:
-            found += _strangers(node, given)
+            found += [
+                implausible(f"{node}.yaml: {name}", f"{value!r}; allowed: {allowed}")
+                for name, value, allowed in strangers(node, given)
+            ]
             lacking = [name for name in own_parameters(node) if name not in given]
             if lacking:
                 said = f"the file is incomplete: {', '.join(lacking)}; longarm init writes all"
@@ -165,26 +165,6 @@ def _of_cameras(folder: Path, arm: Arm, look: bool) -> list[FolderFinding]:
         said += "marker of simulated_arm.yaml stand elsewhere"
         found.append(implausible("stereo_bridge.yaml: hand_eye", said))
     return found
-
-
-def _strangers(node: str, given: dict[str, Any]) -> Iterator[FolderFinding]:
-    """Parameters that the node does not have, or of another kind than the package's file has."""
-    known = own_parameters(node)
-    for name, value in given.items():
-        if name not in known:
-            said = f"unknown; known: {', '.join(known)}"
-            yield implausible(f"{node}.yaml: {name}", said)
-        elif _kind(value) != _kind(known[name]):
-            said = f"{value!r}; allowed: {_kind(known[name])}, for instance {known[name]!r}"
-            yield implausible(f"{node}.yaml: {name}", said)
-
-
-def _kind(value: Any) -> str:
-    if isinstance(value, list):
-        return f"{len(value)} numbers" if all(_kind(v) == "a number" for v in value) else "a list"
-    if isinstance(value, bool):
-        return "true or false"
-    return "a number" if isinstance(value, int | float) else "text"
 
 
 def _assumed(arm: Arm, bridge: dict[str, Any], placed: bool) -> Iterator[FolderFinding]:

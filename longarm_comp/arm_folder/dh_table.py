@@ -72,11 +72,7 @@ def ask_rows(ask: Ask, count: int) -> list[dict[str, str]]:
 
 
 def row_of(flag: str) -> dict[str, str]:
-    """Answers of one row from ``key=value key=value``.
-
-    Raises:
-        InputError: another form, or an unknown key.
-    """
+    """Answers of one row from ``key=value key=value``."""
     row = {}
     for word in flag.split():
         key, equals, value = word.partition("=")
@@ -89,11 +85,7 @@ def row_of(flag: str) -> dict[str, str]:
 def arm_of(
     name: str, rows: Sequence[Mapping[str, str]], tip: Sequence[float], payload_kg: float
 ) -> dict[str, Any]:
-    """What arm.yaml holds for rows of answers; `tip` (3,) m in the last frame.
-
-    Raises:
-        InputError: an answer that cannot be read, with its row and key.
-    """
+    """What arm.yaml holds for rows of answers; `tip` (3,) m in the last frame."""
     if not rows:
         raise InputError("init", "--joint", "none", "at least one joint")
     joints, links, masses = [], [], []

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
-Level = Literal["missing", "implausible", "unmeasured", "measured"]
-LEVELS = ("missing", "implausible", "unmeasured", "measured")
+Level = Literal["missing", "implausible", "unmeasured", "measured", "declared"]
+LEVELS = ("missing", "implausible", "unmeasured", "measured", "declared")
 
 
 @dataclass(frozen=True)
@@ -16,7 +16,8 @@ class FolderFinding:
 
     Attributes:
         level: missing and implausible must be put right; unmeasured is an assumption; measured
-            is what a command measured and nobody changed since.
+            is what a command measured and nobody changed since; declared is what arm.yaml says, for
+            people to compare with the arm.
         where: file, and the key in it.
         text: what is the matter, and what to do.
     """
@@ -35,3 +36,4 @@ missing = partial(FolderFinding, "missing")
 implausible = partial(FolderFinding, "implausible")
 unmeasured = partial(FolderFinding, "unmeasured")
 measured = partial(FolderFinding, "measured")
+declared = partial(FolderFinding, "declared")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from longarm_comp.arm_folder.measured import FILE, note_measured, read_measured
-from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
+from longarm_comp.arm_folder.parameter_file import parameters_of
 from longarm_comp.arm_folder.yaml_edit import edited, ros_path
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.errors import InputError
@@ -21,13 +21,9 @@ _NAMES = ("hand_eye.xyz", "hand_eye.quaternion")
 
 
 def head_pose(folder: Path) -> np.ndarray:
-    """Left optical frame in the base frame (4, 4), as the folder's stereo_bridge.yaml has it.
-
-    Raises:
-        InputError: the file cannot be read, or holds no rigid motion.
-    """
+    """Left optical frame in the base frame (4, 4), as the folder's stereo_bridge.yaml has it."""
     file = folder / BRIDGE
-    given = own_parameters("stereo_bridge") | read_parameters(file)
+    given = parameters_of("stereo_bridge", file)
     return _pose(file, "hand_eye", [given[name] for name in _NAMES])
 
 
@@ -35,12 +31,6 @@ def head_at(folder: Path, session: str) -> np.ndarray:
     """Where the head was taken to stand when a session was measured (4, 4).
 
     That is what the file has now, unless it was written from this very session.
-
-    Args:
-        session: hash of the session.
-
-    Raises:
-        InputError: as `head_pose`, or the record cannot be read.
     """
     entry = read_measured(folder).get(BRIDGE)
     if entry is None or entry.facts.get("session") != session:
@@ -63,9 +53,6 @@ def write_head(
 
     Returns:
         Names of the files that were written.
-
-    Raises:
-        InputError: a file cannot be read, or has no place for the values.
     """
     xyz, turn = _numbers(pose)
     values = dict(zip(_NAMES, (xyz, turn), strict=True))

@@ -36,12 +36,7 @@ _SIMULATED = (
 
 @dataclass(frozen=True)
 class Source:
-    """What an arm's folder is made from.
-
-    Attributes:
-        text: of arm.yaml.
-        arm: that it declares.
-    """
+    """What an arm's folder is made from."""
 
     text: str
     arm: Arm
@@ -103,11 +98,7 @@ def check_free(out: Path) -> None:
 
 
 def write_folder(out: Path, files: Mapping[str, str]) -> None:
-    """Write a new folder of files in one step.
-
-    Raises:
-        InputError: something is there already, or it cannot be written.
-    """
+    """Write a new folder of files in one step."""
     check_free(out)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)

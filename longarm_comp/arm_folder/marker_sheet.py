@@ -24,11 +24,7 @@ Printed = TagBoard | CharucoTarget
 
 
 def sheet(board: Printed) -> tuple[str, Figure]:
-    """The smallest paper that the marker fits on, and the page in true size.
-
-    Raises:
-        InputError: it fits on no paper up to A0.
-    """
+    """The smallest paper that the marker fits on, and the page in true size."""
     from matplotlib.figure import Figure
 
     size, quiet = _size(board)

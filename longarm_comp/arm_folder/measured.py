@@ -29,10 +29,7 @@ class Measured:
     """One measurement.
 
     Attributes:
-        at: when, ISO 8601.
-        by: the command.
         values: dotted names of parameters and what was found for them.
-        facts: how good it is.
     """
 
     at: str
@@ -46,11 +43,7 @@ class Measured:
 
 
 def read_measured(folder: Path) -> dict[str, Measured]:
-    """Measurements of a folder by file name.
-
-    Raises:
-        InputError: the record cannot be read.
-    """
+    """Measurements of a folder by file name."""
     path = folder / FILE
     if not path.is_file():
         return {}

@@ -7,7 +7,7 @@ replaced line by line.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +26,41 @@ def own_text(node: str) -> str:
 
 
 def read_parameters(path: Path) -> dict[str, Any]:
-    """Values by dotted name of a ROS parameter file.
+    """Values by dotted name of a ROS parameter file."""
+    return _flat(ros_parameters(read_yaml(path), path))
+
+
+def parameters_of(node: str, file: Path) -> dict[str, Any]:
+    """Values of a node that runs with a file: the package's own where the file has none.
 
     Raises:
-        InputError: unreadable, or no ROS parameter file.
+        InputError: as `read_parameters`; a name or kind of value that the node does not have.
     """
-    return _flat(ros_parameters(read_yaml(path), path))
+    given = read_parameters(file)
+    for name, value, allowed in strangers(node, given):
+        raise InputError(file, name, value, allowed)
+    return own_parameters(node) | given
+
+
+def strangers(node: str, given: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:
+    """(name, value, what is allowed) of what the node does not have, or of another kind."""
+    known = own_parameters(node)
+    for name, value in given.items():
+        if name not in known:
+            yield name, value, f"one of {', '.join(known)}"
+        elif (kind := _kind(known[name])) not in (_kind(value), _kind(value).replace("whole ", "")):
+            yield name, value, f"{kind}, for instance {known[name]!r}"
+
+
+def _kind(value: Any) -> str:
+    if isinstance(value, list):
+        numbers = all(_kind(v).endswith("number") for v in value)
+        return f"{len(value)} numbers" if numbers else "a list"
+    if isinstance(value, bool):
+        return "true or false"
+    if isinstance(value, int):
+        return "a whole number"
+    return "a number" if isinstance(value, float) else "nothing" if value is None else "text"
 
 
 def own_parameters(node: str) -> dict[str, Any]:
@@ -40,11 +69,7 @@ def own_parameters(node: str) -> dict[str, Any]:
 
 
 def ros_parameters(data: Any, where: object) -> dict[str, Any]:
-    """The section ``ros__parameters`` of a parsed parameter file.
-
-    Raises:
-        InputError: the file has no such section.
-    """
+    """The section ``ros__parameters`` of a parsed parameter file."""
     for node in data.values() if isinstance(data, dict) else ():
         if isinstance(node, dict) and isinstance(node.get("ros__parameters"), dict):
             return dict(node["ros__parameters"])
@@ -55,7 +80,6 @@ def with_values(node: str, values: Mapping[str, Any], head: str) -> str:
     """The package's own file of a node with other values; comments of parameters are kept.
 
     Args:
-        node: whose file.
         values: by dotted name. A mapping replaces a whole section.
         head: comment on top, instead of the file's own.
     """

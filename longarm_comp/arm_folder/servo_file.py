@@ -22,11 +22,7 @@ KEYS = ("servo_id", "model", "direction", "zero_ticks")
 def with_joints(
     text: str, bus: Mapping[str, Any], joints: Mapping[str, JointConfig], where: object
 ) -> str:
-    """Text of a servo file with other values of the bus and of each joint's `KEYS`.
-
-    Raises:
-        InputError: the file would not be one that the driver takes.
-    """
+    """Text of a servo file with other values of the bus and of each joint's `KEYS`."""
     root = ros_path(text)
     old = ServoConfig.parse(parse_yaml(text, str(where)), str(where))
     values: dict[tuple[str, ...], Any] = {

@@ -16,8 +16,6 @@ ZERO_TICKS = 2048.0
 _GEAR, _PINION_M = 10.0, 0.008
 _SPEED = 0.85 * 3000.0
 """Velocity of a joint as ticks a second of its servo: 85 % of a small servo without load."""
-_ROOM = 0.98
-"""Share of the servo's turns that a joint's range may take."""
 
 
 def servo_section(arm: Arm, model: str = DEFAULT_MODEL) -> dict[str, Any]:
@@ -26,9 +24,6 @@ def servo_section(arm: Arm, model: str = DEFAULT_MODEL) -> dict[str, Any]:
     The gearing is an assumption. It is the demonstration's (10:1, a pinion of 8 mm) where the
     joint's range fits into the turns of the servo, else as much less as needed; where arm.yaml
     declares a step, one tick of the servo is that step.
-
-    Raises:
-        InputError: unknown model, or a joint's range at its step is beyond the servo's turns.
     """
     if model not in models():
         raise InputError("init", "--servos", model, ", ".join(models()))
@@ -43,7 +38,8 @@ def servo_section(arm: Arm, model: str = DEFAULT_MODEL) -> dict[str, Any]:
 
 def _servo(number: int, joint: Joint, model: ServoModel) -> dict[str, Any]:
     low, high = model.multi_turn
-    room = _ROOM * min(high - ZERO_TICKS, ZERO_TICKS - low)
+    # Share of the servo's turns that a joint's range may take
+    room = 0.98 * min(high - ZERO_TICKS, ZERO_TICKS - low)
     farthest = max(map(abs, joint.limits))
     if joint.step and farthest / joint.step > room:
         allowed = f"at least {farthest / room:.3g} with {model.name}, or a servo with more turns"

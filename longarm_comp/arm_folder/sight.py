@@ -45,16 +45,7 @@ class Sight:
 def seen_from(
     arm: Arm, bridge: Mapping[str, Any], simulated: Mapping[str, Any], poses: int = _POSES
 ) -> Sight:
-    """Look at an arm without errors at poses spread over its limits.
-
-    Args:
-        arm: as declared.
-        bridge, simulated: parameters of `stereo_bridge` and `simulated_arm`, by dotted name.
-        poses: how many.
-
-    Raises:
-        InputError: a value that cameras or marker cannot have.
-    """
+    """Look at an arm without errors at poses spread over its limits."""
     head = CameraPair(
         tuple(simulated["camera.position"]), tuple(simulated["camera.axis"]),
         simulated["camera.baseline_m"], simulated["camera.focal_px"],

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
+from longarm_comp.arm_folder.parameter_file import parameters_of
 from longarm_comp.core.arm import quaternion
 
 if TYPE_CHECKING:
@@ -28,14 +28,7 @@ These three are from rendered images: `pytest test/test_collect_preview.py` comp
 
 @dataclass(frozen=True)
 class Lens:
-    """Two equal cameras side by side.
-
-    Attributes:
-        focal_px: focal length.
-        middle_px: principal point, x and y.
-        size_px: width and height of the images.
-        baseline_m: from the left to the right camera.
-    """
+    """Two equal cameras side by side."""
 
     focal_px: float
     middle_px: tuple[float, float]
@@ -74,11 +67,7 @@ class View:
 
     @classmethod
     def of(cls, bridge: Mapping[str, Any], simulated: Mapping[str, Any]) -> View:
-        """From parameters of `stereo_bridge` and `simulated_arm` by dotted name.
-
-        Raises:
-            InputError: a value that cameras or marker cannot have.
-        """
+        """From parameters of `stereo_bridge` and `simulated_arm` by dotted name."""
         from longarm_comp.devices.stereo.limits import Limits  # these take a second, with OpenCV
         from longarm_comp.devices.stereo.marker import tags_of
         from longarm_comp.sim.cameras import CameraPair
@@ -172,19 +161,12 @@ def _cameras(sides: list[str]) -> str:
 
 
 def view_beside(arm: Path) -> View | None:
-    """What the cameras see by the files beside an arm.yaml; None where there are none.
-
-    Raises:
-        InputError: a file cannot be read, or has values that cameras or marker cannot have.
-    """
+    """What the cameras see by the files beside an arm.yaml; None where there are none."""
     nodes = ("stereo_bridge", "simulated_arm")
     files = [arm.absolute().parent / f"{node}.yaml" for node in nodes]
     if not all(file.is_file() for file in files):
         return None
-    bridge, simulated = (
-        own_parameters(node) | read_parameters(file)
-        for node, file in zip(nodes, files, strict=True)
-    )
+    bridge, simulated = (parameters_of(node, file) for node, file in zip(nodes, files, strict=True))
     if bridge["marker.kind"] != "tags":
         return None
     view, lens = View.of(bridge, simulated), lens_beside(arm)
@@ -192,11 +174,7 @@ def view_beside(arm: Path) -> View | None:
 
 
 def lens_beside(arm: Path) -> Lens | None:
-    """The cameras' lens by the calibration beside an arm.yaml; None where there is none.
-
-    Raises:
-        InputError: a file cannot be read.
-    """
+    """The cameras' lens by the calibration beside an arm.yaml; None where there is none."""
     from longarm_comp.arm_folder.camera_files import SIDES, camera_path, read_camera
 
     files = [camera_path(arm.absolute().parent, side) for side in SIDES]

@@ -19,9 +19,6 @@ def narrowed(
         data: what arm.yaml holds.
         range_deg: largest range of a turning joint; 0 leaves them as they are.
         home_deg: middle of the new range by joint name; default: of the old range.
-
-    Raises:
-        InputError: a home outside of the joint's limits, or of no joint.
     """
     names = [str(row.get("name") or f"joint{row['id']}") for row in data["joints"]]
     for name in home_deg:

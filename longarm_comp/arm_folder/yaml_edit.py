@@ -20,14 +20,8 @@ def edited(text: str, values: Mapping[Path, Any], where: object) -> str:
     """The text with other values.
 
     Args:
-        text: of the file; it must parse.
         values: by the keys that lead to them. A key that is not there is added behind its
             neighbours.
-        where: the file, for messages.
-
-    Raises:
-        InputError: a mapping that a value belongs into is not there, or the text cannot be edited
-            so, for instance as other values refer to this one.
     """
     for path, value in values.items():
         text = _with_value(text, path, one_line(value), where)

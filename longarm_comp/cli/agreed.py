@@ -10,11 +10,7 @@ from longarm_comp.core.errors import JobError
 
 
 def agreed(question: str, yes: bool) -> bool:
-    """Whether the user says yes; asked on the terminal unless it was said with ``--yes``.
-
-    Raises:
-        JobError: nobody is there to answer, or the question was broken off.
-    """
+    """Whether the user says yes; asked on the terminal unless it was said with ``--yes``."""
     if yes:
         return True
     handler = signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from longarm_comp.core.errors import InputError
+
 if TYPE_CHECKING:
     from longarm_comp.devices.stereo import CharucoTarget
 
@@ -36,7 +38,6 @@ def board(default: str | None) -> Callable[[Callable[..., Any]], Callable[..., A
 
 def board_of(size: str, square_mm: float, tag_mm: float | None, dictionary: str) -> CharucoTarget:
     """The board. Raises InputError."""
-    from longarm_comp.core.errors import InputError
     from longarm_comp.devices.stereo import CharucoTarget
 
     found = re.fullmatch(r"(\d{1,3})x(\d{1,3})", size)

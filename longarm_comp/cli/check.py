@@ -8,6 +8,7 @@ import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json
+from longarm_comp.core.errors import JobError
 
 
 @click.command()
@@ -17,16 +18,17 @@ def command(folder: Path, as_json: bool) -> None:
     """Say what an arm's folder lacks: missing, implausible, unmeasured; and what was measured.
 
     Reads arm.yaml and the servo, camera and marker files beside it, compares them with each
-    other, and looks at the marker through the simulated cameras at 12 poses. Exit code 3 where
-    something is missing or implausible; what is only unmeasured leaves 0. Values that `servo
-    setup`, `stereo calibrate` and `stereo hand-eye` wrote count as measured until they are changed.
+    other, and looks at the marker through the simulated cameras at 12 poses. Draws the declared
+    beams as they stand and prints the sag of the arm held out: compare both with the arm. Exit
+    code 3 where something is missing or implausible; what is only unmeasured leaves 0. Values that
+    `servo setup`, `stereo calibrate` and `stereo hand-eye` wrote count as measured until they are
+    changed.
 
     \b
     Example:
       longarm check my_arm
     """
     from longarm_comp.arm_folder.check import check_folder
-    from longarm_comp.core.errors import JobError
 
     found = check_folder(folder)
     if as_json:
@@ -34,7 +36,7 @@ def command(folder: Path, as_json: bool) -> None:
     else:
         for finding in found:
             click.echo(f"{finding.level:12}{finding.where}: {finding.text}")
-        if all(finding.level == "measured" for finding in found):
+        if all(finding.level in ("measured", "declared") for finding in found):
             note("nothing is missing, implausible or unmeasured")
     blocking = sum(finding.blocks for finding in found)
     if blocking:

@@ -9,11 +9,7 @@ from longarm_comp.core.errors import JobError
 
 
 def use(folder: str) -> None:
-    """Make a folder of the checkout importable: from beside the package, else from here.
-
-    Raises:
-        JobError: it is in neither place.
-    """
+    """Make a folder of the checkout importable: from beside the package, else from here."""
     for root in (Path(__file__).resolve().parents[2], Path.cwd()):
         if (root / folder / "__init__.py").is_file():
             if str(root) not in sys.path:

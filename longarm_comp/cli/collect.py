@@ -9,6 +9,7 @@ import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, print_table
+from longarm_comp.core.errors import InputError, JobError
 
 if TYPE_CHECKING:
     from longarm_comp.jobs.collect.preview import Preview
@@ -85,7 +86,6 @@ def command(
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.data.allowed_poses import above
     from longarm_comp.core.data.plan import from_both_sides, with_random_sides
-    from longarm_comp.core.errors import InputError
     from longarm_comp.jobs.collect.preview import preview, refuse_blocked, servos_beside
     from longarm_comp.jobs.measurement_schedule import visits
     from longarm_comp.sessions.poses import read_poses
@@ -132,7 +132,6 @@ def _drive(ahead: Preview, output: Path, namespace: str, quiet: bool, **how: Any
     """Collect; draw what became of each pose, also where it ends early."""
     from longarm_comp.cli.live import shown
     from longarm_comp.cli.signals import pause_on_stop_key, stop_on_signals
-    from longarm_comp.core.errors import JobError
     from longarm_comp.jobs.client import ArmClient
     from longarm_comp.jobs.collect.progress import Outcomes
     from longarm_comp.jobs.collect.run import collect
@@ -167,8 +166,6 @@ def _drive(ahead: Preview, output: Path, namespace: str, quiet: bool, **how: Any
 
 def _show(ahead: Preview, picture: Path | None, as_json: bool) -> None:
     """What a plan would do, and whether `collect` would drive it."""
-    from longarm_comp.core.errors import JobError
-
     count = len(ahead.visits)
     if as_json:
         print_json({

@@ -9,15 +9,13 @@ import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, print_rows
+from longarm_comp.core.errors import InputError, JobError
 
 if TYPE_CHECKING:
     import numpy as np
 
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.sessions.targets import Command
-
-
-_ROW_DIGITS = 9  # more are no row's, and no number that Python reads
 
 
 @click.command(context_settings={"ignore_unknown_options": True})
@@ -95,7 +93,6 @@ def command(
     """
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.compensation.compensate import Method
-    from longarm_comp.core.errors import InputError, JobError
     from longarm_comp.sessions.targets import Targets, read_targets
     from longarm_comp.workflows.compensate import Commands, compensate, fitting
     from longarm_comp.workflows.compensate_path import compensate_path
@@ -119,12 +116,13 @@ def command(
     if chosen.learned and chosen is not fitting(learned):
         allowed = f"{fitting(learned).value}: as the predictor was trained"
         raise InputError("compensate", "--method", method, allowed)
+    # more are no row's, and no number that Python reads
     alike: dict[str, Any] = {
         "method": chosen,
         "frame": frame,
         "history": history,
         "seed": None if seed_q is None else _joints(seed_q, declared),
-        "locked": [int(v) if v.isdecimal() and len(v) <= _ROW_DIGITS else v for v in lock],
+        "locked": [int(v) if v.isdecimal() and len(v) <= 9 else v for v in lock],
         "position_only": position_only,
         "single_pass": single_pass,
     }
@@ -160,8 +158,6 @@ def command(
 
 
 def _number(text: str) -> float:
-    from longarm_comp.core.errors import InputError
-
     try:
         return float(text)
     except ValueError:
@@ -170,8 +166,6 @@ def _number(text: str) -> float:
 
 def _joints(text: str, arm: Arm) -> np.ndarray:
     import numpy as np
-
-    from longarm_comp.core.errors import InputError
 
     try:
         q = np.array([float(v) for v in text.split(",")])

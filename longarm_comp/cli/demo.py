@@ -9,6 +9,7 @@ import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, print_rows, progress
+from longarm_comp.core.errors import JobError
 
 SHOWN = ("model", "n", "mean_mm", "rms_mm", "max_mm", "mean_abs_z_mm", "true_mean_mm",
          "paper_mean_mm")  # fmt: skip
@@ -68,7 +69,6 @@ def command(
     from dataclasses import replace
 
     from longarm_comp.cli.signals import stop_on_signals
-    from longarm_comp.core.errors import JobError
     from longarm_comp.core.files import write_text
     from longarm_comp.jobs.demo.loop import demonstrate, report
     from longarm_comp.jobs.demo.settings import DemoSettings

@@ -17,22 +17,13 @@ from longarm_comp.core.errors import InputError
 
 @dataclass(frozen=True)
 class Dialogue:
-    """Questions of one command.
-
-    Args:
-        command: its name, for errors.
-        yes: confirmations are given.
-    """
+    """Questions of one command."""
 
     command: str
     yes: bool = False
 
     def ask(self, flag: str, text: str, allowed: str, default: str | None = None) -> str:
-        """The answer to a question.
-
-        Raises:
-            InputError: nobody is there to answer; it names the flag.
-        """
+        """The answer to a question."""
         return str(self._prompted(flag, allowed, text, default=default))
 
     def choose(self, flag: str, text: str, choices: Sequence[str], default: str) -> str:
@@ -95,11 +86,7 @@ def ended_by_signals() -> Iterator[None]:
 
 
 def by_name(command: str, flag: str, given: Sequence[str], names: Sequence[str]) -> dict[str, str]:
-    """Values of a flag ``NAME=VALUE`` that may be repeated.
-
-    Raises:
-        InputError: another form or an unknown name.
-    """
+    """Values of a flag ``NAME=VALUE`` that may be repeated."""
     values = {}
     for text in given:
         name, equals, value = text.partition("=")

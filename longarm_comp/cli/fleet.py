@@ -10,6 +10,7 @@ import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, print_table, progress
+from longarm_comp.core.errors import JobError
 
 if TYPE_CHECKING:
     from longarm_comp.workflows.fleet import Diagnosed
@@ -41,7 +42,6 @@ def command(
       longarm fleet examples/panda_touch -o fleet --jobs 2
       longarm fleet arms -o fleet
     """
-    from longarm_comp.core.errors import JobError
     from longarm_comp.core.files import write_text
     from longarm_comp.report.fleet_picture import draw
     from longarm_comp.workflows.fleet import fleet

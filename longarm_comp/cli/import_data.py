@@ -8,6 +8,7 @@ import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, print_rows
+from longarm_comp.core.errors import InputError
 
 
 @click.command()
@@ -104,8 +105,6 @@ def command(
 
 
 def _pairs(given: tuple[str, ...]) -> dict[str, str]:
-    from longarm_comp.core.errors import InputError
-
     made: dict[str, str] = {}
     for pair in (p for text in given for p in text.split(",")):
         source, equals, name = pair.partition("=")

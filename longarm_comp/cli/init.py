@@ -11,12 +11,11 @@ import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json
+from longarm_comp.core.errors import InputError
 
 if TYPE_CHECKING:
     from longarm_comp.arm_folder.make import Source
 
-_DRIVEN_DEG = 45.0
-"""Range of a turning joint that is driven through all of it in a first session."""
 _SOURCES = "--urdf FILE, --like demo, --arm FILE or --joint ROW"
 
 
@@ -100,7 +99,8 @@ def command(
     else:
         homes = dict(map(_home, home))
         if urdf is not None:
-            whole = 0.0 if only_arm else _DRIVEN_DEG
+            # Range of a turning joint that is driven through all of it in a first session
+            whole = 0.0 if only_arm else 45.0
             source = _from_urdf(urdf, base, tip, whole if range_deg is None else range_deg, homes)
         elif arm is not None:
             source = _from_file(arm)
@@ -118,8 +118,6 @@ def command(
 
 
 def _one_source(urdf: Path | None, like: str | None, arm: Path | None, rows: Sequence[str]) -> None:
-    from longarm_comp.core.errors import InputError
-
     given = [k for k, v in zip(("--urdf", "--like", "--arm", "--joint"), (urdf, like, arm, rows),
                                strict=True) if v]  # fmt: skip
     if len(given) > 1:
@@ -127,8 +125,6 @@ def _one_source(urdf: Path | None, like: str | None, arm: Path | None, rows: Seq
 
 
 def _home(text: str) -> tuple[str, float]:
-    from longarm_comp.core.errors import InputError
-
     joint, _, degrees = text.rpartition("=")
     try:
         return joint, float(degrees)
@@ -177,7 +173,6 @@ def _table(
 ) -> dict[str, object]:
     """From the flags; without rows, asked."""
     from longarm_comp.arm_folder.dh_table import arm_of, ask_rows, row_of
-    from longarm_comp.core.errors import InputError
 
     if rows:
         return arm_of(name or out.name, [row_of(r) for r in rows], tip_at or (0, 0, 0),

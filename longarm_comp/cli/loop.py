@@ -10,6 +10,7 @@ import click
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.agreed import agreed
 from longarm_comp.cli.output import note, print_json, print_rows, progress
+from longarm_comp.core.errors import JobError
 
 if TYPE_CHECKING:
     from longarm_comp.report.record import DiagnosisReport
@@ -66,7 +67,6 @@ def command(
     """
     from longarm_comp.cli.signals import stop_on_signals
     from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.core.errors import JobError
     from longarm_comp.jobs.client import ArmClient
     from longarm_comp.jobs.loop.files import write_loop
     from longarm_comp.jobs.loop.run import Loop

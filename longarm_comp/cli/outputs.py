@@ -17,6 +17,8 @@ from typing import Any
 
 import click
 
+from longarm_comp.core.errors import InputError
+
 _LOOKED_AT = 4096
 Kind = Callable[[Path], bool]
 """Whether a file that exists is one that the command would write, and may be replaced."""
@@ -147,7 +149,6 @@ def guarded(command: click.Command, name: str) -> click.Command:
 
 
 def _check(name: str, params: list[click.Parameter], given: dict[str, Any], force: bool) -> None:
-    from longarm_comp.core.errors import InputError
     from longarm_comp.core.files import check_regular
 
     inputs = [p for p in params if not isinstance(p, Output)]

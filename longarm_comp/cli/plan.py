@@ -10,6 +10,7 @@ import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json
+from longarm_comp.core.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -106,7 +107,6 @@ def command(
       longarm plan arm.yaml --kind i-optimal -n 60 --keep-out 0 0.5 0 1 1 1 -o poses.csv
     """
     from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.core.errors import InputError
     from longarm_comp.core.identify.optimal_poses import OptimalPlan
     from longarm_comp.sessions.poses import write_poses
     from longarm_comp.workflows.plan import NOISE, bounded, plan
@@ -154,7 +154,6 @@ def _sees(arm: Path) -> Callable[[np.ndarray], np.ndarray]:
     import numpy as np
 
     from longarm_comp.arm_folder.visible import view_beside
-    from longarm_comp.core.errors import InputError
 
     view = view_beside(arm)
     if view is None:

@@ -11,6 +11,7 @@ import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, print_table, progress
+from longarm_comp.core.errors import InputError, JobError
 
 if TYPE_CHECKING:
     from longarm_comp.cli.dialogue import Dialogue
@@ -75,13 +76,7 @@ def asked_port(dialogue: Dialogue, port: str | None, known: str | None) -> str:
 def scanned(
     port: str, protocol: str | None, baud: int | None, ids: str, timeout: float = 0.02
 ) -> Scan:
-    """The servos on a port, with progress.
-
-    Raises:
-        InputError: ids that cannot be read, an unknown protocol.
-        JobError: nobody answers, or the port cannot be opened.
-    """
-    from longarm_comp.core.errors import JobError
+    """The servos on a port, with progress."""
     from longarm_comp.devices.servo_bus import scan_line
 
     with progress("scan") as tell:
@@ -108,8 +103,6 @@ def show(found: Scan, on_stderr: bool = False) -> None:
 
 def refuse_clashes(found: Scan) -> None:
     """Raise JobError where ids are not unique."""
-    from longarm_comp.core.errors import JobError
-
     if found.clashes:
         raise JobError(
             "answers are damaged or doubled: connect these servos one at a time and give each an "
@@ -119,8 +112,6 @@ def refuse_clashes(found: Scan) -> None:
 
 
 def _ids(text: str) -> Sequence[int]:
-    from longarm_comp.core.errors import InputError
-
     ids: list[int] = []
     for part in text.split(","):
         found = re.fullmatch(r"\s*(\d{1,3})(?:-(\d{1,3}))?\s*", part)

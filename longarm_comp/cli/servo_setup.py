@@ -10,6 +10,7 @@ import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, print_table
+from longarm_comp.core.errors import JobError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -123,7 +124,6 @@ def _run(folder: Path, given: SetupAnswers, as_json: bool) -> None:
 def _line(given: SetupAnswers) -> Scan:
     """The bus: as the file has it, or whatever answers."""
     from longarm_comp.cli.servo_scan import asked_port, refuse_clashes, scanned, show
-    from longarm_comp.core.errors import JobError
 
     bus = given.config.bus
     port = asked_port(given.dialogue, given.port, bus.port)
@@ -141,7 +141,6 @@ def _line(given: SetupAnswers) -> Scan:
 
 def _swept(setup: ServoSetup, given: SetupAnswers) -> Sweep:
     from longarm_comp.cli.sweep_table import swept
-    from longarm_comp.core.errors import JobError
     from longarm_comp.devices.servo_setup import sweep_faults
 
     sweep = swept(setup, given.sweep_s)

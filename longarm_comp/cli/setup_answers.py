@@ -26,7 +26,6 @@ class SetupAnswers:
     """What is known before the first question.
 
     Attributes:
-        config: of the servo file as it is.
         ids: servo id of joints, where given.
         pose: joint values of the held pose, rad or m, where given.
         stops: joint values at the ends of the sweep, rad or m, where given.
@@ -68,12 +67,7 @@ class SetupAnswers:
         nudge: float,
         yes: bool,
     ) -> SetupAnswers:
-        """From the flags.
-
-        Raises:
-            InputError: no servo file, a flag that cannot be read, or nobody to ask for one that
-                is missing.
-        """
+        """From the flags."""
         file = folder / SERVOS
         if not file.is_file():
             raise InputError(file, "servo file", "missing", "`longarm init` makes it")
@@ -127,12 +121,7 @@ class SetupAnswers:
                 )
 
     def joints_on(self, line: Scan) -> dict[str, JointConfig]:
-        """Joints with the ids and models that are on the bus; asked where somebody is there.
-
-        Raises:
-            InputError: an id twice.
-            JobError: a joint's id is not on the bus, or its model is unknown here.
-        """
+        """Joints with the ids and models that are on the bus; asked where somebody is there."""
         on_bus = {servo.servo_id: servo for servo in line.servos}
         ids = {name: self.ids.get(name, j.servo_id) for name, j in self.config.joints.items()}
         for name in ids if attended() else ():

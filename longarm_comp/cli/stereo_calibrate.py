@@ -9,6 +9,7 @@ import click
 
 from longarm_comp.cli import board_options, options
 from longarm_comp.cli.output import note, print_json, print_table, progress
+from longarm_comp.core.errors import InputError
 
 if TYPE_CHECKING:
     from longarm_comp.devices.stereo import Target
@@ -55,7 +56,6 @@ def command(
       longarm stereo calibrate my_arm --images pictures --board 7x5 --square-mm 25.1
     """
     from longarm_comp.arm_folder.camera_files import write_cameras
-    from longarm_comp.core.errors import InputError
     from longarm_comp.devices.stereo.board_calibration import calibrated
 
     if (images is not None) == live:
@@ -79,7 +79,6 @@ def command(
 
 
 def _from_files(target: Target, folder: Path) -> tuple[list[BoardView], Size]:
-    from longarm_comp.core.errors import InputError
     from longarm_comp.devices.stereo import StereoRefusal
     from longarm_comp.devices.stereo.image_files import pair_files, read_grey
     from longarm_comp.devices.stereo.views import view_of

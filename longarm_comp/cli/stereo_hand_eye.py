@@ -9,6 +9,7 @@ import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, print_table
+from longarm_comp.core.errors import InputError
 
 if TYPE_CHECKING:
     from longarm_comp.core.arm.arm import Arm
@@ -55,7 +56,6 @@ def command(
     """
     from longarm_comp.arm_folder.head_file import head_at, write_head
     from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.core.errors import InputError
     from longarm_comp.jobs.camera_placement import placed_cameras
     from longarm_comp.sessions.read import read_session
     from longarm_comp.workflows.inputs import physics

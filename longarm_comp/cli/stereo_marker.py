@@ -9,6 +9,7 @@ import click
 
 from longarm_comp.cli import board_options, options, outputs
 from longarm_comp.cli.output import note
+from longarm_comp.core.errors import InputError
 
 if TYPE_CHECKING:
     from longarm_comp.devices.stereo import CharucoTarget, TagBoard
@@ -37,7 +38,6 @@ def command(
       longarm stereo marker --board 7x5 --square-mm 25 -o board.pdf
     """
     from longarm_comp.arm_folder.marker_sheet import write_sheet
-    from longarm_comp.core.errors import InputError
 
     if (folder is None) == (board is None):
         given = "neither" if folder is None else "both"
@@ -52,9 +52,7 @@ def command(
 
 
 def _marker(folder: Path) -> CharucoTarget | TagBoard:
-    from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
+    from longarm_comp.arm_folder.parameter_file import parameters_of
     from longarm_comp.devices.stereo.marker import marker_of
 
-    return marker_of(
-        own_parameters("stereo_bridge") | read_parameters(folder / "stereo_bridge.yaml")
-    )
+    return marker_of(parameters_of("stereo_bridge", folder / "stereo_bridge.yaml"))

@@ -10,6 +10,7 @@ import click
 from longarm_comp.cli import options
 from longarm_comp.cli.agreed import agreed
 from longarm_comp.cli.output import note, progress
+from longarm_comp.core.errors import JobError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -39,7 +40,6 @@ def command(
     """
     from longarm_comp.cli.signals import stop_on_signals
     from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.core.errors import JobError
     from longarm_comp.jobs.client import ArmClient
     from longarm_comp.jobs.sweep import sweep_joints
 

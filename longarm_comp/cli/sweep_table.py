@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from longarm_comp.devices.servo_setup import ServoSetup, Sweep
 
 _STILL_S = 1.0
-_REDRAWN_S = 0.1
 _COVERED = 0.98
 """Share of the declared range that counts as all of it."""
 
@@ -46,7 +45,7 @@ def swept(setup: ServoSetup, seconds: float | None) -> Sweep:
 
         def show(sweep: Sweep) -> None:
             nonlocal drawn
-            if time.monotonic() - drawn > _REDRAWN_S:
+            if time.monotonic() - drawn > 0.1:
                 drawn = time.monotonic()
                 live.update(_table(setup.joints, sweep), refresh=True)
 

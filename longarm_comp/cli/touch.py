@@ -9,6 +9,7 @@ import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json
+from longarm_comp.core.errors import InputError
 
 if TYPE_CHECKING:
     from longarm_comp.jobs.touch import TouchLog
@@ -64,7 +65,6 @@ def command(
     """
     from longarm_comp.cli.signals import stop_on_signals
     from longarm_comp.core.arm.arm import Arm
-    from longarm_comp.core.errors import InputError
     from longarm_comp.jobs.client import ArmClient
     from longarm_comp.jobs.touch import TouchLog, with_distances
     from longarm_comp.sessions.read import read_session

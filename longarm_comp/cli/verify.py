@@ -8,6 +8,7 @@ import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import as_text, note, print_json, print_rows, progress
+from longarm_comp.core.errors import JobError
 
 
 @click.command()
@@ -62,7 +63,6 @@ def command(
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.compensation.compensate import Method
     from longarm_comp.core.data.plan import random_targets
-    from longarm_comp.core.errors import JobError
     from longarm_comp.core.files import write_text
     from longarm_comp.jobs.client import ArmClient
     from longarm_comp.jobs.pace import Pace

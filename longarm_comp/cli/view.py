@@ -7,6 +7,7 @@ from collections.abc import Callable
 import click
 
 from longarm_comp.cli import options
+from longarm_comp.core.errors import JobError
 
 
 @click.command()
@@ -32,7 +33,6 @@ def command(namespace: str, port: int, show: bool) -> None:
       longarm view --namespace left_arm --port 8081 --no-open
     """
     from longarm_comp.cli.signals import stop_on_signals
-    from longarm_comp.core.errors import JobError
 
     try:
         import viser  # noqa: F401

@@ -10,11 +10,7 @@ from longarm_comp.core.errors import InputError
 
 
 def of_other_packages(group: str) -> Iterator[tuple[str, Any, str]]:
-    """Name, object and origin of each entry point of a group, in the order of their names.
-
-    Raises:
-        InputError: one cannot be loaded; the message names the package.
-    """
+    """Name, object and origin of each entry point of a group, in the order of their names."""
     for point in sorted(entry_points(group=group), key=lambda p: p.name):
         package = f"package {point.dist.name} {point.dist.version}" if point.dist else "a package"
         source = f"{package}, entry point {point.name}"

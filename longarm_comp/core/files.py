@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import stat
 import tempfile
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from longarm_comp.core.errors import InputError, JobError
 
+MOST_UNPACKED = 256_000_000
+"""Bytes of an archive: a sheet of 250,000 rows of 20 cells, more than any predictor."""
 _STORAGE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 def check_regular(path: str | os.PathLike[str]) -> None:
-    """Refuse what is neither a file nor a folder: a pipe or a device has no end to read up to.
-
-    Raises:
-        InputError: it exists and is something else.
-    """
+    """Refuse what is neither a file nor a folder: a pipe or a device has no end to read up to."""
     try:
         mode = os.stat(path).st_mode
     except (OSError, ValueError):  # missing or unreadable: who opens it says so
@@ -29,16 +29,24 @@ def check_regular(path: str | os.PathLike[str]) -> None:
         raise InputError(path, "file", "a pipe, a socket or a device", "a regular file")
 
 
+def check_unpacked(path: str | os.PathLike[str], archive: zipfile.ZipFile) -> None:
+    """Refuse what would unpack to more than `MOST_UNPACKED`, before anything is unpacked.
+
+    Raises:
+        InputError: it would.
+    """
+    size = sum(entry.file_size for entry in archive.infolist())
+    if size > MOST_UNPACKED:
+        raise InputError(path, "unpacked size", f"{size} bytes", f"at most {MOST_UNPACKED} bytes")
+
+
 @contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside ``path``; on a clean exit it replaces ``path`` in one step.
 
     The temporary file keeps the suffix of ``path``, for writers that go by it, and is synced
-    first. When the block raises, ``path`` is left as it was. Missing parent folders are made.
-
-    Raises:
-        InputError: the folder cannot be made or written to, or ``path`` is a folder.
-        JobError: the disk is full or fails.
+    first. When the block raises, ``path`` is left as it was. Missing parent folders are made. What
+    a writer of ``path`` left that was killed meanwhile is removed.
     """
     target = Path(path)
     try:
@@ -47,10 +55,10 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise _not_writable(target, error) from error
     if folder:
         raise InputError(target, "output file", "a folder", "a file name")
-    partial = _partial_beside(target)
+    handle, partial = _partial_beside(target)
     try:
         yield partial
-        _sync(partial)
+        os.fsync(handle)
         _publish(partial, target)
     except OSError as error:
         if error.errno not in _STORAGE:
@@ -59,33 +67,37 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     finally:
         with suppress(FileNotFoundError):
             partial.unlink()
+        os.close(handle)
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write ``text`` as UTF-8 to ``path``, whole or not at all.
-
-    Raises:
-        InputError: as ``atomic_path``.
-    """
+    """Write ``text`` as UTF-8 to ``path``, whole or not at all."""
     with atomic_path(path) as partial:
         partial.write_text(text, encoding="utf-8", newline="\n")
 
 
-def _partial_beside(target: Path) -> Path:
+def _partial_beside(target: Path) -> tuple[int, Path]:
+    """A new file beside ``target``, locked for as long as its writer lives; others' are removed."""
+    begin = f".{target.stem}.unfinished-"
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(
-            dir=target.parent, prefix=f".{target.stem}.", suffix=target.suffix
-        )
+        for left in target.parent.iterdir():
+            if left.name.startswith(begin) and left.suffix == target.suffix:
+                _remove_unless_locked(left)
+        while True:
+            handle, name = tempfile.mkstemp(dir=target.parent, prefix=begin, suffix=target.suffix)
+            fcntl.flock(handle, fcntl.LOCK_EX)
+            if os.fstat(handle).st_nlink:  # nobody removed it before it was locked
+                return handle, Path(name)
+            os.close(handle)
     except OSError as error:
         raise _not_writable(target, error) from error
-    os.close(handle)
-    return Path(name)
 
 
-def _sync(partial: Path) -> None:
-    with partial.open("rb+") as file:
-        os.fsync(file.fileno())
+def _remove_unless_locked(left: Path) -> None:
+    with suppress(OSError), left.open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        left.unlink()
 
 
 def _publish(partial: Path, target: Path) -> None:

@@ -71,12 +71,7 @@ _Loader.add_implicit_resolver(
 
 
 def read_yaml(path: str | Path) -> Any:
-    """Parsed YAML of a file.
-
-    Raises:
-        InputError: unreadable, no YAML, a number that is not plain decimal, a key twice, aliases
-            or nesting without bound; with the field and the line.
-    """
+    """Parsed YAML of a file."""
     where = str(path)
     check_regular(path)
     try:

@@ -17,13 +17,7 @@ T = TypeVar("T", bound=BaseModel)
 
 
 class Misdeclared(ValueError):  # noqa: N818  (pydantic turns a ValueError into its own error)
-    """A fault of several keys together, reported at the key to correct.
-
-    Args:
-        field: path of the key below the validated mapping.
-        value: what stands there.
-        allowed: what may, in words.
-    """
+    """A fault of several keys together, reported at the key to correct."""
 
     def __init__(self, field: str, value: object, allowed: object) -> None:
         super().__init__(f"{field}: {value}; allowed: {allowed}")

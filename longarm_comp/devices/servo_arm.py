@@ -27,9 +27,6 @@ from longarm_comp.devices.servo_follower import (
     TrajectoryFollower,
 )
 
-_DRIVEN_EVERY = 25  # cycles between two checks that the torque is still on
-_REOPEN_S = 0.5
-
 
 @dataclass(frozen=True)
 class JointReading:
@@ -125,11 +122,7 @@ class ServoArm:
         self._powered, self._owing_off = on, False
 
     def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
-        """Start a trajectory.
-
-        Raises:
-            InputError, JobError: as `TrajectoryFollower.accept`; JobError when the torque is off.
-        """
+        """Start a trajectory."""
         if not self._powered:
             raise JobError("the torque is off")
         return self.follower.accept(trajectory, now)
@@ -142,9 +135,8 @@ class ServoArm:
     def release(self, now: float, on: bool = True) -> None:
         """Leave a fault or an emergency stop, with torque on.
 
-        Raises:
-            JobError: its cause persists; the torque stays as it was: on after a fault, so that a
-                heavy arm does not drop, and off after an emergency stop.
+        While the cause persists the torque stays as it was: on after a fault, so that a heavy arm
+        does not drop, and off after an emergency stop.
         """
         if not on:
             self.follower.reset(now)
@@ -163,7 +155,7 @@ class ServoArm:
         self._cycles += 1
         trouble, states, driven = "", {}, {}
         if self.bus is None and now >= self._next_open:
-            self._next_open = now + _REOPEN_S
+            self._next_open = now + 0.5
             self._reopen()
         bus = self.bus
         if bus is None:
@@ -171,7 +163,8 @@ class ServoArm:
         else:
             try:
                 states = bus.read(self._ids)
-                if self._powered and self._cycles % _DRIVEN_EVERY == 0:
+                # cycles between two checks that the torque is still on
+                if self._powered and self._cycles % 25 == 0:
                     driven = bus.driven(self._ids)
             except IncompleteReply as error:
                 trouble, states = str(error), error.answered

@@ -93,15 +93,7 @@ class ServoConfig(ServoSettings):
         return self
 
     def check_steps(self, steps: Mapping[str, float], where: str) -> None:
-        """Refuse steps of joints (rad, m; 0: continuous) that their servos cannot stand at.
-
-        Args:
-            where: who declares the steps, for the message.
-
-        Raises:
-            InputError: a step is no whole number of encoder ticks over the joint's range, or
-                `zero_ticks` lies between two ticks.
-        """
+        """Refuse steps of joints (rad, m; 0: continuous) that their servos cannot stand at."""
         for name, step in steps.items():
             joint = self.joints.get(name)
             if joint is not None and step > 0 and not joint.stands_at(step):

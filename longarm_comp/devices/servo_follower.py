@@ -40,7 +40,6 @@ from longarm_comp.devices.trim import Trim
 
 __all__ = ["Accepted", "Event", "EventKind", "FollowerState", "Step", "TrajectoryFollower"]
 
-_SETTLED_TICKS_S = 30.0
 _OF_A_MOVE = 2
 """Points of a move: its run-up and its end. More are a path, which is not trimmed."""
 
@@ -55,7 +54,6 @@ class TrajectoryFollower:
     ``now`` is monotonic seconds everywhere.
 
     Args:
-        config: the joints and their limits.
         keeps_out: asked of every trajectory; None: nothing is kept out of.
         trim: whether moves end with the readings where they were sent (`Trim`).
     """
@@ -110,11 +108,6 @@ class TrajectoryFollower:
         as the limits allow. A trajectory that is too fast is slowed down evenly, and an event
         SLOWED reports the factor. It always ends at rest: then an event ARRIVED follows, or SHORT
         where a joint stands still and is not where it was sent.
-
-        Raises:
-            InputError: unknown or repeated joint, wrong length, not finite, times not increasing,
-                outside the limits, also between points; nothing changes then.
-            JobError: no trusted read-back yet, fault, emergency stop, held, or kept out.
         """
         self._check_ready(now)
         start = self._start()
@@ -191,11 +184,7 @@ class TrajectoryFollower:
         self._say(EventKind.ESTOP, "emergency stop")
 
     def reset(self, now: float) -> None:
-        """Back to idle after a fault or an emergency stop.
-
-        Raises:
-            JobError: a servo is still silent, hot or alarmed; the message says which.
-        """
+        """Back to idle after a fault or an emergency stop."""
         self._check_health(now)
         self._watch.forget_errors()
         self._drop_motion()
@@ -212,9 +201,6 @@ class TrajectoryFollower:
 
         ``driven``, given now and then, is the result of ``ServoBus.driven``. It reveals a servo
         that lost power for a moment: it answers as before, but its torque is off.
-
-        Raises:
-            InputError: ``now`` is not finite.
         """
         if not math.isfinite(now):
             raise InputError("servo follower", "now", now, "finite seconds")
@@ -282,7 +268,7 @@ class TrajectoryFollower:
         """Report once that the arm has come to rest: at the end of its trajectory, or short."""
         read = {name: self._watch.state(name) for name in self._names}
         states = {name: state for name, state in read.items() if state is not None}
-        still = all(abs(s.velocity_ticks_s) < _SETTLED_TICKS_S for s in states.values())
+        still = all(abs(s.velocity_ticks_s) < 30.0 for s in states.values())  # ticks/s
         still = still and len(states) == len(read)
         self._still_s = self._still_s + dt if still else 0.0
         if self._settled or not still:

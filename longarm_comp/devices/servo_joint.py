@@ -15,8 +15,8 @@ Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
-STEP_KNOWN_TO = 0.15
-"""Share of a step to which it must be known where it is."""
+Transmission = Annotated[float, Field(ge=1e-6, le=1e6)]
+"""Ratio, or travel per turn in m, of any gear, screw or pinion: beyond it the unit is wrong."""
 
 
 class ServoSettings(BaseModel):
@@ -47,9 +47,9 @@ class JointConfig(ServoSettings):
     type: Literal["revolute", "prismatic"]
     zero_ticks: Finite
     direction: Literal[1, -1] = 1
-    gear_ratio: Positive = 1.0
-    screw_lead_m: Positive | None = None
-    pinion_radius_m: Positive | None = Field(None, validate_default=True)
+    gear_ratio: Transmission = 1.0
+    screw_lead_m: Transmission | None = None
+    pinion_radius_m: Transmission | None = Field(None, validate_default=True)
     multi_turn: bool = False
     lower: Finite
     upper: Finite
@@ -112,7 +112,8 @@ class JointConfig(ServoSettings):
         farthest = max(abs(self.lower), abs(self.upper)) / step
         drift = abs(ticks - round(ticks)) * farthest
         beside = abs(self.zero_ticks - round(self.zero_ticks))
-        return round(ticks) >= 1 and drift + beside <= STEP_KNOWN_TO * ticks
+        # Share of a step to which it must be known where it is
+        return round(ticks) >= 1 and drift + beside <= 0.15 * ticks
 
     @property
     def goal_range(self) -> tuple[int, int]:
@@ -126,11 +127,7 @@ class JointConfig(ServoSettings):
         return math.ceil(ends[0] - 1e-9), math.floor(ends[1] + 1e-9)
 
     def to_ticks(self, value: float) -> int:
-        """The goal nearest to a joint value, rad or m.
-
-        Raises:
-            InputError: not finite, or outside the limits by more than half a tick.
-        """
+        """The goal nearest to a joint value, rad or m."""
         slack = 0.5 * self.si_per_tick
         if not self.lower - slack <= value <= self.upper + slack:
             allowed = f"{self.lower:g} to {self.upper:g} {self.unit}"

@@ -18,20 +18,14 @@ from longarm_comp.devices.servo_joint import JointConfig
 
 _PERIOD_S = 0.02
 """Between two readings."""
-_MOST_LOST = 25
-"""Readings in a row that may be incomplete: cables move with the arm."""
 _LOOKS, _STILL_TICKS = 15, 8
 """Readings of a held pose, and how much they may differ: a hand trembles."""
 _UNMOVED_TICKS = 8
 """A servo that was swept over no more than that was not moved."""
 _NEAR_TICKS, _SETTLED_S = 6, 0.3
 """A move is over where the servo rests so near its goal for so long."""
-_PATIENCE = 3.0
-"""With a move: times one second and the time that it takes."""
 _SPEED = 5.0
 """Speed of a nudge, deg/s or mm/s: to be seen, and to be stepped away from."""
-_STOPS_AGREE = 0.05
-"""Share of the declared range by which stops met in the sweep may differ from it."""
 
 
 @dataclass(frozen=True)
@@ -121,13 +115,11 @@ def zero_from_sweep(
 
     Args:
         stops: joint values of the mechanical stops, rad or m; None: the declared limits.
-
-    Raises:
-        InputError: the sweep is longer or shorter than that.
     """
     low, high = stops or (joint.lower, joint.upper)
     swept = travel.span * joint.si_per_tick
-    if abs(swept - (high - low)) > _STOPS_AGREE * (high - low):
+    # Share of the declared range by which stops met in the sweep may differ from it
+    if abs(swept - (high - low)) > 0.05 * (high - low):
         ends = " to ".join(shown(joint, value) for value in (low, high))
         found = f"{name} was swept over {shown(joint, swept)}"
         allowed = (
@@ -140,12 +132,7 @@ def zero_from_sweep(
 
 
 class ServoSetup:
-    """Servos of an arm in the operator's hands. The torque is off unless it is switched on.
-
-    Args:
-        bus: with the model of every id.
-        joints: as declared; ids and models are those on the bus.
-    """
+    """Servos of an arm in the operator's hands. The torque is off unless it is switched on."""
 
     def __init__(self, bus: SerialServoBus, joints: Mapping[str, JointConfig]) -> None:
         self._bus = bus
@@ -202,7 +189,8 @@ class ServoSetup:
                 states, lost = self._bus.read(self._ids), 0
             except IncompleteReply as error:
                 states, lost = error.answered, lost + 1
-                if lost > _MOST_LOST:
+                # Readings in a row that may be incomplete: cables move with the arm
+                if lost > 25:
                     raise
             before = dict(self._sweep)
             for servo_id, state in states.items():
@@ -217,11 +205,7 @@ class ServoSetup:
             time.sleep(_PERIOD_S)
 
     def rest(self) -> dict[int, float]:
-        """Ticks of every servo in a pose that is held still.
-
-        Raises:
-            JobError: the arm moves.
-        """
+        """Ticks of every servo in a pose that is held still."""
         looks = []
         for _ in range(_LOOKS):
             looks.append({i: s.position_ticks for i, s in self._bus.read(self._ids).items()})
@@ -238,9 +222,6 @@ class ServoSetup:
         """Move one joint by ``by`` (rad, m) one way or the other.
 
         It goes up unless that leads out of the servo's range or of the travel of the sweep.
-
-        Raises:
-            JobError: the servo did not move, or would leave its travel both ways.
         """
         joint = self.joints[name]
         start = self._at(joint.servo_id)
@@ -270,7 +251,8 @@ class ServoSetup:
         joint = next(j for j in self.joints.values() if j.servo_id == servo_id)
         speed = min(_SPEED * hand_unit(joint)[0], joint.max_velocity) / joint.si_per_tick
         rested, last = time.monotonic(), self._at(servo_id)
-        limit = time.monotonic() + _PATIENCE * (1.0 + abs(goal - last) / speed)
+        # With a move: times one second and the time that it takes
+        limit = time.monotonic() + 3.0 * (1.0 + abs(goal - last) / speed)
         while time.monotonic() < limit:
             self._bus.write_goal({servo_id: goal}, {servo_id: speed})
             at = self._at(servo_id)

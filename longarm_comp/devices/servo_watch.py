@@ -43,11 +43,7 @@ class _Seen:
 
 
 class ServoWatch:
-    """Keeps the last trusted read-back of every joint and finds faults in it.
-
-    Args:
-        config: the joints and their limits.
-    """
+    """Keeps the last trusted read-back of every joint and finds faults in it."""
 
     def __init__(self, config: ServoConfig) -> None:
         self._config = config

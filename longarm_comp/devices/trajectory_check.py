@@ -26,9 +26,6 @@ def checked(trajectory: JointTrajectory, config: ServoConfig, start: Array) -> W
     """Way-points in the order of ``config``; joints not named stay at ``start`` (n,).
 
     Returns None for a trajectory without points.
-
-    Raises:
-        InputError: names the point and the joint, the value and what is allowed.
     """
     if not trajectory.points:
         return None

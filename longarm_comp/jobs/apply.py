@@ -17,8 +17,6 @@ from longarm_comp.workflows.at_work import undo
 from longarm_comp.workflows.inputs import Note, Progress, log_note, silent
 
 _PATIENCE_S = 60.0
-_THERE_S = 10.0
-"""A node that is there is found on the network within it, also on a busy machine."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +24,6 @@ class FilesAtWork:
     """Files that a running graph reads.
 
     Attributes:
-        arm: declared arm.
-        model: calibrated model; it need not exist.
         predictor: None where no `error_predictor` runs, or it has no file.
     """
 
@@ -37,18 +33,15 @@ class FilesAtWork:
 
 
 def files_at_work(client: GraphClient) -> FilesAtWork:
-    """The files of the graph's nodes.
-
-    Raises:
-        JobError: no kinematics node, or it was started without a model file.
-    """
+    """The files of the graph's nodes."""
     arm, model = read_parameters(client, "kinematics", "arm", "model")
     if not model:
         reason = "kinematics runs without a model file: start it with --model FILE"
         raise JobError(f"{reason} (the file need not exist yet)")
     predictor = ""
     try:
-        (predictor,) = read_parameters(client, "error_predictor", "predictor", within_s=_THERE_S)
+        # A node that is there is found on the network within it, also on a busy machine
+        (predictor,) = read_parameters(client, "error_predictor", "predictor", within_s=10.0)
     except Interrupted:
         raise
     except JobError:  # none is running
@@ -72,10 +65,6 @@ def apply_on_graph(
         client: on the graph.
         diagnosis, session, network, seed, note, progress: as for `workflows.apply.apply`. No
             predictor is trained where the graph has no file for it.
-
-    Raises:
-        InputError, JobError: as there; nothing was changed. JobError: kinematics did not take up
-            the model, which was taken back.
     """
     files = files_at_work(client)
     if network and files.predictor is None:
@@ -97,11 +86,7 @@ def apply_on_graph(
 
 
 def reload(client: GraphClient, node: str) -> None:
-    """Have a node read its files again.
-
-    Raises:
-        JobError: it did not take them up.
-    """
+    """Have a node read its files again."""
     service = graph.RELOAD.client(client.node, of=node)
     try:
         answer = client.call(service, Trigger.Request(), _PATIENCE_S, again=True)

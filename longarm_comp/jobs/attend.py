@@ -84,11 +84,7 @@ class Attendant:
                 self._reports.setdefault(name, {})[part] = told
 
     def standing(self) -> Standing:
-        """How the arm stands, as soon as every node of it that is on the graph has reported.
-
-        Raises:
-            JobError: there is no graph. Interrupted: the client was stopped.
-        """
+        """How the arm stands, as soon as every node of it that is on the graph has reported."""
         client, where = self._client, self._namespace or "/"
         own = client.node.get_name()
 
@@ -141,11 +137,7 @@ class Attendant:
         return self._ask(graph.ESTOP, SetBool.Request(data=True))
 
     def reset(self) -> str:
-        """Leave an emergency stop, a fault and a hold, whichever there are.
-
-        Raises:
-            JobError: no driver, or it refuses: the cause persists.
-        """
+        """Leave an emergency stop, a fault and a hold, whichever there are."""
         said = "nothing to reset"
         for state, (service, request) in _LEAVE.items():
             if self._state() == state:

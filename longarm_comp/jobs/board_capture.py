@@ -20,7 +20,6 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.images import pixels_of
 from longarm_comp.nodes.stamps import stamp_ns
 
-_SLOP_NS = 5_000_000
 _FIRST_S = 30.0
 
 
@@ -28,7 +27,7 @@ class _Images:
     """The newest pair of images on the topics."""
 
     def __init__(self, client: GraphClient) -> None:
-        self._pairer: StereoPairer[Image] = StereoPairer(_SLOP_NS, 8)
+        self._pairer: StereoPairer[Image] = StereoPairer()
         self._newest: Pair[Image] | None = None
         for side, topic in ((Side.LEFT, graph.LEFT_IMAGE), (Side.RIGHT, graph.RIGHT_IMAGE)):
             topic.subscription(client.node, partial(self._on, side))
@@ -55,18 +54,10 @@ def capture(
     """Take a view whenever the board rests somewhere new, until nothing is missing.
 
     Args:
-        board: that is held before the cameras.
-        within_s: patience.
-        tell: told what is seen and what is missing.
         save: folder for the images that were taken.
 
     Returns:
         The views, and (width, height) px of the images.
-
-    Raises:
-        InputError: the images change their size.
-        JobError: no images, or something is still missing when patience ends.
-        Interrupted: ``stop`` was set.
     """
     views: list[BoardView] = []
     before: BoardView | None = None

@@ -16,8 +16,6 @@ FEWEST_POSES = 10
 _FOLDS = 5
 _SIGMA_M = 1e-4
 """Of a sighting whose session does not say it. What the arm's own errors add is seen in the fit."""
-_SPREAD_M = 0.05
-"""The tips must reach over so much in two directions, or the head's rotation is hardly told."""
 
 
 @dataclass(frozen=True)
@@ -57,14 +55,8 @@ def placed_cameras(
     """Fit the head's pose to rows whose tip was measured through it.
 
     Args:
-        model: predicts the tips.
-        session: measured with the head at `assumed`.
         assumed: (4, 4) left optical frame in the base frame that the sightings were computed with.
         free_tip: the seen point's place in the tip frame is unknown too.
-
-    Raises:
-        InputError: fewer than `FEWEST_POSES` rows with a whole position.
-        JobError: the tips hardly spread, or do not determine what is unknown.
     """
     rows = session.take(session.located)
     if len(rows) < FEWEST_POSES:
@@ -73,7 +65,8 @@ def placed_cameras(
     tips = model.pose(rows.q, rows.context())
     spread = np.linalg.svd(tips[:, :3, 3] - tips[:, :3, 3].mean(axis=0), compute_uv=False)
     wide = 2.0 * spread / np.sqrt(len(rows))
-    if wide[1] < _SPREAD_M:
+    # The tips must reach over so much in two directions, or the head's rotation is hardly told
+    if wide[1] < 0.05:
         raise JobError(
             "the tip stayed on a line or at a point: measure poses all over its range",
             spread_mm=[round(1e3 * float(w)) for w in wide],

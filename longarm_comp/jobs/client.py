@@ -69,9 +69,7 @@ class GraphClient:
     """A node on a graph: waits, services. Use as a context manager.
 
     Args:
-        namespace: of the arm on the graph.
         stop: ends every wait with `Interrupted`.
-        name: of the node.
     """
 
     def __init__(
@@ -100,12 +98,7 @@ class GraphClient:
         self.context.try_shutdown()
 
     def until(self, condition: Callable[[], Any], within_s: float, what: str) -> Any:
-        """Spin until a condition is truthy and return its value.
-
-        Raises:
-            JobError: the condition was not met in time.
-            Interrupted: ``stop`` was set.
-        """
+        """Spin until a condition is truthy and return its value."""
         end = time.monotonic() + within_s
         while not (found := condition()):
             if self.stop.is_set():
@@ -137,14 +130,8 @@ class GraphClient:
         The middleware drops an answer to a client that the server has not matched yet.
 
         Args:
-            client: of the service.
-            request: what to ask.
-            within_s: patience.
             again: ask again where no answer came for a while; for requests that may be served
                 twice.
-
-        Raises:
-            JobError: no answer in time. Interrupted: ``stop`` was set.
         """
         self.until(client.service_is_ready, within_s, f"nobody offers {client.srv_name}")
         asked = [client.call_async(request)]
@@ -166,12 +153,7 @@ class GraphClient:
 
 
 class ArmClient(GraphClient):
-    """One arm on a graph: its joints, the sightings of its tip, moves.
-
-    Args:
-        arm: names and orders the joints.
-        namespace, stop, name: as for `GraphClient`.
-    """
+    """One arm on a graph: its joints, the sightings of its tip, moves."""
 
     def __init__(
         self, arm: Arm, namespace: str = "", stop: threading.Event | None = None,
@@ -284,19 +266,11 @@ class ArmClient(GraphClient):
         If the arm was there already and the path leads away and back, it must have left first.
 
         Args:
-            path: way-points, rad and m.
-            tolerance: of each joint.
-            dwell_s: time at rest.
-            within_s: patience.
             start: (n,) where the joints stood before the command; where they stand now if not
                 given. A move may be over before this is called.
 
         Returns:
             The moment (ns, the graph's clock) from which the arm was at rest.
-
-        Raises:
-            JobError: it did not arrive, or the driver refused the move or stopped.
-            Interrupted: ``stop`` was set.
         """
         q = path[-1]
         inside_since: list[float] = []

@@ -46,9 +46,6 @@ def visits(
         repeats: this many poses, drawn, come twice more, anywhere in the session.
         shuffle: random order, so that time and pose are not confused.
         seed: of the drawing and the order.
-
-    Raises:
-        InputError: more repeats than poses.
     """
     if not 0 <= repeats <= len(plan):
         raise InputError("collect", "--repeats", repeats, f"0 to {len(plan)} (poses of the plan)")

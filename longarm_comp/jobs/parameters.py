@@ -16,11 +16,7 @@ from longarm_comp.jobs.client import GraphClient
 def read_parameters(
     client: GraphClient, node: str, *names: str, within_s: float = 20.0
 ) -> list[Any]:
-    """Values of a node's parameters, in the order of the names; None where it has none.
-
-    Raises:
-        JobError: the node is not there. Interrupted: the client was stopped.
-    """
+    """Values of a node's parameters, in the order of the names; None where it has none."""
     service = client.node.create_client(GetParameters, f"{node}/get_parameters")
     try:
         answer = client.call(
@@ -32,11 +28,7 @@ def read_parameters(
 
 
 def set_parameter(client: GraphClient, node: str, name: str, value: bool | float | str) -> None:
-    """Set a parameter of a node.
-
-    Raises:
-        JobError: the node is not there, or refuses the value.
-    """
+    """Set a parameter of a node."""
     told: Parameter = NamedParameter(name, value=value).to_parameter_msg()
     service = client.node.create_client(SetParameters, f"{node}/set_parameters")
     try:

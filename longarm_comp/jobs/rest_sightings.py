@@ -14,9 +14,6 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import JobError
 from longarm_comp.jobs.client import ArmClient, Interrupted
 
-_NEW = 0.04
-"""Share of a joint's range by which one joint at least must differ from every pose before."""
-_SIGHTINGS = 5
 _FIRST_S = 30.0
 
 
@@ -29,18 +26,7 @@ def sightings_at_rest(
     namespace: str = "",
     stop: threading.Event | None = None,
 ) -> Session:
-    """A row for every new pose at which the arm rests and the tip is seen.
-
-    Args:
-        arm: names the joints.
-        poses: rows to collect.
-        within_s: patience.
-        tell: told of every row.
-
-    Raises:
-        JobError: no joint_states, or too few poses when patience ends.
-        Interrupted: ``stop`` was set.
-    """
+    """A row for every new pose at which the arm rests and the tip is seen."""
     span = arm.upper - arm.lower
     q: list[np.ndarray] = []
     xyz: list[np.ndarray] = []
@@ -60,10 +46,12 @@ def sightings_at_rest(
             if time.monotonic() - since < SETTLE_S:
                 client.sightings.clear()  # what was taken before the arm hung still
                 return False
-            if any((np.abs(now - old) <= _NEW * span).all() for old in q):
+            # Share of a joint's range by which one joint at least must differ from every pose
+            # before
+            if any((np.abs(now - old) <= 0.04 * span).all() for old in q):
                 return False
             seen = [s for s in client.sightings if np.isfinite(s[1]).all()]
-            if len(seen) >= _SIGHTINGS:
+            if len(seen) >= 5:
                 points = np.array([point for _, point, _ in seen])
                 variance = np.mean([v for _, _, v in seen], axis=0) / len(seen)
                 q.append(now)

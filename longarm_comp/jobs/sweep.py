@@ -17,16 +17,7 @@ SLOWEST_S, FASTEST_S = 3600.0, 0.1
 
 
 def way_times(arm: Arm, start: np.ndarray, path: np.ndarray, range_s: float) -> np.ndarray:
-    """(k,) s for each way of a path (k, n), so that no joint covers its range in less time.
-
-    Args:
-        start: (n,) where the joints stand, rad and m.
-        path: way-points.
-        range_s: least time for the whole range of any joint.
-
-    Raises:
-        InputError: ``range_s`` is not allowed.
-    """
+    """(k,) s for each way of a path (k, n), so that no joint covers its range in less time."""
     if not FASTEST_S <= range_s <= SLOWEST_S:
         raise InputError("sweep", "--seconds", range_s, f"{FASTEST_S:g} to {SLOWEST_S:g}")
     ways = np.abs(np.diff(np.vstack([start, path]), axis=0))
@@ -46,19 +37,11 @@ def sweep_joints(
     """Drive the sweep from where the joints stand and back; the number of moves made.
 
     Args:
-        client: of the arm.
         range_s: least time (s) for the whole range of any joint; the driver may be slower.
         margin: kept from every limit, as a share of the joint's range.
         together: all joints at once; else one after another.
         agree: called with the way-points (k, n) and their time (s) before anything moves; it
             raises where they are not to be driven.
-        pace: of arrivals.
-        progress: called with the move and the share done.
-
-    Raises:
-        InputError: a value is not allowed, or the joints stand outside their limits.
-        JobError: no arm, or it did not arrive.
-        Interrupted: the client was stopped; the joints are told to stay where they are.
     """
     pace = pace or Pace()
     client.ready(tip=False)

@@ -74,8 +74,6 @@ class TargetRunner:
     """Drives targets on a graph.
 
     Args:
-        client: of the arm.
-        pace: of the measurements.
         witness: another instrument that sees the tip, where there is one.
     """
 
@@ -85,11 +83,7 @@ class TargetRunner:
         self._frame = "base"
 
     def ready(self, target: np.ndarray, within_s: float) -> None:
-        """Wait until kinematics knows the joints, so that it can answer for a target (3,), m.
-
-        Raises:
-            JobError: not within the time. Interrupted: the client was stopped.
-        """
+        """Wait until kinematics knows the joints, so that it can answer for a target (3,), m."""
         client = self._client
         mine = f"{client.node.resolve_topic_name('kinematics')}: targets"
         said: list[str] = []
@@ -141,9 +135,6 @@ class TargetRunner:
         """Send every target (N, 3), m, and measure where the tip comes to rest.
 
         A target that is refused counts as one where the marker was lost.
-
-        Raises:
-            JobError: the arm did not arrive. Interrupted: the client was stopped.
         """
         rows = []
         with self.method(method):

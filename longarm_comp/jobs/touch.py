@@ -33,7 +33,6 @@ class TouchLog:
     """TouchLog of one arm, as they are taken.
 
     Attributes:
-        arm: as declared.
         distances: known ones between the points.
         rows: joints (n,), the text column and the name of each.
     """
@@ -43,11 +42,7 @@ class TouchLog:
     rows: list[tuple[np.ndarray, str, str]] = field(default_factory=list)
 
     def begin_with(self, before: Session) -> None:
-        """Go on after the rows of a session.
-
-        Raises:
-            InputError: it holds something else than touches.
-        """
+        """Go on after the rows of a session."""
         for k in range(len(before)):
             named = [c for c in ("touch", "plane") if before.labels.get(c, [""] * (k + 1))[k]]
             if len(named) != 1 or np.isfinite(before.xyz[k]).any():
@@ -56,30 +51,13 @@ class TouchLog:
         self.distances = self.distances or before.touch_distances
 
     def take(self, client: ArmClient, name: str, column: str = "touch") -> np.ndarray:
-        """Add a row of the joints as they rest now.
-
-        Args:
-            client: hears the joints.
-            name: of the point or plane.
-            column: ``touch`` or ``plane``.
-
-        Returns:
-            The joints, (n,), rad and m.
-
-        Raises:
-            JobError: no joint_states, or the arm does not rest.
-            Interrupted: the client's stop event was set.
-        """
+        """Add a row of the joints as they rest now."""
         q = resting(client)
         self.rows.append((q, column, name))
         return q
 
     def session(self) -> Session:
-        """The rows so far.
-
-        Raises:
-            InputError: there is none.
-        """
+        """The rows so far."""
         if not self.rows:
             raise InputError("touch", "rows", 0, "one touch at least")
         q, columns, names = zip(*self.rows, strict=True)
@@ -114,10 +92,6 @@ def resting(client: ArmClient) -> np.ndarray:
     """Mean of the next joint readings that hardly differ, (n,).
 
     Readings that were waiting to be heard are as old as the last move: they are passed over.
-
-    Raises:
-        JobError: no joint_states, or the arm does not rest.
-        Interrupted: the client's stop event was set.
     """
     client.joints = None
     client.until(lambda: client.joints is not None, PATIENCE_S, "no joint_states")

@@ -21,8 +21,6 @@ Draw = Callable[[int], np.ndarray]
 """Draws so many further targets, (n, 3) m; fewer where there are no more."""
 
 WITHOUT, COMPENSATED = "without compensation", "with compensation"
-_MOST_DRAWS = 4
-"""Random targets are drawn at most so many times as often as they are wanted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,14 +74,11 @@ class Verified:
 
 
 def choose(runner: TargetRunner, draw: Draw, n: int, methods: tuple[Method, ...]) -> Chosen:
-    """Up to n targets that the graph accepts with every method; nothing moves.
-
-    Raises:
-        JobError: it accepts fewer than two.
-    """
+    """Up to n targets that the graph accepts with every method; nothing moves."""
     kept: list[np.ndarray] = []
     refused: list[tuple[np.ndarray, str]] = []
-    while len(kept) < n and len(kept) + len(refused) < _MOST_DRAWS * n:
+    # Random targets are drawn at most so many times as often as they are wanted
+    while len(kept) < n and len(kept) + len(refused) < 4 * n:
         drawn = draw(n - len(kept))
         if not len(drawn):
             break
@@ -118,12 +113,7 @@ def verify(
     seed: int = 0,
     progress: Say = lambda text, share: None,
 ) -> Verified:
-    """Drive the targets without compensation, then with a method, and compare.
-
-    Raises:
-        JobError: a target was refused, the arm did not arrive, or the marker was hardly seen.
-        Interrupted: the client was stopped. The node's method is put back.
-    """
+    """Drive the targets without compensation, then with a method, and compare."""
     without = runner.run(WITHOUT, chosen.xyz, Method.NONE, progress)
     compensated = runner.run(COMPENSATED, chosen.xyz, method, progress)
     result = verification((WITHOUT, COMPENSATED), without.off, compensated.off, seed)

@@ -31,9 +31,7 @@ class ArmFrames:
     """Publishes where the links stand, and the arm's URDF once.
 
     Args:
-        node, files: the publishing node, its arm and model.
         base_frame: full name of the base frame.
-        period_s: between two publications; 0: never.
         joints: the last joint reading (n,), or None.
         context: circumstances of now; None while one that the model needs is unknown.
     """

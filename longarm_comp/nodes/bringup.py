@@ -46,13 +46,11 @@ class BringUp:
         arm, model, predictor: files. Without a model the declared arm is used.
         effects: Python files that define further effects, executed by `kinematics`.
         sim: run the simulated arm instead of hardware.
-        namespace: namespace of the arm; empty for none.
         config: folder of parameter files that replace the package's own, ``<node>.yaml``; the
             arm's own folder where none is given.
         port: serial port of the servos; empty for the one in the parameter file.
         speed: factor on all velocities in simulation.
         set: further parameters, by node and name.
-        without: nodes to leave out.
         composed: run `COMPOSED` in one process.
     """
 
@@ -104,9 +102,6 @@ class BringUp:
 
         Where the simulated arm would get the package's own files and is not theirs, files that
         fit it are written to ``scratch``, with those that the arm's folder has.
-
-        Raises:
-            InputError: the servos of a file are not the arm's joints.
         """
         file, arm = self.file("servo_driver"), Arm.load(self.arm)
         joints = list(_ros_parameters(file).get("joints", {}))
@@ -247,14 +242,7 @@ def _ros_parameters(path: Path) -> dict[str, Any]:
 def running(
     graph: BringUp, *, respawn: bool = True, say: Callable[[str], None] = lambda text: None
 ) -> Iterator[Supervisor]:
-    """Start the graph's processes; on exit all of them are ended, also after an exception.
-
-    Args:
-        respawn, say: see `Supervisor`.
-
-    Raises:
-        InputError: a file is missing or wrong.
-    """
+    """Start the graph's processes; on exit all of them are ended, also after an exception."""
     with tempfile.TemporaryDirectory(prefix="longarm_") as scratch:
         graph = graph.fitted(Path(scratch))
         with Supervisor(graph.commands(Path(scratch)), respawn=respawn, say=say) as supervisor:

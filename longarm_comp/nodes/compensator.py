@@ -58,10 +58,6 @@ class Compensator:
     """Answers requests, one at a time.
 
     Args:
-        node: holds the parameters that may be set while running.
-        p: values of the parameters.
-        base_frame: full name of the frame that joints are computed in.
-        files, state, predictor, driver, twins, frames: what is known of the arm and around it.
         survived: called with an exception that is a fault of this software.
     """
 

@@ -13,8 +13,8 @@ from longarm_comp.core.arm.history import History
 from longarm_comp.core.errors import InputError
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
-from longarm_comp.nodes.inlets import Inlets
 from longarm_comp.nodes.messages import joints_of, path_of
+from longarm_comp.nodes.rclpy_inside import Inlets
 from longarm_interfaces.msg import DriverState, Motion
 
 _SILENT_S = 3.0
@@ -38,7 +38,6 @@ class DriverLink:
 
     Args:
         inlets: of the worker, so that what the driver tells is known before the next target.
-        arm: names and orders the joints.
         acknowledged: whether the driver tells its state and what becomes of trajectories.
         joints: the last joint reading (n,), or None.
         commanded: called for every command, with its joints (n,) and their history on arrival.
@@ -46,7 +45,6 @@ class DriverLink:
         refused: called for every message that is refused, with its kind and the reason.
 
     Attributes:
-        acknowledged: as given.
         history: of the joints, when they have come to the end of what was commanded last.
     """
 

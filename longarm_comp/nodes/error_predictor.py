@@ -21,7 +21,6 @@ from longarm_comp.core.learn.predictor_file import belongs, load
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.frames import prefix_of
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
-from longarm_comp.nodes.inlets import DIRECT
 from longarm_comp.nodes.messages import joints_of, sides_of, vector_message
 from longarm_comp.nodes.model_files import ModelFiles, file_hash
 from longarm_comp.nodes.params import Param, declare
@@ -37,7 +36,6 @@ PARAMS = (
     Param("predictor", "", "predictor file (npz); empty: none, every question is refused"),
     Param("base_frame", "base", "frame of the predicted errors"),
     Param("watch_period_s", 1.0, "how often the file is looked at for a new version", 0.1, 3600.0),
-    DIRECT,
     PERIOD,
 )
 
@@ -65,7 +63,7 @@ class ErrorPredictor(Node):
         self._fault = ""
         self._answered = self._refused = self._outside = 0
         self._last = ""
-        self._asked = Worker(self, executor, 100, self.survived, direct=p[DIRECT.name])
+        self._asked = Worker(self, executor, 100, self.survived)
         self._files = Worker(self, executor, 4, self.survived)
         self._reload()
         self._errors = graph.PREDICTED_ERROR.publisher(self)
@@ -88,7 +86,7 @@ class ErrorPredictor(Node):
 
     def _on_predict(
         self, request: PredictError.Request, reply: Callable[[PredictError.Response], None],
-        sent: float | None,
+        sent: float,
     ) -> None:  # fmt: skip
         response = self.answer(request)
         reply(response)

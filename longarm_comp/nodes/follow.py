@@ -24,8 +24,6 @@ from longarm_comp.nodes.messages import duration, seconds
 from longarm_comp.nodes.ticks import Ticks
 from longarm_interfaces.msg import Motion
 
-_FEEDBACK_S = 0.05
-
 
 class FollowSite(Protocol):
     """What the action needs of the driver."""
@@ -53,7 +51,7 @@ class FollowServer:
         self._node, self._site = node, site
         self._run, self._numbers = uuid.uuid4().hex[:8], itertools.count(1)
         self._told: dict[str, tuple[int, str] | None] = {}
-        self._ticks = Ticks(node, _FEEDBACK_S)
+        self._ticks = Ticks(node, 0.05)
         self._server = ActionServer(
             node, graph.FOLLOW.type, graph.FOLLOW.name, self._serve,
             callback_group=ReentrantCallbackGroup(),

@@ -65,7 +65,6 @@ class Health:
     Args:
         node: the publishing node. A status is named ``<node>: <part>``.
         parts: function that reports on each part.
-        period_s: time between two publications.
     """
 
     def __init__(

@@ -18,8 +18,6 @@ class ImageInlet:
     A reliable subscription hears no best-effort publisher, and says nothing of it.
 
     Args:
-        node, topic: where images are heard.
-        take: called with each of them.
         reliable: whether nothing may be lost, where the publishers offer that.
     """
 

@@ -54,11 +54,9 @@ class Topic:
 
     Attributes:
         name: relative to the namespace of the arm.
-        type: message class.
         depth: messages kept on either side.
         listens: reliability of subscriptions. Best effort also receives from best-effort sensors.
             Publishers are always reliable, which is compatible with both.
-        meaning: one line for the documentation.
         latched: who subscribes later receives the last message too.
     """
 

@@ -27,13 +27,12 @@ from longarm_comp.nodes.compensator import Compensator
 from longarm_comp.nodes.driver_link import DriverLink
 from longarm_comp.nodes.frames import FrameListener, prefix_of
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report, Tally
-from longarm_comp.nodes.inlets import DIRECT, Caller
 from longarm_comp.nodes.interfaces import BEST_EFFORT
 from longarm_comp.nodes.markers import Markers
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.monitoring import Sighted, TipMonitor
 from longarm_comp.nodes.params import Param, declare
-from longarm_comp.nodes.predictor_client import PredictorClient
+from longarm_comp.nodes.predictor_client import Caller, PredictorClient
 from longarm_comp.nodes.reach import ReachServer
 from longarm_comp.nodes.readiness import Readiness
 from longarm_comp.nodes.runner import run
@@ -61,7 +60,6 @@ PARAMS = (
     *monitoring.PARAMS,
     *markers.PARAMS,
     *arm_frames.PARAMS,
-    DIRECT,
     PERIOD,
 )
 
@@ -88,7 +86,7 @@ class Kinematics(Node):
         self._base_frame = prefix_of(self) + p["base_frame"]
         self._max_age_s = p["context_max_age_s"]
         tally = Tally(self)
-        self._worker = Worker(self, executor, p["queue"], self.survived, direct=p[DIRECT.name])
+        self._worker = Worker(self, executor, p["queue"], self.survived)
         inlets = self._worker.inlets
         caller = predictor(self._worker) if predictor else inlets.caller(graph.PREDICT_ERROR)
         self._predictor = PredictorClient(caller, self._arm, p["predictor_timeout_s"])

@@ -5,8 +5,6 @@ The middleware reports what is lost on the way, but not what a full queue drops.
 
 from __future__ import annotations
 
-import time
-
 
 class SequenceWatch:
     """Finds gaps in the numbers that publishers give their messages.
@@ -35,38 +33,3 @@ class SequenceWatch:
             self._last[self._last.index(before)] = number
             if full:
                 self.lost += number - before - 1
-
-
-class QueueWatch:
-    """Finds the gaps where messages are taken one by one, as rclpy's executor does.
-
-    Messages that had come before the first of them was taken were in the queue together. Where
-    there are as many as it holds, it was full.
-
-    Args:
-        depth: messages that the queue holds.
-    """
-
-    def __init__(self, depth: int) -> None:
-        self._watch, self._depth = SequenceWatch(), depth
-        self._numbers: list[int] = []
-        self._begun_ns = 0
-
-    @property
-    def lost(self) -> int:
-        """Messages that were lost, as far as can be told."""
-        return self._watch.lost
-
-    def took(self, number: int, received_ns: int) -> None:
-        """Enter a message that is taken now: its number, and when it came (system time, ns)."""
-        if self._numbers and received_ns > self._begun_ns:
-            self._end(full=False)
-        if not self._numbers:
-            self._begun_ns = time.time_ns()
-        self._numbers.append(number)
-        if len(self._numbers) == self._depth:
-            self._end(full=self._depth > 1)
-
-    def _end(self, *, full: bool) -> None:
-        self._watch.taken(self._numbers, full=full)
-        self._numbers = []

@@ -101,11 +101,7 @@ def joints_message(arm: Arm, q: np.ndarray, stamp: Time | None = None) -> JointS
 
 
 def joints_of(message: JointState, arm: Arm, where: str) -> np.ndarray:
-    """Joints (n,) in the order of the arm. Names of other joints are ignored.
-
-    Raises:
-        InputError: a joint is missing or doubled, or a value is not finite.
-    """
+    """Joints (n,) in the order of the arm. Names of other joints are ignored."""
     if len(message.name) != len(message.position):
         found = f"{len(message.name)} names, {len(message.position)} positions"
         raise InputError(where, "position", found, "one position a name")
@@ -114,11 +110,7 @@ def joints_of(message: JointState, arm: Arm, where: str) -> np.ndarray:
 
 
 def sides_of(approach: Sequence[int], names: Sequence[str], arm: Arm, where: str) -> np.ndarray:
-    """Side (n,) of -1, 0, +1 that each joint arrives from, in the order of the arm.
-
-    Raises:
-        InputError: the number of sides is not 0, 1 or one per name; or a side is not -1, 0, +1.
-    """
+    """Side (n,) of -1, 0, +1 that each joint arrives from, in the order of the arm."""
     sides = [float(side) for side in approach]
     if any(side not in (-1.0, 0.0, 1.0) for side in sides):
         raise InputError(where, "approach", sides, "-1, 0 or +1")
@@ -132,11 +124,7 @@ def sides_of(approach: Sequence[int], names: Sequence[str], arm: Arm, where: str
 
 
 def path_of(message: JointTrajectory, arm: Arm) -> np.ndarray:
-    """The points of a trajectory, (k, n).
-
-    Raises:
-        InputError: as `joints_of`, or the trajectory has no point.
-    """
+    """The points of a trajectory, (k, n)."""
     where, names = "joint_trajectory", list(message.joint_names)
     for point in message.points:
         if len(point.positions) != len(names):
@@ -194,11 +182,7 @@ def trajectory_of(message: JointTrajectory) -> devices.JointTrajectory:
 
 
 def tilt_of(message: Imu) -> tuple[str, dict[str, float]]:
-    """Row that the sensor is mounted on, and the columns of its tilt (rad) as in sessions.
-
-    Raises:
-        InputError: the sensor gives no orientation, or no unit quaternion.
-    """
+    """Row that the sensor is mounted on, and the columns of its tilt (rad) as in sessions."""
     if message.orientation_covariance[0] < 0:
         where = "orientation_covariance[0]"
         raise InputError("inclination", where, "-1: no orientation", "a sensor that gives one")

@@ -23,12 +23,7 @@ class LoadedModel:
 
 
 class ModelFiles:
-    """arm.yaml, read once, and model.yaml, read again on demand.
-
-    Raises:
-        InputError: arm.yaml is not a declared arm. A missing or invalid model.yaml is not an
-            error: the declared arm (or the last good model) is used, and `report` says so.
-    """
+    """arm.yaml, read once, and model.yaml, read again on demand."""
 
     def __init__(self, arm_path: str, model_path: str) -> None:
         if not arm_path:

@@ -57,7 +57,8 @@ class Freshness:
         self._clock, self.max_age_s = node.get_clock(), max_age_s
         self._turned = time.monotonic()
         self._away_s, self._back = 0.0, self._turned - max_age_s
-        steady_timer(node, _TURNS * max_age_s, self._turn)
+        # Period of the watch, as a share of the age allowed
+        steady_timer(node, 0.1 * max_age_s, self._turn)
 
     def _turn(self) -> None:
         late = time.monotonic() - self._turned
@@ -82,7 +83,3 @@ class Freshness:
         if not why and (not ns or self._clock.ros_time_is_active) and self.away_s > self.max_age_s:
             why = f"may be {self.away_s:.1f} s old: so long was this node away"
         return f"the order {why}, allowed {self.max_age_s:g} s" if why else ""
-
-
-_TURNS = 0.1
-"""Period of the watch, as a share of the age allowed."""

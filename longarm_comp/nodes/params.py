@@ -31,7 +31,6 @@ class Param:
 
     Attributes:
         name, default: as in the node's YAML file; the default's type is the parameter's.
-        description: meaning and unit, in one line.
         lower, upper: allowed range of a number, or of each of several.
         choices: allowed texts.
         live: may be set while the node runs; everything else is read-only.
@@ -114,9 +113,6 @@ def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) ->
 
     Returns:
         Values by name.
-
-    Raises:
-        InputError: an unknown name, a value of another type or out of range.
     """
     known = {param.name: param for param in table}
     given = {k: v for k, v in overrides(node).items() if k.split(".")[0] not in sections}

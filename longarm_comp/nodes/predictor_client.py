@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -15,9 +15,22 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.learn.expansion import Expansion
-from longarm_comp.nodes.inlets import Caller
 from longarm_comp.nodes.messages import joints_message
 from longarm_interfaces.srv import PredictError
+
+
+class Caller(Protocol):
+    """A client of `predict_error`, for one thread."""
+
+    @property
+    def present(self) -> bool:
+        """Whether the service is on the graph."""
+
+    def send(self, request: Any) -> int:
+        """Send a request and return its number."""
+
+    def answer(self, number: int, within_s: float) -> Any:
+        """The response to a request, or None after ``within_s``. Earlier responses are dropped."""
 
 
 class NoAnswer(JobError):  # noqa: N818

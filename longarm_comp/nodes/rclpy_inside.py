@@ -2,8 +2,7 @@
 
 Through rclpy's executor each message costs a wait set of all entities of the node, built in
 Python, and a switch of threads. Together these take longer than computing a target.  So a worker
-takes its messages, requests and responses itself, with the calls that the executor uses.  Where
-they are missing (`missing`), `inlets.PlainInlets` does the same through the executor.
+takes its messages, requests and responses itself, with the calls that the executor uses.
 """
 
 from __future__ import annotations
@@ -23,6 +22,7 @@ from rclpy.node import Node
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 
+from longarm_comp.core.errors import JobError
 from longarm_comp.nodes.interfaces import Service as ServiceName
 from longarm_comp.nodes.interfaces import Topic
 from longarm_comp.nodes.loss import SequenceWatch
@@ -43,14 +43,12 @@ _USED: dict[str, tuple[str, ...]] = {
 }
 
 
-def missing(implementation: Any = rclpy_implementation) -> tuple[str, ...]:
-    """Calls that this rclpy does not have; empty where all are there."""
-    return tuple(
-        f"{kind}.{name}"
-        for kind, names in _USED.items()
-        for name in names
-        if not hasattr(getattr(implementation, kind, None), name)
-    )
+def check_rclpy(implementation: Any = rclpy_implementation) -> None:
+    """Raise `JobError` where this rclpy lacks a call that is needed."""
+    for kind, names in _USED.items():
+        for name in names:
+            if not hasattr(getattr(implementation, kind, None), name):
+                raise JobError(f"this rclpy has no {kind}.{name}; use rclpy {CHECKED} (Jazzy)")
 
 
 class _Aside(CallbackGroup):
@@ -92,10 +90,11 @@ class _Event:
         return self._count
 
 
-class DirectInlets:
+class Inlets:
     """Topics, services and clients of one thread, and the wait set that it sleeps on."""
 
     def __init__(self, node: Node) -> None:
+        check_rclpy()
         self._node, self._aside = node, _Aside()
         self._bell = GuardCondition(None, None, context=node.context)
         self._topics: list[tuple[Subscription, SequenceWatch, Callable[[Any, float], None]]] = []
@@ -121,9 +120,7 @@ class DirectInlets:
         self._losses.append((_Event(made, _LOST), watch))
         self._unfit.append(_Event(made, _UNFIT))
 
-    def serve(
-        self, service: ServiceName, callback: Callable[[Any, Any, float | None], None]
-    ) -> None:
+    def serve(self, service: ServiceName, callback: Callable[[Any, Any, float], None]) -> None:
         """Offer a service.
 
         The callback gets the request, a function that replies, and when the request was sent
@@ -131,9 +128,9 @@ class DirectInlets:
         """
         self._services.append(service.server(self._node, callback, self._aside))
 
-    def caller(self, service: ServiceName) -> DirectCaller:
+    def caller(self, service: ServiceName) -> ServiceCaller:
         """A client of a service, for the same thread."""
-        return DirectCaller(service.client(self._node, self._aside), self._node)
+        return ServiceCaller(service.client(self._node, self._aside), self._node)
 
     def start(self) -> None:
         """Build the wait set, when everything is declared."""
@@ -199,7 +196,7 @@ def _send(service: Service, header: Any, response: Any) -> None:
     service.send_response(response, header)
 
 
-class DirectCaller:
+class ServiceCaller:
     """A service client that waits in the calling thread, without an executor.
 
     rclpy offers this only for topics (`rclpy.wait_for_message`); this works the same way.

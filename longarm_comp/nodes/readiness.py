@@ -24,12 +24,6 @@ class Readiness:
 
     A new model, another method, or a circumstance that is told for the first time needs other
     programs. `Compensator.rehearse` compiles them: it computes a target that nobody asked for.
-
-    Args:
-        node, worker: who looks, and who prepares.
-        compute: computes targets.
-        predictor: is probed while it does not answer.
-        compiled: whether programs are compiled at all.
     """
 
     def __init__(

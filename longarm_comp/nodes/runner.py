@@ -20,9 +20,6 @@ from rclpy.signals import SignalHandlerOptions
 from longarm_comp.core.errors import LongarmError
 from longarm_comp.nodes.supervisor import GUARD
 
-_SWITCH_S = 2e-4
-"""Interval in which the threads of a node are switched, s. Python's default is 5 ms."""
-
 
 class Runnable(Protocol):
     """A node that the runner can run."""
@@ -42,7 +39,8 @@ def run(make: Callable[[SingleThreadedExecutor], Runnable | Sequence[Runnable]])
     Returns:
         The exit code: 0, or 2 for bad parameters or files.
     """
-    sys.setswitchinterval(_SWITCH_S)
+    # Interval in which the threads of a node are switched, s. Python's default is 5 ms
+    sys.setswitchinterval(2e-4)
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())

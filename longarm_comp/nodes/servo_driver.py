@@ -55,8 +55,6 @@ PARAMS = (
 SECTIONS = {"bus": BusConfig, "joints": JointConfig, "follower": FollowerConfig}
 """Parameters below these names are the servo configuration (`devices/servo_config.py`)."""
 
-_STATE_S = 0.5
-"""Pause between two messages of the state, s. It is also told when it changes."""
 
 _BREAKS = (EventKind.FAULT, EventKind.ESTOP, EventKind.SHORT, EventKind.HELD)
 """Events after which the joints are not where they were sent."""
@@ -94,7 +92,8 @@ class ServoDriver(LifecycleNode):
         graph.HOLD.server(self, self._on_hold)
         graph.RESET.server(self, self._on_reset)
         self._timer = steady_timer(self, self._period_s, self._cycle)
-        steady_timer(self, _STATE_S, self._tell_state)
+        # Pause between two messages of the state, s. It is also told when it changes
+        steady_timer(self, 0.5, self._tell_state)
         self._health = Health(
             self, {"servo bus": self._bus_report, "arm": self._arm_report}, p[PERIOD.name]
         )
@@ -123,11 +122,7 @@ class ServoDriver(LifecycleNode):
         return ServoConfig.parse(nested(given), "parameters of servo_driver")
 
     def _rules_of(self, arm: Arm, file: str) -> KeepsOut | None:
-        """Check the declared steps; how moves are kept out of the declared boxes, if there are any.
-
-        Raises:
-            InputError: a step that the servo does not have; boxes, and a joint without a servo.
-        """
+        """Check the declared steps; what keeps moves out of its boxes, if it has any."""
         self._config.check_steps(dict(zip(arm.joint_names, arm.steps.tolist(), strict=True)), file)
         return keeper(declared_model(arm), list(self._config.joints), file)
 

@@ -71,11 +71,7 @@ PARAMS = (
 
 
 def sizes(text: str) -> dict[str, float]:
-    """Effects and sizes, mm, of ``name=mm name=mm``.
-
-    Raises:
-        InputError: another form.
-    """
+    """Effects and sizes, mm, of ``name=mm name=mm``."""
     return _numbers("hidden", text, "name=mm, for instance backlash=2.0")
 
 

@@ -51,8 +51,6 @@ _TRANSPORTS = {
 MARKER_LOST = "marker lost: "
 """What the report of the part `stereo` begins with while no tip is measured."""
 
-_ADAPT_S = 0.5
-"""Pause between two looks at who publishes images."""
 
 PARAMS = (
     Param("base_frame", "base", "frame that the tip is reported in"),
@@ -142,7 +140,8 @@ class StereoBridge(Node):
             for side, topic in zip((left, right), topics, strict=True)
         }
         for inlet in self._inlets.values():
-            steady_timer(self, _ADAPT_S, inlet.adapt)
+            # Pause between two looks at who publishes images
+            steady_timer(self, 0.5, inlet.adapt)
         graph.LEFT_INFO.subscription(self, lambda m: self._on_info(left, m))
         graph.RIGHT_INFO.subscription(self, lambda m: self._on_info(right, m))
         self._health = Health(self, {"stereo": self._report}, p[PERIOD.name])

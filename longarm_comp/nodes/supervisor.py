@@ -16,7 +16,6 @@ from longarm_comp.core.errors import JobError
 
 GUARD = "LONGARM_SUPERVISOR"
 """Environment variable with the supervisor's process id. Its nodes end when it is gone."""
-_BAD_INPUT = 2
 _GENTLE_S, _FIRM_S = 6.0, 2.0
 _PAUSE_S = 1.0
 
@@ -71,16 +70,13 @@ class Supervisor:
         return self._children[name].deaths
 
     def look(self) -> None:
-        """Restart the processes that have died.
-
-        Raises:
-            JobError: a process ended with bad input, or at all without ``respawn``.
-        """
+        """Restart the processes that have died."""
         for name, child in self._children.items():
             code = child.process.poll()
             if code is None:
                 continue
-            if code == _BAD_INPUT or not self.respawn:
+            # 2: bad input
+            if code == 2 or not self.respawn:
                 raise JobError(f"{name} ended", exit_code=code)
             if time.monotonic() - child.started < _PAUSE_S:
                 continue

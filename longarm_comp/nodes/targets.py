@@ -67,11 +67,6 @@ class TargetInlet:
     is told of when nothing else waits. The service and the action come first, in their order.
 
     Args:
-        node, arm, p: the node, its arm and the values of its parameters.
-        base_frame: full name of the frame that answers are given in.
-        worker: computes the answers, one after another.
-        compensator, driver, state: what answers, who moves the arm, what is known of it.
-        tally: of targets by their status.
         answered: called with every answer.
         aimed: called with joints (n,) that were accepted and their target (3,), m.
         succeeded: called after every target that was computed.
@@ -144,7 +139,7 @@ class TargetInlet:
 
     def _on_compensate(
         self, message: Compensate.Request, reply: Callable[[Compensate.Response], None],
-        sent: float | None,
+        sent: float,
     ) -> None:  # fmt: skip
         request = self.asked(message, sent)
 

@@ -42,7 +42,6 @@ from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.driver_link import DriverLink
 from longarm_comp.nodes.health import OK, PERIOD, WARN, Health, Report, Tally
-from longarm_comp.nodes.inlets import DIRECT
 from longarm_comp.nodes.messages import duration, joints_message, seconds
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.orders import Freshness, Stamps
@@ -71,13 +70,11 @@ PARAMS = (
     Param("predictor_timeout_s", 0.5, "no answer within it counts as no predictor", 0.01, 60.0),
     Param("planned_period_s", 0.1, "between two joint states for the planner", 0.01, 60.0),
     Param("watch_period_s", 1.0, "how often the file is looked at for a new version", 0.1, 3600.0),
-    DIRECT,
     PERIOD,
 )
 
 _WAITING = 4
 """Goals that may wait."""
-_TICK_S = 0.05
 
 
 class TrajectoryCompensator(Node):
@@ -97,7 +94,7 @@ class TrajectoryCompensator(Node):
         self._limits, self._correction_m = self._limits_of(p), p["max_correction_m"]
         self._context_age_s = p["context_max_age_s"]
         self._tally = Tally(self)
-        self._worker = Worker(self, executor, _WAITING, self.survived, direct=p[DIRECT.name])
+        self._worker = Worker(self, executor, _WAITING, self.survived)
         caller = self._worker.inlets.caller(graph.PREDICT_ERROR)
         self._predictor = PredictorClient(caller, self._arm, p["predictor_timeout_s"])
         self._state = ArmState(
@@ -110,7 +107,7 @@ class TrajectoryCompensator(Node):
             told=lambda motion: None, refused=self._tally.count,
         )  # fmt: skip
         self._fresh, self._stamps = Freshness(self, p["order_max_age_s"]), Stamps(self)
-        self._ticks, self._following = Ticks(self, _TICK_S), 0
+        self._ticks, self._following = Ticks(self, 0.05), 0
         type_, group = graph.FOLLOW.type, ReentrantCallbackGroup()
         self._out = ActionClient(self, type_, self._controller, callback_group=group)
         self._server = ActionServer(

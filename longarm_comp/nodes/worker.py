@@ -1,6 +1,6 @@
 """A worker thread with a queue of jobs, which keeps long computations out of the executor.
 
-The thread also takes the messages and requests of these jobs: see `inlets`.
+The thread also takes the messages and requests of these jobs.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.task import Future
 
-from longarm_comp.nodes.inlets import inlets
+from longarm_comp.nodes.rclpy_inside import Inlets
 
 Job = Callable[[], Any]
 
@@ -24,11 +24,8 @@ class Worker:
     """One thread with a bounded queue of jobs, worked off in the order of arrival.
 
     Args:
-        node: node whose messages and requests it takes.
         executor: woken when an awaited job is done.
         capacity: number of jobs that may wait; further ones are refused.
-        on_error: called with each exception of a job or callback.
-        direct: whether it takes messages and requests itself, past the executor.
 
     Attributes:
         idle: called while no job waits; does a piece of what can wait, and says whether it did.
@@ -42,8 +39,6 @@ class Worker:
         executor: Executor,
         capacity: int,
         on_error: Callable[[Exception], None],
-        *,
-        direct: bool = True,
     ) -> None:
         self._context = node.context
         self._executor = executor
@@ -53,7 +48,7 @@ class Worker:
         self._closing = False
         self._thread: threading.Thread | None = None
         self.idle: Callable[[], bool] = lambda: False
-        self.inlets = inlets(node, direct=direct)
+        self.inlets = Inlets(node)
 
     @property
     def waiting(self) -> int:

@@ -167,7 +167,7 @@ def _finding(diagnosis: Diagnosis, found: EffectFinding, real: Practical) -> dic
         "commanded_mm": _pair_mm(real.commanded),
         "stable": diagnosis.confirmed.stable[found.name],
         "doubts": [*diagnosis.confirmed.notes[found.name], *_overlapping(diagnosis, found.name)],
-        "action": first.action,
+        "action": first.advice(diagnosis.arm),
     }
 
 

@@ -40,11 +40,7 @@ def read_bag(path: str | Path, arm: Arm, namespace: str | None = None) -> Sessio
 
     Args:
         path: the bag's folder, or one of its files.
-        arm: names and orders the joints.
         namespace: namespace of the arm, when the bag holds several.
-
-    Raises:
-        InputError: not a bag, truncated, without commands or sightings, joints of another arm.
     """
     where = str(path)
     with open_bag(path) as reader:
@@ -59,11 +55,7 @@ def read_bag(path: str | Path, arm: Arm, namespace: str | None = None) -> Sessio
 
 @contextmanager
 def open_bag(path: str | Path) -> Iterator[Reader]:
-    """Open a bag for reading.
-
-    Raises:
-        InputError: there is no bag, or it is truncated.
-    """
+    """Open a bag for reading."""
     where = str(path)
     if Path(path).is_dir() and not (Path(path) / "metadata.yaml").is_file():
         allowed = "a bag folder with metadata.yaml (a recording that was killed has none)"
@@ -113,11 +105,7 @@ def _read_messages(
 
 
 def read_visit(messages: Sequence[Message], arm: Arm) -> Session:
-    """The rows of messages of one namespace that are not in a bag yet, as `read_bag` reads them.
-
-    Raises:
-        InputError: as `read_bag`.
-    """
+    """The rows of messages of one namespace that are not in a bag yet, as `read_bag` reads them."""
     known = [m for m in messages if TYPES.get(m[0].rpartition("/")[2]) == m[1]]
     begin = min((received for _, _, received, _ in known), default=0)
     return _rows(known, MessageBuffer(arm, "recording", begin, every_command=True)).session()

@@ -32,11 +32,7 @@ class BagInfo:
 
 
 def bag_info(path: str | Path) -> BagInfo:
-    """Summarise a bag.
-
-    Raises:
-        InputError: there is no bag, or it is truncated.
-    """
+    """Summarise a bag."""
     with open_bag(path) as reader:
         topics = tuple(
             TopicInfo(c.topic, c.msgtype, c.msgcount, TYPES.get(_last(c.topic)) == c.msgtype)

@@ -30,11 +30,7 @@ class SegmentedBag:
     """Writer of a bag folder. Use as a context manager; the bag is readable within it.
 
     Args:
-        path: the bag's folder.
         resume: continue an existing bag.
-
-    Raises:
-        InputError: the folder exists or, with ``resume``, does not hold a bag.
     """
 
     def __init__(self, path: str | Path, *, resume: bool = False) -> None:

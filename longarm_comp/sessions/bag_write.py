@@ -29,7 +29,6 @@ from longarm_comp.sessions.touches import write_touches
 
 STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 PERIOD_S = 10.0  # between rows of a session that has no times
-_DWELL_S = 2.0  # from a command to its sighting
 _START_NS = 1_000_000_000_000  # a clock of 0 would read as "no stamp"
 
 
@@ -40,19 +39,7 @@ def write_bag(
     storage: Literal["mcap", "sqlite3"] = "mcap",
     namespace: str = "",
 ) -> None:
-    """Write a session as a bag folder; `read_bag` gives the same one back.
-
-    Args:
-        session: rows in the order of recording.
-        path: the bag's folder, which must not exist yet.
-        arm: names the joints.
-        storage: file format inside the bag.
-        namespace: put before every topic.
-
-    Raises:
-        InputError: the folder exists or cannot be written, the arm has other joints.
-        JobError: it came to exist meanwhile, or the disk is full.
-    """
+    """Write a session as a bag folder; `read_bag` gives the same one back."""
     if session.n != arm.n:
         raise InputError(str(path), "joints", session.n, f"{arm.n} joints of arm {arm.name}")
     if storage not in STORAGE:
@@ -97,7 +84,7 @@ class _Recorder:
     def write(self, session: Session) -> None:
         times = session.t_s if session.t_s is not None else np.arange(len(session)) * PERIOD_S
         stamps = _START_NS + np.round((times - times[0]) * 1e9).astype(np.int64)
-        dwell = int(1e9 * min(_DWELL_S, _shortest(times) / 4))
+        dwell = int(1e9 * min(2.0, _shortest(times) / 4))  # from a command to its sighting
         for i, stamp in enumerate(stamps):
             self._command(int(stamp) - dwell, _path(session, i))
             self._circumstances(int(stamp) - dwell // 2, session, i)

@@ -50,13 +50,8 @@ def read_csv(path: str | Path, arm: Arm, joint_columns: Sequence[str] | None = N
     """Read a session.
 
     Args:
-        path: the file.
-        arm: its commanded joints say how many q columns there are.
         joint_columns: names of the joint columns when they are not ``q1..qn`` (an arm that is
             one branch of a larger robot); other ``q`` columns are then kept as context.
-
-    Raises:
-        InputError: names file, line and column, what was found and what is allowed.
     """
     table = read_table(path)
     joints = tuple(joint_columns or joint_names(arm.n))
@@ -85,11 +80,7 @@ def read_csv(path: str | Path, arm: Arm, joint_columns: Sequence[str] | None = N
 
 
 def write_csv(session: Session, path: str | Path) -> None:
-    """Write a session; `read_session` gives the same one back.
-
-    Raises:
-        InputError: the folder cannot be written to.
-    """
+    """Write a session; `read_session` gives the same one back."""
     joints = joint_names(session.n)
     columns: dict[str, Sequence[object] | np.ndarray] = {"index": session.index}
     columns.update({name: session.columns[name] for name in UNITS if name in session.columns})
@@ -167,11 +158,7 @@ def _refuse_further_joints(table: Table, arm: Arm) -> None:
 
 
 def read_approach(table: Table, n: int) -> np.ndarray | None:
-    """Sides as a table has them: (N,) for all joints, (N, n) per joint, or None.
-
-    Raises:
-        InputError: both, or another number than -1, 0, +1.
-    """
+    """Sides as a table has them: (N,) for all joints, (N, n) per joint, or None."""
 
     def side(value: float) -> bool:
         return value in (-1.0, 0.0, 1.0)

@@ -49,12 +49,7 @@ def read_xyz(table: Table) -> np.ndarray:
 
 
 def read_readings(table: Table) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Readings of the other kinds, and their standard deviations, by kind.
-
-    Raises:
-        InputError: a column of a kind is missing; a reading is blank in part, impossible, or
-            without the name that it needs.
-    """
+    """Readings of the other kinds, and their standard deviations, by kind."""
     readings, sigmas = {}, {}
     joints = (KINDS[name] for name in table.header if JOINT_READING.fullmatch(name))
     for kind in (*FURTHER, *joints):

@@ -19,7 +19,6 @@ from longarm_comp.sessions.moment import stamp_of_raw
 
 KIND = "sensor_msgs/msg/JointState"
 _ENCODING, _STAMP = slice(0, 4), 12  # the header's stamp ends here
-_MOST_LAYOUTS = 8
 
 Numbers = tuple[float, ...]
 
@@ -35,12 +34,7 @@ class _Layout(NamedTuple):
 
 
 class JointStates:
-    """Reads joint states of an arm.
-
-    Args:
-        names: joints of the arm, in order.
-        types: type store with the message type.
-    """
+    """Reads joint states of an arm."""
 
     def __init__(self, names: Sequence[str], types: Typestore) -> None:
         self._names, self._types = tuple(names), types
@@ -65,7 +59,7 @@ class JointStates:
         mine = len(order) == len(self._names)
         layout = self._layout(raw, message, _picker(order) if mine else None)
         if layout is not None:
-            self._layouts = [layout, *self._layouts[: _MOST_LAYOUTS - 1]]
+            self._layouts = [layout, *self._layouts[: 8 - 1]]
         return tuple(float(message.position[k]) for k in order) if mine else None
 
     def _layout(

@@ -45,12 +45,7 @@ def read_poses(path: str | Path, arm: Arm, *, inside: bool = True) -> Plan:
     """Read a plan for an arm. A blank or 0 approach means from any side.
 
     Args:
-        path: file.
-        arm: whose joints.
         inside: refuse poses outside the joint limits.
-
-    Raises:
-        InputError: a column is missing or unknown, a pose lies outside the joint limits.
     """
     table = read_table(path)
     joints = joint_names(arm.n)

@@ -81,11 +81,7 @@ class Rows:
         buffer.forget(end)
 
     def session(self) -> Session:
-        """All rows.
-
-        Raises:
-            InputError: there is none.
-        """
+        """All rows."""
         buffer = self._buffer
         if not self._made:
             allowed = "a sighting per command"

@@ -58,11 +58,7 @@ class Table:
         blanks: bool = False,
         test: Callable[[float], bool] | None = None,
     ) -> np.ndarray:
-        """(N,) numbers; an empty cell is NaN where `blanks` are allowed.
-
-        Raises:
-            InputError: a cell is not a finite number, or does not pass `test`.
-        """
+        """(N,) numbers; an empty cell is NaN where `blanks` are allowed."""
         allowed = f"a finite number ({unit})" + (", or blank" if blanks else "")
         values = np.empty(len(self))
         for row, cell in enumerate(self.cells[column]):
@@ -103,11 +99,7 @@ class Table:
 
 
 def read_table(path: str | Path) -> Table:
-    """Read a comma-separated file with a header.
-
-    Raises:
-        InputError: it cannot be read, is empty, has no row, or a row has a wrong number of cells.
-    """
+    """Read a comma-separated file with a header."""
     where = str(path)
     check_regular(path)
     try:

@@ -31,7 +31,6 @@ class Targets:
         approach: (N,) side that all joints are to arrive from, 0 for any.
         columns: further numbers by name, (N,) each, as in `Session.columns`.
         labels: text by name, (N,) each.
-        source: file, for messages.
         frame: (N,) ``base`` or ``measured``; blank where it is not said.
     """
 
@@ -58,11 +57,7 @@ class Targets:
 
     @classmethod
     def one(cls, numbers: Sequence[float]) -> Targets:
-        """One target from the command line: x y z, or x y z qx qy qz qw.
-
-        Raises:
-            InputError: another count, a number that is not finite, no unit quaternion.
-        """
+        """One target from the command line: x y z, or x y z qx qy qz qw."""
         values = np.asarray(numbers, dtype=float)
         if values.shape not in ((3,), (7,)) or not (np.abs(values) <= FARTHEST).all():
             allowed = f"x y z or x y z qx qy qz qw, up to {FARTHEST:g}"
@@ -82,7 +77,6 @@ class Command:
     """One line of commands.csv.
 
     Attributes:
-        index: number of the target.
         status: ``success``, or the kind of failure in one word.
         reason: the failure in one sentence; empty on success.
         q: commanded joints (n,), rad and m; None without success.

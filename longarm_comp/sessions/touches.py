@@ -15,11 +15,7 @@ NAME = "touches.yaml"
 
 
 def read_touches(session: Path) -> tuple[KnownDistance, ...]:
-    """What the file in a bag's folder, or beside a session, says; nothing where there is none.
-
-    Raises:
-        InputError: it cannot be read, or holds something else.
-    """
+    """What the file in a bag's folder, or beside a session, says; nothing where there is none."""
     for folder in (session, session.parent):
         path = folder / NAME
         if path.is_file():
@@ -29,11 +25,7 @@ def read_touches(session: Path) -> tuple[KnownDistance, ...]:
 
 
 def write_touches(distances: tuple[KnownDistance, ...], folder: Path) -> None:
-    """Write the file, where there are distances.
-
-    Raises:
-        InputError: the folder cannot be written, or holds other distances already.
-    """
+    """Write the file, where there are distances."""
     path = folder / NAME
     if not distances:
         return

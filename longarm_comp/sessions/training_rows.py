@@ -17,9 +17,6 @@ def fitted_to(session: Session, model: Path | None, predictor: Predictor | None)
 
     Files hold the hash of the whole session. A session that shares only some rows with this one
     is therefore not recognised.
-
-    Raises:
-        InputError: the model file cannot be read.
     """
     origins = {}
     if model is not None:

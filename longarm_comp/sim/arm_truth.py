@@ -20,15 +20,10 @@ class TrueArm:
     """The true arm: the declared arm with hidden effects.
 
     Args:
-        arm: as declared.
         hidden: undeclared effects, in the order in which they act on the joints. Effects on the
             command (a servo's rounding) always come first.
         steps: integration steps per piece of rod.
         shear: include shear and extension of tubes (0.04 mm on an arm that sags by 13 mm).
-
-    Raises:
-        InputError: the arm has masses at recorded positions (`position_columns`), or a hidden
-            effect acts on the camera instead of the arm.
     """
 
     def __init__(
@@ -75,12 +70,7 @@ class TrueArm:
     def settled(
         self, q: Array, context: TrueContext | None = None, *, trace: bool = False
     ) -> Settled:
-        """State of the arm at rest.
-
-        Raises:
-            InputError: q or the context has a wrong shape or is not finite.
-            JobError: there is no equilibrium, because the load is too large for the rods.
-        """
+        """State of the arm at rest."""
         state = State.of(self.arm, q, context)
         walk = Walk(state, self.hidden, self._steps, self._shear)
         gamma = walk.solve(walk.rigid())

@@ -37,18 +37,7 @@ class TrueContext:
 
 @dataclass(frozen=True)
 class State:
-    """N postures as commanded, with every circumstance filled in.
-
-    Attributes:
-        arm: as declared.
-        q: commanded joints, (N, n), rad or m.
-        approach: (N, n).
-        temperature_c: (N,).
-        payload_kg: (N,).
-        t_s: (N,).
-        behind: (N, n).
-        wound: (N, n).
-    """
+    """N postures as commanded, with every circumstance filled in."""
 
     arm: Arm
     q: Array
@@ -61,16 +50,7 @@ class State:
 
     @classmethod
     def of(cls, arm: Arm, q: Array, context: TrueContext | None) -> State:
-        """Create from joints and a context, with defaults for None.
-
-        Args:
-            arm: as declared.
-            q: (N, n) or (n,).
-            context: circumstances; all as declared where None.
-
-        Raises:
-            InputError: a value has the wrong shape or is not finite.
-        """
+        """Create from joints and a context, with defaults for None."""
         given = context or TrueContext()
         q = _array("q", q, (len(np.atleast_2d(q)), arm.n))
         declared = arm.payload.mass_kg if arm.payload else 0.0

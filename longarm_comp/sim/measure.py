@@ -68,11 +68,7 @@ class TrueCamera:
 
     @classmethod
     def of(cls, arm: Arm, effects: Sequence[CameraEffect] = ()) -> TrueCamera:
-        """The declared head of an arm, upright.
-
-        Raises:
-            InputError: the arm declares no camera, or one that looks straight up or down.
-        """
+        """The declared head of an arm, upright."""
         if arm.camera is None:
             raise InputError(arm.name, "camera", "missing", "position_m and optical_axis")
         z = np.asarray(arm.camera.optical_axis, float)
@@ -147,20 +143,13 @@ def measure_session(
     """Drive the true arm through poses and measure its tip.
 
     Args:
-        true_arm: the arm.
-        camera: the stereo head.
-        poses: commanded joints (N, n).
-        rng: source of all randomness.
         approach: `both`: every pose twice, from below and from above; `random`: one side at
             random; `mixed`: a third of these left blank; `previous`: all blank; `below`:
             every pose from below. A blank row arrives joint by joint from the row before.
         repeats: number of random poses that are visited two more times during the session.
-        lost: share of rows without a sighting.
         outliers: share of rows with a gross error of 4-15 mm.
-        noise: `Noise()` by default.
         start_s: time of the first row.
         warming_k: rise of the room temperature over hours.
-        payload_kg: carried mass, scalar or (N,); as declared by default.
         encoders: of the motors; none are read by default.
     """
     arm = true_arm.arm
@@ -220,11 +209,7 @@ def arrival(q: Array, written: Array) -> Array:
 
 
 def write_session(path: str | Path, columns: Mapping[str, Array]) -> None:
-    """Write samples.csv (or any columns of one length); NaN becomes blank.
-
-    Raises:
-        InputError: the columns differ in length, or the file cannot be written.
-    """
+    """Write samples.csv (or any columns of one length); NaN becomes blank."""
     lengths = {len(column) for column in columns.values()}
     if len(lengths) != 1:
         raise InputError(path, "columns", f"lengths {sorted(lengths)}", "columns of one length")

@@ -33,11 +33,7 @@ _SAME = 1e-7  # rad or m: the arm has not moved
 def hidden_effects(
     arm: Arm, sizes_mm: Mapping[str, float], rng: np.random.Generator
 ) -> tuple[HiddenEffect, ...]:
-    """Hidden effects by canonical name, each scaled to shift the tip by its size in mm rms.
-
-    Raises:
-        InputError: no such effect, or one of the camera side.
-    """
+    """Hidden effects by canonical name, each scaled to shift the tip by its size in mm rms."""
     effects = []
     for name, size_mm in sizes_mm.items():
         effect = draw(name, arm, rng, size_mm)
@@ -64,13 +60,9 @@ class PlantConfig:
     """Parts of the plant and its conditions.
 
     Attributes:
-        arm: as declared.
-        servos: the servos that drive it.
-        hidden: undeclared effects.
         cameras, plate, plate_on_tip: cameras, marker and the marker's pose (4, 4) on the tip.
         spec: mechanics of the servos.
         temperature_c: temperature at the start, and its rise over hours (K).
-        payload_kg: carried mass.
     """
 
     arm: Arm
@@ -110,11 +102,7 @@ class Plant:
         self._last: tuple[Array, Array] | None = None
 
     def wear(self, play: Mapping[str, float]) -> None:
-        """The play of some joints is so much (rad, m) larger than at the start from now on.
-
-        Raises:
-            InputError: no such joint, or no finite play.
-        """
+        """The play of some joints is so much (rad, m) larger than at the start from now on."""
         names = self.config.arm.joint_names
         for joint, value in play.items():
             if joint not in names:

@@ -28,7 +28,6 @@ Array = np.ndarray
 STEPS = 4
 _GRAVITY, _MOMENT = 0, 1
 _CONVERGED = 3e-7  # rad, of gravity's direction in the base frame, before the last Newton step
-_NEWTON = 12
 
 
 class Walker:
@@ -191,15 +190,10 @@ def settle(walk: Callable[[Array], Walker], start: Array, gravity: Array) -> Arr
     does not converge, it is raised in steps.
 
     Args:
-        walk: integrates from the last frame to the base for gravity (3, B, N).
         start: first guess, (3, N), of gravity's length.
-        gravity: in the base frame, (3,) m/s^2.
 
     Returns:
         (3, N) m/s^2.
-
-    Raises:
-        JobError: no equilibrium was found.
     """
     size = float(np.linalg.norm(gravity))
     if size == 0.0:
@@ -221,7 +215,7 @@ def _newton(
     """Directions (3, N) and the largest angle left (rad)."""
     first, second = _normals(down[:, None])
     step, left = 1e-6, np.inf
-    for _ in range(_NEWTON):
+    for _ in range(12):  # Newton steps
         t1, t2 = _normals(unit)
         trials = np.stack([unit, unit + step * t1, unit + step * t2], axis=1)
         found = walk(size * trials).gravity / size

@@ -28,9 +28,6 @@ def serving(port: int, gate: Gate) -> Iterator[viser.ViserServer]:
 
     viser has no option for a check of requests. So the function of `websockets` that it serves
     with is wrapped while it starts.
-
-    Raises:
-        JobError: it does not serve with that function, so nothing would be checked.
     """
     serve, guarded = sockets.serve, []
 

@@ -13,12 +13,9 @@ from longarm_comp.core.model.outline import exaggerated
 
 SILENT_S = 3.0
 """Joints come many times a second: after so long without any message the graph is silent."""
-_NODE_SILENT_S = 5.0
 _SETTLED_S = 0.6
 """A picture is a half second old and a sighting some frames: what came later after the last
 movement is of the arm at rest."""
-_TIP_AGE_S = 3.0
-_PICTURE_AGE_S = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +78,7 @@ class NodeHealth:
 
     def silent_s(self, now: float) -> float:
         """For how long it has said nothing that it should have said; 0: it speaks."""
-        return _silence(self.at, now, max(_NODE_SILENT_S, 3.0 * self.every_s))
+        return _silence(self.at, now, max(5.0, 3.0 * self.every_s))
 
 
 @dataclass(frozen=True)
@@ -147,12 +144,12 @@ class PageState:
     def old(self, now: float) -> bool:
         """Whether the picture of the arm is not of now."""
         at = None if self.picture is None else self.picture.at
-        return bool(self.unread_s(now) or _silence(at, now, _PICTURE_AGE_S))
+        return bool(self.unread_s(now) or _silence(at, now, 5.0))
 
     def seen_tip(self, now: float) -> np.ndarray | None:
         """(3,) m where the tip is seen now; None where it is not."""
         tip = self.tip
-        return tip.xyz if tip is not None and tip.seen and now - tip.at < _TIP_AGE_S else None
+        return tip.xyz if tip is not None and tip.seen and now - tip.at < 3.0 else None
 
     @property
     def resting(self) -> bool:

@@ -121,12 +121,7 @@ def apply(
 
 
 def nothing_to_apply(diagnosis: Path, report: DiagnosisReport) -> str:
-    """Why a diagnosis adds nothing to the model at work; empty if it does.
-
-    Args:
-        diagnosis: its folder.
-        report: its report.
-    """
+    """Why a diagnosis adds nothing to the model at work; empty if it does."""
     if report.verdict == "bad_data":
         return report.summary
     if (

@@ -45,9 +45,6 @@ def put_to_work(
 
     Returns:
         Where the predictor before is kept; None where there was none.
-
-    Raises:
-        InputError: a folder cannot be written. JobError: the disk is full.
     """
     finish(model, predictor)
     aside = _keep(predictor)
@@ -72,9 +69,6 @@ def undo(model: Path) -> Path | None:
 
     Returns:
         The predictor that came back; None where there is none.
-
-    Raises:
-        InputError: there is no previous version.
     """
     at_work = [p for p in sorted(model.parent.glob("[!.]*.npz")) if _trained_with(p) is not None]
     names = sorted({p.with_name(_KEPT.sub("", p.stem) + p.suffix) for p in at_work})

@@ -57,8 +57,6 @@ class FittedParameter:
 
     Attributes:
         effect, where, name: effect, place and parameter.
-        value: value in SI units.
-        unit: unit of the value.
         ci95: 95 % interval of the value.
         geometry: whether it is part of the arm's geometry rather than of another effect.
     """
@@ -81,8 +79,6 @@ class Calibration:
         effect_rungs: number of rungs at the end that add an effect to the geometry.
         held_out_rows: number of held-out rows, including those without a marker.
         fit: fit of the last rung to all rows.
-        session: all rows.
-        seed: seed of the split.
         kind_of: models of other arms of the kind that it was expected to be like, with hashes.
     """
 
@@ -173,11 +169,7 @@ class Calibration:
         return f"Calibration({self.summary})"
 
     def save(self, path: FilePath) -> None:
-        """Write model.yaml with 95 % intervals. An existing file becomes the previous version.
-
-        Raises:
-            InputError: the folder cannot be written.
-        """
+        """Write model.yaml with 95 % intervals. An existing file becomes the previous version."""
         provenance: dict[str, str | int | float] = {
             "session_hash": self.session.hash,
             "session": self.session.source,
@@ -266,11 +258,7 @@ def calibrate(
 
 
 def instances(name: str, arm: Arm, where: str = "calibrate") -> tuple[Term, ...]:
-    """An effect on every joint or beam of an arm that may have it.
-
-    Raises:
-        InputError: unknown effect, or no place for it; `where` names the source of the name.
-    """
+    """An effect on every joint or beam of an arm that may have it."""
     terms: tuple[Term, ...] = effect_class(name, where).for_arm(arm)
     if not terms:
         raise InputError(where, name, "no place on this arm", "an effect this arm can have")
@@ -278,11 +266,7 @@ def instances(name: str, arm: Arm, where: str = "calibrate") -> tuple[Term, ...]
 
 
 def recorded(terms: tuple[Term, ...], session: Session, note: Note) -> tuple[Term, ...]:
-    """Of the places of an effect, those whose inputs were recorded and moved.
-
-    Raises:
-        InputError: there is none, or a sensor's row is neither declared nor can be told here.
-    """
+    """Of the places of an effect, those whose inputs were recorded and moved."""
     context = session.context()
     usable, why = [], None
     for term in terms:

@@ -40,8 +40,6 @@ class Comparison:
 
     Attributes:
         kind: ``diagnoses``, ``models`` or ``sessions``.
-        said: what matters, one sentence each.
-        tables: the figures.
     """
 
     kind: str
@@ -55,9 +53,6 @@ def compare(a: Path, b: Path, arm: Arm | None = None) -> Comparison:
     Args:
         a, b: folder with a report.json, model.yaml, or CSV or bag.
         arm: of the sessions; not needed for the others.
-
-    Raises:
-        InputError: a file is missing or of another kind than the other; sessions without an arm.
     """
     kinds = tuple(map(_kind, (a, b)))
     if kinds[0] != kinds[1]:
@@ -202,11 +197,7 @@ def _noise(report: DiagnosisReport) -> str:
 
 
 def of_models(a: StoredModel, b: StoredModel) -> Comparison:
-    """Effects and values; geometry by its largest changes.
-
-    Raises:
-        InputError: they are of different arms.
-    """
+    """Effects and values; geometry by its largest changes."""
     if a.arm.hash != b.arm.hash:
         raise InputError("compare", "arm", b.arm.name, f"{a.arm.name}, as the first model")
     effects = [_stored((*each.effects, *each.camera)) for each in (a, b)]

@@ -113,11 +113,7 @@ class Commands(Sequence[Compensation]):
         return [_line(int(k), arrival, placed) for k, arrival, placed in rows]
 
     def save(self, path: FilePath, write: WriteTable = write_table) -> None:
-        """Write commands.csv, with the reason where a target failed; ``write`` may be another form.
-
-        Raises:
-            InputError: the folder cannot be written.
-        """
+        """Write commands.csv, or another form with ``write``; the reason where a target failed."""
         write_commands(path, self.command.shape[1], self.lines(), write)
 
 

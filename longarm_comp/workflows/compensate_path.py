@@ -44,11 +44,7 @@ class PathCommands(points.Commands):
         return f"PathCommands({len(self)} way-points, {self.timed.times[-1]:.3g} s)"
 
     def save(self, path: FilePath, write: WriteTable = write_table) -> None:
-        """Write commands.csv, with t_s and velocities v_q1..v_qn besides.
-
-        Raises:
-            InputError: the folder cannot be written.
-        """
+        """Write commands.csv, with t_s and velocities v_q1..v_qn besides."""
         n = self.timed.joints.shape[1]
         further = {"t_s": self.timed.times}
         for name, column in zip(joint_names(n), self.timed.velocities.T, strict=True):

@@ -115,9 +115,6 @@ class DiagnosisResult:
     def save(self, folder: FilePath) -> None:
         """Write report.json, report.html, plots, model.yaml; predictor.npz where a network
         helped, and next_poses.csv where more poses would tell two effects apart.
-
-        Raises:
-            InputError: the folder cannot be written.
         """
         target = Path(folder)
         write_report(*self._assembled, target)
@@ -199,13 +196,7 @@ def diagnose_files(
     seed: int = 0,
     progress: Say = lambda _: None,
 ) -> DiagnosisResult:
-    """Diagnose files and write everything to a folder; arguments as in `diagnose`.
-
-    Raises:
-        InputError: the data were refused (also reported with verdict ``bad_data``), or a given
-            file cannot be used.
-        JobError: a fit diverged.
-    """
+    """Diagnose files and write everything to a folder; arguments as in `diagnose`."""
     for path in (session, test, model):
         if path is not None and not path.exists():
             raise InputError(path, "file", "missing", "a file or a bag that exists")

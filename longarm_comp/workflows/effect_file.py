@@ -66,12 +66,7 @@ class {title}(Effect):
 
 
 def write_effects(found: Diagnosis, path: Path) -> None:
-    """Write the arm's causes without a name as classes, for ``--effects``.
-
-    Raises:
-        JobError: the diagnosis kept none.
-        InputError: the file cannot be written.
-    """
+    """Write the arm's causes without a name as classes, for ``--effects``."""
     added = found.added.found if found.added is not None else ()
     causes = [c for c in added if c.compensated]
     if not causes:

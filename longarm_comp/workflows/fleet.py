@@ -54,12 +54,8 @@ class Diagnosed:
     """What the diagnosis of one arm said.
 
     Attributes:
-        name: of the arm.
         kind: number of its kind: arms of one table of rows share it.
-        session: its file.
-        rows: of the session.
         verdict: as in report.json; ``failed`` where there is none, and why in `summary`.
-        summary: in one sentence.
         in_use_mm: mean error of the model in use on the session; None where there is none.
         calibrated_mm, diagnosed_mm: mean held-out error of the geometry calibrated anew, and with
             what was found.
@@ -91,11 +87,7 @@ class Diagnosed:
 
 
 def members(folder: Path) -> list[Member]:
-    """The arms of a folder: a subfolder each with arm.yaml, or one arm.yaml and a session each.
-
-    Raises:
-        InputError: there is none, or an arm has no session.
-    """
+    """The arms of a folder: a subfolder each with arm.yaml, or one arm.yaml and a session each."""
     if (folder / ARM).is_file():
         found = [Member(s.stem, folder / ARM, s, None) for s in sessions(folder)]
     else:
@@ -139,14 +131,9 @@ def fleet(
 
     Args:
         folder: as for `members`.
-        output: folder to write.
         jobs: processes.
         network: whether to train networks on what remains.
-        seed: seed of all random choices.
         progress: called with each finished arm and the share of all.
-
-    Raises:
-        InputError: as `members`.
     """
     found = members(folder)
     tables = [table(Arm.load(member.arm)) for member in found]

@@ -56,9 +56,6 @@ def admitted(
 
     Run-ups of unknown length are taken to be as long as the model was fitted with. Where rows
     judge a model, those that do not fit it are noted and not refused.
-
-    Raises:
-        InputError: it cannot be read, or it was refused.
     """
     session = given if isinstance(given, Session) else read_session(given, arm)
     if model is not None:
@@ -74,9 +71,6 @@ def physics(arm: Arm, given: ModelLike | None, deflection: bool = True) -> Model
     """The calibrated model, or the declared arm; without sag if ``deflection`` is False.
 
     What its session alone knew, as where a touched point was, is left out.
-
-    Raises:
-        InputError: the model is of another arm, or its file cannot be read.
     """
     if given is None:
         return declared_model(arm, deflection=deflection)
@@ -120,11 +114,7 @@ def load_predictor(path: FilePath, arm: Arm, model: ModelLike | None = None) -> 
 
 
 def predictor_of(given: Predictor | FilePath, arm: Arm, model: ModelLike | None) -> Predictor:
-    """A predictor in memory or in a file that belongs to the arm and the model.
-
-    Raises:
-        InputError: as `load_predictor`.
-    """
+    """A predictor in memory or in a file that belongs to the arm and the model."""
     if isinstance(given, str | Path):
         return load_predictor(given, arm, model)
     check_predictor(given, physics(arm, model), "predictor")
@@ -132,11 +122,7 @@ def predictor_of(given: Predictor | FilePath, arm: Arm, model: ModelLike | None)
 
 
 def check_predictor(predictor: Predictor, model: Model, where: object) -> None:
-    """Check that a predictor in memory was trained on the residual of this model.
-
-    Raises:
-        InputError: it was trained for another arm, or with another model.
-    """
+    """Check that a predictor in memory was trained on the residual of this model."""
     origin = predictor.provenance
     if origin.arm_hash and origin.arm_hash != model.arm.hash:
         allowed = f"{model.arm.hash[:12]} (arm {model.arm.name}, in use)"

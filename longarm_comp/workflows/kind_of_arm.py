@@ -16,11 +16,7 @@ from longarm_comp.workflows.inputs import ModelLike, file_hash
 
 
 def kind_from(arm: Arm, given: Sequence[ModelLike]) -> tuple[KindOfArm, str]:
-    """What arms of a kind say of a further one, and which they are.
-
-    Raises:
-        InputError: a file cannot be read; too few arms, or one has another table of rows.
-    """
+    """What arms of a kind say of a further one, and which they are."""
     models, names, origins = [], [], []
     noise: dict[str, list[float]] = {}
     for number, each in enumerate(given, 1):

@@ -13,11 +13,7 @@ from longarm_comp.core.model.model import Model
 
 
 def training_rows(model: Model, session: Session) -> tuple[np.ndarray, np.ndarray, Context]:
-    """Joints (M, n), residual of a model (M, 3) in m, and circumstances of the M located rows.
-
-    Raises:
-        InputError: no row holds a whole position.
-    """
+    """Joints (M, n), residual of a model (M, 3) in m, and circumstances of the M located rows."""
     seen = session.take(session.located)
     if not len(seen):
         allowed = "rows with all three, to learn from"

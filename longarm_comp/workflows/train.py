@@ -52,12 +52,7 @@ class TrainedPredictor(Predictor):
         return f"{self.samples} samples: {self.gain}"
 
     def save(self, path: FilePath) -> None:
-        """Write it (npz), whole or not at all.
-
-        Raises:
-            InputError: the folder cannot be written.
-            JobError: it does not help beyond chance at poses that were left out of the training.
-        """
+        """Write it (npz), whole or not at all."""
         if not self.gain.helps:
             raise JobError(f"not written: {self.gain}; compensate with the physics alone")
         predictor_file.save(self, path)

@@ -65,11 +65,7 @@ class Verification:
         )
 
     def picture(self, path: Path) -> None:
-        """Write the two runs as a picture, by the file's ending.
-
-        Raises:
-            InputError: the folder cannot be written.
-        """
+        """Write the two runs as a picture, by the file's ending."""
         with rc():
             save(at_the_tip(self.runs), path)
 
@@ -80,12 +76,7 @@ def verification(
     """Pair two runs over the same targets.
 
     Args:
-        names: of the runs.
         without, compensated: (N, 3) tip - target, m; NaN where the marker was lost.
-        seed: of the resampling.
-
-    Raises:
-        JobError: the marker was seen in both runs at fewer than two targets.
     """
     both = np.isfinite(without).all(axis=1) & np.isfinite(compensated).all(axis=1)
     if both.sum() < LEAST:

@@ -11,6 +11,7 @@ STUDIES = (
     Entry("poses", "poses", "Which poses to measure: grid, Sobol, I-optimal."),
     Entry("coverage", "coverage", "How often a stated 90 % radius holds."),
     Entry("day", "day", "A day of work: wear, warmth, changing payloads."),
+    Entry("path", "path", "Planned paths, before and after compensation."),
     Entry("discover", "discover", "Causes in no library: what finds them."),
     Entry("explain", "explain", "The posterior over explanations beside the search."),
     Entry("loop", "loop", "Benchmark the diagnosis on simulated arms."),

@@ -19,6 +19,7 @@ from pydantic import Field, model_validator
 
 from longarm_comp.core.arm.beam import Beam
 from longarm_comp.core.arm.boxes import Box
+from longarm_comp.core.arm.cylinder import Cylinder
 from longarm_comp.core.arm.measuring import (
     Anchor,
     CameraPlacement,
@@ -94,6 +95,12 @@ class Joint(Declared):
     )
     pose: Pose | None = Field(default=None, description="fixed rows: the whole transform")
     tolerance: Tolerance = Tolerance()
+    drive: Literal["servo", "motor", "hydraulic", "cable"] = Field(
+        default="servo", description="what moves the joint: decides what a report advises"
+    )
+    cylinder: Cylinder | None = Field(
+        default=None, description="the pins of the cylinder that turns a revolute joint"
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> Joint:
@@ -117,7 +124,19 @@ class Joint(Declared):
         if key is not None and not self.mimic and given[key] is None:
             raise Misdeclared(key, "missing", f"[lower, upper] of a commanded {self.type} joint")
         self._check_step(key)
+        self._check_cylinder()
         return self
+
+    def _check_cylinder(self) -> None:
+        if self.cylinder is None:
+            return
+        if self.type != "revolute" or not self.commanded:
+            raise Misdeclared("cylinder", "given", "at commanded revolute joints only")
+        ends = [math.degrees(self.cylinder.angle(q)) for q in self.limits]
+        if not 0 < min(ends) < max(ends) < 180:
+            said = " to ".join(f"{end:.1f}" for end in sorted(ends))
+            allowed = "over the joint's limits within 0 to 180, where the pins are in line"
+            raise Misdeclared("cylinder.angle_deg", said, allowed)
 
     def _check_step(self, key: str | None) -> None:
         mine = key.replace("limits", "step") if key and not self.mimic else None

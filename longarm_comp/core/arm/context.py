@@ -60,11 +60,7 @@ class Context:
         return bool(getattr(self, name)) if name in PER_JOINT else name in self.columns
 
     def column(self, name: str, default: float | None = None) -> Scalar:
-        """A recorded quantity.
-
-        Raises:
-            InputError: it was not recorded and there is no default.
-        """
+        """A recorded quantity."""
         if name in self.columns:
             return self.columns[name]
         if default is None:

@@ -14,9 +14,6 @@ import numpy as np
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.errors import InputError, LongarmError
 
-KEPT_S = 10.0
-"""How long places are kept, s."""
-
 
 class UnknownPlace(LongarmError):  # noqa: N818
     """Where a frame is in another one is not known at that time; the message says why."""
@@ -36,7 +33,7 @@ class _Child:
     places: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
 
     def put(self, t_ns: int, place: tuple[np.ndarray, np.ndarray]) -> None:
-        kept = round(1e9 * KEPT_S)
+        kept = round(1e9 * 10.0)  # How long places are kept, s
         if self.static or (self.times and t_ns < self.times[-1] - kept):  # the clock jumped back
             self.times, self.places = [], []
         k = bisect_left(self.times, t_ns)
@@ -79,11 +76,7 @@ class FrameTree:
         self, parent: str, child: str, position: np.ndarray, turn: np.ndarray, t_ns: int,
         *, static: bool = False,
     ) -> None:  # fmt: skip
-        """Take in where a frame is in its parent: (3,) m and x, y, z, w. Static: at all times.
-
-        Raises:
-            InputError: not finite, no unit quaternion, or a frame that is its own parent.
-        """
+        """Take in where a frame is in its parent: (3,) m and x, y, z, w. Static: at all times."""
         if not np.isfinite(position).all():
             raise InputError("tf", f"position of {child}", position.tolist(), "finite numbers, m")
         if not quaternion.is_unit(turn):

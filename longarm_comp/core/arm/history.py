@@ -21,8 +21,6 @@ from longarm_comp.core.arm.spatial import Scalar
 SAME_POSE = 1e-6
 """Commanded joints that differ by less are the same pose (rad, m)."""
 
-_AGREED = 1e-5
-
 
 def onward(legs: Sequence[float], way: float) -> list[float]:
     """Legs of a joint after a further signed way (rad, m); the latest first, without zeros.
@@ -108,8 +106,9 @@ class History:
 
     def agrees(self, other: History) -> bool:
         """Whether every joint came the same way, to 10 microradians or micrometres."""
+        # rad, m
         return all(
-            np.allclose(getattr(self, name), getattr(other, name), rtol=0.0, atol=_AGREED)
+            np.allclose(getattr(self, name), getattr(other, name), rtol=0.0, atol=1e-5)
             for name in PER_JOINT
         )
 

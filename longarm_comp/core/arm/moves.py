@@ -92,12 +92,9 @@ def wanted_sides(
     forward = np.ones(len(q), bool) if start is None else q > start
     joints, natural = np.arange(len(q)), forward.astype(int)
     usable = known * room
-    better = usable[joints, 1 - natural] > _MUCH_BETTER * usable[joints, natural]
+    # A side that the data know so many times better is worth a longer way
+    better = usable[joints, 1 - natural] > 3.0 * usable[joints, natural]
     return np.where(better ^ forward, 1.0, -1.0)
-
-
-_MUCH_BETTER = 3.0
-"""A side that the data know so many times better is worth a longer way."""
 
 
 def sweep(
@@ -112,9 +109,6 @@ def sweep(
         start: (n,) where the joints stand (rad, m), inside the limits.
         margin: kept from every limit, as a share of the joint's range.
         together: all joints at once, in three moves; else one after another.
-
-    Raises:
-        InputError: ``start`` is not inside the limits, or the margin leaves no way.
     """
     start, span = np.asarray(start, dtype=float), arm.upper - arm.lower
     if start.shape != (arm.n,) or not (np.abs(start - arm.mid) <= 0.5 * span + SAME_POSE).all():

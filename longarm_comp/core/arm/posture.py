@@ -66,7 +66,6 @@ class Chain:
     """The order of an arm's stations.
 
     Args:
-        arm: the declared arm.
         elements_per_beam: pieces that each beam is cut in (1 leaves 0.008 mm at
             18 mm of sag; see docs/physics.md).
     """
@@ -220,7 +219,8 @@ class Posture:
         """Joint value of every row, passive joints included."""
         return self.chain.values(self.q)
 
-    def _station_masses(self) -> dict[int, list[tuple[Scalar, Vec]]]:
+    def station_masses(self) -> dict[int, list[tuple[Scalar, Vec]]]:
+        """By station: masses (kg) and where they are in its axes (m), without `line_loads`."""
         arm, chain, context = self.arm, self.chain, self.context
         masses: dict[int, list[tuple[Scalar, Vec]]] = {}
         for m in arm.point_masses:
@@ -294,7 +294,7 @@ class Posture:
 
         A beam element's own weight belongs to the stations before its end.
         """
-        own = self._station_masses()
+        own = self.station_masses()
         mass: Scalar = 0.0
         moment: Vec = ZERO
         masses: list[Scalar] = [0.0] * self.chain.stations

@@ -18,12 +18,6 @@ def alike(items: Mapping[Any, tuple[Scalar, ...]]) -> Iterator[tuple[list[Any], 
 
     An item is some scalars.  Items of arrays (N,) come together where the same scalars are 0: every
     scalar is then (k, N), (k, 1) or 0.  Others come alone, as they are.
-
-    Args:
-        items: scalars by key.
-
-    Yields:
-        The keys of some items, and their scalars.
     """
     kinds: dict[tuple[bool, ...], list[Any]] = {}
     for key, item in items.items():

@@ -26,9 +26,6 @@ from longarm_comp.core.compensation.unknown import history_joints
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.model import Model
 
-_TRIALS = 5
-"""Commands that are tried until one arrives as it assumes; the last assumes less."""
-
 
 @dataclass(frozen=True)
 class CompensationOptions:
@@ -85,9 +82,6 @@ def compensate_move(
         context_after: the circumstances at the command, given the history that the move leaves.
         sides: (n,) sides to arrive from, asked for; by default they are chosen.
         seed: (n,) start of the search; ``start`` by default.
-
-    Raises:
-        InputError: as `compensate`.
     """
     options = options or CompensationOptions()
     physics = physics_of(model, options.method)
@@ -124,7 +118,8 @@ def compensate_move(
             wanted = _chosen(model, start, first.q, matters)
         move = move_to(first.q)
         arrived = history.after(move.points, start)
-    for trials_left in reversed(range(_TRIALS)):
+    # Commands that are tried until one arrives as it assumes; the last assumes less
+    for trials_left in reversed(range(5)):
         assumed, context = arrived, context_after(arrived)
         outcome = solved(context, move.doubtful)
         seed, move = outcome.command, move_to(outcome.command)

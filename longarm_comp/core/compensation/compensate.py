@@ -29,7 +29,6 @@ from longarm_comp.core.compensation.realisable import Lattice, Realisable, Searc
 from longarm_comp.core.compensation.result import (
     NO_PREDICTOR,
     Compensation,
-    Compensations,
     ExpectedError,
     Method,
     ResidualPredictor,
@@ -50,8 +49,6 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.outline import reach
 
 ContextAt = Callable[[np.ndarray], Context]
-NEARBY_STARTS = 3
-"""A pseudo-target lies next to its target: look near its joints only."""
 
 
 def rigid(model: Model) -> Model:
@@ -99,13 +96,10 @@ def compensate(
     """Joints that bring the *real* tip to one target.
 
     Args:
-        model: arm and effects; methods without physics keep its geometry effects only.
         predictor: the learned residual of the model that the method uses, or None.
         target: position (3,) in m, or pose (4, 4) or `Frame`, base frame.
         context: circumstances in which the arm will stand.
         seed: (n,) current joints; default mid-range.
-        position_only: leave the orientation free.
-        locked: joints that stay at their seed, as in `ik.solve_many`.
         doubtful: (n,) joints whose side of arrival the context tells, but not for certain.
         realisable: choose the command among the joints that the servos can stand at: by the steps
             that the arm declares, from each joint's zero, or by a lattice; arms without steps are
@@ -113,16 +107,12 @@ def compensate(
         context_at: circumstances at joints (M, n), where the way there depends on the joints; the
             choice among the steps judges each command in its own. Default: ``context`` for all.
         starts: of the search for the target; 1: from the seed alone, so that no path jumps.
-        settling: fields of `Settling`: when the passes end.
 
     Returns:
         Invalid or unreachable targets are reported in `status`, not raised.  So is a recorded
         quantity that an effect of the model needs and the context lacks.  `expected_m` says how
         good the command is.  Where the history of the joints is not known and the tip depends on
         it, `reason` says how much that is of it.
-
-    Raises:
-        InputError: the target is neither (3,) nor (4, 4); an option is not allowed.
     """
     given = target.matrix() if isinstance(target, Frame) else np.asarray(target, dtype=float)
     if given.shape not in ((3,), (4, 4)):
@@ -135,44 +125,6 @@ def compensate(
     )  # fmt: skip
     start = ik.checked_seed(model, seed, 1, "compensate")[0]
     return task.run(given, (context or Context.empty()).take(0), start)
-
-
-def compensate_many(
-    model: Model,
-    predictor: ResidualPredictor | None,
-    targets: np.ndarray,
-    *,
-    context: Context | None = None,
-    seed: np.ndarray | None = None,
-    method: Method = Method.BOTH,
-    position_only: bool = False,
-    locked: Sequence[int | str] = (),
-    realisable: bool | Lattice = True,
-    **settling: Any,
-) -> Compensations:
-    """`compensate` for each of N targets, one after another.
-
-    Args:
-        targets: positions (N, 3) in m or poses (N, 4, 4), base frame.
-        context: circumstances, scalars or (N,) arrays.
-        seed: (n,) or (N, n) current joints; default mid-range.
-
-    Raises:
-        InputError: wrong shapes or options.
-    """
-    targets = np.asarray(targets, dtype=float)
-    if targets.ndim not in (2, 3) or targets.shape[1:] not in ((3,), (4, 4)):
-        allowed = "shape (N, 3) or (N, 4, 4)"
-        raise InputError("compensate", "targets", f"shape {targets.shape}", allowed)
-    free = position_only or targets.ndim == 2
-    lattice = lattice_of(model, realisable)
-    task = _Task(
-        model, predictor, method, free, tuple(locked), Settling(**settling), lattice=lattice
-    )
-    start = ik.checked_seed(model, seed, len(targets), "compensate")
-    given = context or Context.empty()
-    rows = [task.run(targets[k], given.take(k), start[k]) for k in range(len(targets))]
-    return Compensations.of(rows, targets, model.arm.n)
 
 
 def lattice_of(model: Model, realisable: bool | Lattice) -> Lattice | None:
@@ -251,7 +203,8 @@ class _Target:
             if self.passes == settling.max_passes:
                 return self._ended(Status.NOT_CONVERGED, settling.unsettled)
             self.passes += 1
-            found = self._search(shifted(self.target, self.error), min(task.starts, NEARBY_STARTS))
+            # A pseudo-target lies next to its target: look near its joints only
+            found = self._search(shifted(self.target, self.error), min(task.starts, 3))
             if not found.ok:
                 return self._ended(Status.UNREACHABLE, missed("pseudo-target", found))
             self.q = found.q

@@ -76,9 +76,6 @@ class Monitor:
         Args:
             residual: (3,) measured - predicted, m.
             sigma: (3,) m, what the model and the measurement promise together.
-
-        Raises:
-            InputError: not finite, or a sigma that is not above 0.
         """
         r, s = np.asarray(residual, float), np.asarray(sigma, float)
         if r.shape != (3,) or not np.isfinite(r).all():

@@ -68,9 +68,7 @@ def expected_miss(
     """How far the tip may come to rest from a target, at the commanded joints.
 
     Args:
-        model: calibrated, or the arm as declared.
         q: (n,) commanded joints, rad and m.
-        context: circumstances at q.
         target: (3,) m.
         applied: (3,) m, learned error that was taken off the target.
         learned: (3,) m, its sigma (of a measurement), if a predictor is used.

@@ -9,9 +9,6 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
 
-_BESIDE = 0.02
-"""Share of a joint's range by which a reading may lie outside its limits."""
-
 _STEP = 0.1
 """Share of a joint's range that two readings may differ by, however soon they follow."""
 
@@ -20,12 +17,9 @@ _AGREEING = 3
 
 
 def check_inside(q: np.ndarray, arm: Arm, where: str) -> None:
-    """Refuse joints (n,) outside the limits by more than 2 % of their range (rad, m).
-
-    Raises:
-        InputError: names ``where``, the joint, its value and what is allowed.
-    """
-    slack = _BESIDE * (arm.upper - arm.lower)
+    """Refuse joints (n,) outside the limits by more than 2 % of their range (rad, m)."""
+    # Share of a joint's range by which a reading may lie outside its limits
+    slack = 0.02 * (arm.upper - arm.lower)
     for k in np.flatnonzero(~((q >= arm.lower - slack) & (q <= arm.upper + slack))):
         allowed = f"{arm.lower[k]:g} to {arm.upper[k]:g}"
         raise InputError(where, arm.joint_names[k], float(q[k]), allowed)
@@ -38,7 +32,6 @@ class JointTrust:
     doubtful then until three readings in a row agree.
 
     Args:
-        arm: names and limits of the joints.
         rate: ranges of a joint per second; what moves faster is a jump.
     """
 

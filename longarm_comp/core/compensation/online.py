@@ -96,9 +96,6 @@ def compensate_now(
     """Compensate one target from where the arm is, in the circumstances of now.
 
     Args:
-        target: (3,) m or (4, 4), base frame.
-        start: (n,) joints now (rad, m).
-        seed: (n,) start of the search; ``start`` by default.
         history: of the joints at ``start``.
 
     Raises:

@@ -36,11 +36,7 @@ POSE_JOINTS = 6
 
 
 class PathRefused(JobError):  # noqa: N818
-    """A path that cannot be followed; nothing of it was sent.
-
-    Attributes:
-        status: as of a target. row: number of the way-point, from 0.
-    """
+    """A path that cannot be followed; nothing of it was sent."""
 
     def __init__(self, status: Status, row: int, why: str) -> None:
         super().__init__(f"way-point {row}: {status}: {why}")

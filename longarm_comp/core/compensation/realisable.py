@@ -26,7 +26,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.compensation.lattice_search import EDGE, LatticeProblem, Predict, Search
 from longarm_comp.core.errors import InputError
 
-__all__ = ["KNOWN_TO", "Lattice", "Predict", "Realisable", "Realisables", "Search", "choose"]
+__all__ = ["KNOWN_TO", "Lattice", "Predict", "Realisable", "Search", "choose"]
 
 KNOWN_TO = 0.15
 """Share of a step to which a lattice's offset must be known (standard deviation)."""
@@ -48,11 +48,7 @@ class Lattice:
 
     @classmethod
     def of(cls, arm: Arm, offset: Any = 0.0, offset_sd: Any = 0.0) -> Lattice:
-        """The steps that an arm declares, with an offset for all joints or for each, (n,).
-
-        Raises:
-            InputError: an offset is not finite, a deviation is negative, or the shape is wrong.
-        """
+        """The steps that an arm declares, with an offset for all joints or for each, (n,)."""
         made = [arm.steps]
         for name, value in (("offset", offset), ("offset_sd", offset_sd)):
             given = np.asarray(value, float)
@@ -100,39 +96,6 @@ class Realisable:
     note: str
 
 
-@dataclass(frozen=True)
-class Realisables:
-    """N targets: fields of `Realisable` with a leading axis (but for `on_lattice` and `note`)."""
-
-    joints: np.ndarray
-    ideal: np.ndarray
-    rounded: np.ndarray
-    ideal_error: np.ndarray
-    rounded_error: np.ndarray
-    error: np.ndarray
-    nodes: np.ndarray
-    on_lattice: np.ndarray
-    reason: tuple[str, ...]
-    note: str
-
-    def __len__(self) -> int:
-        return len(self.joints)
-
-    def __getitem__(self, i: int) -> Realisable:
-        return Realisable(
-            self.joints[i],
-            self.ideal[i],
-            self.rounded[i],
-            self.ideal_error[i],
-            self.rounded_error[i],
-            self.error[i],
-            int(self.nodes[i]),
-            self.on_lattice,
-            self.reason[i],
-            self.note,
-        )
-
-
 def choose(
     arm: Arm,
     lattice: Lattice,
@@ -142,7 +105,7 @@ def choose(
     search: Search,
     *,
     locked: Sequence[int] = (),
-) -> Realisables:
+) -> list[Realisable]:
     """Realisable joints for each of N targets, the tip as near to the target as they let it be.
 
     Args:
@@ -153,10 +116,6 @@ def choose(
         targets: positions (N, 3) in m or poses (N, 4, 4), base frame.
         ideal: (N, n) joints that bring the tip to the targets, inside the limits.
         locked: 0-based numbers of joints that stay at their ideal value.
-
-    Raises:
-        InputError: wrong shapes, numbers that are not finite, joints outside the limits, a
-            prediction that is not finite at the ideal joints.
     """
     targets, ideal = np.asarray(targets, float), np.asarray(ideal, float)
     _check(arm, targets, ideal, locked)
@@ -178,18 +137,15 @@ def choose(
     )
     joints, rounded, errors, nodes = problem.solve(predict, targets, ideal, search)
     why = "rounding is the best that was found" if stepped.any() else "no joint's steps are known"
-    return Realisables(
-        joints,
-        ideal,
-        rounded,
-        errors[:, 0],
-        errors[:, 1],
-        errors[:, 2],
-        nodes,
-        stepped,
-        tuple("" if b else why for b in (joints != rounded).any(axis=1)),
-        _note(arm, declared & ~lattice.known, declared & lattice.known & (low > high)),
-    )
+    note = _note(arm, declared & ~lattice.known, declared & lattice.known & (low > high))
+    better = (joints != rounded).any(axis=1)
+    return [
+        Realisable(
+            joints[i], ideal[i], rounded[i], errors[i, 0], errors[i, 1], errors[i, 2],
+            int(nodes[i]), stepped, "" if better[i] else why, note,
+        )
+        for i in range(len(joints))
+    ]  # fmt: skip
 
 
 def _whole_limits(arm: Arm, lattice: Lattice) -> tuple[np.ndarray, np.ndarray]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import Protocol
@@ -185,71 +184,6 @@ class Compensation:
         return self.target if self.target.ndim == 1 else self.target[:3, 3]
 
 
-@dataclass(frozen=True)
-class Compensations:
-    """N targets: the fields of `Compensation` with a leading axis. Index it for one."""
-
-    target: np.ndarray
-    ideal: np.ndarray
-    predicted_error: np.ndarray
-    sigma: np.ndarray
-    in_domain: np.ndarray
-    pseudo_target: np.ndarray
-    command: np.ndarray
-    passes: np.ndarray
-    status: np.ndarray
-    reason: tuple[str, ...]
-    expected_m: np.ndarray
-    p90_m: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.ideal)
-
-    @property
-    def success(self) -> np.ndarray:
-        """(N,) bool: the command is fit to be sent."""
-        made: np.ndarray = self.status <= Status.OUT_OF_DOMAIN
-        return made
-
-    @classmethod
-    def of(cls, rows: Sequence[Compensation], targets: np.ndarray, n: int) -> Compensations:
-        """From one a target, (N, 3) or (N, 4, 4), for an arm of n joints."""
-
-        def stacked(name: str, *shape: int) -> np.ndarray:
-            return np.array([getattr(row, name) for row in rows], float).reshape(-1, *shape)
-
-        return cls(
-            targets,
-            stacked("ideal", n),
-            stacked("predicted_error", 3),
-            stacked("sigma", 3),
-            np.array([row.in_domain for row in rows], bool),
-            stacked("pseudo_target", *targets.shape[1:]),
-            stacked("command", n),
-            np.array([row.passes for row in rows], int),
-            np.array([row.status for row in rows], int),
-            tuple(row.reason for row in rows),
-            stacked("expected_m"),
-            stacked("p90_m"),
-        )
-
-    def __getitem__(self, i: int) -> Compensation:
-        return Compensation(
-            self.target[i],
-            self.ideal[i],
-            self.predicted_error[i],
-            self.sigma[i],
-            bool(self.in_domain[i]),
-            self.pseudo_target[i],
-            self.command[i],
-            int(self.passes[i]),
-            Status(int(self.status[i])),
-            self.reason[i],
-            expected_m=float(self.expected_m[i]),
-            p90_m=float(self.p90_m[i]),
-        )
-
-
 NO_PREDICTOR = "no predictor: compensated with physics only"
 
 
@@ -259,25 +193,14 @@ def outside(reason: str) -> str:
     return f"{text}: {reason}" if reason else text
 
 
-_BEYOND_M = 1e7
-"""No declared length reaches so far; only a linear deflection of an arm far too weak does."""
-
-
 _UNITS = (("centimetres", 1e2), ("millimetres", 1e3))
-_BEYOND_REACH = 10.0
-"""Times its reach: no one means a target so far away, and no unit is so close to the metre."""
 
 
 def other_unit(position: np.ndarray, base: np.ndarray, reach_m: float) -> str:
-    """A guess at the unit of a target far beyond an arm's reach, as a question; else empty.
-
-    Args:
-        position: (3,) as given.
-        base: (3,) where the arm stands, m.
-        reach_m: how far the arm reaches from there, m.
-    """
+    """A guess at the unit of a target far beyond an arm's reach, as a question; else empty."""
     away = math.dist(position, base)
-    if away <= _BEYOND_REACH * reach_m:
+    # Times its reach: no one means a target so far away, and no unit is so close to the metre
+    if away <= 10.0 * reach_m:
         return ""
     named = next((name for name, size in _UNITS if away <= size * reach_m), "metres")
     return f"{away / reach_m:.3g} times the arm's reach away; are these {named}?"
@@ -285,7 +208,8 @@ def other_unit(position: np.ndarray, base: np.ndarray, reach_m: float) -> str:
 
 def missed(what: str, found: Solution) -> str:
     """How far a target or pseudo-target is missed, and why."""
-    if not found.position_residual_m < _BEYOND_M:
+    # No declared length reaches so far; only a linear deflection of an arm far too weak does
+    if not found.position_residual_m < 1e7:
         return f"{what} missed: the arm as declared bends without bound (loads, masses, stiffness)"
     return (
         f"{what} missed by {1e3 * found.position_residual_m:.3f} mm, "

@@ -84,22 +84,14 @@ def slopes_of(times: np.ndarray, joints: np.ndarray) -> np.ndarray:
 
 
 def retimed(path: Timed, limits: MotionLimits) -> Timed:
-    """The path within limits, at the same way-points and nowhere faster. It begins at time 0.
-
-    Raises:
-        JobError: no times keep the limits, or toppra is not installed.
-    """
+    """The path within limits, at the same way-points and nowhere faster. It begins at time 0."""
     if path.excess(limits) <= 1.0 + _ROUNDING:
         return path
     return _found(path, limits)
 
 
 def fastest(joints: np.ndarray, limits: MotionLimits) -> Timed:
-    """The fastest way through way-points (k, n) from rest to rest.
-
-    Raises:
-        JobError: as `retimed`.
-    """
+    """The fastest way through way-points (k, n) from rest to rest."""
     ways = (np.abs(np.diff(joints, axis=0)) / limits.velocity).max(axis=1)  # s at full speed
     times = np.concatenate([[0.0], np.cumsum(np.maximum(ways, _ROUNDING * ways.sum()))])
     if not times[-1]:

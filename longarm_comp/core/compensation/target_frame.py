@@ -70,15 +70,9 @@ def placement(
     """Where a target lies for a model.
 
     Args:
-        model: calibrated, or the arm as declared.
         target: (3,) m or (4, 4).
         frame: ``base``, ``measured``, or nothing where nobody said it.
         group: rows of the measurements that the target belongs to, where the base was moved.
-        where: file of the target, for messages.
-
-    Raises:
-        InputError: no such frame or group; nobody said the frame, and it matters; the frame of
-            the measurements is asked for, and nothing says where the base stands in it.
     """
     if frame not in ("", *FRAMES):
         raise InputError(where, "frame", frame, " or ".join(FRAMES))

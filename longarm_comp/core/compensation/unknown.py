@@ -101,15 +101,13 @@ def _matters(model: Model, q: np.ndarray, context: Context, supposed: Context) -
     reads = [e for e in model.effects if any(name in PER_JOINT for name in e.inputs)]
     posture = model.posture(tuple(q.tolist()), context)
     told = dataclasses.replace(posture, context=supposed)
+    # m, rad
     return any(
-        np.ptp(part) > _SAME_TWIST
+        np.ptp(part) > 1e-9
         for effect in reads
         for twist in effect.twists(told).values()
         for part in twist
     )
-
-
-_SAME_TWIST = 1e-9  # m, rad
 
 
 def _either_side(side: np.ndarray, unsure: bool) -> np.ndarray | None:

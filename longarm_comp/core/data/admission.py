@@ -35,7 +35,6 @@ _FAR = 0.5  # of a joint's range beyond its limits
 _TURN = 2 * np.pi
 """Joints that all stay within it may well be in radians."""
 _MANY = 5.0  # times a joint's largest value, and more, are another unit
-_MOSTLY = 0.5  # of its rows blank: an inclinometer that is left out instead of the rows
 _TILTED = np.radians(20.0)
 
 
@@ -66,14 +65,9 @@ def admit(
     """Check a session against an arm.
 
     Args:
-        session: as read.
-        arm: declared arm.
         model: predicts the tip; the rigid declared arm by default.
         min_poses: least number of distinct poses with a marker.
         judge: the rows judge the model: what does not fit it is a finding.
-
-    Raises:
-        InputError: the session does not fit the arm; the message names the likely mistake.
     """
     findings: list[AdmissionFinding] = []
     session = _with_readings(session, findings)
@@ -100,7 +94,8 @@ def _with_readings(session: Session, findings: list[AdmissionFinding]) -> Sessio
     """The rows in which every inclinometer was read; one that mostly was not is left out."""
     for name, values in session.columns.items():
         blank = np.isnan(values)
-        if blank.mean() > _MOSTLY:
+        # of its rows blank: an inclinometer that is left out instead of the rows
+        if blank.mean() > 0.5:
             rest = {k: v for k, v in session.columns.items() if k != name}
             session = dataclasses.replace(session, columns=rest)
             findings.append(AdmissionFinding("blanks", name, f"left out, {blank.mean():.0%} blank"))

@@ -7,13 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class AdmissionFinding:
-    """A limitation of a session that is admitted.
-
-    Attributes:
-        check: name of the check that found it.
-        field: the columns or rows concerned.
-        message: description in one sentence.
-    """
+    """A limitation of a session that is admitted."""
 
     check: str
     field: str

@@ -43,12 +43,7 @@ def align(predicted: np.ndarray, measured: np.ndarray, rotation: np.ndarray) -> 
 
 
 def best_rotation(predicted: np.ndarray, measured: np.ndarray) -> Alignment:
-    """Least squares over rotations, repeated without the worst points.
-
-    Args:
-        predicted: (N, 3), m.
-        measured: (N, 3), m, N >= 3.
-    """
+    """Least squares over rotations, repeated without the worst points."""
     kept = np.ones(len(predicted), dtype=bool)
     for _ in range(4):
         rotation, offset = kabsch(predicted[kept], measured[kept], np.ones(int(kept.sum())))

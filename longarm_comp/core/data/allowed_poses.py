@@ -29,9 +29,6 @@ def above(arm: Arm, height_m: float) -> Arm:
     """The arm with a floor at a height (m, base frame) among its keep-out boxes.
 
     A floor above the arm's foot is a safety height: the arm rises above it once and stays there.
-
-    Raises:
-        InputError: it is no height.
     """
     if not -_FAR < height_m < _FAR:
         raise InputError("floor", "--floor", height_m, f"a height, {-_FAR:g} to {_FAR:g} m")
@@ -40,12 +37,7 @@ def above(arm: Arm, height_m: float) -> Arm:
 
 
 def outside_boxes(model: Model, plan: Plan) -> np.ndarray:
-    """(M,) whether the arm stays out of its keep-out boxes, at each pose and where it runs up.
-
-    Args:
-        model: where the arm stands, with the boxes of its `arm`.
-        plan: M poses.
-    """
+    """(M,) whether the arm stays out of its keep-out boxes, at each pose and where it runs up."""
     if not model.arm.keep_out:
         return np.ones(len(plan), dtype=bool)
     start = plan.q - plan.approach * run_up_lengths(model.arm)
@@ -57,20 +49,7 @@ def outside_boxes(model: Model, plan: Plan) -> np.ndarray:
 def filled(
     make: Callable[[Arm, int, int], Plan], arm: Arm, n: int, seed: int, allowed: Allowed, most: int
 ) -> Plan:
-    """The first n poses that are allowed, of a kind of plan that fills the joint box.
-
-    Args:
-        make: makes a plan of so many poses.
-        arm: whose joints.
-        n: how many poses.
-        seed: of the plan.
-        allowed: which poses may be taken.
-        most: poses that this kind of plan has.
-
-    Raises:
-        InputError: n is out of range.
-        JobError: too few poses are allowed.
-    """
+    """The first n poses that are allowed, of a kind of plan that fills the joint box."""
     free, tried = np.zeros(0, dtype=int), 0
     for count in sorted({n, *(min(times * n, most) for times in _TIMES)}):
         plan = make(arm, count, seed)
@@ -82,16 +61,7 @@ def filled(
 
 
 def in_view(model: Model, plan: Plan, half_angle: float) -> np.ndarray:
-    """(M,) whether a camera of arm.yaml has the tip within an angle (rad) of its optical axis.
-
-    Args:
-        model: where the tip is.
-        plan: M poses.
-        half_angle: half of the camera's view.
-
-    Raises:
-        InputError: arm.yaml declares no camera.
-    """
+    """(M,) whether a camera of arm.yaml has the tip within an angle (rad) of its optical axis."""
     arm = model.arm
     eyes = [s.frame() for s in arm.sensors.values() if isinstance(s, CameraSensor)]
     looks = [(np.array(frame.p), np.array(frame.a)) for frame in eyes]

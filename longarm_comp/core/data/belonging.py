@@ -21,28 +21,19 @@ from longarm_comp.core.model.model import Model
 
 ENOUGH = 20
 """Rows, at least, of which it is asked."""
-LOOKED_AT = 100
-"""Rows that the mistakes are tried on, spread over the session."""
 BAD = 0.015
 """Misfit, as a share of the sightings' spread, from which on the mistakes are tried."""
 MUCH = 0.7
 """A mistake that leaves less of the misfit than this is told."""
 ALIKE = 1.02
 """Mistakes whose misfits differ by less than this cannot be told apart; the first is told."""
-HOPELESS = 0.25
-"""Misfit, as a share of the sightings' spread, of rows that are not this arm's."""
 FAR, STRAYS = 8.0, 0.3
 """Rows so many times farther off than the closest quarter stray; so many may."""
 
 
 @dataclass(frozen=True)
 class Mistake:
-    """One mistake, undone.
-
-    Attributes:
-        what: ``q1 looks negated``.
-        rows: the session without it.
-    """
+    """One mistake, undone."""
 
     what: str
     rows: Session
@@ -72,17 +63,14 @@ class Belief:
     @property
     def belong(self) -> bool:
         """Whether the rows may be this arm's."""
-        return not self.mistake and self.misfit < HOPELESS * self.spread and self.stray < STRAYS
+        # Misfit, as a share of the sightings' spread, of rows that are not this arm's
+        return not self.mistake and self.misfit < 0.25 * self.spread and self.stray < STRAYS
 
 
 def believe(model: Model, session: Session) -> Belief | None:
     """Hold the rows against the arm, and against the arm under each common mistake.
 
     The mistakes are tried only where the rows fit badly.
-
-    Args:
-        model: the arm, rigid or calibrated; its own placement does not matter.
-        session: measured rows.
 
     Returns:
         None for fewer than `ENOUGH` rows with a position.
@@ -95,7 +83,8 @@ def believe(model: Model, session: Session) -> Belief | None:
     spread = float(np.median(np.linalg.norm(seen.xyz - np.median(seen.xyz, axis=0), axis=1)))
     least = max(FAR * float(np.quantile(distance, 0.25)), BAD * spread)
     belief = Belief(found.misfit, spread, float((distance > least).mean()))
-    rows = np.unique(np.linspace(0, len(session) - 1, LOOKED_AT).astype(int))
+    # Rows that the mistakes are tried on, spread over the session
+    rows = np.unique(np.linspace(0, len(session) - 1, 100).astype(int))
     if found.misfit < BAD * spread:
         signs = _signs(model, seen.take(np.unique(rows * len(seen) // len(session))), found.misfit)
         return dataclasses.replace(belief, signs=signs)

@@ -22,9 +22,6 @@ def blocked_split(
     a pose belong to the block of its first visit, so repeats and equal poses are never divided.
     Blocks are drawn until the hold-out has `fraction` of the rows and `min_poses` poses with a
     marker, but never more than a third of the poses.
-
-    Raises:
-        InputError: fewer than two poses.
     """
     return _split(session, fraction, min_poses, rng, blocks=25)
 

@@ -29,14 +29,7 @@ def posture(model: Model, session: Session) -> Posture:
 def equations(
     model: Model, session: Session, at: Posture, slots: Sequence[Slot] | None = None
 ) -> Equations:
-    """Equations of all channels of a session by some parameters, all of a model's by default.
-
-    Args:
-        model: predicts.
-        session: N rows.
-        at: the model's posture at these rows.
-        slots: the parameters.
-    """
+    """Equations of all channels of a session by some parameters, all of a model's by default."""
     slots = model.slots if slots is None else slots
     model = completed(model, session, at)
     return _stacked(model.motion(at, slots, session.turns), session, model)
@@ -80,8 +73,6 @@ def errors(model: Model, session: Session, near: Posture | None = None) -> np.nd
     that explains the row: along a measured axis, along the line to an anchor.
 
     Args:
-        model: predicts.
-        session: N rows.
         near: a similar model's `posture` at the M rows, which saves time.
     """
     placed = session.take(session.placed)

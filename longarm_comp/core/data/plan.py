@@ -22,8 +22,6 @@ PAPER_STROKES = np.array(
 ) / np.array([105.0, 63.0])
 """Section III.B: the six pairs of prismatic strokes, as shares of each stroke."""
 
-LARGEST_GRID = 1_000_000
-
 
 @dataclass(frozen=True, eq=False)
 class Plan:
@@ -66,9 +64,6 @@ def paper_grid(arm: Arm) -> np.ndarray:
     joints take the paper's six pairs of strokes scaled to their limits; any other number of
     them takes three levels each like a revolute joint.  (The paper puts -25 deg for joint 5
     where its middle is -22.5 deg.)  The paper's arm gives 3^5 * 6 = 1458 poses.
-
-    Raises:
-        InputError: the grid would exceed a million poses.
     """
     sliding = [k for k, row in enumerate(arm.commanded) if arm.joints[row - 1].type == "prismatic"]
     pairs = (
@@ -78,7 +73,7 @@ def paper_grid(arm: Arm) -> np.ndarray:
     )
     turning = [k for k in range(arm.n) if k not in sliding]
     count = 3 ** len(turning) * len(pairs)
-    if count > LARGEST_GRID:
+    if count > 1_000_000:
         raise InputError(
             "plan", "kind", "grid", f"sobol: a grid of {arm.n} joints is {count} poses"
         )
@@ -90,11 +85,7 @@ def paper_grid(arm: Arm) -> np.ndarray:
 
 
 def grid(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
-    """n poses of the paper's grid in random order, none twice.
-
-    Raises:
-        InputError: n is not between 1 and the size of the grid.
-    """
+    """n poses of the paper's grid in random order, none twice."""
     rng = np.random.default_rng(rng)
     poses = paper_grid(arm)
     if not 1 <= n <= len(poses):
@@ -103,11 +94,7 @@ def grid(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
 
 
 def sobol(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
-    """n scrambled Sobol points in the joint box, which fill it evenly.
-
-    Raises:
-        InputError: n is below 1 or above 2^20.
-    """
+    """n scrambled Sobol points in the joint box, which fill it evenly."""
     if not 1 <= n <= 2**20:
         raise InputError("plan", "n", n, f"1 to {2**20}")
     rng = np.random.default_rng(rng)
@@ -140,13 +127,7 @@ def _in_box(arm: Arm, shares: np.ndarray) -> np.ndarray:
 
 
 def with_room(arm: Arm, q: np.ndarray, sides: np.ndarray) -> np.ndarray:
-    """Sides (N, n) as wished, but from the other side where a limit leaves no room to run up.
-
-    Args:
-        arm: whose limits hold.
-        q: (N, n) joints to arrive at, rad and m.
-        sides: (N, n) of -1, 0, +1.
-    """
+    """Sides (N, n) as wished, but from the other side where a limit leaves no room to run up."""
     start = q - sides * run_up_lengths(arm)
     return np.where((start < arm.lower) | (start > arm.upper), -sides, sides)
 

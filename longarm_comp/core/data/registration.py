@@ -20,8 +20,6 @@ TURNS, STEPS = 6, 20
 """Times that the rows are weighed again: with the markers still, and with all free."""
 ENOUGH = 3
 """Rows of a group, at least, to find its rotation from them alone."""
-SETTLED = 1e-3
-"""Share of the misfit that a step must take off for another to follow."""
 _RANK = 1e-7
 
 
@@ -54,8 +52,6 @@ class Sightings:
         """The seen rows against a model that places nothing itself.
 
         Args:
-            model: the arm, sagged or rigid.
-            session: measured rows.
             groups: names of the base placements; by default one per frame of the session.
             markers: names of the markers, empty for the tip; all of the arm's by default.
         """
@@ -146,7 +142,8 @@ def _refined(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
         following = _step(rows, made)
         if following.misfit > made.misfit:
             break
-        settled = following.misfit > (1.0 - SETTLED) * made.misfit
+        # Share of the misfit that a step must take off for another to follow
+        settled = following.misfit > (1.0 - 1e-3) * made.misfit
         made = following
         if settled:
             break

@@ -132,17 +132,11 @@ class Session(MeasuredRows):
         """From rows in the order of recording; how each joint arrived is derived.
 
         Args:
-            q: (N, n), rad and m.
-            xyz: (N, 3), m.
             index: (N,); counted from 0 when not given.
             approach: as recorded: (N,) for all joints at once or (N, n), with 0 or NaN for
                 "from the row before". Not given: every row is.
             run_up: (N, n) where each joint's last approach began, rad and m; NaN where it had
                 none or nobody knows.
-            repeat_id: as in `Session`, and so are the rest.
-
-        Raises:
-            InputError: shapes do not fit, or a number is not finite.
         """
         q = _joints(source, q)
         n_rows = len(q)
@@ -170,11 +164,7 @@ class Session(MeasuredRows):
         )
 
     def taken(self, lengths: np.ndarray) -> Session:
-        """The whole session, with run-ups of unknown length taken to be so long.
-
-        Args:
-            lengths: (n,) rad and m.
-        """
+        """The whole session, with run-ups of unknown length taken to be so long."""
         if not self.told.any():
             return self
         history = recorded(self.q, self.index, self.told, self.run_up, lengths)
@@ -298,11 +288,7 @@ class Session(MeasuredRows):
         )
 
     def where(self, label: str, value: str) -> Session:
-        """The rows whose text column `label` holds `value`.
-
-        Raises:
-            InputError: there is no such column.
-        """
+        """The rows whose text column `label` holds `value`."""
         if label not in self.labels:
             known = ", ".join(self.labels) or "none"
             raise InputError(self.source, label, "missing", f"a text column (there are: {known})")

@@ -15,13 +15,7 @@ from longarm_comp.core.errors import InputError
 
 
 def check_touches(session: Session, arm: Arm) -> Iterator[AdmissionFinding]:
-    """Its limitations.
-
-    Raises:
-        InputError: nothing was touched more often than it takes to solve where it is, and nothing
-            else was measured; distances make a loop; several bases, and nothing shows where they
-            stand.
-    """
+    """Its limitations."""
     stood = [kind for kind in KINDS.values() if not kind.cells and kind.label in session.labels]
     for kind in stood:
         texts = session.labels[kind.label]

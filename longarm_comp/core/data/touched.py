@@ -24,8 +24,6 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.tip_motion import stack
 
-FARTHER = 6.0
-"""Misfit of a touch, in their median, from which a start leaves it out: 4 standard deviations."""
 _ROUNDS = 4
 _EXACT = 1e-9
 
@@ -37,9 +35,6 @@ def unknowns(arm: Arm, session: Session) -> tuple[Bias, ...]:
     """The terms that hold the points and planes that a session touched.
 
     Distances of points that it did not touch count for nothing.
-
-    Raises:
-        InputError: distances lead from a point back to it.
     """
     distances = (*known_distances(arm.touch_distances), *session.touch_distances)
     points = _ordered(session.named(KINDS["touch"]), distances, session.source)
@@ -80,13 +75,7 @@ def _ordered(
 
 
 def started(terms: Sequence[Bias], tips: np.ndarray, session: Session) -> tuple[Bias, ...]:
-    """Terms with touched points and planes where the tips were, in closed form.
-
-    Args:
-        terms: any, each point after the one that it is beside.
-        tips: (N, 3) predicted tips of the rows, m.
-        session: N rows.
-    """
+    """Terms with touched points and planes where the tips were, in closed form."""
     places: dict[str, np.ndarray] = {}
     made: list[Bias] = []
     for term in terms:
@@ -106,11 +95,6 @@ def completed(model: Model, session: Session, at: Posture) -> Model:
     """The model with the touched points that it lacks, where its tips touched them.
 
     A model of other rows lacks them: those of a hold-out, of another day.
-
-    Args:
-        model: predicts.
-        session: N rows.
-        at: the model's posture at these rows.
     """
     if all(kind.cells for kind in session.kinds):
         return model
@@ -169,5 +153,7 @@ def _robust(
     answer, misfit = solved(tips)
     for _ in range(_ROUNDS):
         away = misfit(tips)
-        answer, misfit = solved(tips[away <= max(FARTHER * float(np.median(away)), _EXACT)])
+        # Misfit of a touch, in their median, from which a start leaves it out: 4 standard
+        # deviations
+        answer, misfit = solved(tips[away <= max(6.0 * float(np.median(away)), _EXACT)])
     return answer

@@ -30,6 +30,10 @@ class Backlash(JointTerm):
     name: ClassVar[str] = "backlash"
     title: ClassVar[str] = "play"
     action: ClassVar[str] = "Tighten or replace the gear, coupling or clamp of the joint."
+    actions: ClassVar[Mapping[str, str]] = {
+        "hydraulic": "Renew worn pins and bushes of the cylinder and the joint.",
+        "cable": "Raise the cables' pretension; look for worn sheaves.",
+    }
     needs: ClassVar[tuple[str, ...]] = ("approach",)
     loaded: ClassVar[bool] = True
     limit_aliases: ClassVar[tuple[str, ...]] = ("friction_hysteresis",)  # load decides nowhere

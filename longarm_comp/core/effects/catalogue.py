@@ -29,6 +29,8 @@ from longarm_comp.core.effects.camera_radial import CameraRadial
 from longarm_comp.core.effects.camera_scale import CameraScale
 from longarm_comp.core.effects.column_bending import ColumnBending
 from longarm_comp.core.effects.creep import Creep
+from longarm_comp.core.effects.cylinder_pins import CylinderPins
+from longarm_comp.core.effects.cylinder_play import CylinderPlay
 from longarm_comp.core.effects.dh_error import DhError
 from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
 from longarm_comp.core.effects.effect import Bias, Effect
@@ -70,6 +72,7 @@ GROUP = "longarm_comp.effects"
 _OURS: tuple[Kind, ...] = (
     JointZero,
     DhError,
+    CylinderPins,
     BasePose,
     TipOffset,
     TipOrientation,
@@ -95,6 +98,7 @@ _OURS: tuple[Kind, ...] = (
     MeasuredTilt,
     GravityDirection,
     Backlash,
+    CylinderPlay,
     FrictionHysteresis,
     GearEccentricity,
     JointGain,
@@ -121,21 +125,13 @@ _others: dict[str, Kind] = {}
 
 
 def registered() -> dict[str, Kind]:
-    """All effects by name: of this package, of other packages and of loaded files.
-
-    Raises:
-        InputError: an entry point cannot be loaded, or is not an effect.
-    """
+    """All effects by name: of this package, of other packages and of loaded files."""
     _load_entry_points()
     return {**BUILT_IN, **_others}
 
 
 def searched() -> tuple[Kind, ...]:
-    """The effects that a diagnosis tries.
-
-    Raises:
-        InputError: as `registered`.
-    """
+    """The effects that a diagnosis tries."""
     return tuple(k for k in registered().values() if k.searched and not k.geometry)
 
 
@@ -143,12 +139,7 @@ def effect_class(name: str, where: str, known_from: str = "") -> Kind:
     """The effect of a canonical name.
 
     Args:
-        name: canonical name.
-        where: name of the source in the error message.
         known_from: origin of the effect when the source was written (see `origin`).
-
-    Raises:
-        InputError: unknown effect; the message names the file or package that is missing.
     """
     found = BUILT_IN.get(name) or registered().get(name)
     if found is None:
@@ -167,15 +158,7 @@ def origin(kind: Kind) -> str:
 
 
 def register(kind: K, source: str = "") -> K:
-    """Register an effect. It can be used as a decorator.
-
-    Args:
-        kind: a frozen dataclass derived from `Effect` or `Bias`.
-        source: its origin in words; by default the module of the class.
-
-    Raises:
-        InputError: the class is not an effect, a field is not declared, or the name is taken.
-    """
+    """Register an effect. It can be used as a decorator."""
     source = source or f"module {getattr(kind, '__module__', '?')}"
     _check(kind, source)
     known = BUILT_IN.get(kind.name) or _others.get(kind.name)
@@ -187,11 +170,7 @@ def register(kind: K, source: str = "") -> K:
 
 
 def load_file(path: str | Path) -> tuple[Kind, ...]:
-    """Execute a Python file, once for the same contents, and register its effects.
-
-    Raises:
-        InputError: there is no such file, it fails, or it defines no effect or an invalid one.
-    """
+    """Execute a Python file, once for the same contents, and register its effects."""
     path = Path(path)
     if not path.is_file():
         raise InputError(path, "effects", "missing", "a Python file that defines effects")

@@ -258,6 +258,10 @@ class _Term:
         """Its places in words: ``joint 2``, ``joint 3, driver 1``; ``arm`` for the whole arm."""
         return ", ".join(f"{name} {value}" for name, value in self.places.items()) or "arm"
 
+    def advice(self, arm: Arm) -> str:
+        """What can be done about it at an arm."""
+        return self.action
+
     @property
     def reading(self) -> str:
         """What it says of itself besides its parameters: a form, a formula. Empty: nothing."""

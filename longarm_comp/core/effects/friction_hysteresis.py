@@ -34,6 +34,10 @@ class FrictionHysteresis(JointTerm):
     name: ClassVar[str] = "friction_hysteresis"
     title: ClassVar[str] = "friction"
     action: ClassVar[str] = "Clean and grease the joint; look for dragging seals and cables."
+    actions: ClassVar[Mapping[str, str]] = {
+        "hydraulic": "Check the cylinder's seals and guides, and the valve's deadband.",
+        "cable": "Clean and grease sheaves and conduits; look for cables that rub.",
+    }
     needs: ClassVar[tuple[str, ...]] = ("approach",)
 
     near: float = form(0.04)

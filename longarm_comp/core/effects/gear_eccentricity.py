@@ -27,6 +27,10 @@ class GearEccentricity(JointTerm):
     name: ClassVar[str] = "gear_eccentricity"
     title: ClassVar[str] = "eccentric gear"
     action: ClassVar[str] = "Seat the gear wheel or encoder disc again, or replace it."
+    actions: ClassVar[Mapping[str, str]] = {
+        "hydraulic": "Check the linkage's pins and the seat of the angle sensor.",
+        "cable": "Seat the drum or sheave again, or replace it.",
+    }
     free_levels: ClassVar[int] = 3
 
     order: int = form(1)

@@ -25,6 +25,10 @@ class JointCompliance(JointTerm):
     action: ClassVar[str] = (
         "Check keys, clamps and screws of the drive; a stiffer gear or shaft lowers it."
     )
+    actions: ClassVar[Mapping[str, str]] = {
+        "hydraulic": "Bleed cylinder and hoses of air; check hoses, pins and the valve's leakage.",
+        "cable": "Use stiffer cables or raise their pretension; check their anchors.",
+    }
     loaded: ClassVar[bool] = True
 
     compliance: float = parameter("rad/(N m)", "torsion per gravity torque", prior=4e-3, lower=0.0)

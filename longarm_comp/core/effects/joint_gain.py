@@ -19,6 +19,13 @@ class JointGain(JointTerm):
     name: ClassVar[str] = "joint_gain"
     title: ClassVar[str] = "scale error of the joint"
     action: ClassVar[str] = "Check the gear ratio and the counts per turn in the servo's settings."
+    actions: ClassVar[Mapping[str, str]] = {
+        "motor": "Check the gear ratio and the encoder's counts per turn in the drive's settings.",
+        "hydraulic": (
+            "Calibrate the joint's angle or length sensor again, at both ends of its travel."
+        ),
+        "cable": "Measure the drum's diameter with the cable on it and set the ratio.",
+    }
     free_levels: ClassVar[int] = 2
 
     gain: float = parameter("1", "extra motion per commanded motion", prior=0.05)

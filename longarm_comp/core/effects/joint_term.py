@@ -33,8 +33,10 @@ class JointTerm(Effect):
 
     Attributes:
         joint: row id.
+        actions: instead of `action`, by the joint's kind of drive.
     """
 
+    actions: ClassVar[Mapping[str, str]] = {}
     acts: ClassVar[Drive] = "gear"
 
     joint: int = place(moving_joints)
@@ -53,6 +55,10 @@ class JointTerm(Effect):
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
         """Each joint alone."""
         return [(cls(joint=row),) for row in cls.rows(arm)]
+
+    def advice(self, arm: Arm) -> str:
+        """By the joint's kind of drive."""
+        return self.actions.get(arm.joints[self.joint - 1].drive, self.action)
 
     def history_joints(self, arm: Arm) -> tuple[int, ...]:
         """Its own joint if it reads a history."""

@@ -21,6 +21,11 @@ class JointZero(JointTerm):
     name: ClassVar[str] = "joint_zero"
     title: ClassVar[str] = "zero offset"
     action: ClassVar[str] = "Set the zero of the servo or encoder again."
+    actions: ClassVar[Mapping[str, str]] = {
+        "hydraulic": "Set the zero of the joint's angle or length sensor again.",
+        "motor": "Reference the axis again, or set the encoder's zero.",
+        "cable": "Reference the joint again; look for a cable that slipped or stretched.",
+    }
     geometry: ClassVar[bool] = True
     displaces_joint: ClassVar[bool] = True
 

@@ -34,7 +34,6 @@ def extra_sag(posture: Posture, share: Scalar, beam: str = "") -> Mapping[int, T
     """A share of the declared cantilever twist, at the end of every element.
 
     Args:
-        posture: the arm under its load.
         share: factor, a number or one per row.
         beam: name of the only beam that sags more; all where empty.
     """

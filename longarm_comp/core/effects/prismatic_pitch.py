@@ -20,6 +20,10 @@ class PrismaticPitch(JointTerm):
     name: ClassVar[str] = "prismatic_pitch"
     title: ClassVar[str] = "pitch error of the slide"
     action: ClassVar[str] = "Check the pitch of the spindle or belt in the servo's settings."
+    actions: ClassVar[Mapping[str, str]] = {
+        "hydraulic": "Calibrate the cylinder's length sensor again, at both ends of its travel.",
+        "cable": "Measure the drum's diameter with the cable on it and set the ratio.",
+    }
 
     gain: float = parameter("1", "extra travel per commanded travel", prior=0.02)
 

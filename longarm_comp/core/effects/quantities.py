@@ -266,7 +266,8 @@ class Span(OfPosture):
     def read(self, posture: Posture) -> Scalar:
         first, last = (posture.frames[_bearing(posture, row)].p for row in self.numbers)
         way = spatial.sub(last, first)
-        return spatial.sqrt(spatial.dot(way, way) + _NO_LENGTH)
+        # m^2: keeps the root differentiable where two bearings coincide
+        return spatial.sqrt(spatial.dot(way, way) + 1e-18)
 
 
 @dataclass(frozen=True)
@@ -310,7 +311,6 @@ class Recorded(Quantity):
 
 
 _UNITS = {"t_s": "s", "temperature_c": "K", "payload_kg": "kg"}
-_NO_LENGTH = 1e-18  # m^2: keeps the root differentiable where two bearings coincide
 _KINDS: tuple[type[Quantity], ...] = (
     JointPosition,
     JointLoad,

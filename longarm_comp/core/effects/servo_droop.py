@@ -41,6 +41,13 @@ class ServoDroop(JointTerm):
     action: ClassVar[str] = (
         "Raise the gain of the servo or add integral action; otherwise fit a stronger one."
     )
+    actions: ClassVar[Mapping[str, str]] = {
+        "hydraulic": (
+            "Add integral action to the valve's controller, or check it for leakage and deadband."
+        ),
+        "motor": "Raise the gain of the position controller, or add integral action.",
+        "cable": "Raise the gain of the position controller, or measure the angle at the joint.",
+    }
     loaded: ClassVar[bool] = True
     aliases: ClassVar[tuple[str, ...]] = ("joint_compliance",)  # a sag is a compliance
     limit_aliases: ClassVar[tuple[str, ...]] = ("backlash",)  # without sag

@@ -11,6 +11,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import errors, spreads, turns
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.cylinder_pins import CylinderPins
 from longarm_comp.core.effects.dh_error import DhError
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.joint_zero import JointZero
@@ -115,8 +116,9 @@ class Rung:
 
 
 def geometry(arm: Arm, session: Session) -> tuple[Effect | Bias, ...]:
-    """What is always fitted: base placements, markers, every joint zero and DH row."""
-    return (*frames(arm, session), *JointZero.for_arm(arm), *DhError.for_arm(arm))
+    """What is always fitted: base placements, markers, every joint zero, DH row and cylinder."""
+    own = (*JointZero.for_arm(arm), *DhError.for_arm(arm), *CylinderPins.for_arm(arm))
+    return (*frames(arm, session), *own)
 
 
 def stages(

@@ -26,7 +26,6 @@ from longarm_comp.core.model.model import Model
 
 _CHUNK = 4096  # targets at a time: a compromise between calls and cache
 _FEW = 4  # number of targets up to which plain Python is faster than arrays
-_COMPILE_AFTER = 500  # workload, in single targets, after which a model is compiled
 _WORTH = 1 / 16  # workload of one target in a batch, in single targets
 _NOTHING = Context.empty().layout
 _THIN = 0.7  # share of active columns below which the finished ones are removed
@@ -98,7 +97,8 @@ def warm_up(model: Model | None = None, context: Context | None = None) -> bool:
 
 def worth_compiling(workload: float) -> bool:
     """Whether to compile a program after a workload without compilation, in single targets."""
-    return compiler_at_hand() and (_LongLived.now or workload > _COMPILE_AFTER)
+    # workload, in single targets, after which a model is compiled
+    return compiler_at_hand() and (_LongLived.now or workload > 500)
 
 
 def is_compiled(kernel: Kernel, engine: Engine) -> bool:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import ZERO, Vec
 
 
-def geometric(posture: Posture, tip: Vec) -> list[tuple[Vec, Vec]]:
+def geometric(posture: Posture, tip: Vec, station: float = math.inf) -> list[tuple[Vec, Vec]]:
     """Tip velocity (m, base frame) and angular velocity (rad) per unit of each commanded joint.
+
+    Of another point than the tip, ``station`` is the one that carries it: rows after it are left
+    out.
 
     A revolute row turns all that follows about the z axis of its bearing; a prismatic row
     pushes it along the z axis of its frame.  Passive rows follow through the arm's mixing.
@@ -17,7 +22,7 @@ def geometric(posture: Posture, tip: Vec) -> list[tuple[Vec, Vec]]:
     chain = posture.chain
     columns: list[tuple[Vec, Vec]] = [(ZERO, ZERO)] * chain.arm.n
     for joint, row, weights in zip(chain.arm.joints, chain.rows, chain.mixing, strict=True):
-        if joint.type == "fixed":
+        if joint.type == "fixed" or row.bearing > station:
             continue
         if joint.type == "revolute":
             bearing = posture.frames[row.bearing]

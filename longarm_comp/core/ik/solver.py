@@ -124,12 +124,7 @@ def solve(
     rng: np.random.Generator | None = None,
     engine: Engine = Engine.AUTO,
 ) -> Solution:
-    """Joints that bring the tip to one target: see `solve_many`.
-
-    Args:
-        target: position (3,) in m, or pose (4, 4) or `Frame`, base frame.
-        seed: (n,) start, best the current joints; the middle of the box by default.
-    """
+    """Joints that bring the tip to one target: see `solve_many`."""
     if isinstance(target, Frame):
         target = target.matrix()
     target = np.asarray(target, dtype=float)
@@ -190,9 +185,6 @@ def solve_many(
         rng: draws the restarts; by default they are a fixed low-discrepancy sequence.
         engine: how to run the search; see `warm_up` for the compiled one.
         threads: number of threads, in machine code only.
-
-    Raises:
-        InputError: wrong shape, numbers that are not finite, no rotation, unknown joint.
     """
     arm = model.arm
     position, axes = checked_targets(targets, position_only)
@@ -227,11 +219,7 @@ def solve_many(
 
 
 def target_faults(targets: np.ndarray, position_only: bool, where: str) -> list[str]:
-    """The fault of each of N targets; an empty string for a valid one.
-
-    Raises:
-        InputError: the targets are neither (N, 3) nor (N, 4, 4).
-    """
+    """The fault of each of N targets; an empty string for a valid one."""
     if targets.ndim not in (2, 3) or targets.shape[1:] not in ((3,), (4, 4)):
         allowed = "shape (N, 3) or (N, 4, 4)"
         raise InputError(where, "targets", f"shape {targets.shape}", allowed)

@@ -41,7 +41,6 @@ FOLDS = 4
 """Parts of the rows that are left out in turn, to see whether a network helps at all."""
 _FEWEST_ROWS = 20
 _Z90 = 1.6449
-_LAPLACE_KEPT = 0.995
 
 
 def train(
@@ -75,9 +74,6 @@ def train(
         weights: (N,) precision factors of the samples; 0 leaves one out.
         progress: called with (networks trained, largest number of networks).
         provenance: arm, session and model of the predictor; the settings are added.
-
-    Raises:
-        InputError: wrong shapes, values not finite, fewer than 20 samples, all rows one pose.
     """
     q, known = check_rows("train", q, context)
     y, weights = _checked_targets(q, residual, weights)
@@ -248,7 +244,7 @@ def _leading(fit: Fit, probe: Array) -> NDArray[np.float32]:
     spread = flat @ fit.posterior.T
     values, vectors = np.linalg.eigh(spread.T @ spread)
     carried = np.cumsum(values[::-1]) / values.sum()
-    count = int(np.searchsorted(carried, _LAPLACE_KEPT)) + 1
+    count = int(np.searchsorted(carried, 0.995)) + 1
     leading = vectors[:, ::-1][:, :count].T @ fit.posterior
     return np.ascontiguousarray(leading, dtype=np.float32)
 

@@ -18,9 +18,6 @@ from longarm_comp.core.learn.predictor import Prediction, Predictor
 
 LINEAR_M = 5e-6
 """Accuracy of an expansion within its reach, m."""
-_FARTHEST = 0.05  # of a column's training sd; epistemic variance grows by a quarter at the most
-_VARIANCE_GROWS = 1.5  # allowed growth of the variance, up to the limit of the domain
-_CURVATURE = 0.77  # largest |tanh''|, which bounds the error of a step
 
 
 @dataclass(frozen=True)
@@ -62,11 +59,7 @@ class Expander:
         self._steep = steep[:, None] * np.abs(self._output)
 
     def __call__(self, q: np.ndarray, context: Context | None = None) -> Expansion:
-        """Predict at joints (n,) and around them.
-
-        Raises:
-            InputError: as `Predictor.predict`.
-        """
+        """Predict at joints (n,) and around them."""
         predictor, n = self._predictor, len(q)
         context = context or Context.empty()
         found = predictor.predict(q[None], context)
@@ -75,10 +68,13 @@ class Expander:
         bend = 1.0 - z * z
         jacobian, reach = np.zeros((3, n)), np.zeros(n)
         jacobian[:, self._moved] = (((self._rates * bend) @ self._output) / self._width[:, None]).T
-        if found.in_domain[0] and found.doubt[0] * _VARIANCE_GROWS <= 1.0:
-            bent = np.minimum(2.0 * np.abs(z) * bend, _CURVATURE)
+        # allowed growth of the variance, up to the limit of the domain
+        if found.in_domain[0] and found.doubt[0] * 1.5 <= 1.0:
+            # largest |tanh''|, which bounds the error of a step
+            bent = np.minimum(2.0 * np.abs(z) * bend, 0.77)
             curvature = float((bent @ self._steep).max())
-            step = min(_FARTHEST, math.sqrt(2.0 * LINEAR_M / max(curvature, 1e-12)))
+            # of a column's training sd; epistemic variance grows by a quarter at the most
+            step = min(0.05, math.sqrt(2.0 * LINEAR_M / max(curvature, 1e-12)))
             low, high = predictor.box
             reach = np.minimum(q - low[:n], high[:n] - q)
             reach[self._moved] = np.minimum(reach[self._moved], step * self._width)
@@ -92,11 +88,7 @@ Ask = Callable[[np.ndarray, Context], Expansion]
 
 
 class Nearby:
-    """A predictor for one target, which reuses its last expansion within its reach.
-
-    Args:
-        ask: returns the expansion at joints (n,) in a context.
-    """
+    """A predictor for one target, which reuses its last expansion within its reach."""
 
     def __init__(self, ask: Ask) -> None:
         self._ask = ask

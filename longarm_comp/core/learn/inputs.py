@@ -27,7 +27,6 @@ from longarm_comp.core.errors import InputError
 Array = NDArray[np.float64]
 
 INPUT_KINDS = {"context": ("approach", "temperature_c", "payload_kg"), "joints": ()}
-_CONSTANT = 1e-6  # a column whose sd is below this (relative to its size) carries nothing
 
 
 @dataclass(frozen=True)
@@ -106,19 +105,15 @@ def _width(name: str, joints: int) -> int:
 
 
 def fit_encoding(q: Array, context: Context, kind: str) -> Encoding:
-    """Encoding of a training set.
-
-    Raises
-    ------
-    InputError: unknown ``kind``, or no column varies (all rows one pose).
-    """
+    """Encoding of a training set."""
     if kind not in INPUT_KINDS:
         raise InputError("train", "inputs", kind, f"one of {sorted(INPUT_KINDS)}")
     used = tuple(name for name in INPUT_KINDS[kind] if context.has(name))
     raw = raw_columns(q, context, used)
     raw = np.where(np.isnan(raw).all(axis=0), 0.0, raw)
     mean, scale = np.nanmean(raw, axis=0), np.nanstd(raw, axis=0)
-    varies = scale > _CONSTANT * (1.0 + np.abs(mean))
+    # a column whose sd is below this (relative to its size) carries nothing
+    varies = scale > 1e-6 * (1.0 + np.abs(mean))
     if not varies[: q.shape[1]].any():
         raise InputError("train", "q", "all rows one pose", "poses that differ")
     kept = np.flatnonzero(varies)
@@ -126,12 +121,7 @@ def fit_encoding(q: Array, context: Context, kind: str) -> Encoding:
 
 
 def check_rows(where: str, q: Array, context: Context | None) -> tuple[Array, Context]:
-    """Checked joints, a finite (N, n) array, and circumstances of matching shape.
-
-    Raises
-    ------
-    InputError: wrong shape, not finite, approach outside [-1, 1].
-    """
+    """Checked joints, a finite (N, n) array, and circumstances of matching shape."""
     q = np.asarray(q, float)
     if q.ndim != 2 or q.shape[1] == 0:
         raise InputError(where, "q", f"shape {q.shape}", "(N, n) joint values")

@@ -24,8 +24,6 @@ Array = NDArray[np.float64]
 Weights = NDArray[Any]  # float32 in the sparrow's fitness, float64 elsewhere
 
 _GRAM_ROWS = 4096  # rows of B held at once
-_FITNESS_BYTES = 512 * 1024  # hidden activations held at once: they should stay in the L2 cache
-_ALIKE = 0.05  # relative distance of hidden units below which they count as collapsed
 SPARROW_BOUND = 1.0  # weights of standardised inputs and outputs
 
 
@@ -151,7 +149,8 @@ def squared_error(
     n, k, h = len(x), shape.outputs, shape.hidden
     x1t = np.ascontiguousarray(2.0 * with_ones(x).T, dtype=np.float32)  # (d+1, N)
     yt = np.ascontiguousarray(np.asarray(y).T, dtype=np.float32)  # (k, N)
-    block = max(1, _FITNESS_BYTES // (4 * n * h))
+    # hidden activations held at once: they should stay in the L2 cache
+    block = max(1, 512 * 1024 // (4 * n * h))
     hidden = np.empty((block * h, n), dtype=np.float32)
     output = np.empty((block, k, n), dtype=np.float32)
 
@@ -212,7 +211,8 @@ def hidden_alike(shape: NetworkShape, weights: Array) -> NDArray[np.bool_]:
     scale = np.maximum(norm[:, None], norm[None, :]) + 1e-12
     apart = np.linalg.norm(columns[:, None] - columns[None], axis=2) / scale
     mirrored = np.linalg.norm(columns[:, None] + columns[None], axis=2) / scale
-    near = np.minimum(apart, mirrored) < _ALIKE
+    # relative distance of hidden units below which they count as collapsed
+    near = np.minimum(apart, mirrored) < 0.05
     alike: NDArray[np.bool_] = np.tril(near, -1).any(axis=1) | (norm < 1e-6)
     return alike
 

@@ -147,10 +147,6 @@ class Predictor:
 
         Context that is absent or NaN is replaced by its training mean, and ``sigma`` is widened by
         its influence.
-
-        Raises
-        ------
-        InputError: wrong shape or not finite.
         """
         q, known = check_rows("predict", q, context)
         if q.shape[1] != self.encoding.joints:

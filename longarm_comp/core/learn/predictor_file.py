@@ -14,16 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import atomic_path
+from longarm_comp.core.files import atomic_path, check_unpacked
 from longarm_comp.core.learn.inputs import INPUT_KINDS, Encoding, raw_names
 from longarm_comp.core.learn.network import NetworkShape
 from longarm_comp.core.learn.predictor import LearnedGain, Predictor, Provenance
 
 FORMAT = "longarm/predictor"
 VERSION = 1
-
-_MOST_BYTES = 256_000_000
-"""An ensemble of the widest networks is a tenth of this."""
 
 _LARGEST = 1e6
 """Inputs, weights and lengths (m) are far below it: no arm is a thousand kilometres long."""
@@ -35,12 +32,7 @@ _ARRAYS = (
 
 
 def save(predictor: Predictor, path: str | os.PathLike[str]) -> None:
-    """Write ``predictor`` to ``path``, whole or not at all.
-
-    Raises
-    ------
-    InputError: the folder cannot be written to.
-    """
+    """Write ``predictor`` to ``path``, whole or not at all."""
     origin, encoding = predictor.provenance, predictor.encoding
     header = {
         "format": FORMAT, "version": VERSION, "arm_hash": origin.arm_hash,
@@ -77,13 +69,7 @@ def load(
     arm_hash: str | None = None,
     joint_names: tuple[str, ...] | None = None,
 ) -> Predictor:
-    """Read a predictor. A given ``arm_hash`` or ``joint_names`` must match the file.
-
-    Raises
-    ------
-    InputError: naming the file and the field: missing, truncated, corrupt, other version, arrays
-        that do not fit each other or are not finite, trained for another arm.
-    """
+    """Read a predictor. A given ``arm_hash`` or ``joint_names`` must match the file."""
     arrays = _arrays(path)
     header = _header(path, arrays)
     joints, context, hidden = header["joints"], tuple(header["context"]), header["hidden"]
@@ -153,10 +139,6 @@ def belongs(predictor: Predictor, path: str | os.PathLike[str], model_hash: str,
         path: file of the predictor, for the error message.
         model_hash: SHA-256 of model.yaml; empty for the declared arm.
         to: the expected model, for the error message.
-
-    Raises
-    ------
-    InputError: it was trained with another model.
     """
     found = predictor.provenance.settings.get("model_hash", model_hash)
     if found != model_hash:
@@ -167,7 +149,7 @@ def belongs(predictor: Predictor, path: str | os.PathLike[str], model_hash: str,
 def _arrays(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
     try:
         with zipfile.ZipFile(Path(path)) as probe:
-            _check_size(path, probe)
+            check_unpacked(path, probe)
             broken = probe.testzip()
             if broken is not None:
                 raise InputError(path, broken, "checksum does not match", "an undamaged file")
@@ -186,13 +168,6 @@ def _arrays(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
         if not isinstance(arrays.get(name), np.ndarray):
             raise InputError(path, name, "missing", f"the arrays {['header', *_ARRAYS]}")
     return arrays
-
-
-def _check_size(path: str | os.PathLike[str], archive: zipfile.ZipFile) -> None:
-    """Refuse what would unpack to more than a predictor can hold, before it is unpacked."""
-    size = sum(entry.file_size for entry in archive.infolist())
-    if size > _MOST_BYTES:
-        raise InputError(path, "unpacked size", f"{size} bytes", f"at most {_MOST_BYTES} bytes")
 
 
 _HEADER_TYPES: dict[str, type | tuple[type, ...]] = {

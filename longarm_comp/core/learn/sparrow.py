@@ -191,10 +191,6 @@ class SparrowSearch:
         fitness: maps positions (P, D) to values (P,) in one call; NaN counts as infinitely bad.
         lower, upper: (D,), the box.
         rng: the only source of randomness; the same state gives the same result.
-
-        Raises
-        ------
-        InputError: the box is empty, not finite, or its two sides differ in shape.
         """
         lower, upper = np.asarray(lower, float), np.asarray(upper, float)
         if lower.shape != upper.shape or lower.ndim != 1 or not np.all(lower < upper):

@@ -20,10 +20,6 @@ def entered(model: Model, path: np.ndarray) -> str:
 
     The arm is the line through its stations, from the foot to the tip: a box must be larger than
     the thing that it protects by the arm's radius. Between way-points joints move straight.
-
-    Args:
-        model: where the arm hangs.
-        path: (k, n) way-points, the first where the arm stands; rad, m.
     """
     boxes = model.arm.keep_out
     shares = np.linspace(0.0, 1.0, _STEPS + 1)[1:, None]
@@ -43,11 +39,7 @@ def entered_at(model: Model, q: np.ndarray) -> str:
 
 
 def keeper(model: Model, names: list[str], where: str) -> Callable[[np.ndarray], str] | None:
-    """`entered_at` for joints (M, n) in the order of their names; None where there are no boxes.
-
-    Raises:
-        InputError: names ``where``: a joint of the arm is not among the names.
-    """
+    """`entered_at` for joints (M, n) in the order of their names; None where there are no boxes."""
     arm = model.arm
     if not arm.keep_out:
         return None

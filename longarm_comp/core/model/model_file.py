@@ -216,11 +216,7 @@ def _source_key(effect: str) -> str:
 
 
 def save_model(path: str | Path, stored: StoredModel) -> None:
-    """Write atomically. An existing file becomes the previous version.
-
-    Raises:
-        InputError: the folder cannot be written.
-    """
+    """Write atomically. An existing file becomes the previous version."""
     data = stored.model_dump(mode="json", by_alias=True)
     text = (
         "# Written by longarm; values in SI units. Geometry, effects and camera-side biases.\n"
@@ -233,9 +229,6 @@ def put(path: str | Path, content: bytes) -> None:
     """Write a model file's bytes atomically. An existing file becomes the previous version.
 
     It is first kept beside both, so that broken off anywhere both versions are still there.
-
-    Raises:
-        InputError: the folder cannot be written.
     """
     path = Path(path)
     settle(path)
@@ -248,11 +241,7 @@ def put(path: str | Path, content: bytes) -> None:
 
 
 def settle(path: str | Path) -> None:
-    """Finish a `put` that was broken off: what it kept is the previous version, or not needed.
-
-    Raises:
-        InputError: a file cannot be moved.
-    """
+    """Finish a `put` that was broken off: what it kept is the previous version, or not needed."""
     path = Path(path)
     kept = _before(path)
     if not os.path.isfile(kept):
@@ -287,11 +276,7 @@ def _move(path: Path, to: str | Path) -> None:
 
 
 def undo(path: str | Path) -> None:
-    """Restore the previous version, byte for byte.
-
-    Raises:
-        InputError: there is no previous version, it is no model, or it cannot be moved.
-    """
+    """Restore the previous version, byte for byte."""
     settle(path)
     kept = previous(path)
     if not kept.is_file():
@@ -301,11 +286,7 @@ def undo(path: str | Path) -> None:
 
 
 def read_stored(path: str | Path) -> StoredModel:
-    """The file's contents, validated.
-
-    Raises:
-        InputError: unreadable, unknown key, value not allowed.
-    """
+    """The file's contents, validated."""
     return parse_declared(StoredModel, read_yaml(path), str(path))
 
 

@@ -20,8 +20,6 @@ import numpy as np
 
 LEVEL = 0.9
 """Probability of the radius that a command states."""
-_SURE = 1e-9
-"""Least variance of a squared length over its square: less changes no digit that is printed."""
 _NORMAL = NormalDist().inv_cdf(LEVEL)
 _log_gamma = np.vectorize(math.lgamma, otypes=[float])  # SciPy loads for half a second
 Identity = tuple[object, ...]
@@ -78,7 +76,8 @@ def sizes(covariance: np.ndarray, mean: np.ndarray | None = None) -> tuple[np.nd
     if mean is not None:
         square = square + (mean**2).sum(-1)
         variance = variance + 4.0 * np.einsum("...i,...ij,...j->...", mean, covariance, mean)
-    shape = square**2 / np.maximum(variance, _SURE * square**2 + 1e-300)
+    # Least variance of a squared length over its square: less changes no digit that is printed
+    shape = square**2 / np.maximum(variance, 1e-9 * square**2 + 1e-300)
     shape = np.maximum(shape, 1e-300)
     expected = np.sqrt(square / shape) * np.exp(_log_gamma(shape + 0.5) - _log_gamma(shape))
     return np.where(square == 0, 0.0, expected), radius(square, variance)

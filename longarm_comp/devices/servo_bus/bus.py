@@ -48,8 +48,6 @@ class SerialServoBus:
     """Servos of one protocol on one serial port.
 
     Args:
-        port: the open line.
-        dialect: the protocol.
         models: model of each servo, by id. Only these ids may be read.
         retries: how often a servo without a usable answer is read again.
 

@@ -14,8 +14,6 @@ class SerialPort:
     """A serial port opened for this process alone.
 
     Args:
-        path: device, for instance ``/dev/ttyUSB0``.
-        baudrate: bits a second.
         reply_timeout_s: how long an answer may take after its bytes' own time on the wire.
 
     Raises:

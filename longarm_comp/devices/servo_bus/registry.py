@@ -21,11 +21,7 @@ GROUP = "longarm_comp.servo_protocols"
 
 @cache
 def protocols() -> dict[str, type[Dialect]]:
-    """All protocols by name.
-
-    Raises:
-        InputError: an entry point cannot be loaded, or is no protocol.
-    """
+    """All protocols by name."""
     known: dict[str, type[Dialect]] = {kind.name: kind for kind in (FeetechSts, DynamixelX)}
     for name, kind, source in of_other_packages(GROUP):
         if not (isinstance(kind, type) and issubclass(kind, Dialect)) or inspect.isabstract(kind):
@@ -43,11 +39,7 @@ def protocols() -> dict[str, type[Dialect]]:
 
 @cache
 def models() -> dict[str, ServoModel]:
-    """The servos of all protocols, by name.
-
-    Raises:
-        InputError: as `protocols`.
-    """
+    """The servos of all protocols, by name."""
     return {model.name: model for kind in protocols().values() for model in kind.models}
 
 

@@ -62,16 +62,12 @@ def scan_line(
     """The first protocol and rate at which a servo answers, with all servos that answer then.
 
     Args:
-        port: device of the line.
         protocol, baudrate: only this one; None: all that are known, one after the other.
-        ids: to ask.
-        reply_timeout_s: patience with one id.
 
     Returns:
         None where nothing answered.
 
     Raises:
-        InputError: an unknown protocol.
         BusUnplugged: the port cannot be opened, or does not have the rate.
     """
     if protocol is not None and protocol not in protocols():

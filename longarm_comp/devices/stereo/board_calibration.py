@@ -39,11 +39,7 @@ class BoardCalibration:
 def calibrated(
     board: Target, views: Sequence[BoardView], size: tuple[int, int]
 ) -> BoardCalibration:
-    """Calibrate a head from views that cover image, distance and tilt.
-
-    Raises:
-        JobError: the views do not cover enough, or no calibration fits them.
-    """
+    """Calibrate a head from views that cover image, distance and tilt."""
     lacking = gaps(views, size)
     if lacking:
         raise JobError("the views are not enough: " + "; ".join(lacking), views=len(views))

@@ -49,15 +49,6 @@ def calibrate_stereo(
 
     Pairs whose triangulation residuals exceed `worst` times the median are left out and the rest
     fitted again: hand-held boards move between exposures that are not simultaneous.
-
-    Args:
-        board: the photographed board.
-        pairs: its corners in the left and the right image, at least four usable pairs.
-        size: (width, height) px of the images.
-
-    Raises:
-        InputError: too few usable pairs.
-        JobError: if OpenCV finds no calibration, or one that misses by more than 2 px.
     """
     common = [np.intersect1d(left.ids, right.ids, return_indices=True) for left, right in pairs]
     usable = [i for i, (ids, _, _) in enumerate(common) if len(ids) >= _FEWEST_CORNERS]

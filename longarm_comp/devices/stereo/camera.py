@@ -182,7 +182,6 @@ class StereoRig:
 
         Raises:
             StereoRefusal: UNCALIBRATED, if K or P is zero or P of the right has no baseline.
-            InputError: if the distortion model is not a known one.
         """
         return cls(_from_info(left, rectified), _from_info(right, rectified))
 

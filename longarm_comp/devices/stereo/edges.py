@@ -23,7 +23,6 @@ def refine_quads(grey: NDArray[np.uint8], quads: Array, modules: int) -> Array:
     """Sub-pixel corners (N, 4, 2) of dark squares on light ground.
 
     Args:
-        grey: image (H, W).
         quads: (N, 4, 2) px, corners in order around each tag, good to about a pixel.
         modules: cells along a side, border included: the edge is sought within one cell of it.
     """

@@ -59,15 +59,9 @@ class StereoEye:
     """Measures the tip with a stereo rig and counts what it refuses.
 
     Args:
-        rig: the calibrated cameras.
-        target: the printed marker.
         camera_in_base: (4, 4) pose of the left optical frame in the base frame (hand-eye).
         tip_in_marker: (3,) m, the tip in the marker frame.
-        limits: limits beyond which a pair is refused.
         noise: assumed noise of a corner, corrected by the residuals of sightings.
-
-    Raises:
-        InputError: if camera_in_base is not a rigid motion or tip_in_marker is not finite.
     """
 
     rig: StereoRig

@@ -63,10 +63,6 @@ def hand_eye(
         marker_in_tip: (3,) m if known, else it is estimated too: the tip must then turn about
             two axes at least.
         arm_sigma_m: error of a predicted tip, 1 sigma per axis.
-
-    Raises:
-        InputError: shapes that do not match; too few, not finite or collinear points.
-        JobError: the postures do not determine all unknowns.
     """
     base_T_tip, seen = np.asarray(base_T_tip, dtype=float), np.asarray(seen, dtype=float)
     count = len(seen)

@@ -17,9 +17,6 @@ def pair_files(folder: Path) -> list[tuple[Path, Path]]:
     """Left and right files of a folder, in the order of their names.
 
     For instance ``left/3.png`` and ``right/3.png``, or ``left3.png`` and ``right3.png``.
-
-    Raises:
-        InputError: no such folder, no pair in it, or an image without its partner.
     """
     allowed = "a folder of images whose names have left and right in them, otherwise the same"
     if not folder.is_dir():

@@ -9,11 +9,7 @@ from longarm_comp.devices.stereo.target import CharucoTarget, TagBoard
 
 
 def tags_of(bridge: Mapping[str, Any]) -> TagBoard:
-    """A marker of tags, from parameters by dotted name.
-
-    Raises:
-        InputError: a value that tags cannot have.
-    """
+    """A marker of tags, from parameters by dotted name."""
     return TagBoard(
         bridge["marker.tag_m"],
         bridge["marker.gap_m"],
@@ -25,11 +21,7 @@ def tags_of(bridge: Mapping[str, Any]) -> TagBoard:
 
 
 def marker_of(bridge: Mapping[str, Any]) -> TagBoard | CharucoTarget:
-    """The marker, tags or a ChArUco board, from parameters by dotted name.
-
-    Raises:
-        InputError: a value that it cannot have.
-    """
+    """The marker, tags or a ChArUco board, from parameters by dotted name."""
     if bridge["marker.kind"] != "charuco":
         return tags_of(bridge)
     return CharucoTarget(

@@ -65,12 +65,10 @@ def marker_pose(
     Args:
         corners: (N, 3) m declared corners of the board, marker frame, N >= 3.
         seen: (N, 3) m the same corners, triangulated one by one; the initial guess.
-        left_px, right_px: (N, 2) px.
         size_tolerance: prior standard deviation of the printed size, relative.
         noise: the assumed pixel noise.
 
     Raises:
-        InputError: if the corners lie on one line.
         StereoRefusal: BEHIND_CAMERA.
     """
     start = fit_rigid(corners, seen.points)

@@ -52,9 +52,6 @@ class StereoPairer(Generic[Image]):
         slop_ns: largest difference of stamps within a pair, in nanoseconds.
         queue: images kept per side while they wait for a partner.
         restart_ns: a stamp further back than this means a restarted clock, not a late image.
-
-    Raises:
-        InputError: if an argument is out of range.
     """
 
     slop_ns: int = 5_000_000

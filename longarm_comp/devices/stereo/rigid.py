@@ -44,10 +44,6 @@ def fit_rigid(source: Array, target: Array, covariances: Array | None = None) ->
     Returns:
         The fit. Its covariance is scaled up by the residuals where they exceed what `covariances`
         promise (`sigma_scale` = the square root of that factor, at least 1).
-
-    Raises:
-        InputError: fewer than three points, not finite, or on one line.
-        JobError: if the iteration does not settle.
     """
     source, target = np.asarray(source, dtype=float), np.asarray(target, dtype=float)
     if source.shape != target.shape or source.ndim != 2 or source.shape[1] != 3:

@@ -25,7 +25,6 @@ def refine_saddles(grey: NDArray[np.uint8], pixels: Array, half: int) -> Array:
     """Sub-pixel corners (N, 2) where four squares meet.
 
     Args:
-        grey: image (H, W).
         pixels: (N, 2) px, good to about a pixel.
         half: half window, px; it must not reach the next corner.
 

@@ -132,13 +132,7 @@ class TagBoard:
 
 @dataclass(frozen=True)
 class CharucoTarget:
-    """A chessboard with a tag in every white square; its inner corners are saddle points.
-
-    Args:
-        square_m, tag_m: sides of a square and of a tag's black square, m.
-        columns, rows: squares across and down.
-        dictionary: an OpenCV name, such as DICT_4X4_50.
-    """
+    """A chessboard with a tag in every white square; its inner corners are saddle points."""
 
     square_m: float
     tag_m: float

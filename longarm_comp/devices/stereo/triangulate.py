@@ -70,13 +70,10 @@ def triangulate(
     """Triangulate corners seen in both images.
 
     Args:
-        rig: the two cameras.
         left_px, right_px: (N, 2) pixels of the same N >= 1 corners in the images as they came
             (distorted where the cameras are).
-        noise: the assumed pixel noise.
 
     Raises:
-        InputError: if the two do not match in shape, or are not finite.
         StereoRefusal: BEHIND_CAMERA, if a point does not lie in front of both cameras.
     """
     left_px, right_px = np.asarray(left_px, dtype=float), np.asarray(right_px, dtype=float)

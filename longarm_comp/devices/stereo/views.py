@@ -17,15 +17,8 @@ from longarm_comp.devices.stereo.target import Corners, Grey, Target
 
 FEWEST_VIEWS = 10
 FEWEST_CORNERS = 8
-_NEARER = 1.25
-"""Least ratio of the largest to the smallest distance."""
-_TILTED_DEG = 30.0
-"""Least range of the board's tilt about either axis. The focal length is only guessed here."""
-_GUESSED_FOCAL = 1.2
-"""As a share of the image's width."""
 _ROWS, _COLUMNS = ("top", "middle", "bottom"), ("left", "middle", "right")
 _NEW_PLACE, _NEW_SIZE, _NEW_TILT_DEG = 0.12, 0.12, 10.0
-_STILL_PX = 1.0
 
 
 @dataclass(frozen=True)
@@ -68,16 +61,11 @@ class BoardView:
 
     def is_still(self, before: BoardView | None) -> bool:
         """Whether the board has hardly moved since the pair before."""
-        return before is not None and self.moved_px(before) < _STILL_PX
+        return before is not None and self.moved_px(before) < 1.0
 
 
 def view_of(board: Target, left: Grey, right: Grey, limits: Limits | None = None) -> BoardView:
     """A usable view.
-
-    Args:
-        board: that is held before the cameras.
-        left, right: images (H, W) of one size.
-        limits: beyond which an image is refused.
 
     Raises:
         StereoRefusal: with the reason.
@@ -101,12 +89,7 @@ def view_of(board: Target, left: Grey, right: Grey, limits: Limits | None = None
 
 
 def gaps(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
-    """What the views lack, as instructions; none when they are enough.
-
-    Args:
-        views: that will be used.
-        size: (width, height) px.
-    """
+    """What the views lack, as instructions; none when they are enough."""
     found = []
     if len(views) < FEWEST_VIEWS:
         found.append(f"more views: {len(views)} of {FEWEST_VIEWS}")
@@ -116,12 +99,14 @@ def gaps(views: Sequence[BoardView], size: tuple[int, int]) -> list[str]:
         if bare := list(_bare(cells)):
             found.append(f"{side} camera: no corner at the {', '.join(bare)} of what both see")
     distances = [view.distance_m for view in views]
-    if max(distances) < _NEARER * min(distances):
+    # Least ratio of the largest to the smallest distance
+    if max(distances) < 1.25 * min(distances):
         ends = f"{min(distances):.2f} to {max(distances):.2f} m"
         found.append(f"nearer and farther: all views are from about {ends}")
     for axis, name in enumerate(("horizontal", "vertical")):
         tilts = [view.tilt_deg[axis] for view in views]
-        if np.ptp(tilts) < _TILTED_DEG:
+        # Least range of the board's tilt about either axis. The focal length is only guessed here
+        if np.ptp(tilts) < 30.0:
             ends = f"{min(tilts):.0f} to {max(tilts):.0f} deg"
             found.append(f"tilt about the {name} axis: only {ends} yet")
     return found
@@ -153,7 +138,7 @@ def _rough_pose(
     points: Array, pixels: Array, width: int, height: int
 ) -> tuple[float, tuple[float, float]]:
     """Distance, m, and tilt about the image's horizontal and vertical axis, deg."""
-    focal = _GUESSED_FOCAL * width
+    focal = 1.2 * width  # As a share of the image's width
     k = np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
     _, turn, move = cv2.solvePnP(points, pixels, k, None, flags=cv2.SOLVEPNP_IPPE)
     normal = -cv2.Rodrigues(turn)[0][:, 2]  # towards the scene: z of the board is to the viewer

@@ -21,8 +21,6 @@ class Causes:
     """Listens to the cameras' calibration and to what `stereo_bridge` says.
 
     Args:
-        client: on the graph.
-        arm: as declared.
         view: cameras by the files beside arm.yaml; their lens is replaced by the one on the graph.
     """
 

@@ -34,8 +34,6 @@ SUFFIXES = (".png", ".svg", ".pdf")
 GOOD, NOT_DRIVEN = "", "not driven now"
 _MARKS = ("x", "v", "s", "^", "D", "P", "*")
 _COLOURS = (VERMILLION, ORANGE, PURPLE, INK)
-_ARMS = 40
-"""Most arms drawn as lines."""
 _REACH = 2048
 """Random joints whose tips outline the reach."""
 _MOST_KINDS = 5
@@ -52,14 +50,8 @@ def draw(found: Preview, faults: Sequence[str], path: Path, good: str, title: st
     """Draw every visit with its fault.
 
     Args:
-        found: the visits, and what is known about them.
         faults: what is wrong with each visit, or "".
-        path: file to write: .png, .svg or .pdf.
         good: what a visit without a fault is called.
-        title: above the picture.
-
-    Raises:
-        InputError: another kind of file.
     """
     check_suffix(path)
     looks = _looks(faults, good)
@@ -127,7 +119,8 @@ def _arm(axes: Axes, found: Preview, up: int, kinds: np.ndarray, looks: dict[str
     across = 1 if up == 2 and spread[1] > spread[0] else 0
     plane = [across, up]
     _reach(axes, found.arm, plane)
-    for line in found.lines[:: max(1, len(found.lines) // _ARMS)]:
+    # Most arms drawn as lines
+    for line in found.lines[:: max(1, len(found.lines) // 40)]:
         axes.plot(*line[:, plane].T, color=INK, alpha=0.22, linewidth=1.0, zorder=1)
     low, high = _extent(found, plane)
     for name, box in found.arm.keep_out.items():

@@ -32,7 +32,6 @@ class PlanCheck:
     """One question asked of every visit.
 
     Attributes:
-        question: what holds for a visit that passes.
         faults: for each visit, why it does not pass, or "".
         blocks: whether a visit that does not pass is not driven.
     """
@@ -57,12 +56,8 @@ class Preview:
     """What a plan would do.
 
     Attributes:
-        arm: as declared, with its boxes.
-        visits: in the order to drive them.
-        checks: questions that could be asked.
         unasked: why the other questions could not be asked, by question.
         lines: (N, k, 3) m, the arm at each visit from the foot to the tip.
-        view: the cameras, where their files are there.
         seconds: the way at the servos' speeds, the run-ups and the rests; None: speeds unknown.
     """
 
@@ -103,15 +98,7 @@ def preview(
     servos: ServoConfig | None = None,
     rest_s: float = 0.0,
 ) -> Preview:
-    """Look at the visits of a plan.
-
-    Args:
-        arm: as declared; its `keep_out` are the boxes.
-        visits: in the order to drive them.
-        view: of the cameras.
-        servos: of the arm.
-        rest_s: time at rest of each visit.
-    """
+    """Look at the visits of a plan."""
     model = declared_model(arm)
     q = np.array([visit.q for visit in visits])
     tips = model.pose(q)
@@ -136,11 +123,7 @@ def preview(
 
 
 def servos_beside(arm: Path, names: Sequence[str]) -> ServoConfig | None:
-    """The servos in the folder of an arm.yaml, where they are this arm's joints.
-
-    Raises:
-        InputError: the file cannot be read.
-    """
+    """The servos in the folder of an arm.yaml, where they are this arm's joints."""
     file = arm.absolute().parent / "servo_driver.yaml"
     if not file.is_file():
         return None

@@ -16,7 +16,6 @@ class Progress:
 
     Attributes:
         done, total: visits in the bag, of the plan.
-        visit: number of the visit at hand.
         q: (n,) joints it goes to, rad and m; None before the first and after the last.
         seen: visits of this run at which the marker was seen.
         lost: why it was lost at the others, in words.

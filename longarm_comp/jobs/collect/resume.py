@@ -21,12 +21,7 @@ _READ = {ROW_TOPIC: ROW_TYPE, COMMAND_TOPIC: "trajectory_msgs/msg/JointTrajector
 
 
 def visited(path: Path, todo: Sequence[Visit], n: int) -> set[int]:
-    """Indices of the visits that a bag of an arm with n joints holds.
-
-    Raises:
-        InputError: its poses, or the sides they were approached from, are not those of these
-            visits, or `collect` did not record it.
-    """
+    """Indices of the visits that a bag of an arm with n joints holds."""
     planned = {visit.index: visit.path for visit in todo}
     done: set[int] = set()
     command = np.zeros((0, n))

@@ -83,19 +83,9 @@ def collect(
 
     Args:
         client: of the arm; its `arm` has the boxes.
-        todo: the plan.
-        path: bag folder.
-        pace: time for each visit.
-        resume: go on with a bag.
         give_up: end when none of so many first visits saw the marker; 0: never.
         view: what the cameras see by the files, to say why a marker is lost.
         pause: while it is set, nothing is driven.
-        progress: called before and after every visit, and while it waits.
-
-    Raises:
-        InputError: the bag exists (without ``resume``), or belongs to another plan.
-        JobError: the arm did not arrive, or never saw the marker.
-        Interrupted: the client was stopped; the bag holds every complete visit.
     """
     pause = pause or threading.Event()
     done = (

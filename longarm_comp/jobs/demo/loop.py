@@ -30,9 +30,6 @@ from longarm_interfaces.srv import Compensate
 
 Say = Callable[[str, float], None]
 
-_READY_S = 120.0
-"""Five processes start; on a busy machine that takes its time."""
-
 
 @dataclass(frozen=True, eq=False)
 class DemoResult:
@@ -72,12 +69,7 @@ class DemoResult:
 def demonstrate(
     settings: DemoSettings, stop: threading.Event, say: Say = lambda text, share: None
 ) -> DemoResult:
-    """Run the whole loop; every process has ended when this returns or raises.
-
-    Raises:
-        InputError: the folder is not empty or cannot be written.
-        JobError: a step could not be done. Interrupted: ``stop`` was set.
-    """
+    """Run the whole loop; every process has ended when this returns or raises."""
     arm = Arm.load(settings.arm)
     hidden_effects(arm, sizes(settings.hidden), np.random.default_rng(settings.seed))  # checked
     prepare(settings)
@@ -94,7 +86,8 @@ def demonstrate(
 
         def go_round(folder: str = "") -> tuple[LoopResult, dict[str, Any]]:
             to_do = replace(settings.loop, out=settings.out / folder)
-            done = Loop(client, to_do, lambda report: True, witness=witness, say=say).run(_READY_S)
+            # Five processes start; on a busy machine that takes its time
+            done = Loop(client, to_do, lambda report: True, witness=witness, say=say).run(120.0)
             return done, write_loop(arm.name, to_do, done)
 
         first, _ = go_round()
@@ -121,11 +114,7 @@ SECOND = "second_round"
 
 
 def prepare(settings: DemoSettings) -> None:
-    """Make the folder. The logs that a start that failed has left in it are no obstacle.
-
-    Raises:
-        InputError: something else is there, or it cannot be written.
-    """
+    """Make the folder. The logs that a start that failed has left in it are no obstacle."""
     out = settings.out
     if out.exists() and (not out.is_dir() or {p.name for p in out.iterdir()} - {_LOGS}):
         raise InputError("demo", "--out", out, "a new or empty folder")

@@ -16,7 +16,6 @@ NAMESPACE = "longarm_demo"
 """Its own namespace: apart from any real arm on the same network."""
 
 PACE = Pace(sightings=3, dwell_s=0.08, move_s=0.05, arrive_s=20.0, look_s=3.0, tolerance=2e-4)
-_FRAME_RATE_HZ = 20.0
 
 
 @dataclass(frozen=True)
@@ -24,13 +23,10 @@ class DemoSettings:
     """One demonstration.
 
     Attributes:
-        out: folder for everything that it makes.
         poses: to measure, from random sides. targets: fresh ones to judge by.
         hidden: undeclared effects of the simulated arm, ``name=mm``.
         speed: motion so many times faster than the servos' file says.
         seed: of the hidden effects, the plan and the targets.
-        arm: file; the demonstration's own by default.
-        parameters: of nodes, on top.
         more_play: what the arm's play grows by before a second round, ``joint=rad``; empty: no
             second round.
     """
@@ -75,7 +71,7 @@ class DemoSettings:
         given: dict[str, dict[str, Any]] = {
             "servo_driver": {"follower.blend_s": 0.05},
             "simulated_arm": {
-                "hidden": self.hidden, "seed": self.seed, "frame_rate_hz": _FRAME_RATE_HZ,
+                "hidden": self.hidden, "seed": self.seed, "frame_rate_hz": 20.0,
             },
             "kinematics": {"move_time_s": PACE.move_s},
         }  # fmt: skip

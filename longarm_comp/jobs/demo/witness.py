@@ -23,11 +23,7 @@ class TrueTip:
         del self._heard[:-20]
 
     def __call__(self, after_ns: int) -> np.ndarray:
-        """The tip (3,), m, after a time (ns).
-
-        Raises:
-            JobError: the simulation does not say it.
-        """
+        """The tip (3,), m, after a time (ns)."""
         self._client.until(
             lambda: self._heard and self._heard[-1][0] > after_ns, 10.0,
             "no true_tip of the simulation",

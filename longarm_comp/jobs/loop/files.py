@@ -13,11 +13,7 @@ from longarm_comp.report.loop_page import loop_page
 
 
 def write_loop(arm: str, settings: LoopSettings, result: LoopResult) -> dict[str, Any]:
-    """Write ``loop.json`` and ``loop.html``; the contents of the former.
-
-    Raises:
-        InputError: the folder cannot be written.
-    """
+    """Write ``loop.json`` and ``loop.html``; the contents of the former."""
     data = summary(arm, settings, result)
     write_text(settings.out / "loop.json", json.dumps(data, indent=2))
     write_text(

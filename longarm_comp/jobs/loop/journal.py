@@ -20,12 +20,7 @@ class Journal:
     """Results of steps by name, written after each.
 
     Args:
-        path: file.
         facts: of the job, which must be those that it was begun with.
-        resume: go on with what is there.
-
-    Raises:
-        InputError: the file exists (without ``resume``), or was begun with other facts.
     """
 
     def __init__(self, path: Path, facts: dict[str, Any], *, resume: bool) -> None:

@@ -67,7 +67,6 @@ class LoopResult:
         files: at work on the graph.
         refused: targets that were left out, and why.
         first: the trials before the first round: not compensated, and as it was.
-        rounds: in their order.
         seconds: of each step done now.
     """
 
@@ -97,12 +96,8 @@ class Loop:
     """A loop on a running graph.
 
     Args:
-        client: of the arm.
-        settings: what to do.
         agree: asked before a diagnosis is applied.
         witness: another instrument that sees the tip, where there is one.
-        resume: go on after an interruption.
-        say: told what is done.
     """
 
     def __init__(

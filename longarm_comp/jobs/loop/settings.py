@@ -28,13 +28,9 @@ class LoopSettings:
     """One loop.
 
     Attributes:
-        out: folder for everything that it makes.
-        rounds: at most.
         poses: to measure in a round, from random sides. targets: fresh ones to judge by.
         network: train a predictor after every round.
         seed: of plans, targets, diagnosis and training.
-        pace: of the measurements.
-        names: of the runs.
     """
 
     out: Path

@@ -8,12 +8,14 @@ from __future__ import annotations
 import csv
 import io
 import re
+import zipfile
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import check_unpacked
 from longarm_comp.sessions.foreign.units import unit_of
 
 MOST_CELLS = 20_000_000
@@ -22,7 +24,6 @@ _POINT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _COMMA = re.compile(r"[-+]?(\d+,?\d*|,\d+)([eE][-+]?\d+)?")
 _DATED = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{2,4}|\d:\d\d")
 _NONE = {"", "nan", "n/a", "na", "#n/a", "-", "--", "null", "none"}
-_SAMPLE = 200
 
 
 @dataclass(frozen=True)
@@ -71,12 +72,8 @@ def read_cells(path: Path, sheet: str | None = None, decimal: str | None = None)
     """Read a table.
 
     Args:
-        path: a CSV file with any separator, or an XLSX workbook.
         sheet: name of the sheet; by default the only one.
         decimal: ``.`` or ``,``; by default as the cells show it.
-
-    Raises:
-        InputError: unreadable, no row of numbers, rows of different length, several sheets.
     """
     where, separator = str(path), ""
     if path.suffix.lower() in (".xlsx", ".xlsm"):
@@ -118,7 +115,7 @@ def _text(path: Path) -> str:
 
 def _separated(where: str, text: str) -> tuple[str, Lines]:
     """The separator that makes the most lines of the file's beginning rows of numbers."""
-    sample = "\n".join(text.splitlines()[:_SAMPLE])
+    sample = "\n".join(text.splitlines()[:200])
     scores = {mark: _score(_grid(where, sample, mark)) for mark in _SEPARATORS}
     best = max(scores, key=scores.__getitem__)  # the first of equal ones
     if scores[best] == (0, 0):
@@ -175,6 +172,8 @@ def _sheet(path: Path, name: str | None) -> Lines:
     import pandas as pd
 
     try:
+        with zipfile.ZipFile(path) as archive:
+            check_unpacked(path, archive)
         with pd.ExcelFile(path, engine="openpyxl") as book:
             sheets = [str(sheet) for sheet in book.sheet_names]
             if name is None and len(sheets) > 1:

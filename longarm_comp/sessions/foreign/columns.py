@@ -112,18 +112,12 @@ def understand(
     """The columns of the session that a file holds.
 
     Args:
-        where: the file.
-        names: its columns.
         given: by name of a column, with or without its unit: a session's column, or one and its
             unit (``q3:mm``).
         defaults: by kind, the unit of columns that name none.
         arm: names its joints and says which slide; None: joints without a unit turn.
         apart: columns that are read otherwise (an orientation).
         is_clock: whether the column at a place holds wall-clock times, which have no unit.
-
-    Raises:
-        InputError: a name of ``given`` is no column, two columns mean the same, a unit is missing
-            or of another kind.
     """
     told = {_place(where, names, key): key for key in given}
     meant = [given[key].partition(":")[0] for key in told.values()]

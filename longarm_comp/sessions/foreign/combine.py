@@ -21,11 +21,7 @@ _COUNTED = re.compile(r"\d+|\b[A-Za-z]\b")
 
 
 def place_of(cells: Cells, name: str, field: str) -> int:
-    """Place of the column that is called so, with or without its unit.
-
-    Raises:
-        InputError: there is none, or several.
-    """
+    """Place of the column that is called so, with or without its unit."""
     found = [k for k, n in enumerate(cells.names) if name == n]
     found = found or [k for k, n in enumerate(cells.names) if name == split_name(n)[0]]
     if len(found) != 1:
@@ -34,11 +30,7 @@ def place_of(cells: Cells, name: str, field: str) -> int:
 
 
 def appended(tables: Sequence[Cells]) -> Cells:
-    """The rows of tables of the same columns one after the other.
-
-    Raises:
-        InputError: their columns differ.
-    """
+    """The rows of tables of the same columns one after the other."""
     first, *others = map(_pointed, tables)
     rows, index = list(first.rows), list(range(len(first.rows)))
     for table in others:
@@ -58,9 +50,6 @@ def joined(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str, ...]
 
     Returns:
         The table, and in words which rows have no partner.
-
-    Raises:
-        InputError: no such column, a number twice, no row has a partner.
     """
     made, *others = map(_pointed, tables)
     lonely: list[str] = []

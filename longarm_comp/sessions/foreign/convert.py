@@ -61,11 +61,7 @@ class Options:
     sort: str | None = None
 
     def like(self, mapping: Path) -> Options:
-        """With what an earlier mapping says beside; what is told here goes before it.
-
-        Raises:
-            InputError: it is no mapping.
-        """
+        """With what an earlier mapping says beside; what is told here goes before it."""
         data = read_yaml(mapping)
         try:
             given = {
@@ -93,14 +89,12 @@ class Imported:
     """A converted table.
 
     Attributes:
-        cells: the file's.
         columns: session columns by name, (N,) numbers or texts.
         sources: how each was read.
         left_out: columns of the file that were not read.
         assumed: joints that were taken to turn, as no arm says it.
         rotation: the convention of the orientation.
         units: of columns that name none.
-        files: that it was read from.
         lonely: rows of joined files without a partner, in words.
         markers: that stood side by side.
     """
@@ -136,11 +130,7 @@ class Imported:
         return rows
 
     def save(self, path: Path) -> Path:
-        """Write the session, and the mapping beside it; returns the mapping's path.
-
-        Raises:
-            InputError: the folder cannot be written to.
-        """
+        """Write the session, and the mapping beside it; returns the mapping's path."""
         write_table(path, list(self.columns), zip(*self.columns.values(), strict=True))
         beside = path.with_suffix(".mapping.yaml")
         several = len(self.files) > 1  # each may have its own sign
@@ -174,12 +164,7 @@ class Imported:
 def import_table(
     path: str | Path | Sequence[str | Path], options: Options | None = None
 ) -> Imported:
-    """Read a table of another program, or several that make one session.
-
-    Raises:
-        InputError: see `read_cells` and `understand`; no joints or no measurement in it; an
-            orientation whose convention was not told; a cell that is no number.
-    """
+    """Read a table of another program, or several that make one session."""
     options = options or Options()
     files = tuple(map(Path, [path] if isinstance(path, str | Path) else path))
     cells, lonely = _together(files, options)

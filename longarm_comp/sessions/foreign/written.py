@@ -25,11 +25,7 @@ _SIDE = re.compile(r"approach_(q\d+)")
 
 
 class Like:
-    """The form of a table, as the mapping of `longarm import-data` tells it.
-
-    Raises:
-        InputError: it is no mapping.
-    """
+    """The form of a table, as the mapping of `longarm import-data` tells it."""
 
     def __init__(self, mapping: Path) -> None:
         data = read_yaml(mapping)
@@ -50,11 +46,7 @@ class Like:
         return path.with_suffix(".xlsx") if self.workbook else path
 
     def read(self, path: str | Path) -> Table:
-        """A table in this form as one in SI; columns that the mapping does not know stay.
-
-        Raises:
-            InputError: as `read_cells`.
-        """
+        """A table in this form as one in SI; columns that the mapping does not know stay."""
         cells = read_cells(Path(path))
         known = {s: (n, u) for n, (s, u) in self._columns.items()}
         known = {split_name(s)[0]: held for s, held in known.items()} | known
@@ -73,11 +65,7 @@ class Like:
         return Table(str(path), tuple(made), tuple(line for line, _ in cells.rows), made)
 
     def write(self, path: str | Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-        """Write rows whose columns are in SI, whole or not at all; by the ending of the path.
-
-        Raises:
-            InputError: the folder cannot be written.
-        """
+        """Write rows whose columns are in SI, whole or not at all; by the ending of the path."""
         import pandas as pd
 
         forms = [self._form(name) for name in header]

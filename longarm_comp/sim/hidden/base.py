@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import ClassVar, Literal, TypeVar
 
 import numpy as np
@@ -14,7 +15,7 @@ from longarm_comp.sim.rods import Walker
 
 Array = np.ndarray
 ALPHA, A, THETA, D = range(4)
-Dosed = TypeVar("Dosed", bound="HiddenEffect")
+Scaled = TypeVar("Scaled", bound="Dosed")
 
 
 @dataclass(frozen=True)
@@ -39,21 +40,33 @@ class Place:
     overlap: Array | None = None
 
 
-class HiddenEffect:
+class Dosed:
+    """What has a name, that of its class (``JointZero``: ``joint_zero``), and a size."""
+
+    name: ClassVar[str]
+    doses: ClassVar[tuple[str, ...]] = ()
+    """Fields that are its size; by default the first."""
+
+    def __init_subclass__(cls) -> None:
+        """Name the class."""
+        if "name" not in vars(cls):
+            cls.name = re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
+
+    def scaled(self: Scaled, dose: float) -> Scaled:
+        """The same effect `dose` times as large."""
+        sizes = self.doses or (fields(self)[0].name,)  # type: ignore[arg-type]
+        return replace(self, **{f: dose * getattr(self, f) for f in sizes})  # type: ignore
+
+
+class HiddenEffect(Dosed):
     """An undeclared effect on the true arm. Every method of this class has no effect.
 
     Subclasses are frozen dataclasses and override the methods that they need.
     """
 
-    name: ClassVar[str]
-    doses: ClassVar[tuple[str, ...]]
     gated: ClassVar[bool] = False
     of_command: ClassVar[bool] = False
     """Whether it acts on the command of a joint, before all effects on the joint."""
-
-    def scaled(self: Dosed, dose: float) -> Dosed:
-        """The same effect `dose` times as large: the fields in `doses` times `dose`."""
-        return replace(self, **{f: dose * getattr(self, f) for f in self.doses})  # type: ignore
 
     def joints(self, q: Array, state: State) -> Array:
         """True joint values (N, n) from those after the effects before it (`TrueArm`)."""

@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import ClassVar, TypeVar
+from dataclasses import dataclass
 
 import numpy as np
 
+from longarm_comp.sim.hidden.base import Dosed
 from longarm_comp.sim.rods import rpy_matrix
 
 Array = np.ndarray
-Seeing = TypeVar("Seeing", bound="CameraEffect")
 
 
-class CameraEffect:
+class CameraEffect(Dosed):
     """Moves the seen point, not the arm. Points are in camera axes: x right, y down, z depth."""
-
-    name: ClassVar[str]
-    doses: ClassVar[tuple[str, ...]]
-
-    def scaled(self: Seeing, dose: float) -> Seeing:
-        """The same effect `dose` times as large."""
-        return replace(self, **{f: dose * getattr(self, f) for f in self.doses})  # type: ignore
 
     def seen(self, points: Array, t_s: Array) -> Array:
         """Seen points (N, 3) m of true points (N, 3) m at times (N,) s."""
@@ -32,8 +24,6 @@ class CameraEffect:
 class CameraPose(CameraEffect):
     """Pose error `delta` (6,) of the head: m and rad, in camera axes."""
 
-    name: ClassVar[str] = "camera_pose"
-    doses: ClassVar[tuple[str, ...]] = ("delta",)
     delta: Array
 
     def seen(self, points: Array, t_s: Array) -> Array:
@@ -44,8 +34,6 @@ class CameraPose(CameraEffect):
 class CameraScale(CameraEffect):
     """Baseline error: seen distances are 1 + scale times the true ones."""
 
-    name: ClassVar[str] = "camera_scale"
-    doses: ClassVar[tuple[str, ...]] = ("scale",)
     scale: float
 
     def seen(self, points: Array, t_s: Array) -> Array:
@@ -56,8 +44,6 @@ class CameraScale(CameraEffect):
 class CameraRadial(CameraEffect):
     """Remaining lens distortion: factor 1 + k1 (x^2 + y^2) / z^2 across the optical axis."""
 
-    name: ClassVar[str] = "camera_radial"
-    doses: ClassVar[tuple[str, ...]] = ("k1",)
     k1: float
 
     def seen(self, points: Array, t_s: Array) -> Array:
@@ -71,8 +57,6 @@ class CameraRadial(CameraEffect):
 class CameraDrift(CameraEffect):
     """The head's mount moves with time: `rate` (6,) m/h and rad/h, in camera axes."""
 
-    name: ClassVar[str] = "camera_drift"
-    doses: ClassVar[tuple[str, ...]] = ("rate",)
     rate: Array
 
     def seen(self, points: Array, t_s: Array) -> Array:

@@ -164,11 +164,7 @@ OUTSIDE_EVERY_LIBRARY = ("cogging_bump", "cable_drag", "loose_screw")
 
 
 def hidden(name: str, arm: Arm, dose: float, rng: np.random.Generator) -> Hidden:
-    """An effect by name, `dose` times its typical size, at a random place.
-
-    Raises:
-        InputError: unknown name, or the arm cannot have this effect.
-    """
+    """An effect by name, `dose` times its typical size, at a random place."""
     if name not in HIDDEN:
         raise InputError("hidden effect", "name", name, ", ".join(HIDDEN))
     return HIDDEN[name](arm, rng).scaled(dose)
@@ -182,14 +178,9 @@ def draw(
     Servo steps exist only in a few sizes, so the nearest of them is taken.
 
     Args:
-        name: canonical name.
         arm: the declared arm.
-        rng: draws its place.
         size_mm: wanted rms shift over the poses (3-D), mm.
         poses: (N, n); 60 random ones by default.
-
-    Raises:
-        InputError: unknown effect, or no dose of it moves this arm.
     """
     effect = HIDDEN[name](arm, rng) if name in HIDDEN else hidden(name, arm, 1.0, rng)
     poses = rng.uniform(arm.lower, arm.upper, (60, arm.n)) if poses is None else poses

@@ -18,8 +18,6 @@ Array = np.ndarray
 class JointGain(HiddenEffect):
     """Encoder or pot scale of the turning joints: the shaft turns (1 + gain) q; gain (n,)."""
 
-    name: ClassVar[str] = "joint_gain"
-    doses: ClassVar[tuple[str, ...]] = ("gain",)
     gain: Array
 
     def joints(self, q: Array, state: State) -> Array:
@@ -30,15 +28,11 @@ class JointGain(HiddenEffect):
 class PrismaticPitch(JointGain):
     """Screw pitch of the sliding joints: they travel (1 + gain) q; gain (n,)."""
 
-    name: ClassVar[str] = "prismatic_pitch"
-
 
 @dataclass(frozen=True)
 class GearEccentricity(HiddenEffect):
     """Gears off centre: q + sum over orders k of amplitude_k sin(k q + phase_k); (2, n), rad."""
 
-    name: ClassVar[str] = "gear_eccentricity"
-    doses: ClassVar[tuple[str, ...]] = ("amplitude",)
     amplitude: Array
     phase: Array
 
@@ -56,8 +50,6 @@ STEPS_PER_TURN = (180, 256, 300, 360, 512, 720, 1000, 1024, 2048, 4096, 16384)
 class ServoQuantisation(HiddenEffect):
     """Servos are told whole steps: the command is rounded to `step` (n,), rad or m; 0: not."""
 
-    name: ClassVar[str] = "servo_quantisation"
-    doses: ClassVar[tuple[str, ...]] = ("step",)
     of_command: ClassVar[bool] = True
     step: Array
 
@@ -82,8 +74,6 @@ class ServoQuantisation(HiddenEffect):
 class FrictionHysteresis(HiddenEffect):
     """Lost motion by approach: the joint stops `lag` (n,) short of where it was sent, rad or m."""
 
-    name: ClassVar[str] = "friction_hysteresis"
-    doses: ClassVar[tuple[str, ...]] = ("lag",)
     lag: Array
 
     def joints(self, q: Array, state: State) -> Array:
@@ -98,8 +88,6 @@ class FrictionMemory(HiddenEffect):
     move before.
     """
 
-    name: ClassVar[str] = "friction_memory"
-    doses: ClassVar[tuple[str, ...]] = ("lag",)
     lag: Array
 
     def joints(self, q: Array, state: State) -> Array:
@@ -115,8 +103,6 @@ class Backlash(HiddenEffect):
         gate: torque or force above which the weight decides, N m or N.
     """
 
-    name: ClassVar[str] = "backlash"
-    doses: ClassVar[tuple[str, ...]] = ("half",)
     gated: ClassVar[bool] = True
     half: Array
     gate: float
@@ -136,7 +122,6 @@ class ServoDroop(HiddenEffect):
         friction: torque below which the approach decides the edge, N m.
     """
 
-    name: ClassVar[str] = "servo_droop"
     doses: ClassVar[tuple[str, ...]] = ("yielding", "deadband")
     gated: ClassVar[bool] = True
     yielding: Array
@@ -163,7 +148,6 @@ class ServoDroop(HiddenEffect):
 class CoggingBump(HiddenEffect):
     """Outside every library: joint `joint` is pushed off by `height` (rad) near one angle."""
 
-    name: ClassVar[str] = "cogging_bump"
     doses: ClassVar[tuple[str, ...]] = ("height",)
     joint: int
     centre: float
@@ -184,7 +168,6 @@ class CableDrag(HiddenEffect):
     The pull is `pull` (rad) times the product of both joints' places in their ranges, -1 to 1.
     """
 
-    name: ClassVar[str] = "cable_drag"
     doses: ClassVar[tuple[str, ...]] = ("pull",)
     joint: int
     wound_by: tuple[int, int]
@@ -196,3 +179,48 @@ class CableDrag(HiddenEffect):
         q = q.copy()
         q[:, self.joint] += self.pull * place[:, self.wound_by[0]] * place[:, self.wound_by[1]]
         return q
+
+
+@dataclass(frozen=True)
+class CylinderPins(HiddenEffect):
+    """A joint's cylinder has the length that the drawing asks for, between pins elsewhere.
+
+    The triangle is solved exactly for the angle.
+
+    Attributes:
+        joint: index in q.
+        drawn: near, far (m) and angle at q = 0 (rad), as declared; the angle grows with q.
+        true: near, far (m), and what the sensor's zero adds to the length (m).
+    """
+
+    name: ClassVar[str] = "cylinder_pins"
+    joint: int
+    drawn: tuple[float, float, float]
+    true: tuple[float, float, float]
+
+    def joints(self, q: Array, state: State) -> Array:
+        near, far, zero = self.drawn
+        length = np.hypot(near - far * np.cos(zero + q[:, self.joint]),
+                          far * np.sin(zero + q[:, self.joint]))  # fmt: skip
+        a, b, more = self.true
+        turned = q.copy()
+        turned[:, self.joint] = np.arccos((a**2 + b**2 - (length + more) ** 2) / (2 * a * b)) - zero
+        return turned
+
+
+@dataclass(frozen=True)
+class CylinderPlay(CylinderPins):
+    """Worn pins: the cylinder is half the play shorter or longer, as the approach left it."""
+
+    name: ClassVar[str] = "cylinder_play"
+    play: float = 0.0
+
+    def joints(self, q: Array, state: State) -> Array:
+        came = np.broadcast_to(state.approach, q.shape)[:, self.joint]
+        made = q.copy()
+        for side in (-1.0, 1.0):
+            a, b, more = self.true
+            short = CylinderPins(self.joint, self.drawn, (a, b, more - side * self.play / 2))
+            rows = came == side
+            made[rows] = short.joints(q, state)[rows]
+        return made

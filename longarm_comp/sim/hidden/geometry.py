@@ -17,8 +17,6 @@ Array = np.ndarray
 class JointZero(HiddenEffect):
     """Zeros off by `offset` (n,), rad or m."""
 
-    name: ClassVar[str] = "joint_zero"
-    doses: ClassVar[tuple[str, ...]] = ("offset",)
     offset: Array
 
     def joints(self, q: Array, state: State) -> Array:
@@ -29,8 +27,6 @@ class JointZero(HiddenEffect):
 class DhError(HiddenEffect):
     """Rows off by `delta` (4, R): alpha, a, theta, d in rad and m."""
 
-    name: ClassVar[str] = "dh_error"
-    doses: ClassVar[tuple[str, ...]] = ("delta",)
     delta: Array
 
     def rows(self, rows: Array, state: State) -> Array:
@@ -41,8 +37,6 @@ class DhError(HiddenEffect):
 class BasePose(HiddenEffect):
     """Placement error `delta` (6,) of the foot: x, y, z, roll, pitch, yaw in m and rad."""
 
-    name: ClassVar[str] = "base_pose"
-    doses: ClassVar[tuple[str, ...]] = ("delta",)
     delta: Array
 
     def base(self, pose: Array) -> Array:
@@ -53,8 +47,6 @@ class BasePose(HiddenEffect):
 class GravityDirection(HiddenEffect):
     """Gravity tilted by `tilt` (2,), rad about x and y of the base frame."""
 
-    name: ClassVar[str] = "gravity_direction"
-    doses: ClassVar[tuple[str, ...]] = ("tilt",)
     tilt: Array
 
     def gravity(self, gravity: Array) -> Array:
@@ -68,8 +60,6 @@ class GravityDirection(HiddenEffect):
 class ThermalGrowth(HiddenEffect):
     """All printed lengths grow by `rate` (1/K) from the declared reference temperature."""
 
-    name: ClassVar[str] = "thermal_growth"
-    doses: ClassVar[tuple[str, ...]] = ("rate",)
     rate: float
 
     def rows(self, rows: Array, state: State) -> Array:
@@ -83,7 +73,6 @@ class ThermalGrowth(HiddenEffect):
 class LooseScrew(HiddenEffect):
     """Not in the library: row `row` jumps by `jump` (rad) beyond an angle of a joint."""
 
-    name: ClassVar[str] = "loose_screw"
     doses: ClassVar[tuple[str, ...]] = ("jump",)
     row: int
     joint: int

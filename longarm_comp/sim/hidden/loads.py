@@ -19,8 +19,6 @@ Array = np.ndarray
 class JointCompliance(HiddenEffect):
     """Gears wind up: a turning joint gives `compliance` (n,) rad/(N m) times its torque."""
 
-    name: ClassVar[str] = "joint_compliance"
-    doses: ClassVar[tuple[str, ...]] = ("compliance",)
     compliance: Array
 
     def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
@@ -35,8 +33,6 @@ class JointCompliance(HiddenEffect):
 class BearingTilt(HiddenEffect):
     """Bearings tilt across their axis: `compliance` (n,) rad/(N m) times the moment across."""
 
-    name: ClassVar[str] = "bearing_tilt"
-    doses: ClassVar[tuple[str, ...]] = ("compliance",)
     compliance: Array
 
     def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
@@ -51,8 +47,6 @@ class BearingTilt(HiddenEffect):
 class BaseCompliance(HiddenEffect):
     """The foot tilts: `compliance` (2,) rad/(N m) times the moments about x and y."""
 
-    name: ClassVar[str] = "base_compliance"
-    doses: ClassVar[tuple[str, ...]] = ("compliance",)
     compliance: Array
 
     def give(self, place: Place, beyond: Walker, state: State) -> Array | None:
@@ -70,7 +64,6 @@ class BaseCompliance(HiddenEffect):
 class BaseSettling(HiddenEffect):
     """The foot sinks by `sink` m/h and leans by `lean` (2,) rad/h about x and y."""
 
-    name: ClassVar[str] = "base_settling"
     doses: ClassVar[tuple[str, ...]] = ("sink", "lean")
     sink: float
     lean: Array
@@ -97,7 +90,6 @@ class TelescopeClearance(HiddenEffect):
         pads: compression per force of the two pads of a guide, an overlap apart, m/N.
     """
 
-    name: ClassVar[str] = "telescope_clearance"
     doses: ClassVar[tuple[str, ...]] = ("clearance", "pads")
     clearance: float
     firm: float = 0.02
@@ -120,7 +112,6 @@ class TelescopeClearance(HiddenEffect):
 class LinkStiffness(HiddenEffect):
     """The print is softer than declared: compliance times 1 + softer (by beam name)."""
 
-    name: ClassVar[str] = "link_stiffness"
     doses: ClassVar[tuple[str, ...]] = ("dose",)
     softer: dict[str, float]
     dose: float = 1.0
@@ -133,8 +124,6 @@ class LinkStiffness(HiddenEffect):
 class Creep(HiddenEffect):
     """The print yields with time under load: compliance times 1 + more (1 - exp(-t / time))."""
 
-    name: ClassVar[str] = "creep"
-    doses: ClassVar[tuple[str, ...]] = ("more",)
     more: float
     time_s: float
 
@@ -146,8 +135,6 @@ class Creep(HiddenEffect):
 class ThermalSoftening(HiddenEffect):
     """The print softens as it warms: compliance times 1 + `rate` (T - reference), 1/K."""
 
-    name: ClassVar[str] = "thermal_softening"
-    doses: ClassVar[tuple[str, ...]] = ("rate",)
     rate: float
 
     def softness(self, beam: Beam, state: State) -> Array | float:
@@ -158,7 +145,6 @@ class ThermalSoftening(HiddenEffect):
 class SlidePlay(HiddenEffect):
     """What the slide of row `row` carries rocks by `angle` (rad) to its heavy side."""
 
-    name: ClassVar[str] = "slide_play"
     doses: ClassVar[tuple[str, ...]] = ("angle",)
     row: int
     angle: float
@@ -175,8 +161,6 @@ class SlidePlay(HiddenEffect):
 class TipPayload(HiddenEffect):
     """An undeclared mass (kg) in the payload's place (the tip where none is declared)."""
 
-    name: ClassVar[str] = "tip_payload"
-    doses: ClassVar[tuple[str, ...]] = ("mass_kg",)
     mass_kg: float
 
     def masses(self, state: State) -> list[tuple[int, Array | float, tuple[float, float, float]]]:
@@ -188,7 +172,6 @@ class TipPayload(HiddenEffect):
 class LinkMass(HiddenEffect):
     """An undeclared mass (kg) in the origin of the frame of row `row`."""
 
-    name: ClassVar[str] = "link_mass"
     doses: ClassVar[tuple[str, ...]] = ("mass_kg",)
     row: int
     mass_kg: float
@@ -208,7 +191,6 @@ class MeasuredTilt(HiddenEffect):
         sway: (2,) rad. period_s: of the sway. lean: (2,) rad at the first joint's limits.
     """
 
-    name: ClassVar[str] = "measured_tilt"
     doses: ClassVar[tuple[str, ...]] = ("sway", "lean")
     row: int
     sway: Array

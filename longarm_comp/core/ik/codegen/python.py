@@ -19,7 +19,6 @@ from longarm_comp.core.ik.codegen.symbolic import Graph, Operand, Symbol
 Outputs = dict[int, Any]  # place in s -> symbol or number
 
 _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "pow": "**"}
-_DEEPEST = 12  # nesting of inlined expressions
 _NAME = re.compile(r"v(\d+)")
 
 FLOATS: dict[str, Any] = {
@@ -59,7 +58,8 @@ def python(name: str, graph: Graph, outputs: Outputs, arrays: bool = False) -> s
         op, operands = graph.nodes[node]
         deep = 1 + max((depth[o] for o in operands if type(o) is int), default=0)
         shown = _expression(op, operands, text, arrays)
-        if op == "input" or uses[node] > 1 or deep >= _DEEPEST:
+        # nesting of inlined expressions
+        if op == "input" or uses[node] > 1 or deep >= 12:
             lines.append((f"v{node}", shown))
             shown, deep = f"v{node}", 0
         text[node], depth[node] = shown, deep

@@ -1,0 +1,53 @@
+"""Play in the pins of a joint's cylinder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from typing_extensions import Self
+
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.arm.spatial import Twist
+from longarm_comp.core.effects.effect import form, parameter
+from longarm_comp.core.effects.joint_term import BLEND, GATES, JointTerm
+
+
+@dataclass(frozen=True)
+class CylinderPlay(JointTerm):
+    """As `backlash`, but worn pins shift the cylinder: the joint turns by the play over its lever.
+
+    Attributes:
+        gate, blend: as in `Backlash`.
+    """
+
+    name: ClassVar[str] = "cylinder_play"
+    title: ClassVar[str] = "play in the cylinder's pins"
+    action: ClassVar[str] = "Renew the pins and bushes of the cylinder."
+    needs: ClassVar[tuple[str, ...]] = ("approach",)
+    loaded: ClassVar[bool] = True
+
+    gate: float = form(0.0, lower=0.0, upper=1.0)
+    blend: float = form(BLEND, lower=0.01, upper=0.5)
+    width: float = parameter("m", "play of both pins along the cylinder", prior=1e-3, lower=0.0)
+
+    @classmethod
+    def fits(cls, arm: Arm, row: int) -> bool:
+        """Joints that a cylinder turns."""
+        return arm.joints[row - 1].cylinder is not None
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """Each of them, with several gates."""
+        return [(cls(joint=row, gate=gate),) for row in cls.rows(arm) for gate in GATES]
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """Half the play over the lever, to the side that holds."""
+        cylinder = posture.arm.joints[self.joint - 1].cylinder
+        assert cylinder is not None
+        lever = spatial.absolute(cylinder.lever(posture.q[posture.arm.commanded.index(self.joint)]))
+        side = self.side(posture, self.gate, self.blend)
+        return self.motion(posture, 0.5 * self.width / lever * side)

@@ -1,0 +1,229 @@
+"""The true arm's vibration: rigid segments joined by springs, driven by the motion of the joints.
+
+Every rod is cut into rigid pieces with a rotational spring in the middle of each; what yields at a
+bearing is a spring there (the finite segment method: Huston, *Multibody Dynamics*, 1990).  A spring
+answers as the hidden effects do beyond their play.  Vibration is small: about the unbent arm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from longarm_comp.core.errors import InputError
+from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.context import State, TrueContext
+from longarm_comp.sim.hidden.base import THETA, A, D, Place
+from longarm_comp.sim.rod_chain import Walk
+from longarm_comp.sim.rods import Walker, rpy_matrix
+
+Array = np.ndarray
+PIECES = 6
+"""Of each rod."""
+MODES = 8
+_AGAIN = 0.02  # of a joint's range: so far the modes are those of the posture before
+
+
+@dataclass(frozen=True, eq=False)
+class Vibration:
+    """Modes about one posture, scaled to a modal mass of 1 kg.
+
+    Attributes:
+        omega: (k,) rad/s. shape: (3 P, k) of all masses. mass: (3 P,) kg. tip: (3, k).
+        driven: (k, n) by a unit of each joint's acceleration.
+    """
+
+    omega: Array
+    shape: Array
+    mass: Array
+    tip: Array
+    driven: Array
+
+
+class _Build:
+    """Springs and masses, from the foot to the tip."""
+
+    def __init__(self, true: TrueArm, q: Array, context: TrueContext | None) -> None:
+        self.arm, self._hidden = true.arm, true.hidden
+        self._state = State.of(self.arm, np.tile(q, (3, 1)), context)
+        self._walk = Walk(self._state, self._hidden, 1, False)
+        self.springs: list[tuple[Array, Array]] = []  # where, and root of its compliance
+        self.masses: list[tuple[Array, float, int]] = []  # where, kg, springs before it
+        self.moved: list[tuple[Array, Array | None, Array, int]] = []  # rows that move
+        self._turn, self._at = rpy_matrix(self._walk._base[3:]), self._walk._base[:3]
+        self.tip = (self._at, 0)
+        self._yields(Place("base", 0))
+        self._frame(0)
+        for row in range(1, len(self.arm.joints) + 1):
+            self._row(row)
+
+    def _yields(self, place: Place) -> None:
+        """A spring where hidden effects yield."""
+        whole = np.zeros((3, 3))
+        for effect in self._hidden:
+            gives = [effect.give(place, self._bent(times), self._state) for times in (1.0, 2.0)]
+            if gives[0] is not None and gives[1] is not None:
+                whole += (gives[1] - gives[0])[:, 0]
+        if whole.any():
+            self._spring(self._at, whole)
+
+    def _bent(self, times: float) -> Walker:
+        """Unit moments about the three axes here, times a number."""
+        walker = Walker(np.zeros((3, 1, 3)))
+        walker.push(np.zeros((3, 3)), np.zeros((3, 3)), times * np.eye(3))
+        return walker
+
+    def _spring(self, at: Array, compliance: Array) -> None:
+        values, axes = np.linalg.eigh(0.5 * (compliance + compliance.T))
+        root = self._turn @ (axes * np.sqrt(np.maximum(values, 0.0)))
+        self.springs.append((np.array(at), root))
+
+    def _frame(self, row: int) -> None:
+        for mass, at in self._walk._masses[row]:
+            self._mass(float(np.ravel(mass)[0]), self._at + self._turn @ np.asarray(at))
+        if row == self.arm.tip.frame:
+            self.tip = (self._at + self._turn @ np.asarray(self.arm.tip.position_m),
+                        len(self.springs))  # fmt: skip
+
+    def _mass(self, mass: float, at: Array) -> None:
+        if mass > 0.0:
+            self.masses.append((at, mass, len(self.springs)))
+
+    def _row(self, row: int) -> None:
+        joint, rows = self.arm.joints[row - 1], self._walk._rows[:, row - 1, 0]
+        if joint.pose is not None:
+            self._at = self._at + self._turn @ np.asarray(joint.pose.xyz_m)
+            self._turn = self._turn @ rpy_matrix(np.radians(joint.pose.rpy_deg))
+            self._yields(Place("bearing", row))
+        else:
+            self._turn = self._turn @ rpy_matrix((rows[0], 0.0, 0.0))
+            self._run(row, "a", rows[A])
+            self._turn = self._turn @ rpy_matrix((0.0, 0.0, rows[THETA]))
+            axis, slides = self._turn[:, 2].copy(), joint.type == "prismatic"
+            if joint.type != "fixed":
+                weights = self.arm.mixing[0][row - 1]
+                place = None if slides else self._at.copy()
+                self.moved.append((axis, place, weights, len(self.springs)))
+            motor = self.arm.commanded.index(row) if row in self.arm.commanded else None
+            self._yields(Place("bearing", row, motor, slides))
+            self._run(row, "d", rows[D])
+        self._yields(Place("frame", row))
+        self._frame(row)
+
+    def _run(self, row: int, role: str, size: float) -> None:
+        """Along the rods of a row's role."""
+        along = (1.0 if size >= 0.0 else -1.0) * self._turn[:, 0 if role == "a" else 2]
+        beams = [b for b in self.arm.links if b.row == row and b.role == role]
+        fixed = sum(b.length_m for b in beams if b.length_m != "rest")
+        lengths = [abs(size) - fixed if b.length_m == "rest" else b.length_m for b in beams]
+        ends, begin = np.cumsum(lengths), self._at
+        bodies = [(b.mass_kg, e, e - (b.body_length_m or length))
+                  for b, e, length in zip(beams, ends, lengths, strict=True)]  # fmt: skip
+        for mass, end, start in bodies:  # bodies that reach back past the row's beginning
+            behind = max(-start, 0.0)
+            self._mass(mass * behind / (end - start), begin - 0.5 * behind * along)
+        for beam, end, length in zip(beams, ends, lengths, strict=True):
+            if beam.length_m == "rest":
+                overlap = np.full(3, min(max((beam.body_length_m or 0.0) - length, 0.0), end))
+                self._at = begin + along * (end - length)
+                self._yields(Place("slide", row, beam=beam, overlap=overlap))
+            first, second, torsion = beam.stiffness
+            order = (torsion, first, second) if role == "a" else (first, second, torsion)
+            soft = 1.0
+            for effect in self._hidden:
+                soft = soft * float(np.ravel(effect.softness(beam, self._state))[0])
+            piece = length / PIECES
+            for k in range(PIECES):
+                near = end - length + k * piece
+                inside = sum(
+                    m / (e - s) * max(min(e, near + piece) - max(s, near), 0.0)
+                    for m, e, s in bodies
+                )
+                self._mass(0.5 * inside, begin + along * near)
+                self._spring(
+                    begin + along * (near + 0.5 * piece), np.diag(piece * soft / np.array(order))
+                )
+                self._mass(0.5 * inside, begin + along * (near + piece))
+        self._at = begin + along * abs(size)
+
+
+def vibration(true: TrueArm, q: Array, context: TrueContext | None = None) -> Vibration:
+    """Modes of the true arm about one posture (n,), its drives held."""
+    built = _Build(true, q, context)
+    points = [*((at, before) for at, _, before in built.masses), built.tip]
+    gives = np.zeros((3 * len(points), 3 * len(built.springs)))
+    turns = np.zeros((3 * len(points), true.arm.n))
+    for k, (at, before) in enumerate(points):
+        rows = slice(3 * k, 3 * k + 3)
+        for j, (where, root) in enumerate(built.springs[:before]):
+            gives[rows, 3 * j : 3 * j + 3] = np.cross(root, at - where, axis=0)
+        for axis, place, weights, springs in built.moved:
+            if springs <= before:
+                moved = axis if place is None else np.cross(axis, at - place)
+                turns[rows] += np.outer(moved, weights)
+    mass = np.repeat([m for _, m, _ in built.masses], 3)
+    heavy, hang = gives[:-3], turns[:-3]
+    values, axes = np.linalg.eigh(heavy.T @ (mass[:, None] * heavy))
+    chosen = np.flatnonzero(values > 1e-12 * max(values.max(initial=0.0), 1e-30))[::-1][:MODES]
+    omega = 1.0 / np.sqrt(values[chosen])
+    shape = heavy @ axes[:, chosen] * omega
+    return Vibration(
+        omega, shape, mass, gives[-3:] @ axes[:, chosen] * omega,
+        -shape.T @ (mass[:, None] * hang),
+    )  # fmt: skip
+
+
+class Ringing:
+    """The tip's vibration while the joints move.
+
+    Args:
+        true: the arm at rest.
+        damping: share of critical damping of every mode.
+
+    Raises:
+        InputError: no such damping.
+    """
+
+    def __init__(self, true: TrueArm, damping: float) -> None:
+        if not 0.0 < damping < 1.0:
+            raise InputError("simulated arm", "damping", damping, "above 0 and below 1")
+        self._true, self._damping = true, damping
+        self._about: tuple[Array, Vibration] | None = None
+        self._last: tuple[float, Array, Array] | None = None  # time, joints, their speed
+        self._wave = np.zeros(0, complex)
+
+    def moved(self, t_s: float, q: Array) -> Array:
+        """The joints are at q (n,) at a time: the tip's displacement then, (3,) m."""
+        now = self._modes(q)
+        if self._last is None:
+            self._last = t_s, q, np.zeros_like(q)
+        before, came, speed = self._last
+        if t_s > before:
+            fresh = (q - came) / (t_s - before)
+            damped = now.omega * np.sqrt(1.0 - self._damping**2)
+            rate = -self._damping * now.omega + 1j * damped
+            kick = now.driven @ (fresh - speed) / (1j * damped)  # when the last span began
+            self._wave = (self._wave + kick) * np.exp(rate * (t_s - before))
+            self._last = t_s, q, fresh
+        return np.asarray(now.tip @ self._wave.real)
+
+    def _modes(self, q: Array) -> Vibration:
+        """Those of the posture; a wave goes on in them with the motion that the masses have."""
+        span = self._true.arm.upper - self._true.arm.lower
+        if self._about is not None and (np.abs(q - self._about[0]) <= _AGAIN * span).all():
+            return self._about[1]
+        new = vibration(self._true, q)
+        if self._about is None:
+            self._wave = np.zeros(len(new.omega), complex)
+        else:
+            old = self._about[1]
+            damped = [v.omega * np.sqrt(1.0 - self._damping**2) for v in (old, new)]
+            decay = [self._damping * v.omega for v in (old, new)]
+            place = self._wave.real
+            speed = -decay[0] * place - damped[0] * self._wave.imag
+            carry = new.shape.T @ (new.mass[:, None] * old.shape)
+            there, then = carry @ place, carry @ speed
+            self._wave = there - 1j * (then + decay[1] * there) / damped[1]
+        self._about = np.array(q), new
+        return new

@@ -1,0 +1,46 @@
+"""Many targets, or realisable joints of many, as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.compensation.compensate import compensate
+from longarm_comp.core.compensation.realisable import choose
+from longarm_comp.core.model.model import Model
+
+
+def stacked(rows: Sequence[Any]) -> SimpleNamespace:
+    """Fields of records of one kind, each with a leading axis; texts and records as a list."""
+    made: dict[str, Any] = {}
+    for name in vars(rows[0]):
+        values = [getattr(row, name) for row in rows]
+        alike = isinstance(values[0], float | int | bool | np.ndarray | np.generic)
+        made[name] = np.array(values) if alike else values
+    return SimpleNamespace(**made, rows=list(rows))
+
+
+def compensate_many(
+    model: Model, predictor: Any, targets: np.ndarray, *, context: Context | None = None,
+    seed: Any = None, **options: Any,
+) -> SimpleNamespace:  # fmt: skip
+    """`compensate` for each of N targets; ``context`` and ``seed`` may be of each."""
+    given, starts = context or Context.empty(), None if seed is None else np.asarray(seed, float)
+    made = stacked([
+        compensate(
+            model, predictor, target, context=given.take(k),
+            seed=starts[k] if starts is not None and starts.ndim == 2 else starts, **options,
+        )
+        for k, target in enumerate(targets)
+    ])  # fmt: skip
+    made.success = np.array([row.success for row in made.rows])
+    return made
+
+
+def chosen(*given: Any, **options: Any) -> SimpleNamespace:
+    """What `choose` finds for N targets, as arrays."""
+    return stacked(choose(*given, **options))

@@ -1,0 +1,262 @@
+"""What compensation leaves of a planned path: lines, arcs and plans of joints, at three speeds.
+
+A planner plans for the declared arm, which does not bend, with a way-point every `PERIOD_S`.  The
+true arm follows the plan as it is, and as `compensate_path` changes it; between way-points the
+controller's own cubic is followed.  Deviations are of the true tip from the planned curve, at rest
+in every place (no inertia: `longarm study ringing`).
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.history import History
+from longarm_comp.core.compensation.path import CompensatedPath, PlannedPath, compensate_path
+from longarm_comp.core.compensation.retime import Timed, slopes_of
+from longarm_comp.core.data.plan import random_joints
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.catalogue import effect_class
+from longarm_comp.core.identify.calibrate import stages
+from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.ik import solver as ik
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
+from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.context import State, TrueContext
+from longarm_comp.sim.hidden.base import HiddenEffect
+from longarm_comp.sim.hidden.catalogue import hidden
+from longarm_comp.sim.hidden.drives import FrictionHysteresis
+from studies.loop import read
+from studies.random_arms import random_arm
+
+SPEEDS = (0.05, 0.15, 0.5)
+"""Mean speeds of the tip, m/s."""
+KINDS = ("line", "arc", "joints")
+PERIOD_S = 0.05
+ELASTIC = ("joint_gain", "joint_compliance", "link_stiffness")
+PLAY = "friction_hysteresis"
+"""Every other arm has it: where a joint turns, its play has to be taken up."""
+ROWS, NOISE_M = 300, 2e-4
+"""Of the calibration."""
+_DENSE = 4001
+_LOOKED_AT = 5  # places between two way-points
+
+
+@dataclass(frozen=True)
+class Play(HiddenEffect):
+    """Joints stand behind their commands by what the context says, as `lagging` computes it."""
+
+    def joints(self, q: np.ndarray, state: State) -> np.ndarray:
+        """The commands less that."""
+        return np.asarray(q - state.behind)
+
+
+def lagging(q: np.ndarray, half: np.ndarray, behind: np.ndarray) -> np.ndarray:
+    """(M, n): how far joints stand behind commands (M, n) one after the other.
+
+    Play of `half` (n,) to either side; before the first command they stand `behind` (n,).
+    """
+    made = np.empty_like(q)
+    for k, move in enumerate(np.diff(q, axis=0, prepend=q[:1])):
+        made[k] = behind = np.clip(behind + move, -half, half)
+    return made
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """A planned path.
+
+    Attributes:
+        plan: as the planner sends it. curve: (M, 3) m, what it means, densely.
+    """
+
+    plan: PlannedPath
+    curve: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class StudiedArm:
+    """An arm, its truth, half the play of its joints (n,), and the model of a calibration."""
+
+    arm: Arm
+    true: TrueArm
+    half: np.ndarray
+    model: Model
+
+    @classmethod
+    def draw(cls, declared: Arm, number: int, seed: int) -> StudiedArm:
+        """Random lengths and stiffness, hidden effects whose kinds the calibration is told."""
+        rng = np.random.default_rng([seed, number])
+        arm = random_arm(rng, declared)
+        names = (*ELASTIC, PLAY) if number % 2 else ELASTIC
+        effects = [hidden(name, arm, 1.0, rng) for name in ("joint_zero", "dh_error", *names)]
+        half = sum((e.lag for e in effects if isinstance(e, FrictionHysteresis)), np.zeros(arm.n))
+        kept = [e for e in effects if not isinstance(e, FrictionHysteresis)]
+        true = TrueArm(arm, [Play(), *(e for e in kept if isinstance(e, HiddenEffect))], steps=2)
+        q, side = random_joints(arm, ROWS, rng), rng.choice([-1.0, 1.0], ROWS)
+        clean = true.tip(q, TrueContext(behind=side[:, None] * half))
+        seen = clean + NOISE_M * rng.standard_normal((ROWS, 3))
+        rows = Session.record(q, seen, approach=side, source=f"arm {number}")
+        *_, (_, geometry) = stages(declared_model(arm), rows)
+        terms = [t for name in names for t in effect_class(name, "study path").for_arm(arm)]
+        return cls(arm, true, half, fit(geometry.model.plus(*terms), rows).model)
+
+
+def way(arm: Arm, kind: str, speed: float, rng: np.random.Generator) -> Way:
+    """A random path of the declared arm from rest to rest at a mean speed of the tip, m/s.
+
+    A line ends at the tips of two random postures, an arc runs through those of three.
+    """
+    rigid = Model(arm)
+    while True:
+        margin = 0.1 * (arm.upper - arm.lower)  # the real joints end elsewhere
+        ends = np.clip(random_joints(arm, 2, rng), arm.lower + margin, arm.upper - margin)
+        knots = np.linspace(0.0, 1.0, _DENSE)[:, None]
+        joints = ends[0] + knots * (ends[1] - ends[0])
+        curve = rigid.tip(joints)
+        if kind != "joints":
+            middle = curve[_DENSE // 2] if kind == "arc" else 0.5 * (curve[0] + curve[-1])
+            curve = through(curve[0], middle, curve[-1], knots[:, 0])
+        length = np.linalg.norm(np.diff(curve, axis=0), axis=1).sum()
+        times = np.linspace(0.0, length / speed, max(4, round(length / speed / PERIOD_S)) + 1)
+        share = times / times[-1]
+        at = share**3 * (10.0 - 15.0 * share + 6.0 * share**2) * (_DENSE - 1)
+        rows = np.round(at).astype(int)
+        if kind == "joints":
+            return Way(PlannedPath.of_joints(arm, times, joints[rows]), curve)
+        found = ik.solve_many(rigid, curve[rows], seed=joints[rows], max_starts=1)
+        if found.ok.all():
+            return Way(PlannedPath.of_joints(arm, times, found.q), curve)
+
+
+def through(a: np.ndarray, b: np.ndarray, c: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """(M, 3) points at shares (M,) of the arc of the circle from a through b to c; of a line."""
+    chord, half = c - a, b - 0.5 * (a + c)
+    along = chord / np.linalg.norm(chord)
+    rise = half - (half @ along) * along
+    height, width = np.linalg.norm(rise), 0.5 * np.linalg.norm(chord)
+    if height < 1e-6 * width:
+        return a + share[:, None] * chord
+    up, radius = rise / height, (width**2 + height**2) / (2.0 * height)
+    opening = 2.0 * np.arctan2(height, width)  # half of the arc's angle
+    angle = opening * (2.0 * share - 1.0)
+    centre = 0.5 * (a + c) + (height - radius) * up
+    return centre + radius * (np.sin(angle)[:, None] * along + np.cos(angle)[:, None] * up)
+
+
+def follow(studied: StudiedArm, found: Way) -> dict[str, float]:
+    """What is left of one path, before and after, and what compensation cost."""
+    arm, plan, n = studied.arm, found.plan, studied.arm.n
+    assert plan.joints is not None and plan.times is not None
+    came = History.unknown(n).after(plan.joints[:1], arm.mid)
+    before = Timed(plan.times, plan.joints, slopes_of(plan.times, plan.joints))
+    started = time.process_time()
+    made: CompensatedPath = compensate_path(
+        studied.model, None, plan, start=None, history=came,
+        context_after=lambda arrived, row: Context(**arrived.fields()),
+    )  # fmt: skip
+    spent = time.process_time() - started
+    off = [deviation(studied, path, found.curve) for path in (before, made.timed)]
+    jerk = [_jerk(path, arm) for path in (before, made.timed)]
+    return {
+        "way_points": len(plan.times),
+        "before_ms": float((off[0] ** 2).mean()), "after_ms": float((off[1] ** 2).mean()),
+        "before_max_m": float(off[0].max()), "after_max_m": float(off[1].max()),
+        "jerk_before": jerk[0], "jerk_after": jerk[1], "spent_s": spent,
+    }  # fmt: skip
+
+
+def deviation(studied: StudiedArm, path: Timed, curve: np.ndarray) -> np.ndarray:
+    """(M,) m: distance of the true tip from the curve, all along the path."""
+    count = _LOOKED_AT * (len(path.times) - 1) + 1
+    joints = path.at(np.interp(np.arange(count) / _LOOKED_AT, np.arange(len(path.times)),
+                               path.times))  # fmt: skip
+    came = np.sign(joints[0] - studied.arm.mid) * studied.half
+    tips = studied.true.tip(joints, TrueContext(behind=lagging(joints, studied.half, came)))
+    a, along = curve[:-1], np.diff(curve, axis=0)
+    nearest = np.empty(len(tips))
+    for k, tip in enumerate(tips):
+        share = np.clip(((tip - a) * along).sum(1) / (along * along).sum(1), 0.0, 1.0)
+        nearest[k] = np.linalg.norm(tip - a - share[:, None] * along, axis=1).min()
+    return nearest
+
+
+def _jerk(path: Timed, arm: Arm) -> float:
+    """Mean square of the third derivative, in ranges of the joints, over time."""
+    middle = 0.5 * (path.times[1:] + path.times[:-1])
+    steep = ((path.at(middle, 3) / (arm.upper - arm.lower)) ** 2).sum(axis=1)
+    return float(np.average(steep, weights=np.diff(path.times)))
+
+
+def one_arm(declared: Arm, number: int, seed: int, each: int) -> list[dict[str, Any]]:
+    """`each` paths of every kind and speed on one arm."""
+    studied = StudiedArm.draw(declared, number, seed)
+    ik.warm_up()
+    lines: list[dict[str, Any]] = []
+    for kind in KINDS:
+        for speed in SPEEDS:
+            for repeat in range(each):
+                rng = np.random.default_rng([seed, number, KINDS.index(kind), repeat])
+                done = follow(studied, way(studied.arm, kind, speed, rng))
+                lines.append({"kind": kind, "speed": speed, "play": bool(number % 2), **done})
+    return lines
+
+
+def study(
+    declared: Arm, count: int, seed: int, each: int, out: Path | None,
+    show: Callable[[str, float], None],
+) -> Iterator[dict[str, Any]]:  # fmt: skip
+    """Lines of all arms; those of arms that are in the file already are not made again.
+
+    Raises:
+        InputError: the file holds other data.
+    """
+    done = read(out) if out is not None else {}
+    for number in range(count):
+        case = {"id": f"{declared.hash[:12]} arm {number} seed {seed} paths {each}"}
+        if case["id"] not in done:
+            record = {"case": case, "lines": one_arm(declared, number, seed, each)}
+            done[case["id"]] = record
+            if out is not None:
+                out.parent.mkdir(parents=True, exist_ok=True)
+                with out.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(record, allow_nan=False) + "\n")
+        show(f"{number + 1} of {count} arms", (number + 1) / count)
+        yield from done[case["id"]]["lines"]
+
+
+def table(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """One row a kind and speed, with play and without; lengths in mm."""
+    rows = []
+    for play in (False, True):
+        for kind in KINDS:
+            for speed in SPEEDS:
+                key = (kind, speed, play)
+                mine = [x for x in lines if (x["kind"], x["speed"], x["play"]) == key]
+                if not mine:
+                    continue
+                points = np.array([x["way_points"] for x in mine], float)
+                rms = [
+                    1e3 * float(np.sqrt(np.average([x[name] for x in mine], weights=points)))
+                    for name in ("before_ms", "after_ms")
+                ]
+                rows.append({
+                    "path": kind, "speed_mps": speed, "play": play,
+                    "before_rms_mm": rms[0], "after_rms_mm": rms[1],
+                    "before_max_mm": 1e3 * max(x["before_max_m"] for x in mine),
+                    "after_max_mm": 1e3 * max(x["after_max_m"] for x in mine),
+                    "jerk_ratio": float(np.sqrt(
+                        sum(x["jerk_after"] for x in mine) / sum(x["jerk_before"] for x in mine)
+                    )),
+                    "ms_per_waypoint": 1e3 * sum(x["spent_s"] for x in mine) / float(points.sum()),
+                })  # fmt: skip
+    return rows

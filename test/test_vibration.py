@@ -1,0 +1,157 @@
+"""How the arm rings: modes beside finite elements and by hand, rings, shapers, and the true arm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from finite_elements import fe_frequencies
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.effects.backlash import Backlash
+from longarm_comp.core.effects.joint_compliance import JointCompliance
+from longarm_comp.core.effects.telescope_clearance import TelescopeClearance
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.vibration.modes import modes
+from longarm_comp.core.vibration.ring import along, straight
+from longarm_comp.core.vibration.shaper import left_over, shaper_of, zvd
+from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.hidden import loads
+from longarm_comp.sim.ringing import Ringing, vibration
+from studies.random_arms import random_arm
+
+ARM = Arm.load(Path(__file__).parents[1] / "config" / "arm_demo.yaml")
+SOFT = np.array([4e-3, 3e-3, 0.0, 2e-3, 5e-3, 2e-3, 0.0])
+SOFT_ARM = declared_model(ARM).plus(
+    *(JointCompliance(joint=k, compliance=c) for k, c in enumerate(SOFT.tolist(), 1) if c)
+)
+LEVER, HEAVY, GIVE = 0.8, 1.5, 4e-3
+ONE = Arm.parse(
+    {
+        "name": "one joint",
+        "convention": "mdh_craig",
+        "tip": {"frame": 2},
+        "joints": [
+            {"id": 1, "type": "revolute", "limits_deg": [-170, 170]},
+            {"id": 2, "type": "fixed", "a_m": LEVER},
+        ],
+        "point_masses": [{"name": "head", "frame": 2, "mass_kg": HEAVY}],
+    },
+    "one joint",
+)
+UPRIGHT = Model(ONE).plus(JointCompliance(joint=1, compliance=GIVE))
+OMEGA = 1.0 / np.sqrt(GIVE * HEAVY * LEVER**2)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_frequencies_are_those_of_finite_elements(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    arm = random_arm(rng, ARM)
+    model = declared_model(arm)
+    for q in (arm.lower, arm.upper, arm.lower + rng.random(arm.n) * (arm.upper - arm.lower)):
+        np.testing.assert_allclose(modes(model, q).hz[:4], fe_frequencies(arm, q), rtol=0.01)
+
+
+def test_a_mass_on_a_soft_joint_swings_as_by_hand() -> None:
+    found = modes(UPRIGHT, np.zeros(1))
+    assert found.omega == pytest.approx([OMEGA], rel=1e-6)
+    assert found.hz == pytest.approx([OMEGA / (2.0 * np.pi)], rel=1e-6)
+    np.testing.assert_allclose(np.abs(found.tip), [[0.0, 1.0 / np.sqrt(HEAVY), 0.0]], atol=1e-6)
+    assert not len(modes(Model(ONE), np.zeros(1)).omega)
+
+
+def test_a_payload_slows_the_ring() -> None:
+    light, heavy = (
+        modes(declared_model(ARM), ARM.mid, Context(columns={"payload_kg": kg})).hz[0]
+        for kg in (0.0, 1.0)
+    )
+    assert heavy < 0.75 * light
+
+
+def test_play_does_not_swing_and_pads_that_give_do() -> None:
+    plain = modes(SOFT_ARM, ARM.mid).hz
+    played = SOFT_ARM.plus(
+        Backlash(joint=2, width=5e-3), TelescopeClearance(joint=3, clearance=4e-4, give=0.0)
+    )
+    np.testing.assert_allclose(modes(played, ARM.mid).hz, plain, rtol=1e-3)
+    gives = SOFT_ARM.plus(TelescopeClearance(joint=3, clearance=4e-4, give=1e-5))
+    assert modes(gives, ARM.mid).hz[0] < 0.99 * plain[0]
+
+
+def test_a_sudden_move_rings_by_its_whole_way_and_settles_by_its_damping() -> None:
+    turn, damping = 0.01, 0.02
+    found = modes(UPRIGHT, np.array([turn]))
+    ring = along(
+        found, straight(np.zeros(1), np.array([turn]), 1e-4 / OMEGA), 1e-4 / OMEGA, damping
+    )
+    assert ring.at(np.zeros(1))[0] == pytest.approx([0.0, -turn * LEVER, 0.0], abs=1e-4 * LEVER)
+    assert ring.size_m() == pytest.approx(turn * LEVER, rel=1e-3)
+    expected = np.log(turn * LEVER / 1e-4) / (damping * OMEGA)
+    assert ring.settle_s(1e-4) == pytest.approx(expected, rel=1e-3)
+    assert ring.settle_s(1.0) == 0.0
+    half = np.pi / (OMEGA * np.sqrt(1 - damping**2))
+    assert ring.at(np.array([half]))[0, 1] == pytest.approx(
+        turn * LEVER * np.exp(-damping * OMEGA * half), rel=1e-3
+    )
+    slow = along(found, straight(np.zeros(1), np.array([turn]), 5.0), 5.0, damping)
+    assert slow.size_m() < 0.05 * ring.size_m()
+
+
+@pytest.mark.parametrize("damping", [0.0, 1.0, -0.1, float("nan")])
+def test_a_damping_that_cannot_be_is_refused(damping: float) -> None:
+    with pytest.raises(InputError, match="damping"):
+        zvd(np.ones(1), damping)
+    with pytest.raises(InputError, match="damping"):
+        Ringing(TrueArm(ARM), damping)
+
+
+def test_a_shaper_cancels_its_mode_and_forgives_a_wrong_frequency() -> None:
+    omega = np.array([10.0, 11.0, 9.0])
+    exact, above, below = left_over(zvd(np.array([10.0]), 0.03), omega, 0.03)[0]
+    assert exact < 1e-12
+    assert 0.01 < above < 0.03 and 0.01 < below < 0.03  # (pi / 2 * 0.1)^2
+    assert zvd(omega, 0.03).weights.sum(axis=0) == pytest.approx(1.0)
+    assert zvd(omega, 0.03).duration == pytest.approx(2 * np.pi / (9.0 * np.sqrt(1 - 0.03**2)))
+
+
+def test_a_shaped_move_of_the_arm_leaves_little_and_ends_where_it_was_sent() -> None:
+    start, end = ARM.mid + 0.2 * (ARM.upper - ARM.lower), ARM.mid
+    found, way = modes(SOFT_ARM, end), straight(start, end, 0.7)
+    shaper = shaper_of(found, 0.01)
+    assert shaper is not None
+    plain = along(found, way, 0.7, 0.01)
+    shaped = along(found, way, 0.7, 0.01, shaper)
+    assert plain.size_m() > 0.01 and shaped.size_m() < 0.02 * plain.size_m()
+    ends = shaper.shaped(way)(np.array([0.0, 0.7 + shaper.duration]))
+    np.testing.assert_allclose(ends, [start, end], atol=1e-12)
+
+
+def test_the_true_arm_rings_as_the_model_says() -> None:
+    true = TrueArm(ARM, [loads.JointCompliance(SOFT)])
+    for q in (ARM.mid, ARM.upper):
+        hz = vibration(true, q).omega[:4] / (2.0 * np.pi)
+        np.testing.assert_allclose(modes(SOFT_ARM, q).hz[:4], hz, rtol=0.03)
+    start, end, took = ARM.mid + 0.015 * (ARM.upper - ARM.lower), ARM.mid, 0.5
+    way = straight(start, end, took)
+    ring = Ringing(true, 0.01)
+    times = np.arange(0.0, took + 1.0, 2e-3)
+    seen = np.array([ring.moved(t, q) for t, q in zip(times.tolist(), way(times), strict=True)])
+    late = times >= took
+    told = along(modes(SOFT_ARM, end), way, took, 0.01).at(times[late] - took)
+    assert np.abs(told).max() > 3e-4
+    assert np.abs(seen[late] - told).max() < 0.15 * np.abs(told).max()
+
+
+def test_the_true_arms_wave_goes_on_as_its_modes_change() -> None:
+    true = TrueArm(ARM, [loads.JointCompliance(SOFT)])
+    step, ring = 0.019 * (ARM.upper - ARM.lower), Ringing(true, 0.01)
+    ring.moved(0.0, ARM.mid)
+    before = [ring.moved(0.1 + 0.01 * k, ARM.mid + step) for k in range(2)]
+    after = ring.moved(0.12, ARM.mid + 1.06 * step)  # beyond what one set of modes serves
+    speed = np.linalg.norm(before[1] - before[0])
+    assert np.linalg.norm(before[1]) > 1e-3
+    assert np.linalg.norm(after - before[1]) < 2.0 * speed + 0.1 * np.linalg.norm(before[1])
