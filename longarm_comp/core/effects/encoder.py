@@ -12,7 +12,14 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Scalar, Twist, Vec
-from longarm_comp.core.effects.effect import Bias, Parameter, moving_joints, parameter, place
+from longarm_comp.core.effects.effect import (
+    Bias,
+    Drive,
+    Parameter,
+    moving_joints,
+    parameter,
+    place,
+)
 from longarm_comp.core.effects.joint_term import JointTerm, with_prior
 
 
@@ -63,6 +70,7 @@ class Shaft(JointTerm):
 
     name: ClassVar[str] = Encoder.name
     searched: ClassVar[bool] = False
+    acts: ClassVar[Drive] = "arm"
 
     zero: float = parameter("rad", "reading where the joint is at 0", 4e-3)
     scale: float = parameter("1", "extra reading per motion", 0.01)
