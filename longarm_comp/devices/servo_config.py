@@ -47,7 +47,8 @@ class FollowerConfig(ServoSettings):
             count as a stall.
         lost_error_ticks: position error over ``stall_time_s`` that is a fault at any load.
         jump_ticks: a read-back further than this from any reachable position is rejected.
-        trim_ticks: largest correction by trim (`docs/readings.md`).
+        trim_ticks: so far may a servo give way: the largest correction by trim
+            (`docs/readings.md`), and how far beyond its limit a joint may hang when it is taken up.
         trim_pause_s: rest between two of its steps: a period of the arm's slowest swing, at least.
     """
 

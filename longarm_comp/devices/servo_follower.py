@@ -336,12 +336,12 @@ class TrajectoryFollower:
         """The present set-point; when idle, the present position of the arm."""
         if self._set is not None:
             return self._set
-        values = []
+        values, limits = [], self._config.follower
         for name, joint in self._config.joints.items():
             state = self._watch.state(name)
             assert state is not None
             value = joint.to_si(state.position_ticks)
-            slack = self._config.follower.stall_error_ticks * joint.si_per_tick
+            slack = max(limits.stall_error_ticks, limits.trim_ticks) * joint.si_per_tick
             if not joint.lower - slack <= value <= joint.upper + slack:
                 allowed = f"{joint.lower:g} to {joint.upper:g} {joint.unit}; move it by hand"
                 raise InputError("read-back", name, value, allowed)
