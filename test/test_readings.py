@@ -14,8 +14,10 @@ from small_arm import ARM as SMALL
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.expected import expected_miss
 from longarm_comp.core.data.measurement import equations, posture
+from longarm_comp.core.data.rest import RestWatch
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.effect import Effect
@@ -263,3 +265,19 @@ def test_a_bag_holds_where_the_joints_stood_at_rest(tmp_path: Path) -> None:
     np.testing.assert_allclose(found[0], goal + droop + 0.5 * flicker, atol=1e-5)
     assert len(rows) == 1 or np.isnan(found[1]).all()
     assert rows.seen[0]
+
+
+def test_servos_that_give_way_rest_where_the_driver_says_so() -> None:
+    """They never come within a tick of their goals; until then it is a passage."""
+    watch = RestWatch(settle_s=0.5, sightings=1)
+    goal, hangs, tip = np.zeros(2), np.array([0.0, -0.02]), np.array([0.4, 0.1, 0.3])
+    for told in (False, True):
+        watch.commanded(goal, History.unknown(2))
+        if told:
+            watch.reached()
+        watch.joints(hangs, 1.0)
+        rest = watch.sighted(tip, np.zeros(3), 2.0)
+        assert (rest is not None) == told
+    watch.commanded(goal, History.unknown(2))
+    watch.joints(hangs, 3.0)
+    assert watch.sighted(tip, np.zeros(3), 4.0) is None

@@ -20,8 +20,22 @@ from longarm_comp.jobs.client import ArmClient
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.bringup import BringUp, running
 from longarm_interfaces.action import Reach
+from longarm_interfaces.srv import Compensate
 
 DROOP = "servo_droop=5.0"
+
+
+def reached(client: ArmClient, reach: ActionClient, pose: PoseStamped) -> Reach.Result:
+    """The result of a goal, sent again while it was too old when it was taken up."""
+    while True:
+        sent = reach.send_goal_async(Reach.Goal(target=pose, position_only=True))
+        client.until(sent.done, 60.0, "goal")
+        done = sent.result().get_result_async()
+        client.until(done.done, 120.0, "result")
+        result = done.result().result
+        if result.status != Compensate.Response.STALE_TARGET:
+            assert result.success, result.message
+            return result
 
 
 @pytest.fixture(params=[False, True], ids=["plain", "trimmed"])
@@ -64,12 +78,8 @@ def test_the_tip_by_readings_sees_a_droop_that_no_model_holds(
     pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = want.tolist()
     reach = ActionClient(client.node, Reach, graph.REACH.name)
     client.until(reach.server_is_ready, 60.0, "reach")
-    sent = reach.send_goal_async(Reach.Goal(target=pose, position_only=True))
-    client.until(sent.done, 60.0, "goal")
-    done = sent.result().get_result_async()
-    client.until(done.done, 120.0, "result")
-    result = done.result().result
-    assert result.success, result.message
+    for _ in range(2):  # the second starts from what the first one trimmed
+        result = reached(client, reach, pose)
     assert "by readings the tip stands" in result.message and ", within " in result.message
     del truth[:], client.sightings[:]
     client.until(lambda: len(truth) > 2 and len(client.sightings) > 1, 30.0, "tips")
