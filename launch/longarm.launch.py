@@ -32,6 +32,8 @@ ARGUMENTS = (
     ("namespace", "", "of this arm, so that several share a network"),
     ("config", "", "folder of parameter files that replace the package's own"),
     ("composed", "false", "kinematics and error_predictor in one process"),
+    ("paths", "false", "trajectory_compensator too, for planned paths"),
+    ("shaping", "false", "moves that leave no ring"),
     ("rviz", "false", "start RViz too"),
 )
 
@@ -73,6 +75,8 @@ def nodes(context):
         speed=float(given["speed"]),
         set={"simulated_arm": {"hidden": given["hidden"]}} if sim else {},
         composed=true(given["composed"]),
+        paths=true(given["paths"]),
+        shaping=true(given["shaping"]),
     ).fitted(scratch)
     bus = given["bus"] or str(scratch / "servo_bus")
     made = [

@@ -1,9 +1,9 @@
 """An arm declared from a URDF: limits, masses, centres of mass, mimic joints.
 
-The joints between a base link and a tip link become rows: a fixed row for what lies before an
-axis, then a row that turns about or slides along its own z.  A joint beside the chain that joints
-of the chain mimic becomes a row that does not move.  A URDF knows no beams; add `links` to the
-arm.yaml where the arm bends.
+The joints between a base link and a tip link become rows: a fixed row that turns, where it is
+needed, then the joint's, with all lengths along its own a and d, where beams can be.  A joint
+beside the chain that joints of the chain mimic becomes a row that does not move.  A URDF
+knows no beams; add `links` to the arm.yaml where the arm bends.
 """
 
 from __future__ import annotations
@@ -16,6 +16,9 @@ import numpy as np
 
 from longarm_comp.core.arm.spatial import roll_pitch_yaw
 from longarm_comp.urdf_file import MOVING, UrdfJoint, UrdfRobot, resting, turn_z_to
+
+_NO_LENGTH = 1e-10
+"""m; less than this is the rounding of a file's digits."""
 
 
 def import_urdf(path: str | Path, base: str, tip: str) -> dict[str, Any]:
@@ -41,11 +44,11 @@ def import_urdf(path: str | Path, base: str, tip: str) -> dict[str, Any]:
             raise robot.error(f"joint {joint.name}", joint.type, allowed)
         if joint.moves:
             align = turn_z_to(joint.axis)
-            before = at @ joint.origin @ align
-            if not np.allclose(before, np.eye(4), atol=1e-15):
+            turn, lengths = _along_own_axes(at @ joint.origin @ align)
+            if turn is not None:
                 fixed = {"id": len(rows) + 1, "name": f"to_{joint.name}", "type": "fixed"}
-                rows.append({**fixed, "pose": _pose(before)})
-            rows.append(_row(robot, joint, len(rows) + 1))
+                rows.append({**fixed, "pose": _pose(turn)})
+            rows.append({**_row(robot, joint, len(rows) + 1), **lengths})
             frame, at = len(rows), align.T
         else:
             at = at @ joint.at(resting(joint))
@@ -91,6 +94,34 @@ def _beside(robot: UrdfRobot, moving: list[UrdfJoint]) -> list[UrdfJoint]:
         if name not in on_chain:
             made[name] = leader
     return list(made.values())
+
+
+def _along_own_axes(before: np.ndarray) -> tuple[np.ndarray | None, dict[str, float]]:
+    """What lies before an axis as a turn, and a DH row: all lengths are along a row's x or z,
+    where beams can be.
+
+    Args:
+        before: (4, 4) from the frame before to the joint's at rest.
+
+    Returns:
+        (4, 4) the turn, None where the row's alpha is all of it; the row's keys that are not 0.
+    """
+    z, way = before[:3, 2], before[:3, 3]
+    d = float(way @ z)
+    across = way - d * z
+    a = float(np.linalg.norm(across))
+    x = across / a if a > _NO_LENGTH else before[:3, 0]
+    if a > _NO_LENGTH and x[0] < 0:
+        x, a = -x, -a
+    turn = np.eye(4)
+    turn[:3, :3] = np.column_stack([x, np.cross(z, x), z])
+    rest = turn[:3, :3].T @ before[:3, :3]
+    keys = {"a_m": a if abs(a) > _NO_LENGTH else 0.0, "d_m": d,
+            "theta_offset_deg": math.degrees(math.atan2(rest[1, 0], rest[0, 0]))}  # fmt: skip
+    if np.allclose(x, [1.0, 0.0, 0.0], rtol=0, atol=1e-15):
+        keys["alpha_deg"] = math.degrees(math.atan2(-turn[1, 2], turn[2, 2]))
+    kept = {key: _tidy(value) for key, value in keys.items() if _tidy(value)}
+    return None if "alpha_deg" in keys else turn, kept
 
 
 def _row(robot: UrdfRobot, joint: UrdfJoint, number: int) -> dict[str, Any]:

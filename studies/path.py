@@ -93,11 +93,10 @@ class StudiedArm:
     model: Model
 
     @classmethod
-    def draw(cls, declared: Arm, number: int, seed: int) -> StudiedArm:
+    def draw(cls, declared: Arm, number: int, seed: int, names: Sequence[str]) -> StudiedArm:
         """Random lengths and stiffness, hidden effects whose kinds the calibration is told."""
         rng = np.random.default_rng([seed, number])
         arm = random_arm(rng, declared)
-        names = (*ELASTIC, PLAY) if number % 2 else ELASTIC
         effects = [hidden(name, arm, 1.0, rng) for name in ("joint_zero", "dh_error", *names)]
         half = sum((e.lag for e in effects if isinstance(e, FrictionHysteresis)), np.zeros(arm.n))
         kept = [e for e in effects if not isinstance(e, FrictionHysteresis)]
@@ -199,7 +198,8 @@ def _jerk(path: Timed, arm: Arm) -> float:
 
 def one_arm(declared: Arm, number: int, seed: int, each: int) -> list[dict[str, Any]]:
     """`each` paths of every kind and speed on one arm."""
-    studied = StudiedArm.draw(declared, number, seed)
+    names = (*ELASTIC, PLAY) if number % 2 else ELASTIC
+    studied = StudiedArm.draw(declared, number, seed, names)
     ik.warm_up()
     lines: list[dict[str, Any]] = []
     for kind in KINDS:

@@ -10,7 +10,13 @@ import numpy as np
 from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
 from longarm_comp.devices.servo_bus import ServoState
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.servo_follower import EventKind, KeepsOut, Step, TrajectoryFollower
+from longarm_comp.devices.servo_follower import (
+    EventKind,
+    KeepsOut,
+    Shapes,
+    Step,
+    TrajectoryFollower,
+)
 
 DT = 0.02
 CONFIG = ServoConfig.parse(
@@ -53,9 +59,14 @@ def servo_state(ticks: int, **changes: Any) -> ServoState:
 class Rig:
     """A follower on servos that go where they are told within one step."""
 
-    def __init__(self, config: ServoConfig = CONFIG, keeps_out: KeepsOut | None = None) -> None:
+    def __init__(
+        self,
+        config: ServoConfig = CONFIG,
+        keeps_out: KeepsOut | None = None,
+        shapes: Shapes | None = None,
+    ) -> None:
         self.config = config
-        self.follower = TrajectoryFollower(config, keeps_out)
+        self.follower = TrajectoryFollower(config, keeps_out, shapes)
         self.now = 100.0
         self.states = {5: servo_state(TURN.to_ticks(0.2)), 9: servo_state(SLIDE.to_ticks(0.03))}
         self.obeys = {5, 9}

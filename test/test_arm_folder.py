@@ -17,9 +17,10 @@ from test_urdf import example
 
 from longarm_comp.arm_folder.check import check_folder
 from longarm_comp.arm_folder.marker_sheet import PAPERS, sheet
-from longarm_comp.arm_folder.parameter_file import own_parameters, read_parameters
+from longarm_comp.arm_folder.parameter_file import own_parameters, parameters_of, read_parameters
 from longarm_comp.arm_folder.sight import seen_from
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.stereo.marker import tags_of
@@ -253,6 +254,27 @@ def test_what_was_measured_is_no_longer_listed(shell: Shell, hobby: Path) -> Non
     assert [f["where"] for f in listed if f["level"] != "declared"] == after
     assert "no such" not in shell.err
     assert shell.refused("check", shell.folder / "nowhere").startswith("longarm: ")
+
+
+def test_a_printed_arm_has_horns_small_paper_and_cameras_on_the_table(shell: Shell) -> None:
+    assert shell("init", "printed", *HOBBY, "--hobby") == 0, shell.err
+    folder = shell.folder / "printed"
+    arm, servos = Arm.load(folder / "arm.yaml"), ServoConfig.load(folder / "servo_driver.yaml")
+    length = reach(arm)
+    for joint in servos.joints.values():
+        assert (joint.gear_ratio, joint.multi_turn) == (1.0, False)
+        assert joint.max_velocity * length < 0.26  # m/s at the tip
+    bridge = parameters_of("stereo_bridge", folder / "stereo_bridge.yaml")
+    tips = declared_model(arm).tip(np.vstack([arm.lower, arm.mid, arm.upper]))
+    assert np.linalg.norm(tips[1] - bridge["hand_eye.xyz"]) < 1.5 * length
+    assert sheet(tags_of(bridge))[0] == "A4"
+    found = check_folder(folder)
+    assert not [finding.text for finding in found if finding.blocks]
+    replaced(folder / "stereo_bridge.yaml", r"tag_m: .*", "tag_m: 0.006")
+    replaced(folder / "simulated_arm.yaml", r"tag_m: .*", "tag_m: 0.006")
+    said = [finding.text for finding in check_folder(folder) if finding.blocks]
+    assert re.search(r"seen at 0 of 12 poses, at most others too far: .* a tag is \d px, 13 needed",
+                     said[0])  # fmt: skip
 
 
 BOX = """

@@ -20,6 +20,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.jobs.client import ArmClient
+from longarm_comp.jobs.rehearse import frozen
 from longarm_comp.nodes.bringup import BringUp
 from longarm_comp.share import folder
 
@@ -46,6 +47,53 @@ def test_a_new_folder_runs_as_it_is(ros_domain: int, tmp_path: Path) -> None:
         process.kill()
     assert process.returncode == 0, noise
     np.testing.assert_allclose(np.mean(seen, axis=0), declared_model(arm).tip(goal), atol=2e-3)
+
+
+def test_faults_are_rehearsed_and_a_second_graph_is_refused(
+    ros_domain: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shell = Shell(tmp_path, capsys)
+    assert shell("init", tmp_path / "column", *COLUMN) == 0
+    file = tmp_path / "column" / "arm.yaml"
+    up = [sys.executable, "-m", "longarm_comp", "up", str(file), "--sim", "--speed", "10"]
+    process = subprocess.Popen(up, stderr=subprocess.DEVNULL)
+    try:
+        with ArmClient(Arm.load(file)) as client:
+            client.ready(120.0)
+
+            def lost() -> bool:
+                return bool(np.isnan(client.sightings[-1][1]).all())
+
+            def standing() -> str:
+                shell("status")
+                return shell.out + shell.err
+
+            second = subprocess.run(up, capture_output=True, text=True)
+            assert second.returncode == 3
+            assert "a graph runs already in this namespace" in second.stderr
+            assert shell("sim", "cover", "left") == 0, shell.err
+            assert "covered: left" in shell.err
+            client.until(lost, 60.0, "the marker is still seen")
+            assert shell("sim", "cover", "left", "--back") == 0
+            client.until(lambda: not lost(), 60.0, "the marker is not seen again")
+            assert "swing" in shell.refused("sim", "unplug", "knee", code=3)
+            assert shell("sim", "unplug", "swing") == 0
+            client.until(lambda: "did not answer" in standing(), 60.0, "no fault in status")
+            assert shell("sim", "unplug", "swing", "--back") == 0
+            client.until(lambda: "did not answer" not in standing(), 60.0, "still a fault")
+            said = shell.refused("sim", "freeze", "elbow")
+            assert "kinematics" in said and "simulated_arm" in said
+            with frozen(client, "simulated_arm") as pid:
+                state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+                assert state == "T"
+            state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+            assert state != "T"
+    finally:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(timeout=60)
+        finally:
+            process.kill()
 
 
 def test_a_bare_arm_gets_files_that_fit_in_simulation_only(tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.catalogue import BUILT_IN
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.friction_hysteresis import FrictionHysteresis
+from longarm_comp.core.effects.joint_term import JointTerm
 from longarm_comp.core.effects.servo_droop import ServoDroop
 from longarm_comp.core.effects.thermal_growth import ThermalGrowth
 from longarm_comp.core.identify.candidates import Candidate
@@ -63,7 +64,8 @@ def forms(arm: Arm) -> Iterator[tuple[Effect, ...]]:
     """Every form of every effect: at all its places."""
     for kind in KINDS:
         by_form: dict[object, dict[object, Effect]] = {}
-        if kind.searched and not kind.geometry and not kind.candidates(arm):
+        placed = issubclass(kind, JointTerm) or (kind.searched and not kind.geometry)
+        if placed and not kind.candidates(arm):
             continue  # another arm has a place for it
         for group in kind.candidates(arm) or [kind.for_arm(arm) or (kind(),)]:
             at = by_form.setdefault(Candidate(kind.name, group).form, {})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from small_arm import ARM
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
@@ -245,3 +247,33 @@ def test_the_command_draws_what_became_of_the_poses(
     told = shell.json("collect", "arm.yaml", "poses.csv", "-o", "bag", *quick)
     assert told["made"] == 3 and told["unseen"] == {}
     assert (shell.folder / "bag_coverage.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_full_disk_ends_it_with_cause_what_is_kept_and_the_next_command(
+    stage: QuickArm, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """The system's limit of a file's size, as a full disk: nothing more can be written."""
+    shell = Shell(tmp_path, capsys)
+    arm, poses, bag = tmp_path / "arm.yaml", tmp_path / "poses.csv", tmp_path / "bag"
+    arm.write_text(yaml.safe_dump(ARM.model_dump(mode="json", exclude_defaults=True)))
+    assert shell("plan", arm, "--kind", "sobol", "-n", 6, "-o", poses) == 0
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    kept, visits = Recorder.keep, []
+
+    def keep(recorder: Recorder, *words: Any, **more: Any) -> Any:
+        visits.append(1)
+        if len(visits) == 4:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+        return kept(recorder, *words, **more)
+
+    monkeypatch.setattr(Recorder, "keep", keep)
+    try:
+        code = shell("collect", arm, poses, "-o", bag, "--sightings", 1, "--dwell", 0.1,
+                     "--move", 0.05, "--in-order")  # fmt: skip
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert code == 3
+    lines = shell.err.splitlines()
+    assert "File too large" in lines[-1]
+    assert "of 6 visits" in shell.err and "--resume adds the others" in shell.err

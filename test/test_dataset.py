@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from small_arm import measured
 
 from longarm_comp.core.arm.history import recorded
-from longarm_comp.core.data.holdout import Sealed, SealedError, blocked_split, random_split, spread
+from longarm_comp.core.data.holdout import Sealed, SealedError, blocked_split, spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 
@@ -111,15 +111,13 @@ def test_lost_markers_are_not_seen(rng: np.random.Generator) -> None:
     poses=st.integers(2, 90),
     visits=st.integers(0, 60),
     seed=st.integers(0, 2**31),
-    blocked=st.booleans(),
 )
-def test_no_pose_straddles_a_split(poses: int, visits: int, seed: int, blocked: bool) -> None:
+def test_no_pose_straddles_a_split(poses: int, visits: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     q = rng.random((poses, 2))[np.r_[np.arange(poses), rng.integers(0, poses, visits)]]
     order = rng.permutation(len(q))
     session = Session.record(q[order], np.zeros((len(q), 3)))
-    split = blocked_split if blocked else random_split
-    train, hold_out = split(session, rng=seed)
+    train, hold_out = blocked_split(session, rng=seed)
     assert len(train) + len(hold_out) == len(session)
     assert len(train) > 0
     assert len(hold_out) > 0
@@ -146,7 +144,7 @@ def test_repeats_stay_together_even_when_commanded_a_little_differently() -> Non
     session = Session.record(q, np.zeros((20, 3)), repeat_id=repeat)
     assert session.pose_id[3] == session.pose_id[15]
     for seed in range(12):
-        _, hold_out = random_split(session, rng=seed)
+        _, hold_out = blocked_split(session, rng=seed)
         assert (3 in hold_out.index) == (15 in hold_out.index)
 
 

@@ -12,6 +12,8 @@ import pytest
 from cli_shell import MODULES
 
 from longarm_comp.cli.registry import GROUPS
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.strict_yaml import parse_yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -110,3 +112,15 @@ def test_files_of_the_architecture_are_there() -> None:
         else:
             folder = found if found.is_dir() else found.parent
     assert not missing
+
+
+def test_the_page_of_arm_yaml_has_every_key_and_its_example_holds() -> None:
+    page = (ROOT / "docs" / "arm.md").read_text("utf-8")
+    schema = Arm.model_json_schema()
+    keys = {key for part in (schema, *schema["$defs"].values()) for key in part["properties"]}
+    assert not {key for key in keys if f"`{key}`" not in page and f"`{key}: " not in page}
+    told = set(re.findall(r"`(\w+_(?:m|deg|kg|pa|nm2|mps2|c))`", page)) - {"payload_kg"}
+    assert told <= keys, told - keys
+    example = re.search(r"```yaml\n(.*?)```", page, re.S)
+    assert example is not None
+    assert Arm.parse(parse_yaml(example[1], "arm.md"), "arm.md").joint_names[0] == "luff"

@@ -299,12 +299,10 @@ def test_passive_and_negative_joints():
         assert inside(model, made.q)
 
 
-def test_restarts_are_repeatable_and_drawn_on_request(model):
+def test_restarts_are_repeatable(model):
     targets = model.pose(paper_grid()[::90])
     again = [solve_many(model, targets, engine=FAST).q for _ in range(2)]
     assert np.array_equal(*again)
-    drawn = solve_many(model, targets, rng=np.random.default_rng(1), engine=FAST)
-    assert drawn.ok.all()
 
 
 def test_none_and_one(model):

@@ -16,7 +16,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from builtin_interfaces.msg import Time
 from driver_rig import Rig
 from lifecycle_msgs.msg import Transition
-from rcl_interfaces.srv import DescribeParameters
+from rcl_interfaces.srv import DescribeParameters, ListParameters
 from rclpy.duration import Duration as Lapse
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
@@ -25,6 +25,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.orders import order_id
+from longarm_comp.nodes.params import ROS_OWN
 from longarm_interfaces.msg import DriverState, Motion
 
 
@@ -262,9 +263,14 @@ def test_a_killed_driver_leaves_the_arm_standing_and_its_successor_needs_no_cloc
 
 def test_parameters_are_described_and_wrong_ones_refused(rig: Rig, tmp_path: Path) -> None:
     client = rig.stage.node.create_client(DescribeParameters, "servo_driver/describe_parameters")
-    names = ["rate_hz", "joints.boom.lower", "bus.retries"]
+    listing = rig.stage.node.create_client(ListParameters, "servo_driver/list_parameters")
+    every = rig.stage.call(listing, ListParameters.Request()).result.names
+    own = [name for name in every if name.split(".")[0] not in ROS_OWN]
+    names = ["rate_hz", "follower.silence_s", *own]
     described = rig.stage.call(client, DescribeParameters.Request(names=names)).descriptors
-    assert all(d.description and d.read_only for d in described)
+    assert len(own) > 30 and all(d.description and d.read_only for d in described)
+    assert "\n" not in "".join(d.description for d in described)  # its own, not a section's
+    assert described[1].additional_constraints == "above 0"
     assert described[0].floating_point_range[0].to_value == 500.0
     wrong = tmp_path / "wrong.yaml"
     wrong.write_text(rig.file.read_text().replace("gear_ratio", "gear_ration"))
@@ -296,3 +302,29 @@ def test_steps_that_the_servos_do_not_have_are_refused(rig: Rig, tmp_path: Path)
     assert "step of shoulder" in said
     assert "whole multiples of the servo's tick" in said
     assert "Traceback" not in said
+
+
+def test_shaped_moves_arrive_and_shaping_needs_an_arm(rig: Rig, tmp_path: Path) -> None:
+    beam = {"name": "mast", "row": 2, "role": "d", "length_m": 0.9, "E_pa": 2e9, "poisson": 0.3,
+            "section": {"type": "tube", "od_m": 0.02, "id_m": 0.016}, "mass_kg": 0.3,
+            "mass": "uniform", "body_length_m": 0.9}  # fmt: skip
+    joints = [
+        {"id": 1, "name": "shoulder", "type": "revolute", "limits_deg": [-28, 57]},
+        {"id": 2, "name": "boom", "type": "prismatic", "alpha_deg": 90, "d_m": 0.9,
+         "limits_m": [0, 0.1]},
+    ]  # fmt: skip
+    arm = tmp_path / "arm.yaml"
+    text = {"name": "a", "convention": "mdh_craig", "tip": {"frame": 2}, "joints": joints}
+    arm.write_text(yaml.safe_dump(text | {"links": [beam]}))
+    rig.process.send_signal(signal.SIGINT)
+    assert rig.process.wait(timeout=10) == 0
+    command = ["-m", "longarm_comp.nodes.servo_driver", "--ros-args"]
+    command += ["--params-file", str(rig.file), "-p", "shaping:=true"]
+    without = rig.stage.python(command)
+    assert without.wait(timeout=60) == 2
+    assert "shaping: True; allowed: false, or arm" in rig.stage.output(without)
+    del rig.states[:], rig.said[:]
+    rig.process = rig.stage.python([*command, "-p", f"arm:={arm}"])
+    rig.is_idle()
+    rig.stage.spin(lambda: rig.trajectories.get_subscription_count() == 1)  # the first one is gone
+    rig.goes(shoulder=0.3, boom=0.05)

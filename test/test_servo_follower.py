@@ -9,7 +9,11 @@ import pytest
 from follower_rig import CONFIG, DT, LIMITS, SLIDE, TURN, Rig, kinds
 
 from longarm_comp.core.errors import JobError
+from longarm_comp.core.vibration.modes import Modes
+from longarm_comp.core.vibration.ring import left_by
+from longarm_comp.core.vibration.shaper import zvd
 from longarm_comp.devices.servo_follower import EventKind, FollowerState
+from longarm_comp.math.shaper import Shaper
 
 
 @pytest.fixture
@@ -173,3 +177,64 @@ def test_a_long_pause_between_steps_makes_no_long_step(rig: Rig) -> None:
     rig.now -= 5.0  # a clock that goes back moves nothing
     step = rig.step()
     assert step.set_points["turn"] == pytest.approx(rig.column("turn")[-2])
+
+
+OMEGA, DAMPING = 2.0 * np.pi * 2.5, 0.02
+PARTS = zvd(np.full(2, OMEGA), DAMPING)
+
+
+def ring_of(rig: Rig, since: int) -> float:
+    """What a tip that both joints push sideways still rings by after the trace."""
+    q = np.stack([rig.column("turn"), 10.0 * rig.column("slide")], axis=1)[since:]
+    mode = Modes(np.array([OMEGA]), np.array([[1.0, 0.0, 0.0]]), np.array([[1.0, 1.0]]))
+    return left_by(mode, DT * np.arange(len(q)), q, DAMPING).size_m()
+
+
+def test_a_shaped_move_takes_one_period_more_and_leaves_no_ring() -> None:
+    left, took = [], []
+    for shapes in (None, lambda start, end: PARTS):
+        rig = Rig(shapes=shapes)
+        rig.send((0.9, {"turn": 0.6, "slide": 0.05}))
+        steps = rig.run(2.5)
+        assert kinds(steps) == [EventKind.STARTED, EventKind.ARRIVED]
+        moving = np.flatnonzero(np.diff(rig.column("turn")) != 0.0)
+        took.append(DT * (moving[-1] - moving[0]))
+        left.append(ring_of(rig, int(moving[0])))
+        assert rig.trace[-1] == pytest.approx({"turn": 0.6, "slide": 0.05})
+        assert np.abs(np.diff(rig.column("turn"))).max() <= TURN.max_velocity * DT * (1 + 1e-9)
+    assert took[1] - took[0] == pytest.approx(PARTS.duration, abs=2.5 * DT)
+    assert left[0] > 0.01 and left[1] < 0.03 * left[0]
+
+
+def test_what_replaces_a_running_move_is_not_shaped_and_a_hold_brakes_at_once() -> None:
+    told = []
+    for rig in (Rig(), Rig(shapes=lambda start, end: PARTS)):
+        rig.send((0.9, {"turn": 0.6}))
+        rig.run(0.5)
+        rig.send((0.5, {"turn": 0.1}))
+        told += [e for s in rig.run(0.06) for e in s.events if e.kind is EventKind.REPLACED]
+    assert len(told) == 2 and told[0].message[:12] == told[1].message[:12]
+    before = rig.column("turn")
+    assert np.abs(np.diff(before, 2)).max() < 0.02  # no jump of speed
+    rig.follower.hold(True)
+    rig.run(0.3)
+    assert np.ptp(rig.column("turn")[-4:]) == 0.0
+
+
+def test_parts_of_a_move_are_kept_out_of_boxes_too() -> None:
+    seen: list[np.ndarray] = []
+
+    def keeps_out(q: np.ndarray) -> str:
+        seen.append(q)
+        return ""
+
+    weights = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
+    late = Shaper(weights, np.array([[0.0, 0.0], [0.4, 0.4], [0.4, 0.4]]))
+    rig = Rig(keeps_out=keeps_out, shapes=lambda start, end: late)
+    rig.send((0.9, {"turn": 0.6, "slide": 0.05}))
+    rig.run(2.0)
+    gone = np.stack([rig.column("turn"), rig.column("slide")], axis=1)
+    apart = gone[:, 0] - 0.2 - 20.0 * (gone[:, 1] - 0.03)  # 0 where both go together
+    told = seen[0][:, 0] - 0.2 - 20.0 * (seen[0][:, 1] - 0.03)
+    assert np.abs(apart).max() > 0.1
+    assert np.abs(told).max() == pytest.approx(np.abs(apart).max(), rel=0.02)

@@ -151,18 +151,6 @@ def test_roll_pitch_yaw_is_fixed_axis(rng: np.random.Generator) -> None:
         np.testing.assert_allclose(back[:3, :3], want, atol=1e-14)
 
 
-def test_a_shifted_twist_is_the_motion_of_another_point(rng: np.random.Generator) -> None:
-    """d + delta x r, against a finite motion of the point."""
-    for twist, to in zip(twists(rng, 1.0, 20), rng.normal(size=(20, 3)), strict=True):
-        h = 1e-6
-        point = tuple(float(v) for v in to)
-        ends = [spatial.exp(floats(s * h * twist)).transform(point) for s in (1, -1)]
-        want = (np.array(ends[0]) - np.array(ends[1])) / (2 * h)
-        got = spatial.shift_twist(floats(twist), point)  # type: ignore[arg-type]
-        np.testing.assert_allclose(got[:3], want, atol=1e-9)
-        assert got[3:] == floats(twist)[3:]
-
-
 def test_floats_and_arrays_give_the_same_numbers(rng: np.random.Generator) -> None:
     """The same lines serve one posture and a session."""
     rows, places = twists(rng, 0.3), frames(rng)

@@ -50,7 +50,7 @@ def test_error_is_small_unbiased_and_inside_its_covariance(plate: Any, target: A
     # factor of two of the truth, and no more outliers than a chi-square has.
     assert 3 / 4 < np.mean(normalised) < 3 * 4
     assert np.mean(np.array(normalised) < stats.chi2.ppf(0.95, 3)) > 0.75
-    assert eye.corner_sigma_px is not None and 0.005 < eye.corner_sigma_px < 0.03
+    assert 0.005 < eye.expected_noise.sigma_px < 0.03
 
 
 def test_error_grows_with_the_square_of_depth_and_sigma_says_so() -> None:

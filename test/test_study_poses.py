@@ -21,6 +21,7 @@ def demo(demo_arm_path: Path) -> Arm:
     return Arm.load(demo_arm_path)
 
 
+@pytest.mark.long
 def test_the_error_is_that_of_the_true_arm_and_falls_with_the_poses(demo: Arm) -> None:
     found = list(poses.one_arm(demo, 0, counts=(25, 150), ways=("sobol",)))
     assert [(o.n, o.known) for o in found] == [(25, True), (25, False), (150, True), (150, False)]

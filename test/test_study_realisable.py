@@ -20,6 +20,7 @@ def study() -> dict[str, Any]:
     return printed
 
 
+@pytest.mark.long
 def test_arms(study: dict[str, Any]) -> None:
     rows = {(r["arm"], r["target"]): r for r in study["arms"]}
     assert all(r["targets"] == 25 for r in rows.values())

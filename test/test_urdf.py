@@ -11,6 +11,7 @@ import yaml
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model, unstack
 from longarm_comp.urdf import import_urdf
 
@@ -105,6 +106,50 @@ def test_mimic_side_branch_and_odd_axes(tmp_path: Path, rng: np.random.Generator
     assert np.allclose(arm.lower, [-0.1, -2])
     assert {m.name: m.mass_kg for m in arm.point_masses} == {"a": 1.5, "b": 0.5, "side": 0.3}
     compare(path, "base", "c", arm, rng)
+
+
+TELESCOPE = """<robot name="boom">
+  <link name="base"/><link name="slew"/><link name="outer"/><link name="inner"/><link name="tip"/>
+  <joint name="swing" type="revolute"><parent link="base"/><child link="slew"/>
+    <origin xyz="0 0 0.4"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <joint name="luff" type="revolute"><parent link="slew"/><child link="outer"/>
+    <origin xyz="0.1 0 0.8"/><axis xyz="0 -1 0"/>
+    <limit lower="0" upper="1" effort="1" velocity="1"/></joint>
+  <joint name="ext" type="prismatic"><parent link="outer"/><child link="inner"/>
+    <origin xyz="3.2 0 0"/><axis xyz="1 0 0"/>
+    <limit lower="0" upper="2.5" effort="1" velocity="1"/></joint>
+  <joint name="head" type="revolute"><parent link="inner"/><child link="tip"/>
+    <origin xyz="0.5 0.1 0"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+</robot>
+"""
+
+
+def test_a_telescope_has_rows_that_hold_its_beams(tmp_path: Path, rng: np.random.Generator) -> None:
+    """All lengths lie along a or d of the joints' own rows; the beams sag as a clamped one."""
+    path = tmp_path / "boom.urdf"
+    path.write_text(TELESCOPE)
+    data = import_urdf(path, "base", "tip")
+    assert not any(any(row["pose"]["xyz_m"]) for row in data["joints"] if row["type"] == "fixed")
+    lengths = {row["name"]: (row.get("a_m", 0.0), row.get("d_m", 0.0)) for row in data["joints"]}
+    assert lengths["ext"] == pytest.approx((0.0, 3.2))
+    assert lengths["luff"] == pytest.approx((0.8, 0.0), abs=0.11)
+    compare(path, "base", "tip", Arm.parse(data, "boom"), rng)
+    row = next(row["id"] for row in data["joints"] if row["name"] == "ext")
+    tube = {"row": row, "role": "d", "EI_nm2": 4e5, "GJ_nm2": 3e5}
+    data["links"] = [{**tube, "name": "outer", "length_m": 3.0},
+                     {**tube, "name": "inner", "length_m": "rest"}]  # fmt: skip
+    data["point_masses"] = [{"name": "load", "frame": row, "mass_kg": 50.0}]
+    arm = Arm.parse(data, "boom")
+    q = np.array([[0.0, 0.0, 1.3, 0.0]])
+    sag = (
+        declared_model(arm).pose(q)[0, 2, 3]
+        - declared_model(arm, deflection=False).pose(q)[0, 2, 3]
+    )
+    at_load = -50.0 * 9.80665 * 4.5**3 / (3 * 4e5)
+    slope = -50.0 * 9.80665 * 4.5**2 / (2 * 4e5)
+    assert sag == pytest.approx(at_load + 0.5 * slope, rel=0.01)
 
 
 def test_continuous_joints_get_half_a_turn_and_coinciding_limits_are_fixed(tmp_path: Path) -> None:

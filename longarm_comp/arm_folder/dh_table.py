@@ -42,7 +42,7 @@ class Question:
     asked: bool = True
 
 
-QUESTIONS = (
+_QUESTIONS = (
     Question("type", "type (revolute, prismatic, fixed)", "revolute"),
     Question("alpha", "alpha: angle from the last z to this z about the last x, deg", "0"),
     Question("a", "a: distance from the last z to this z along the last x, m", "0"),
@@ -56,7 +56,7 @@ QUESTIONS = (
     Question("name", "name", "", asked=False),
     Question("mimic", "moves with another joint: NAME or NAME*FACTOR", "", asked=False),
 )
-_KEYS = {question.key: question for question in QUESTIONS}
+_KEYS = {question.key: question for question in _QUESTIONS}
 
 
 def ask_rows(ask: Ask, count: int) -> list[dict[str, str]]:
@@ -64,7 +64,7 @@ def ask_rows(ask: Ask, count: int) -> list[dict[str, str]]:
     rows = []
     for number in range(1, count + 1):
         row: dict[str, str] = {}
-        for question in QUESTIONS:
+        for question in _QUESTIONS:
             if question.asked and _applies(question.key, row):
                 row[question.key] = ask(f"joint {number}, {question.text}", question.default)
         rows.append(row)

@@ -57,7 +57,7 @@ class Source:
         return cls(path.read_text("utf-8"), arm)
 
 
-def parameter_files(arm: Arm, servos: str = DEFAULT_MODEL) -> dict[str, str]:
+def parameter_files(arm: Arm, servos: str = DEFAULT_MODEL, direct: bool = False) -> dict[str, str]:
     """Texts of the parameter files that fit an arm, by node."""
     head = head_for(arm)
     carried = arm.payload.mass_kg if arm.payload else 0.0
@@ -66,7 +66,7 @@ def parameter_files(arm: Arm, servos: str = DEFAULT_MODEL) -> dict[str, str]:
     ]
     values: dict[str, dict[str, Any]] = {
         "servo_driver": {
-            "joints": servo_section(arm, servos),
+            "joints": servo_section(arm, servos, direct),
             "bus": bus | {"protocol": models()[servos].protocol},
         },
         "stereo_bridge": head.bridge(),
@@ -85,9 +85,9 @@ def demonstration() -> dict[str, str]:
     return {ARM: (folder("config") / "arm_demo.yaml").read_text("utf-8"), **files}
 
 
-def files_of(source: Source, servos: str = DEFAULT_MODEL) -> dict[str, str]:
-    """Texts of all files of an arm's folder by name."""
-    made = parameter_files(source.arm, servos)
+def files_of(source: Source, servos: str = DEFAULT_MODEL, direct: bool = False) -> dict[str, str]:
+    """Texts of all files of an arm's folder by name; ``direct``: as in `servo_section`."""
+    made = parameter_files(source.arm, servos, direct)
     return {ARM: source.text, **{f"{node}.yaml": text for node, text in made.items()}}
 
 

@@ -31,11 +31,7 @@ def read_parameters(path: Path) -> dict[str, Any]:
 
 
 def parameters_of(node: str, file: Path) -> dict[str, Any]:
-    """Values of a node that runs with a file: the package's own where the file has none.
-
-    Raises:
-        InputError: as `read_parameters`; a name or kind of value that the node does not have.
-    """
+    """Values of a node that runs with a file: the package's own where the file has none."""
     given = read_parameters(file)
     for name, value, allowed in strangers(node, given):
         raise InputError(file, name, value, allowed)

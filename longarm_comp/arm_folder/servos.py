@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from longarm_comp.core.arm.arm import Arm, Joint
+from longarm_comp.core.effects.joint_term import reach
 from longarm_comp.core.errors import InputError
 from longarm_comp.devices.servo_bus import ServoModel, models
 from longarm_comp.devices.servo_config import ServoConfig
@@ -18,17 +19,25 @@ _SPEED = 0.85 * 3000.0
 """Velocity of a joint as ticks a second of its servo: 85 % of a small servo without load."""
 
 
-def servo_section(arm: Arm, model: str = DEFAULT_MODEL) -> dict[str, Any]:
+_REDUCED_M_S = 0.25
+"""Speed of the tip at which people may stand beside an arm (ISO 10218-1, reduced speed)."""
+
+
+def servo_section(arm: Arm, model: str = DEFAULT_MODEL, direct: bool = False) -> dict[str, Any]:
     """Key ``joints`` of a servo driver's file, in the order of the arm.
 
     The gearing is an assumption. It is the demonstration's (10:1, a pinion of 8 mm) where the
     joint's range fits into the turns of the servo, else as much less as needed; where arm.yaml
     declares a step, one tick of the servo is that step.
+
+    Args:
+        direct: the servos' horns turn the joints, as in printed arms: one turn, no gearing, and
+            no joint alone moves the tip faster than 0.25 m/s.
     """
     if model not in models():
         raise InputError("init", "--servos", model, ", ".join(models()))
     made = {
-        name: _servo(number, arm.joints[row - 1], models()[model])
+        name: _servo(number, arm.joints[row - 1], models()[model], reach(arm) if direct else 0.0)
         for number, (name, row) in enumerate(zip(arm.joint_names, arm.commanded, strict=True), 1)
     }
     protocol = models()[model].protocol
@@ -36,7 +45,9 @@ def servo_section(arm: Arm, model: str = DEFAULT_MODEL) -> dict[str, Any]:
     return made
 
 
-def _servo(number: int, joint: Joint, model: ServoModel) -> dict[str, Any]:
+def _servo(number: int, joint: Joint, model: ServoModel, reach_m: float) -> dict[str, Any]:
+    """``reach_m``: of an arm whose joints sit on the servos' horns; 0: geared."""
+    horn = reach_m > 0.0 and joint.type == "revolute"
     low, high = model.multi_turn
     # Share of the servo's turns that a joint's range may take
     room = 0.98 * min(high - ZERO_TICKS, ZERO_TICKS - low)
@@ -45,16 +56,19 @@ def _servo(number: int, joint: Joint, model: ServoModel) -> dict[str, Any]:
         allowed = f"at least {farthest / room:.3g} with {model.name}, or a servo with more turns"
         raise InputError("servos", f"step of {joint.name or joint.id}", joint.step, allowed)
     transmission, tick = _transmission(joint, farthest / room, model.ticks_per_turn)
+    if horn:
+        transmission, tick = {"gear_ratio": 1.0}, 2 * math.pi / model.ticks_per_turn
+    speed = min(_SPEED * tick, _REDUCED_M_S / reach_m) if horn else _SPEED * tick
     return {
         "servo_id": number,
         "model": model.name,
         "type": joint.type,
         "zero_ticks": ZERO_TICKS,
         **transmission,
-        "multi_turn": True,
+        "multi_turn": not horn,
         "lower": round(joint.limits[0], 7),
         "upper": round(joint.limits[1], 7),
-        "max_velocity": float(f"{_SPEED * tick:.2g}"),
+        "max_velocity": float(f"{speed:.2g}"),
     }
 
 

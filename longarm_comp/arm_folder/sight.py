@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from longarm_comp.arm_folder.visible import View
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import sobol
@@ -27,11 +29,13 @@ class Sight:
     Attributes:
         poses, found: poses looked at, and those at which the tip was measured.
         off_mm: median distance of the measured tip from the tip; NaN where none was measured.
+        why: at most of the others it was not.
     """
 
     poses: int
     found: int
     off_mm: float
+    why: str = ""
 
     @property
     def seen(self) -> float:
@@ -39,7 +43,8 @@ class Sight:
         return self.found / self.poses
 
     def __str__(self) -> str:
-        return f"{self.found} of {self.poses} poses"
+        said = f"{self.found} of {self.poses} poses"
+        return f"{said}, at most others {self.why}" if self.why else said
 
 
 def seen_from(
@@ -59,11 +64,19 @@ def seen_from(
     rig = StereoRig.from_camera_info(*head.camera_infos(), rectified=False)
     eye = StereoEye(rig, tags_of(bridge), hand_eye, bridge["tip_in_marker"])
     rng = np.random.default_rng(0)
-    off = []
+    off, lost = [], []
     for k, tip in enumerate(declared_model(arm).pose(sobol(arm, poses, 0).q)):
         left, right = render(tip @ on_tip, plate, head, rng)
         try:
             off.append(np.linalg.norm(eye.measure(left, right, k).point - tip[:3, 3]))
         except StereoRefusal:
-            continue
-    return Sight(poses, len(off), 1e3 * float(np.median(off)) if off else np.nan)
+            lost.append(tip)
+    why = View.of(bridge, simulated).unseen(np.array(lost)) if lost else []
+    return Sight(poses, len(off), 1e3 * float(np.median(off)) if off else np.nan, _mostly(why))
+
+
+def _mostly(why: list[str]) -> str:
+    """One of the most frequent kind, with its figures."""
+    kinds = Counter(text.partition(":")[0] for text in why if text)
+    most = kinds.most_common(1)[0][0] if kinds else None
+    return next((text for text in why if most and text.startswith(most)), "")

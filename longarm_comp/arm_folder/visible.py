@@ -122,7 +122,10 @@ class View:
                 turned = np.degrees(np.arccos(np.clip(facing[k], -1.0, 1.0)))
                 why.append(f"turned away: {turned:.0f} deg")
             elif pixels[k] < _TAG_PX:
-                why.append(f"too far: {depth[k]:.2f} m, a tag is {pixels[k]:.0f} px")
+                why.append(
+                    f"too far: {depth[k]:.2f} m, a tag is {pixels[k]:.0f} px, "
+                    f"{np.ceil(_TAG_PX):.0f} needed"
+                )
             else:
                 why.append("")
         return why
@@ -169,11 +172,11 @@ def view_beside(arm: Path) -> View | None:
     bridge, simulated = (parameters_of(node, file) for node, file in zip(nodes, files, strict=True))
     if bridge["marker.kind"] != "tags":
         return None
-    view, lens = View.of(bridge, simulated), lens_beside(arm)
+    view, lens = View.of(bridge, simulated), _lens_beside(arm)
     return view if lens is None else replace(view, lens=lens)
 
 
-def lens_beside(arm: Path) -> Lens | None:
+def _lens_beside(arm: Path) -> Lens | None:
     """The cameras' lens by the calibration beside an arm.yaml; None where there is none."""
     from longarm_comp.arm_folder.camera_files import SIDES, camera_path, read_camera
 

@@ -5,9 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from longarm_comp.core.errors import InputError
+import numpy as np
 
-DEFAULT_DEG = 45.0
+from longarm_comp.arm_folder.head import head_for
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.effects.joint_term import reach
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.declared_model import declared_model
+
+_RANGES = (45.0, 40.0, 35.0, 30.0, 25.0, 20.0, 15.0)
 
 
 def narrowed(
@@ -42,3 +48,16 @@ def narrowed(
         rows.append({**row, "limits_deg": made})
         notes[row["id"]] = f"whole range {low:g} to {high:g} deg"
     return {**data, "joints": rows}, notes
+
+
+def in_sight(data: Mapping[str, Any], home_deg: Mapping[str, float]) -> float:
+    """Largest range of turning joints, deg, that two webcams see from the arm's own table.
+
+    They stand within one and a half times the arm's reach then, and the marker is small.
+    """
+    for range_deg in _RANGES:
+        arm = Arm.parse(narrowed(data, range_deg, home_deg)[0], "arm.yaml")
+        tip = declared_model(arm, deflection=False).tip(arm.mid)
+        if np.linalg.norm(tip - head_for(arm).position_m) <= 1.5 * reach(arm):
+            break
+    return range_deg

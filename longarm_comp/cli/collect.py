@@ -9,11 +9,11 @@ import click
 
 from longarm_comp.cli import options, outputs
 from longarm_comp.cli.output import note, print_json, print_table
-from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.errors import InputError, JobError, LongarmError
 
 if TYPE_CHECKING:
     from longarm_comp.jobs.collect.preview import Preview
-    from longarm_comp.jobs.collect.progress import Progress
+    from longarm_comp.jobs.collect.progress import Outcomes, Progress
     from longarm_comp.jobs.collect.run import Collected
 
 _LOOK_S = 0.2
@@ -142,6 +142,7 @@ def _drive(ahead: Preview, output: Path, namespace: str, quiet: bool, **how: Any
         outcomes.add(now)
         show(now)
 
+    done: Collected | None = None
     try:
         with (
             stop_on_signals() as stop,
@@ -149,19 +150,30 @@ def _drive(ahead: Preview, output: Path, namespace: str, quiet: bool, **how: Any
             ArmClient(ahead.arm, namespace, stop, "collect") as client,
             shown(ahead.arm, quiet) as show,
         ):
-            return collect(
+            done = collect(
                 client, ahead.visits, output, view=ahead.view, pause=pause,
                 progress=follow, **how,
             )  # fmt: skip
-    except JobError:
-        if (output / "metadata.yaml").is_file():
-            note(f"what was measured is in {output}; --resume adds the other visits")
-        raise
+            return done
     finally:
-        if outcomes.made:
-            from longarm_comp.jobs.collect.picture import coverage  # takes a second
+        _end(ahead, outcomes, output, whole=done is not None)
 
+
+def _end(ahead: Preview, outcomes: Outcomes, output: Path, whole: bool) -> None:
+    """What is kept, drawn and to be done next; whatever ended it is said after this."""
+    lost = sum(map(bool, outcomes.made.values()))
+    if outcomes.made:
+        from longarm_comp.jobs.collect.picture import coverage  # takes a second
+
+        try:
             note(f"coverage: {coverage(ahead, outcomes, output)}")
+        except (LongarmError, OSError) as error:
+            note(f"no picture of the coverage: {error}")
+    if not whole and (output / "metadata.yaml").is_file():
+        seen = len(outcomes.made) - lost
+        note(f"driven in this run: {len(outcomes.made)} of {len(ahead.visits)} visits, marker seen "
+             f"at {seen}; {output} keeps them, the same command with --resume adds the "
+             "others")  # fmt: skip
 
 
 def _show(ahead: Preview, picture: Path | None, as_json: bool) -> None:

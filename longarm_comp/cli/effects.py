@@ -26,7 +26,7 @@ def command(as_json: bool) -> None:
     if as_json:
         print_json(rows)
         return
-    print(markdown(rows))
+    print(_markdown(rows))
 
 
 def catalogue() -> list[dict[str, object]]:
@@ -58,7 +58,7 @@ def catalogue() -> list[dict[str, object]]:
     ]
 
 
-def markdown(rows: list[dict[str, object]]) -> str:
+def _markdown(rows: list[dict[str, object]]) -> str:
     """A table in Markdown."""
     lines = ["| effect | what | parameters (unit, prior, bounds) | needs |", "|---|---|---|---|"]
     for row in rows:

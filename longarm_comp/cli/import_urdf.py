@@ -18,8 +18,8 @@ from longarm_comp.cli.output import note
 def command(urdf: Path, base: str, tip: str, output: Path) -> None:
     """Write an arm.yaml for the chain of URDF from --base to --tip.
 
-    Limits, masses, centres of mass and mimic joints are taken over; add the elastic beams (links)
-    by hand.
+    Limits, masses, centres of mass and mimic joints are taken over, lengths lie along a and d of
+    the joints' rows; add the elastic beams (links) there by hand (docs/arm.md).
 
     \b
     Example:
@@ -36,3 +36,7 @@ def command(urdf: Path, base: str, tip: str, output: Path) -> None:
     text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
     write_text(output, f"# From {urdf.name}, {base} to {tip}; add `links` where it bends.\n{text}")
     note(f"{arm.n} joints ({', '.join(arm.joint_names)}) in {output}")
+    lengths = [f"row {joint.id} ({joint.name}) {role} {size:.4g} m" for joint in arm.joints
+               for role, size in (("a", joint.a_m), ("d", joint.d_m)) if size]  # fmt: skip
+    if lengths:
+        note(f"a URDF says nothing of what bends; links can lie along {', '.join(lengths)}")

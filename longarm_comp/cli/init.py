@@ -46,6 +46,11 @@ _SOURCES = "--urdf FILE, --like demo, --arm FILE or --joint ROW"
 @click.option("--home", multiple=True, metavar="JOINT=DEG", help="Middle of that range.")
 @click.option("--servos", default="sts3215", show_default=True, help="Model of the servos.")
 @click.option(
+    "--hobby",
+    is_flag=True,
+    help="A printed arm and two webcams: servo horns at the joints, cameras near, marker on A4.",
+)
+@click.option(
     "--only-arm",
     is_flag=True,
     help="arm.yaml alone, with all of a URDF's limits: another controller and sensor are used.",
@@ -65,6 +70,7 @@ def command(
     range_deg: float | None,
     home: tuple[str, ...],
     servos: str,
+    hobby: bool,
     only_arm: bool,
     as_json: bool,
 ) -> None:
@@ -80,6 +86,7 @@ def command(
       longarm init my_arm --like demo
       longarm init my_arm --urdf robot.urdf --base base_link --tip tool0
       longarm init boom --urdf boom.urdf --only-arm
+      longarm init my_arm --urdf so101.urdf --hobby
       longarm init my_arm --joint 'alpha=0 d=0.1 limits=-60..60' \\
         --joint 'alpha=90 limits=0..70 a=0 material=petg' --joint 'a=0.3 tube_a=30/26' \\
         --tip-at 0.2 0 0
@@ -101,13 +108,17 @@ def command(
         if urdf is not None:
             # Range of a turning joint that is driven through all of it in a first session
             whole = 0.0 if only_arm else 45.0
-            source = _from_urdf(urdf, base, tip, whole if range_deg is None else range_deg, homes)
+            first = None if hobby else whole
+            source = _from_urdf(urdf, base, tip, first if range_deg is None else range_deg, homes)
         elif arm is not None:
             source = _from_file(arm)
         else:
             table = _table(out, name, rows, tip_at, payload)
-            source = _narrowed(table, "a DH table", range_deg or 0.0, homes)
-        files = {ARM: source.text} if only_arm else files_of(source, servos)
+            first = None if hobby else 0.0
+            source = _narrowed(
+                table, "a DH table", first if range_deg is None else range_deg, homes
+            )
+        files = {ARM: source.text} if only_arm else files_of(source, servos, hobby)
     write_folder(out, files)
     if as_json:
         print_json({"folder": str(out), "files": list(files)})
@@ -133,7 +144,7 @@ def _home(text: str) -> tuple[str, float]:
 
 
 def _from_urdf(
-    urdf: Path, base: str, tip: str, range_deg: float, homes: dict[str, float]
+    urdf: Path, base: str, tip: str, range_deg: float | None, homes: dict[str, float]
 ) -> Source:
     from longarm_comp.urdf import chain_ends, import_urdf
 
@@ -149,11 +160,14 @@ def _from_file(arm: Path) -> Source:
 
 
 def _narrowed(
-    data: dict[str, object], where: str, range_deg: float, homes: dict[str, float]
+    data: dict[str, object], where: str, range_deg: float | None, homes: dict[str, float]
 ) -> Source:
+    """Without a range: what webcams see from the arm's own table."""
     from longarm_comp.arm_folder.make import Source
-    from longarm_comp.arm_folder.working_range import narrowed
+    from longarm_comp.arm_folder.working_range import in_sight, narrowed
 
+    if range_deg is None:
+        range_deg = in_sight(data, homes)
     data, notes = narrowed(data, range_deg, homes)
     head = f"The declared arm, from {where}. `longarm check` lists what is still assumed."
     if notes:

@@ -10,7 +10,7 @@ import click
 
 from longarm_comp.cli.outputs import Kind, Output
 
-Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
+_Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 _PATH = click.Path(path_type=Path)  # type: ignore[type-var]
 
@@ -54,7 +54,7 @@ def _load(_: click.Context, __: click.Parameter, files: tuple[Path, ...]) -> tup
     return files
 
 
-def _effects(expose: bool) -> Decorator:
+def _effects(expose: bool) -> _Decorator:
     return click.option(
         "--effects",
         "effect_files",
@@ -75,7 +75,7 @@ effect_files = _effects(expose=True)
 
 def output(
     default: str | None, what: str, kind: Kind, beside: Callable[[Path], list[Path]] = lambda p: []
-) -> Decorator:
+) -> _Decorator:
     """``-o PATH``; what of it may be overwritten says `outputs`."""
     return click.option(
         "-o",
@@ -91,12 +91,12 @@ def output(
     )
 
 
-def written(name: str, what: str, kind: Kind) -> Decorator:
+def written(name: str, what: str, kind: Kind) -> _Decorator:
     """An option that names a further file or folder to write."""
     return click.option(*name.split("/"), type=_PATH, help=what, cls=Output, kind=kind)
 
 
-def path_option(name: str, what: str, required: bool = False) -> Decorator:
+def path_option(name: str, what: str, required: bool = False) -> _Decorator:
     """An option that takes a path."""
     return click.option(name, type=_PATH, required=required, help=what)
 

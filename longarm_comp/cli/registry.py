@@ -32,6 +32,7 @@ COMMANDS = (
     Entry("bag info", "bag_info", "Contents of a bag, and the topics a session is read from."),
     Entry("bag to-csv", "bag_to_csv", "Convert a bag to samples.csv."),
     Entry("bag from-csv", "bag_from_csv", "Convert a samples.csv to a bag."),
+    Entry("find-port", "find_port", "Which serial port is the servo bus: unplug it and see."),
     Entry("up", "up", "Bring up an arm's ROS graph, real or simulated."),
     Entry("study", "study", "What prints the figures of docs/studies.md, from a checkout."),
     Entry("bench", "bench", "Speed compared with peers, in one run."),
@@ -41,6 +42,9 @@ COMMANDS = (
     Entry("hold", "hold", "Stop the running arm and keep it up."),
     Entry("stop", "stop", "Cut the running arm's torque now."),
     Entry("reset", "reset", "Go on after a hold, a stop or a fault."),
+    Entry("sim unplug", "sim_unplug", "Rehearse: a servo of the simulated arm does not answer."),
+    Entry("sim cover", "sim_cover", "Rehearse: a camera of the simulated arm sees nothing."),
+    Entry("sim freeze", "sim_freeze", "Rehearse: a node of the simulated arm stands still."),
     Entry("collect", "collect", "Drive a pose plan over ROS and record the session."),
     Entry("touch", "touch", "Record the joints while the tip touches points: one key a touch."),
     Entry("verify", "verify", "Drive fresh targets over ROS, without and with compensation."),
@@ -52,8 +56,10 @@ COMMANDS = (
     Entry("schema", "schema", "JSON schema of arm.yaml, for editors."),
     Entry("compare", "compare", "Two diagnoses, models or sessions side by side."),
     Entry("servo scan", "servo_scan", "The servos on a bus: id, model, firmware, ids used twice."),
+    Entry("servo set-id", "servo_set_id", "Give the one servo that is connected its id."),
     Entry("servo setup", "servo_setup", "Ids, zeros and directions of the servos, by hand."),
     Entry("stereo marker", "stereo_marker", "Marker or calibration board as a page to print."),
+    Entry("stereo webcams", "stereo_webcams", "The webcams, a picture of each, their ROS nodes."),
     Entry("stereo calibrate", "stereo_calibrate", "Calibrate the two cameras from a board."),
     Entry("stereo hand-eye", "stereo_hand_eye", "Find where the two cameras stand."),
     Entry("undo", "undo", "Restore the version of a model.yaml before the last change."),
@@ -62,6 +68,7 @@ COMMANDS = (
 GROUPS = {
     "bag": "Sessions as rosbag2.",
     "servo": "Servo bus: what is on it, ids, zeros, directions.",
+    "sim": "Faults of a simulated arm, to rehearse what one does.",
     "stereo": "Cameras and marker.",
 }
 """One line of help for each first word of a two-word name."""

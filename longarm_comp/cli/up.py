@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 import click
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note
+
+_DISCOVERED_S = 1.5
+"""A graph that runs is seen within it."""
+_FORGOTTEN_S = 22.0
+"""The middleware counts a killed driver for 20 s."""
 
 
 @click.command()
@@ -27,6 +33,8 @@ from longarm_comp.cli.output import note
     help="Folder of parameter files NODE.yaml; default: ARM's. The package's own for the rest.",
 )
 @click.option("--composed", is_flag=True, help="kinematics and error_predictor in one process.")
+@click.option("--paths", is_flag=True, help="trajectory_compensator too, for planned paths.")
+@click.option("--shaping", is_flag=True, help="Moves that leave no ring (docs/ringing.md).")
 @click.option("--respawn/--no-respawn", default=True, help="Restart a node that dies.")
 def command(
     arm: Path,
@@ -41,6 +49,8 @@ def command(
     namespace: str,
     config: Path | None,
     composed: bool,
+    paths: bool,
+    shaping: bool,
     respawn: bool,
 ) -> None:
     """Start ARM's nodes as processes, until SIGINT or SIGTERM.
@@ -53,7 +63,6 @@ def command(
       longarm up arm.yaml --model model.yaml --predictor predictor.npz --port /dev/ttyUSB0
     """
     import signal
-    import threading
 
     import rclpy  # noqa: F401
 
@@ -73,11 +82,24 @@ def command(
         port=port,
         speed=speed,
         composed=composed,
+        paths=paths,
+        shaping=shaping,
         set={"simulated_arm": {"hidden": hidden, "seed": seed}} if sim else {},
     )
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
+    _alone(namespace, stop)
     with running(graph, respawn=respawn, say=note) as supervisor:
         note(f"{', '.join(graph.nodes)} are starting; Ctrl-C ends all")
         supervisor.run(stop)
+
+
+def _alone(namespace: str, stop: threading.Event) -> None:
+    """Refuse a second graph beside one that runs: both would command the same arm."""
+    from longarm_comp.jobs.client import GraphClient, drivers
+
+    with GraphClient(namespace, stop, "up") as client:
+        client.spin(_DISCOVERED_S)
+        several = "a graph runs already in this namespace and ROS_DOMAIN_ID; end it, or --namespace"
+        client.until(lambda: not drivers(client.node), _FORGOTTEN_S, several)

@@ -30,11 +30,7 @@ def check_regular(path: str | os.PathLike[str]) -> None:
 
 
 def check_unpacked(path: str | os.PathLike[str], archive: zipfile.ZipFile) -> None:
-    """Refuse what would unpack to more than `MOST_UNPACKED`, before anything is unpacked.
-
-    Raises:
-        InputError: it would.
-    """
+    """Refuse what would unpack to more than `MOST_UNPACKED`, before anything is unpacked."""
     size = sum(entry.file_size for entry in archive.infolist())
     if size > MOST_UNPACKED:
         raise InputError(path, "unpacked size", f"{size} bytes", f"at most {MOST_UNPACKED} bytes")

@@ -8,6 +8,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from longarm_comp.math.shaper import Shaper
+
 Array = npt.NDArray[np.float64]
 
 
@@ -133,11 +135,53 @@ class TakenOver:
             wanted = (1.0 - weight) * np.clip(brake, self.lower, self.upper) + weight * wanted
         return np.clip(wanted, self.lower, self.upper)
 
-    def postures(self) -> Array:
-        """(N, n) joints on the way: 16 in the blend, and 16 from one way-point to the next."""
+    @property
+    def duration(self) -> float:
+        """s"""
+        return self.path.duration
+
+    @property
+    def looked_at(self) -> Array:
+        """(N,) s, sorted: 16 times in the blend, and 16 from one way-point to the next."""
         knots = [(0.0, self.blend_s), *pairwise(self.path.times.tolist())]
-        times = sorted(t for a, b in knots for t in np.linspace(a, b, _LOOKED_AT + 1)[1:].tolist())
-        return np.array([self.at(t) for t in times])
+        return np.sort([np.linspace(a, b, _LOOKED_AT + 1)[1:] for a, b in knots], axis=None)
+
+    def postures(self) -> Array:
+        """(N, n) joints on the way."""
+        return np.array([self.at(t) for t in self.looked_at.tolist()])
+
+
+@dataclass(frozen=True)
+class InParts:
+    """A path from rest, sent in parts so that the arm does not ring at its end.
+
+    Between the parts each joint is a mean of where the path has it: inside the joint box and the
+    limits of velocity, but not on the path.
+    """
+
+    way: TakenOver
+    shaper: Shaper
+
+    @property
+    def path(self) -> JointPath:
+        """What is followed."""
+        return self.way.path
+
+    @property
+    def duration(self) -> float:
+        """s"""
+        return self.way.duration + self.shaper.duration
+
+    def at(self, time_s: float) -> Array:
+        """(n,) position at a time."""
+        parts = self.shaper.shaped(lambda times: np.array([self.way.at(t) for t in times.tolist()]))
+        return np.asarray(parts(np.array([time_s]))[0])
+
+    def postures(self) -> Array:
+        """(N, n) joints on the way, as those of the path itself, of every part."""
+        late = np.unique(self.shaper.delays)
+        times = np.unique(self.way.looked_at[:, None] + late)
+        return np.array([self.at(t) for t in times.tolist()])
 
 
 _LOOKED_AT = 16

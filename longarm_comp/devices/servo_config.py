@@ -22,11 +22,11 @@ from longarm_comp.devices.servo_joint import JointConfig, Positive, ServoSetting
 class BusConfig(ServoSettings):
     """The serial line."""
 
-    protocol: str
-    port: str
-    baudrate: int = Field(1_000_000, gt=0)
-    reply_timeout_s: float = Field(0.02, gt=0.0, le=1.0)
-    retries: int = Field(2, ge=0, le=10)
+    protocol: str = Field(description="of the servos")
+    port: str = Field(description="serial device")
+    baudrate: int = Field(1_000_000, gt=0, description="bits a second")
+    reply_timeout_s: float = Field(0.02, gt=0.0, le=1.0, description="patience with a reply, s")
+    retries: int = Field(2, ge=0, le=10, description="of an instruction without a good reply")
 
     @field_validator("protocol")
     @classmethod
@@ -37,30 +37,31 @@ class BusConfig(ServoSettings):
 
 
 class FollowerConfig(ServoSettings):
-    """Limits that hold for every joint; ticks are the servo's own.
+    """Limits that hold for every joint; ticks are the servo's own."""
 
-    Attributes:
-        blend_s: time in which a new trajectory takes over from a running one.
-        max_step_s: largest time step of the set-point, also after a longer pause.
-        silence_s: time without a trusted read-back that counts as a fault.
-        stall_error_ticks, stall_time_s: position error at full load, and its duration, that
-            count as a stall.
-        lost_error_ticks: position error over ``stall_time_s`` that is a fault at any load.
-        jump_ticks: a read-back further than this from any reachable position is rejected.
-        trim_ticks: so far may a servo give way: the largest correction by trim
-            (`docs/readings.md`), and how far beyond its limit a joint may hang when it is taken up.
-        trim_pause_s: rest between two of its steps: a period of the arm's slowest swing, at least.
-    """
-
-    blend_s: Positive = 0.2
-    max_step_s: Positive = 0.1
-    silence_s: Positive = 0.25
-    stall_error_ticks: Positive = 40.0
-    stall_time_s: Positive = 0.5
-    lost_error_ticks: Positive = 400.0
-    jump_ticks: Positive = 200.0
-    trim_ticks: Positive = 100.0
-    trim_pause_s: Positive = 0.12
+    blend_s: Positive = Field(0.2, description="a new trajectory takes over from a running one, s")
+    max_step_s: Positive = Field(
+        0.1, description="largest step of the set-point in time, also after a longer pause, s"
+    )
+    silence_s: Positive = Field(0.25, description="without a trusted read-back: a fault, s")
+    stall_error_ticks: Positive = Field(
+        40.0, description="position error at full load that counts as a stall"
+    )
+    stall_time_s: Positive = Field(0.5, description="how long it has to last, s")
+    lost_error_ticks: Positive = Field(
+        400.0, description="position error over stall_time_s that is a fault at any load"
+    )
+    jump_ticks: Positive = Field(
+        200.0, description="a read-back so far from any reachable position is rejected"
+    )
+    trim_ticks: Positive = Field(
+        100.0,
+        description="so far may a servo give way: the largest correction by trim, and how far "
+        "beyond its limit a joint may hang when it is taken up",
+    )
+    trim_pause_s: Positive = Field(
+        0.12, description="rest between two steps of trim: a period of the slowest swing, s"
+    )
 
 
 class ServoConfig(ServoSettings):

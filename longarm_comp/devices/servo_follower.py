@@ -27,6 +27,7 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.devices.follower_step import Accepted, Event, EventKind, FollowerState, Step
 from longarm_comp.devices.joint_path import (
     Array,
+    InParts,
     JointPath,
     JointTrajectory,
     TakenOver,
@@ -37,6 +38,7 @@ from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_watch import JointFault, ServoTrouble, ServoWatch
 from longarm_comp.devices.trajectory_check import checked
 from longarm_comp.devices.trim import Trim
+from longarm_comp.math.shaper import Shaper
 
 __all__ = ["Accepted", "Event", "EventKind", "FollowerState", "Step", "TrajectoryFollower"]
 
@@ -45,6 +47,8 @@ _OF_A_MOVE = 2
 
 KeepsOut = Callable[[Array], str]
 """Says why an arm must not go through joints (N, n); empty where it may."""
+Shapes = Callable[[Array, Array], Shaper | None]
+"""How a move from rest at joints (n,) to others is sent in parts; None: as it is."""
 
 
 class TrajectoryFollower:
@@ -55,13 +59,18 @@ class TrajectoryFollower:
 
     Args:
         keeps_out: asked of every trajectory; None: nothing is kept out of.
+        shapes: asked of every trajectory that begins at rest; None: none is shaped.
         trim: whether moves end with the readings where they were sent (`Trim`).
     """
 
     def __init__(
-        self, config: ServoConfig, keeps_out: KeepsOut | None = None, trim: bool = False
+        self,
+        config: ServoConfig,
+        keeps_out: KeepsOut | None = None,
+        shapes: Shapes | None = None,
+        trim: bool = False,
     ) -> None:
-        self._config, self._keeps_out = config, keeps_out
+        self._config, self._keeps_out, self._shapes = config, keeps_out, shapes
         self._joints = list(config.joints.values())
         self._names = tuple(config.joints)
         self._lower = np.array([j.lower for j in self._joints])
@@ -79,7 +88,7 @@ class TrajectoryFollower:
         self._set: Array | None = None
         self._velocity = np.zeros(len(self._joints))
         self._goals: dict[int, int] | None = None
-        self._way: TakenOver | None = None
+        self._way: TakenOver | InParts | None = None
         self._way_time = 0.0
         self._trim = Trim(config) if trim else None
         self._trims, self._untrimmed = False, ""
@@ -125,8 +134,12 @@ class TrajectoryFollower:
                 start, wanted.times, wanted.positions, wanted.velocities, self._max_velocity
             )
             self._check_inside(path)
-        way = self._taken_over(path, start)
         several = len(trajectory.points) > _OF_A_MOVE
+        taken = self._taken_over(path, start)
+        way: TakenOver | InParts = taken
+        if wanted is not None and self._shapes is not None and not accepted.replaces:
+            shaper = self._shapes(start, path.end)
+            way = taken if shaper is None else InParts(taken, shaper)
         if wanted is not None and self._keeps_out is not None:
             entry = self._keeps_out(way.postures())
             if entry:
@@ -138,7 +151,7 @@ class TrajectoryFollower:
             self._trim.begin(path=several)
         self._state, self._settled, self._still_s = FollowerState.TRACKING, False, 0.0
         kind = EventKind.REPLACED if accepted.replaces else EventKind.STARTED
-        self._say(kind, f"{len(trajectory.points)} points, {path.duration:.2f} s")
+        self._say(kind, f"{len(trajectory.points)} points, {way.duration:.2f} s")
         if path.stretch > 1.001:
             self._say(EventKind.SLOWED, f"{path.stretch:.2f} times slower, for the velocity limits")
         return accepted
@@ -234,7 +247,7 @@ class TrajectoryFollower:
         step = np.clip(self._way.at(self._way_time) - self._set, -bound, bound)
         self._set = self._set + step
         self._velocity = step / dt if dt > 0.0 else self._velocity
-        arrived = self._way_time >= path.duration + self._config.follower.blend_s
+        arrived = self._way_time >= self._way.duration + self._config.follower.blend_s
         if arrived and np.allclose(self._set, path.end, rtol=0.0, atol=1e-9):
             self._state = FollowerState.HOLDING
             self._settle(dt)

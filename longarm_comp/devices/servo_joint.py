@@ -12,7 +12,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.devices.servo_bus import ServoModel, models
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 Transmission = Annotated[float, Field(ge=1e-6, le=1e6)]
@@ -26,38 +26,46 @@ class ServoSettings(BaseModel):
 
 
 class JointConfig(ServoSettings):
-    """One joint and its servo; ``lower``, ``upper``, ``max_velocity`` in rad or m.
+    """One joint and its servo; ``lower``, ``upper``, ``max_velocity`` in rad or m."""
 
-    Attributes:
-        zero_ticks: encoder reading at joint value 0.
-        gear_ratio: servo turns for one turn of the joint (or of the screw or pinion).
-        screw_lead_m, pinion_radius_m: travel of a prismatic joint; one of the two.
-        direction: +1 when ticks grow with the joint value.
-        multi_turn: the servo turns more than once over the range. It loses its turn count
-            without power, so the joint must be within the turn of its zero at power-on.
-        max_load: share of the servo's full effort that counts as stalled, 0 to 1.
-        max_error: rad or m off its goal that is a fault at any load; by default the follower's
-            ``lost_error_ticks``.
-        full_effort: N m or N at the joint when its servo gives its full effort, for the effort in
-            joint_states; absent: not known.
-    """
-
-    servo_id: int = Field(ge=0, le=252)
-    model: str
-    type: Literal["revolute", "prismatic"]
-    zero_ticks: Finite
-    direction: Literal[1, -1] = 1
-    gear_ratio: Transmission = 1.0
-    screw_lead_m: Transmission | None = None
-    pinion_radius_m: Transmission | None = Field(None, validate_default=True)
-    multi_turn: bool = False
-    lower: Finite
-    upper: Finite
-    max_velocity: Positive
-    max_temperature_c: float = Field(65.0, ge=30.0, le=100.0)
-    max_load: float = Field(0.8, gt=0.0, le=1.0)
-    max_error: Positive | None = None
-    full_effort: Positive | None = None
+    servo_id: int = Field(ge=0, le=252, description="on the bus")
+    model: str = Field(description="of the servo")
+    type: Literal["revolute", "prismatic"] = Field(description="revolute or prismatic")
+    zero_ticks: _Finite = Field(description="encoder reading at joint value 0")
+    direction: Literal[1, -1] = Field(1, description="+1 when ticks grow with the joint value")
+    gear_ratio: Transmission = Field(
+        1.0, description="servo turns for one turn of the joint, of the screw or of the pinion"
+    )
+    screw_lead_m: Transmission | None = Field(
+        None, description="travel of a prismatic joint by a turn of its screw, m"
+    )
+    pinion_radius_m: Transmission | None = Field(
+        None, validate_default=True, description="of a prismatic joint's pinion instead, m"
+    )
+    multi_turn: bool = Field(
+        False,
+        description="the servo turns more than once over the range. It loses its turn count "
+        "without power, so the joint must be within the turn of its zero at power-on",
+    )
+    lower: _Finite = Field(description="limit, rad or m")
+    upper: _Finite = Field(description="limit, rad or m")
+    max_velocity: Positive = Field(description="rad/s or m/s")
+    max_temperature_c: float = Field(
+        65.0, ge=30.0, le=100.0, description="a hotter servo is a fault, degC"
+    )
+    max_load: float = Field(
+        0.8, gt=0.0, le=1.0, description="share of full effort that counts as stalled"
+    )
+    max_error: Positive | None = Field(
+        None,
+        description="rad or m off its goal that is a fault at any load; absent: the follower's "
+        "lost_error_ticks",
+    )
+    full_effort: Positive | None = Field(
+        None,
+        description="N m or N at the joint at the servo's full effort, for joint_states; absent: "
+        "not known",
+    )
 
     @field_validator("model")
     @classmethod

@@ -66,6 +66,11 @@ _STOPPED = {
 }
 
 
+def drivers(node: Node) -> int:
+    """How many servo drivers there are in a node's namespace."""
+    return node.count_publishers(node.resolve_topic_name(graph.DRIVER_STATE.name))
+
+
 class GraphClient:
     """A node on a graph: waits, services. Use as a context manager.
 
@@ -196,6 +201,9 @@ class ArmClient(GraphClient):
         """
         running = "does `longarm up` run, in this namespace and ROS_DOMAIN_ID?"
         self.until(lambda: self.joints is not None, within_s, f"no joint_states ({running})")
+        # a killed driver is counted for up to 20 s
+        several = "two drivers are on this graph: end one `longarm up`"
+        self.until(lambda: drivers(self.node) < 2, within_s, several)
         self.until(self._driver_hears, within_s, "no driver listens to joint_trajectory")
         self.until(self.driver_takes, within_s, "the driver is not ready (`longarm status`)")
         if tip:

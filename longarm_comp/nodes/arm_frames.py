@@ -24,7 +24,7 @@ PARAMS = (
     Param("frames.wait_s", 0.5, "patience with tf that is older than a target", 0.0, 60.0),
 )
 
-TIP_PREDICTED = "tip_predicted"
+_TIP_PREDICTED = "tip_predicted"
 
 
 class ArmFrames:
@@ -61,5 +61,5 @@ class ArmFrames:
         others = self._teller.listeners > 1  # one is this node's own
         if others and (context := self._context()) is not None:
             tip = self._files.loaded.model.pose(q, context)  # takes 10 times as long as the links
-            placed.append(Placed.at(self._base_frame, self._prefix + TIP_PREDICTED, tip))
+            placed.append(Placed.at(self._base_frame, self._prefix + _TIP_PREDICTED, tip))
         self._teller.tell(placed, self._node.get_clock().now().to_msg())

@@ -33,6 +33,8 @@ REAL = ("error_predictor", "kinematics", "servo_driver", "stereo_bridge")
 SIMULATED = ("simulated_arm", *REAL)
 COMPOSED = ("error_predictor", "kinematics")
 """Nodes that run in one process, `nodes/composed.py`, where that is asked for."""
+PATHS = "trajectory_compensator"
+"""The node that is started where paths are asked for."""
 
 _PATIENT = {"bus.reply_timeout_s": 0.2, "follower.silence_s": 2.0, "patience_s": 60.0}
 """Longer timeouts for emulated servos: they start with the driver and share its computer."""
@@ -52,6 +54,8 @@ class BringUp:
         speed: factor on all velocities in simulation.
         set: further parameters, by node and name.
         composed: run `COMPOSED` in one process.
+        paths: run `PATHS` too.
+        shaping: `servo_driver` sends moves in parts that cancel the arm's ring.
     """
 
     arm: Path
@@ -66,11 +70,13 @@ class BringUp:
     set: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     without: tuple[str, ...] = ()
     composed: bool = False
+    paths: bool = False
+    shaping: bool = False
 
     def __post_init__(self) -> None:
         for name in (*self.set, *self.without):
-            if name not in SIMULATED:
-                raise InputError("bring-up", "node", name, ", ".join(SIMULATED))
+            if name not in (*SIMULATED, PATHS):
+                raise InputError("bring-up", "node", name, ", ".join((*SIMULATED, PATHS)))
         if not 0.01 <= self.speed <= 100.0:
             raise InputError("bring-up", "speed", self.speed, "0.01 to 100")
         if self.composed and any(node in self.without for node in COMPOSED):
@@ -80,7 +86,8 @@ class BringUp:
     @property
     def nodes(self) -> tuple[str, ...]:
         """Names of the nodes, in the order of starting."""
-        return tuple(n for n in (SIMULATED if self.sim else REAL) if n not in self.without)
+        every = (*(SIMULATED if self.sim else REAL), *((PATHS,) if self.paths else ()))
+        return tuple(n for n in every if n not in self.without)
 
     def file(self, node: str) -> Path:
         """A node's parameter file: from ``config`` or the arm's folder, else the package's."""
@@ -136,9 +143,11 @@ class BringUp:
             | _path("model", self.model)
             | _path("predictor", self.predictor),
             "servo_driver": arm
+            | ({"shaping": True} | _path("model", self.model) if self.shaping else {})
             | ({"bus.port": port} if port else {})
             | (_PATIENT if self.sim else {}),
             "stereo_bridge": {} if self.sim else _path("cameras", self.cameras),
+            PATHS: arm | _path("model", self.model) | _paths("effects", self.effects),
             "simulated_arm": arm | {"servos": servos, "port": bus},
         }
         values = per_node[node]

@@ -32,7 +32,7 @@ Colour = tuple[float, float, float, float]
 DECLARED: Colour = (0.6, 0.6, 0.6, 0.5)
 HANGING: Colour = (0.1, 0.4, 0.9, 1.0)
 TARGET: Colour = (0.1, 0.7, 0.2, 1.0)
-PSEUDO: Colour = (0.9, 0.7, 0.1, 1.0)
+_PSEUDO: Colour = (0.9, 0.7, 0.1, 1.0)
 TIP: Colour = (0.9, 0.1, 0.1, 1.0)
 
 
@@ -71,7 +71,7 @@ class Markers:
             self._marker(1, "hanging", Marker.LINE_STRIP, HANGING, 0.012, hanging),
         ]
         drawn[1].text = f"{sag:g}"  # so that whoever reads it can undo the exaggeration
-        spots = (("target", TARGET, self._target), ("pseudo_target", PSEUDO, self._pseudo),
+        spots = (("target", TARGET, self._target), ("pseudo_target", _PSEUDO, self._pseudo),
                  ("tip_measured", TIP, self._tip))  # fmt: skip
         for number, (name, colour, at) in enumerate(spots, 2):
             drawn.append(self._spot(number, name, colour, at))

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from pydantic import BaseModel
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -22,7 +23,7 @@ from rclpy.parameter import Parameter
 
 from longarm_comp.core.errors import InputError
 
-ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides")
+_ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides")
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,7 @@ def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) ->
     """
     known = {param.name: param for param in table}
     given = {k: v for k, v in overrides(node).items() if k.split(".")[0] not in sections}
-    refuse_unknown(node, given, tuple(known))
+    _refuse_unknown(node, given, tuple(known))
     values = {}
     for name, param in known.items():
         value = given.get(name, param.default)
@@ -154,14 +155,38 @@ def redeclare(node: Node, name: str, value: Any, descriptor: ParameterDescriptor
     node.declare_parameter(name, value, descriptor, ignore_override=True)
 
 
+def declare_sections(node: Node, sections: Mapping[str, type[BaseModel]]) -> dict[str, Any]:
+    """Declare what was given below some prefixes, each field described; nested, to be checked."""
+    given = {k: v for k, v in overrides(node).items() if k.split(".")[0] in sections}
+    for name, value in given.items():
+        redeclare(node, name, value, described(sections[name.split(".")[0]], name.split(".")[-1]))
+    return nested(given)
+
+
+def described(section: type[BaseModel], field: str) -> ParameterDescriptor:
+    """The descriptor of one field of a section that is checked elsewhere: meaning and range."""
+    made = ParameterDescriptor(read_only=True)
+    found = section.model_fields.get(field)
+    if found is None:
+        return made  # refused by the section's own check
+    made.description = found.description or ""
+    bounds: dict[str, float] = {}
+    for rule in found.metadata:
+        bounds |= {k: getattr(rule, k) for k in ("ge", "gt", "le", "lt") if hasattr(rule, k)}
+    if bounds:
+        words = {"ge": "from", "gt": "above", "le": "to", "lt": "below"}
+        made.additional_constraints = " ".join(f"{words[k]} {v:g}" for k, v in bounds.items())
+    return made
+
+
 def overrides(node: Node) -> dict[str, Any]:
     """Parameters given on the command line and in its files, without ROS's own."""
     names = node.list_parameters([], 0).names
-    own = [name for name in names if name.split(".")[0] not in ROS_OWN]
+    own = [name for name in names if name.split(".")[0] not in _ROS_OWN]
     return {name: node.get_parameter(name).value for name in own}
 
 
-def refuse_unknown(node: Node, given: Mapping[str, Any], known: Sequence[str]) -> None:
+def _refuse_unknown(node: Node, given: Mapping[str, Any], known: Sequence[str]) -> None:
     """Raise `InputError` for a parameter that the node does not have."""
     for name in given:
         if name not in known:

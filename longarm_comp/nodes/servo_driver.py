@@ -6,7 +6,6 @@ switched off on deactivate, cleanup, shutdown, emergency stop and at the end of 
 
 from __future__ import annotations
 
-import inspect
 import os
 import sys
 import time
@@ -14,21 +13,27 @@ import uuid
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.errors import LongarmError
+from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.keep_out import keeper
+from longarm_comp.core.vibration.shaper import shaping
 from longarm_comp.devices.servo_arm import Cycle, JointReading, ServoArm
 from longarm_comp.devices.servo_bus import BusUnplugged, IncompleteReply
 from longarm_comp.devices.servo_config import BusConfig, FollowerConfig, ServoConfig
-from longarm_comp.devices.servo_follower import Accepted, Event, EventKind, FollowerState, KeepsOut
+from longarm_comp.devices.servo_follower import (
+    Accepted,
+    Event,
+    EventKind,
+    FollowerState,
+    KeepsOut,
+    Shapes,
+)
 from longarm_comp.devices.servo_joint import JointConfig
 from longarm_comp.nodes import intake
 from longarm_comp.nodes import interfaces as graph
@@ -37,7 +42,8 @@ from longarm_comp.nodes.follow import FollowServer
 from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report
 from longarm_comp.nodes.intake import Intake
 from longarm_comp.nodes.messages import trajectory_of
-from longarm_comp.nodes.params import Param, declare, nested, overrides, redeclare
+from longarm_comp.nodes.model_files import ModelFiles
+from longarm_comp.nodes.params import Param, declare, declare_sections, where
 from longarm_comp.nodes.runner import run
 from longarm_comp.nodes.steady import steady_timer
 from longarm_interfaces.msg import DriverState, Motion
@@ -45,6 +51,8 @@ from longarm_interfaces.msg import DriverState, Motion
 PARAMS = (
     Param("rate_hz", 50.0, "cycles a second: read all servos, command all", 1.0, 500.0),
     Param("arm", "", "arm.yaml whose steps and keep-out boxes hold; empty: not checked"),
+    Param("shaping", False, "moves from rest are sent in parts that cancel the ring of `arm`"),
+    Param("model", "", "model.yaml that says how the arm rings; empty: the arm as declared"),
     Param("autostart", True, "configure and activate by itself, and again after a failure"),
     Param("retry_s", 1.0, "pause between two such attempts", 0.1, 60.0),
     Param("patience_s", 5.0, "no servos at the start are an error only after it", 0.0, 600.0),
@@ -69,9 +77,7 @@ class ServoDriver(LifecycleNode):
         super().__init__("servo_driver", automatically_declare_parameters_from_overrides=True)
         p = declare(self, PARAMS, sections=tuple(SECTIONS))
         self._config = self._servo_config()
-        self._keeps_out: KeepsOut | None = None
-        if p["arm"]:
-            self._keeps_out = self._rules_of(Arm.load(p["arm"]), p["arm"])
+        self._keeps_out, self._shapes = self._rules_of(p)
         self._trim = p["trim"]
         self._autostart, self._period_s = p["autostart"], 1.0 / p["rate_hz"]
         self._arm: ServoArm | None = None
@@ -113,18 +119,20 @@ class ServoDriver(LifecycleNode):
         self._health.fault(error)
 
     def _servo_config(self) -> ServoConfig:
-        given = {k: v for k, v in overrides(self).items() if k.split(".")[0] in SECTIONS}
-        for name in given:
-            text = inspect.getdoc(SECTIONS[name.split(".")[0]]) or ""
-            redeclare(
-                self, name, given[name], ParameterDescriptor(description=text, read_only=True)
-            )
-        return ServoConfig.parse(nested(given), "parameters of servo_driver")
+        return ServoConfig.parse(declare_sections(self, SECTIONS), "parameters of servo_driver")
 
-    def _rules_of(self, arm: Arm, file: str) -> KeepsOut | None:
-        """Check the declared steps; what keeps moves out of its boxes, if it has any."""
+    def _rules_of(self, p: Mapping[str, Any]) -> tuple[KeepsOut | None, Shapes | None]:
+        """Check the declared steps; how moves are kept out of boxes, and shaped."""
+        file, names = p["arm"], list(self._config.joints)
+        if not file:
+            if p["shaping"]:
+                raise InputError(where(self), "shaping", True, "false, or arm: the arm's file")
+            return None, None
+        files = ModelFiles(file, p["model"])
+        arm = files.arm
         self._config.check_steps(dict(zip(arm.joint_names, arm.steps.tolist(), strict=True)), file)
-        return keeper(declared_model(arm), list(self._config.joints), file)
+        keeps_out = keeper(declared_model(arm), names, file)
+        return keeps_out, shaping(files.loaded.model, names, file) if p["shaping"] else None
 
     # ------------------------------------------------------------------ lifecycle
 
@@ -139,7 +147,7 @@ class ServoDriver(LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open the port and find every servo."""
         try:
-            self._arm = ServoArm(self._config, self._keeps_out, self._trim)
+            self._arm = ServoArm(self._config, self._keeps_out, self._shapes, self._trim)
         except LongarmError as error:
             return self._failed(error)
         self._fault = ""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,8 @@ PARAMS = (
     Param("seed", 1, "of all chance", 0, 2**31),
     Param("hidden", "", "undeclared effects and their size at the tip, 'name=mm name=mm'"),
     Param("more_play", "", "play that has grown since the start, 'joint=rad joint=m'", live=True),
+    Param("unplugged", "", "joints whose servos do not answer, 'joint2 joint4'", live=True),
+    Param("covered", "", "cameras that see nothing: 'left', 'right' or both", live=True),
     Param("frame_rate_hz", 5.0, "pairs of images a second", 0.0, 60.0),
     Param("context_rate_hz", 1.0, "temperature and payload messages a second", 0.0, 60.0),
     Param("speed_ticks_s", 3000.0, "no-load speed of the servos", 1.0, 1e6),
@@ -48,6 +51,7 @@ PARAMS = (
     Param("wire_faults_hz", 0.0, "servo replies lost, cut or damaged a second", 0.0, 50.0),
     Param("temperature_c", 22.0, "at the start", -50.0, 100.0),
     Param("warming_k", 0.0, "rise over hours", -50.0, 50.0),
+    Param("damping", 0.0, "it rings with this share of critical damping; 0: not at all", 0.0, 0.9),
     Param("payload_kg", 0.25, "carried at the tool", 0.0, 1000.0),
     Param("camera.position", [0.75, -1.7, 0.3], "left camera in the base frame, m"),
     Param("camera.axis", [0.0, 1.0, 0.0], "where it looks"),
@@ -69,6 +73,10 @@ PARAMS = (
     PERIOD,
 )
 
+_RINGS_S = 0.01
+"""Between two steps of the arm's vibration, s: a small part of the first modes' periods."""
+_SIDES = ("left", "right")
+
 
 def sizes(text: str) -> dict[str, float]:
     """Effects and sizes, mm, of ``name=mm name=mm``."""
@@ -85,6 +93,14 @@ def _numbers(field: str, text: str, allowed: str) -> dict[str, float]:
             where = "parameters of simulated_arm"
             raise InputError(where, field, part, allowed) from None
     return by_name
+
+
+def _named(field: str, text: str, known: Iterable[str]) -> list[str]:
+    """The words of a text; each must be known."""
+    for word in text.split():
+        if word not in known:
+            raise InputError("parameters of simulated_arm", field, word, ", ".join(known))
+    return text.split()
 
 
 class SimulatedArm(Node):
@@ -115,9 +131,13 @@ class SimulatedArm(Node):
             ),
             temperature_c=(p["temperature_c"], p["warming_k"]),
             payload_kg=p["payload_kg"],
+            damping=p["damping"],
         )
         self._plant = Plant(config, Path(p["port"]), rng)
-        self._wear(p["more_play"])
+        self._covered: list[str] = []
+        self._live = {"more_play": self._wear, "unplugged": self._unplug, "covered": self._cover}
+        for name, take in self._live.items():
+            take(p[name])
         self.add_on_set_parameters_callback(self._on_set)
         self._started = time.monotonic()
         self._frames = self._late = 0
@@ -135,6 +155,8 @@ class SimulatedArm(Node):
         if p["wire_faults_hz"]:
             self._chance = np.random.default_rng([p["seed"], 1])
             steady_timer(self, 1.0 / p["wire_faults_hz"], self._spoil)
+        if p["damping"]:
+            steady_timer(self, _RINGS_S, self._ring)
         self._health = Health(self, {"plant": self._report}, p[PERIOD.name])
         self._plant.start()
 
@@ -150,15 +172,25 @@ class SimulatedArm(Node):
     def _wear(self, text: str) -> None:
         self._plant.wear(_numbers("more_play", text, "joint=rad, for instance joint4=0.002"))
 
+    def _unplug(self, text: str) -> None:
+        ids = {joint.name: joint.servo_id for joint in self._plant.config.servos.joints}
+        self._plant.emulator.faults.silent = {ids[name] for name in _named("unplugged", text, ids)}
+
+    def _cover(self, text: str) -> None:
+        self._covered = _named("covered", text, _SIDES)
+
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
         """Take up what may be set while running."""
         try:
             for parameter in parameters:
-                if parameter.name == "more_play":
-                    self._wear(parameter.value)
+                if parameter.name in self._live:
+                    self._live[parameter.name](parameter.value)
         except InputError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _ring(self) -> None:
+        self._plant.ring(time.monotonic() - self._started)
 
     def _expose(self) -> None:
         if not self._worker.submit(self._frame):
@@ -176,7 +208,8 @@ class SimulatedArm(Node):
         infos = self._plant.config.cameras.camera_infos()
         for k, frame in enumerate((f"{prefix}left_optical", f"{prefix}right_optical")):
             self._infos[k].publish(info_message(infos[k], ns, frame))
-            self._images[k].publish(image_message(images[k], ns, frame))
+            seen = images[k] * (_SIDES[k] not in self._covered)
+            self._images[k].publish(image_message(seen, ns, frame))
         self._frames += 1
 
     def _spoil(self) -> None:

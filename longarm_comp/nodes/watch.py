@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 
-Signature = tuple[tuple[int, int, int] | None, ...]
+_Signature = tuple[tuple[int, int, int] | None, ...]
 
 
 class FileWatch:
@@ -22,7 +22,7 @@ class FileWatch:
         self._seen = now
         return changed
 
-    def _look(self) -> Signature:
+    def _look(self) -> _Signature:
         return tuple(_signature(path) for path in self._paths)
 
 

@@ -27,7 +27,7 @@ from longarm_comp.sessions.message_types import message_types
 from longarm_comp.sessions.offered import offered
 from longarm_comp.sessions.touches import write_touches
 
-STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
+_STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 PERIOD_S = 10.0  # between rows of a session that has no times
 _START_NS = 1_000_000_000_000  # a clock of 0 would read as "no stamp"
 
@@ -42,11 +42,11 @@ def write_bag(
     """Write a session as a bag folder; `read_bag` gives the same one back."""
     if session.n != arm.n:
         raise InputError(str(path), "joints", session.n, f"{arm.n} joints of arm {arm.name}")
-    if storage not in STORAGE:
-        raise InputError(str(path), "storage", storage, " or ".join(STORAGE))
+    if storage not in _STORAGE:
+        raise InputError(str(path), "storage", storage, " or ".join(_STORAGE))
     with (
         _whole_folder(Path(path)) as folder,
-        Writer(folder, version=9, storage_plugin=STORAGE[storage]) as writer,
+        Writer(folder, version=9, storage_plugin=_STORAGE[storage]) as writer,
     ):
         _Recorder(writer, arm, namespace).write(session)
         write_touches(session.touch_distances, folder)

@@ -39,11 +39,11 @@ from longarm_comp.sessions.table import Table, read_table, write_table
 from longarm_comp.sessions.touches import write_touches
 
 SIGMA = ("sigma_x", "sigma_y", "sigma_z")
-VARIANCE = ("cov_xx", "cov_yy", "cov_zz")
+_VARIANCE = ("cov_xx", "cov_yy", "cov_zz")
 UNITS = {"t_s": "s", "temperature_c": "degrees Celsius", "payload_kg": "kg"}
 LABELS = ("role", "group", "marker", "anchor", "sensor", "touch", "plane", "point")
 _INDEX = ("index", "approach", "repeat_id")
-_COVARIANCE = (*VARIANCE, "cov_xy", "cov_xz", "cov_yz")
+_COVARIANCE = (*_VARIANCE, "cov_xy", "cov_xz", "cov_yz")
 
 
 def read_csv(path: str | Path, arm: Arm, joint_columns: Sequence[str] | None = None) -> Session:
@@ -178,7 +178,7 @@ def read_approach(table: Table, n: int) -> np.ndarray | None:
 
 
 def _sigma(table: Table) -> np.ndarray | None:
-    for names, power in ((SIGMA, 1.0), (VARIANCE, 0.5)):
+    for names, power in ((SIGMA, 1.0), (_VARIANCE, 0.5)):
         if any(name in table.cells for name in names):
             check_header(table.where, table.header, names)
             unit = "m, above 0" if power == 1.0 else "m^2, above 0"

@@ -17,9 +17,9 @@ from longarm_comp.sessions.names import check_header, nearest
 from longarm_comp.sessions.table import Table
 
 XYZ = KINDS["position"].cells
-FURTHER = tuple(kind for name, kind in KINDS.items() if name != "position")
+_FURTHER = tuple(kind for name, kind in KINDS.items() if name != "position")
 READ = tuple(
-    cell for kind in FURTHER for cell in (*kind.cells, *([kind.sigma] if kind.sigma else []))
+    cell for kind in _FURTHER for cell in (*kind.cells, *([kind.sigma] if kind.sigma else []))
 )
 """Columns of the readings beside x, y, z, and of their standard deviations."""
 
@@ -30,7 +30,7 @@ JOINT_READING = re.compile(r"read_q[1-9]\d*")
 
 def check_measured(table: Table) -> None:
     """Raise `InputError` where a table measures nothing, or a coordinate's name is misspelt."""
-    first = [(*kind.cells, kind.label)[0] for kind in FURTHER]
+    first = [(*kind.cells, kind.label)[0] for kind in _FURTHER]
     for name in XYZ:
         others = [n for n in table.header if n not in XYZ]
         if name not in table.header and nearest(name, others):
@@ -52,7 +52,7 @@ def read_readings(table: Table) -> tuple[dict[str, np.ndarray], dict[str, np.nda
     """Readings of the other kinds, and their standard deviations, by kind."""
     readings, sigmas = {}, {}
     joints = (KINDS[name] for name in table.header if JOINT_READING.fullmatch(name))
-    for kind in (*FURTHER, *joints):
+    for kind in (*_FURTHER, *joints):
         if any(name in table.cells for name in kind.cells):  # none of a kind that a text measures
             readings[kind.name] = _read(table, kind)
             if kind.sigma in table.cells:
@@ -66,7 +66,7 @@ def read_readings(table: Table) -> tuple[dict[str, np.ndarray], dict[str, np.nda
 def written_readings(session: Session) -> dict[str, Sequence[object] | np.ndarray]:
     """The columns that `read_readings` reads."""
     made: dict[str, Sequence[object] | np.ndarray] = {}
-    for kind in (*FURTHER, *(KINDS[f"read_q{k + 1}"] for k in session.read_joints)):
+    for kind in (*_FURTHER, *(KINDS[f"read_q{k + 1}"] for k in session.read_joints)):
         if kind.name in session.readings:
             made.update(zip(kind.cells, session.readings[kind.name].T, strict=True))
         if kind.name in session.sigmas:

@@ -19,7 +19,7 @@ from longarm_comp.sim.context import State, TrueContext
 from longarm_comp.sim.hidden.camera import CameraEffect
 
 Array = np.ndarray
-Approach = Literal["both", "random", "mixed", "previous", "below"]
+_Approach = Literal["both", "random", "mixed", "previous", "below"]
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def measure_session(
     poses: Array,
     *,
     rng: np.random.Generator,
-    approach: Approach = "random",
+    approach: _Approach = "random",
     repeats: int = 0,
     lost: float = 0.0,
     outliers: float = 0.0,
@@ -244,7 +244,7 @@ def _with_repeats(
     return order, np.array([first.get(pose, np.nan) for pose in order], float)
 
 
-def _written_side(approach: Approach, order: Array, rng: np.random.Generator) -> Array:
+def _written_side(approach: _Approach, order: Array, rng: np.random.Generator) -> Array:
     side = rng.choice([-1.0, 1.0], len(order))
     if approach == "both":
         side[1::2] = -side[::2]

@@ -6,6 +6,7 @@ It is commanded only through the servo bus and observed only through the cameras
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.catalogue import draw
 from longarm_comp.sim.hidden.drives import Backlash, ServoDroop
+from longarm_comp.sim.ringing import Ringing
 from longarm_comp.sim.servo_emulator import EmulatedArm, EmulatedJoint, MotorSpec, ServoEmulator
 
 Array = NDArray[np.float64]
@@ -43,7 +45,7 @@ def hidden_effects(
     return tuple(effects)
 
 
-def with_play(hidden: tuple[HiddenEffect, ...], more: Array) -> tuple[HiddenEffect, ...]:
+def _with_play(hidden: tuple[HiddenEffect, ...], more: Array) -> tuple[HiddenEffect, ...]:
     """Hidden effects with play (n,), rad or m, added to the play that is there already."""
     if not more.any():
         return hidden
@@ -63,6 +65,7 @@ class PlantConfig:
         cameras, plate, plate_on_tip: cameras, marker and the marker's pose (4, 4) on the tip.
         spec: mechanics of the servos.
         temperature_c: temperature at the start, and its rise over hours (K).
+        damping: share of critical damping that the arm rings with; 0: it does not.
     """
 
     arm: Arm
@@ -75,6 +78,7 @@ class PlantConfig:
     conditions: Conditions = field(default_factory=Conditions)
     temperature_c: tuple[float, float] = (22.0, 0.0)
     payload_kg: float = 0.0
+    damping: float = 0.0
 
 
 class Plant:
@@ -100,6 +104,14 @@ class Plant:
         self._rng = rng
         self._true = TrueArm(config.arm, self._behind, steps=_STEPS)
         self._last: tuple[Array, Array] | None = None
+        self._ringing = Ringing(self._true, config.damping) if config.damping else None
+        self._swing, self._swings = np.zeros(3), threading.Lock()
+
+    def ring(self, t_s: float) -> None:
+        """The arm vibrates on, up to a time; call it often. It does nothing without damping."""
+        if self._ringing is not None:
+            with self._swings:
+                self._swing = self._ringing.moved(t_s, self.joints())
 
     def wear(self, play: Mapping[str, float]) -> None:
         """The play of some joints is so much (rad, m) larger than at the start from now on."""
@@ -110,7 +122,7 @@ class Plant:
             if not 0.0 <= value < np.inf:
                 raise InputError("plant", f"more_play {joint}", value, "0 or more, rad or m")
         more = np.array([play.get(name, 0.0) for name in names])
-        self._true = TrueArm(self.config.arm, with_play(self._behind, more), steps=_STEPS)
+        self._true = TrueArm(self.config.arm, _with_play(self._behind, more), steps=_STEPS)
         self._last = None
 
     def start(self) -> None:
@@ -157,7 +169,9 @@ class Plant:
             found = self._true.settled(q, context)
             self._last = known, found.pose[0]
             self._loads = self._felt(found.torques[0])
-        return self._last[1]
+        pose = self._last[1].copy()
+        pose[:3, 3] += self._swing
+        return pose
 
     def _felt(self, torques: Array) -> Mapping[int, float]:
         """What each servo feels of the joints' loads (n,), in the sense of its ticks, by id."""

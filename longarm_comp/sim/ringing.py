@@ -31,6 +31,7 @@ class Vibration:
 
     Attributes:
         omega: (k,) rad/s. shape: (3 P, k) of all masses. mass: (3 P,) kg. tip: (3, k).
+        carried: (3 P, n) motion of all masses by a unit of each joint, the springs held.
         driven: (k, n) by a unit of each joint's acceleration.
     """
 
@@ -38,6 +39,7 @@ class Vibration:
     shape: Array
     mass: Array
     tip: Array
+    carried: Array
     driven: Array
 
 
@@ -87,8 +89,7 @@ class _Build:
                         len(self.springs))  # fmt: skip
 
     def _mass(self, mass: float, at: Array) -> None:
-        if mass > 0.0:
-            self.masses.append((at, mass, len(self.springs)))
+        self.masses.append((at, mass, len(self.springs)))
 
     def _row(self, row: int) -> None:
         joint, rows = self.arm.joints[row - 1], self._walk._rows[:, row - 1, 0]
@@ -152,16 +153,18 @@ def vibration(true: TrueArm, q: Array, context: TrueContext | None = None) -> Vi
     """Modes of the true arm about one posture (n,), its drives held."""
     built = _Build(true, q, context)
     points = [*((at, before) for at, _, before in built.masses), built.tip]
-    gives = np.zeros((3 * len(points), 3 * len(built.springs)))
+    at, before = np.array([p for p, _ in points]), np.array([count for _, count in points])
+    where = np.array([p for p, _ in built.springs]).reshape(-1, 3)
+    root = np.array([r for _, r in built.springs]).reshape(-1, 3, 3)
+    lever = at[:, None] - where  # (points, springs, 3)
+    beyond = np.arange(len(where)) < before[:, None]
+    swing = np.cross(root[None], lever[..., None], axisa=2, axisb=2, axisc=2)
+    gives = np.where(beyond[..., None, None], swing, 0.0).swapaxes(1, 2).reshape(len(at) * 3, -1)
     turns = np.zeros((3 * len(points), true.arm.n))
-    for k, (at, before) in enumerate(points):
-        rows = slice(3 * k, 3 * k + 3)
-        for j, (where, root) in enumerate(built.springs[:before]):
-            gives[rows, 3 * j : 3 * j + 3] = np.cross(root, at - where, axis=0)
-        for axis, place, weights, springs in built.moved:
-            if springs <= before:
-                moved = axis if place is None else np.cross(axis, at - place)
-                turns[rows] += np.outer(moved, weights)
+    for axis, place, weights, springs in built.moved:
+        moved = np.broadcast_to(axis, at.shape) if place is None else np.cross(axis, at - place)
+        moved = np.where((springs <= before)[:, None], moved, 0.0)
+        turns += np.outer(moved.ravel(), weights)
     mass = np.repeat([m for _, m, _ in built.masses], 3)
     heavy, hang = gives[:-3], turns[:-3]
     values, axes = np.linalg.eigh(heavy.T @ (mass[:, None] * heavy))
@@ -169,7 +172,7 @@ def vibration(true: TrueArm, q: Array, context: TrueContext | None = None) -> Vi
     omega = 1.0 / np.sqrt(values[chosen])
     shape = heavy @ axes[:, chosen] * omega
     return Vibration(
-        omega, shape, mass, gives[-3:] @ axes[:, chosen] * omega,
+        omega, shape, mass, gives[-3:] @ axes[:, chosen] * omega, hang,
         -shape.T @ (mass[:, None] * hang),
     )  # fmt: skip
 
@@ -180,9 +183,6 @@ class Ringing:
     Args:
         true: the arm at rest.
         damping: share of critical damping of every mode.
-
-    Raises:
-        InputError: no such damping.
     """
 
     def __init__(self, true: TrueArm, damping: float) -> None:
@@ -201,12 +201,18 @@ class Ringing:
         before, came, speed = self._last
         if t_s > before:
             fresh = (q - came) / (t_s - before)
-            damped = now.omega * np.sqrt(1.0 - self._damping**2)
-            rate = -self._damping * now.omega + 1j * damped
-            kick = now.driven @ (fresh - speed) / (1j * damped)  # when the last span began
+            rate = now.omega * (-self._damping + 1j * np.sqrt(1.0 - self._damping**2))
+            kick = now.driven @ (fresh - speed) / (1j * rate.imag)  # when the last span began
             self._wave = (self._wave + kick) * np.exp(rate * (t_s - before))
             self._last = t_s, q, fresh
         return np.asarray(now.tip @ self._wave.real)
+
+    def left(self, since_s: Array) -> Array:
+        """(N, 3) m: the tip's displacement some times later, if the joints stay where they are."""
+        assert self._about is not None
+        modes = self._about[1]
+        rate = modes.omega * (-self._damping + 1j * np.sqrt(1.0 - self._damping**2))
+        return np.real(self._wave * np.exp(np.multiply.outer(since_s, rate))) @ modes.tip.T
 
     def _modes(self, q: Array) -> Vibration:
         """Those of the posture; a wave goes on in them with the motion that the masses have."""
@@ -217,13 +223,15 @@ class Ringing:
         if self._about is None:
             self._wave = np.zeros(len(new.omega), complex)
         else:
-            old = self._about[1]
+            old, last = self._about[1], self._last
             damped = [v.omega * np.sqrt(1.0 - self._damping**2) for v in (old, new)]
             decay = [self._damping * v.omega for v in (old, new)]
             place = self._wave.real
             speed = -decay[0] * place - damped[0] * self._wave.imag
-            carry = new.shape.T @ (new.mass[:, None] * old.shape)
-            there, then = carry @ place, carry @ speed
+            pull = new.shape.T * new.mass  # the masses go on where they are and as they move
+            there = pull @ (old.shape @ place)
+            turning = (old.carried - new.carried) @ (np.zeros(len(q)) if last is None else last[2])
+            then = pull @ (old.shape @ speed + turning)
             self._wave = there - 1j * (then + decay[1] * there) / damped[1]
         self._about = np.array(q), new
         return new

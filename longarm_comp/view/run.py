@@ -5,13 +5,16 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from functools import partial
 
 from longarm_comp.jobs.client import GraphClient
-from longarm_comp.view.commands import Buttons
+from longarm_comp.view import words
+from longarm_comp.view.commands import PAUSES, RELEASES, STOPS, Buttons
 from longarm_comp.view.gate import Gate
 from longarm_comp.view.listener import Listener
 from longarm_comp.view.panel import Panel
+from longarm_comp.view.plain import PlainPage
 from longarm_comp.view.scene import Scene
 from longarm_comp.view.server import serving
 from longarm_comp.view.trace import Trace
@@ -30,9 +33,11 @@ def view(
             free one for 0.
         opened: gets what draws a link to the page; each opens it once.
     """
-    gate = Gate()
-    with serving(port, gate) as server, GraphClient(namespace, stop, "view") as client:
+    with GraphClient(namespace, stop, "view") as client, ExitStack() as open_page:
         listener, commands = Listener(client.node), Buttons(client.node)
+        plain = PlainPage((*STOPS, *RELEASES, *PAUSES), commands.press)
+        gate = Gate(plain=plain.answer)
+        server = open_page.enter_context(serving(port, gate))
         panel = Panel(server, commands.press, client.node.get_namespace())
         scene, trace = Scene(server), Trace()
         opened(partial(gate.link, server.get_port()))
@@ -44,6 +49,7 @@ def view(
             if now - drawn >= _DRAWN_S:
                 drawn = now
                 panel.show(listener.state, now, commands.said)
+                plain.lines = words.in_lines(listener.state, now, namespace, commands.said.text)
                 scene.show(listener.state, now, panel.exaggeration)
             if now - charted >= _CHART_S:
                 charted = now

@@ -11,7 +11,7 @@ import numpy as np
 from longarm_comp.core.data.rest import JOINT_REST
 from longarm_comp.core.model.outline import exaggerated
 
-SILENT_S = 3.0
+_SILENT_S = 3.0
 """Joints come many times a second: after so long without any message the graph is silent."""
 _SETTLED_S = 0.6
 """A picture is a half second old and a sighting some frames: what came later after the last
@@ -135,11 +135,11 @@ class PageState:
 
     def silent_s(self, now: float) -> float:
         """For how long the whole graph has said nothing; 0: it speaks; infinite: never."""
-        return _silence(self.heard, now, SILENT_S)
+        return _silence(self.heard, now, _SILENT_S)
 
     def unread_s(self, now: float) -> float:
         """For how long no joints have come; as `silent_s`."""
-        return _silence(self.read, now, SILENT_S)
+        return _silence(self.read, now, _SILENT_S)
 
     def old(self, now: float) -> bool:
         """Whether the picture of the arm is not of now."""

@@ -116,7 +116,7 @@ def apply(
         target if trained is not None else None,
         refused,
         aside,
-        *mean_errors(report),
+        *_mean_errors(report),
     )
 
 
@@ -130,7 +130,7 @@ def nothing_to_apply(diagnosis: Path, report: DiagnosisReport) -> str:
         or (diagnosis / PREDICTOR).is_file()
     ):
         return ""
-    commanded, seen = mean_errors(report)
+    commanded, seen = _mean_errors(report)
     pair = commanded or seen
     if pair is None:
         return report.summary
@@ -143,7 +143,7 @@ def nothing_to_apply(diagnosis: Path, report: DiagnosisReport) -> str:
 Pair = tuple[float, float]
 
 
-def mean_errors(report: DiagnosisReport) -> tuple[Pair | None, Pair | None]:
+def _mean_errors(report: DiagnosisReport) -> tuple[Pair | None, Pair | None]:
     """Mean held-out error (mm) of the model at work and of the new one: as commanded, as seen.
 
     None where the report does not say it.

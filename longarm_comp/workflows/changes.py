@@ -15,7 +15,7 @@ from longarm_comp.core.model.model import Model
 Term = Effect | Bias
 GEOMETRY, CAMERA = "geometry", "camera"
 
-LEAST_MM = 5e-4
+_LEAST_MM = 5e-4
 """A change that moves the tip by less than this is not reported."""
 _SAME = 1e-9
 """Relative difference of two values that counts as none."""
@@ -79,7 +79,7 @@ def changes(before: Model, after: Model, q: np.ndarray, context: Context | None)
                 tip_mm=1e3 * float(np.sqrt((moved**2).sum(axis=1).mean())),
             )
         )
-    felt = (change for change in found if change.tip_mm >= LEAST_MM)
+    felt = (change for change in found if change.tip_mm >= _LEAST_MM)
     return sorted(felt, key=lambda change: -change.tip_mm)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from longarm_comp.core.identify.calibrate import Errors
 
-ERROR_COLUMNS = (
+_ERROR_COLUMNS = (
     *("mean_mm", "commanded_mean_mm", "median_mm", "rms_mm", "p95_mm", "max_mm"),
     *("mean_abs_z_mm", "variance_mm2"),
 )
@@ -59,6 +59,6 @@ class ErrorTable(Mapping[str, Errors]):
 def _row(name: str, errors: Errors, commanded: Errors) -> dict[str, Any]:
     lengths = (errors.mean, commanded.mean, errors.median, errors.rms, errors.p95, errors.max)
     values = [*(1e3 * v for v in (*lengths, errors.mean_abs_z)), 1e6 * errors.variance]
-    row = {"model": name, "n": errors.n, **dict(zip(ERROR_COLUMNS, values, strict=True))}
+    row = {"model": name, "n": errors.n, **dict(zip(_ERROR_COLUMNS, values, strict=True))}
     further = {ANGLE: errors.angle, SPREAD: errors.spread}
     return {**row, **{name: 1e3 * v for name, v in further.items() if v is not None}}

@@ -18,7 +18,7 @@ from longarm_comp.core.identify.kind_of_arm import table
 from longarm_comp.workflows.diagnose import diagnose_files
 from longarm_comp.workflows.evaluate import evaluate
 
-DRIFTED = 2.0
+_DRIFTED = 2.0
 """Error of a model in use, in that of a calibration of today, from which the arm is another: three
 quarters of the squared error came since."""
 ARM, MODEL = "arm.yaml", "model.yaml"
@@ -78,7 +78,7 @@ class Diagnosed:
         """Whether the model in use errs by much more than what a calibration of today leaves."""
         if self.in_use_mm is None or self.calibrated_mm is None:
             return False
-        return self.in_use_mm > DRIFTED * self.calibrated_mm
+        return self.in_use_mm > _DRIFTED * self.calibrated_mm
 
     @property
     def row(self) -> dict[str, object]:

@@ -203,6 +203,10 @@ class Arm(Declared):
     tip: Tip
     gravity_mps2: Vec3 = (0.0, 0.0, -9.80665)
     reference_temperature_c: float = 20.0
+    damping: float | None = Field(
+        default=None, gt=0.0, lt=1.0,
+        description="share of critical damping with which the arm rings after a move",
+    )  # fmt: skip
     payload: Payload | None = None
     joints: tuple[Joint, ...] = Field(min_length=1)
     links: tuple[Beam, ...] = ()

@@ -10,7 +10,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.core.errors import InputError
 
-RUN_UP = 0.06
+_RUN_UP = 0.06
 """Way of a run-up, as a share of each joint's range: longer than the play of most joints."""
 
 
@@ -39,7 +39,7 @@ class Move:
 
 def run_up_lengths(arm: Arm) -> np.ndarray:
     """(n,) length of a run-up of every joint (rad, m)."""
-    return RUN_UP * (arm.upper - arm.lower)
+    return _RUN_UP * (arm.upper - arm.lower)
 
 
 def plan_move(

@@ -124,11 +124,6 @@ class Chain:
             self._coupled[joint] = tuple(made)
         return self._coupled[joint]
 
-    @cached_property
-    def row_of_joint(self) -> tuple[int, ...]:
-        """Row id of each commanded joint."""
-        return self.arm.commanded
-
     def place(self, q: Sequence[Scalar], twists: Twists) -> tuple[list[Frame], list[Scalar]]:
         """Every station's frame in the base frame, and every element's length by station.
 

@@ -331,12 +331,6 @@ def _plus(x: Scalar, y: Scalar) -> Scalar:
     return y if type(x) is float and x == 0.0 else x + y
 
 
-def shift_twist(twist: Twist, to: Vec) -> Twist:
-    """The same small motion, read at point `to` (m) of the frame instead of its origin."""
-    d, w = twist[:3], twist[3:]
-    return (*add(d, cross(w, to)), *w)
-
-
 def rpy_frame(xyz: Vec, rpy: Vec) -> Frame:
     """Pose from fixed-axis roll, pitch, yaw (rad) as in URDF: Rz(yaw) Ry(pitch) Rx(roll)."""
     (cr, sr), (cp, sp), (cy, sy) = (_exact_cos_sin(float(a)) for a in rpy)

@@ -48,7 +48,7 @@ from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.outline import reach
 
-ContextAt = Callable[[np.ndarray], Context]
+_ContextAt = Callable[[np.ndarray], Context]
 
 
 def rigid(model: Model) -> Model:
@@ -89,7 +89,7 @@ def compensate(
     locked: Sequence[int | str] = (),
     doubtful: np.ndarray | None = None,
     realisable: bool | Lattice = True,
-    context_at: ContextAt | None = None,
+    context_at: _ContextAt | None = None,
     starts: int = ik.MAX_STARTS,
     **settling: Any,
 ) -> Compensation:
@@ -117,14 +117,12 @@ def compensate(
     given = target.matrix() if isinstance(target, Frame) else np.asarray(target, dtype=float)
     if given.shape not in ((3,), (4, 4)):
         raise InputError("compensate", "target", f"shape {given.shape}", "shape (3,) or (4, 4)")
-    free = position_only or given.ndim == 1
-    lattice = lattice_of(model, realisable)
-    task = _Task(
-        model, predictor, method, free, tuple(locked), Settling(**settling), doubtful, lattice,
-        context_at, starts,
-    )  # fmt: skip
-    start = ik.checked_seed(model, seed, 1, "compensate")[0]
-    return task.run(given, (context or Context.empty()).take(0), start)
+    return _Target(
+        model, predictor, given, (context or Context.empty()).take(0),
+        ik.checked_seed(model, seed, 1, "compensate")[0], method,
+        position_only or given.ndim == 1, tuple(locked), Settling(**settling), doubtful,
+        lattice_of(model, realisable), context_at, starts,
+    ).reach()  # fmt: skip
 
 
 def lattice_of(model: Model, realisable: bool | Lattice) -> Lattice | None:
@@ -136,58 +134,55 @@ def lattice_of(model: Model, realisable: bool | Lattice) -> Lattice | None:
 
 
 @dataclass
-class _Task:
-    """Targets that differ in place, circumstances and seed alone."""
+class _Target:
+    """One target on its way: ideal joints, then passes of the pseudo-target.
 
-    model: Model
+    Attributes:
+        target: (3,) or (4, 4). seed: (n,), inside the limits.
+    """
+
+    whole: Model
     predictor: ResidualPredictor | None
+    target: np.ndarray
+    context: Context
+    seed: np.ndarray
     method: Method
     position_only: bool
     locked: tuple[int | str, ...]
     settling: Settling
-    doubtful: np.ndarray | None = None
-    lattice: Lattice | None = None
-    context_at: ContextAt | None = None
-    starts: int = ik.MAX_STARTS
+    doubtful: np.ndarray | None
+    lattice: Lattice | None
+    context_at: _ContextAt | None
+    starts: int
 
-    def run(self, target: np.ndarray, context: Context, seed: np.ndarray) -> Compensation:
-        """One target, (3,) or (4, 4); seed (n,) inside the limits."""
-        return _Target(self, target, context, seed).reach()
-
-
-class _Target:
-    """One target on its way: ideal joints, then passes of the pseudo-target."""
-
-    def __init__(self, task: _Task, target: np.ndarray, context: Context, seed: np.ndarray) -> None:
-        self.task, self.target, self.context = task, target, context
-        self.model = physics_of(task.model, task.method)
-        self.ideal = self.q = seed
+    def __post_init__(self) -> None:
+        self.model = physics_of(self.whole, self.method)
+        self.ideal = self.q = self.seed
         self.error, self.sigma = np.zeros(3), np.full(3, np.nan)
         self.inside, self.passes = False, 0
 
     def reach(self) -> Compensation:
         """Solve for the target, then correct for the expected error until it settles."""
-        task = self.task
-        fault = ik.target_faults(self.target[None], task.position_only, "compensate")[0]
+        fault = ik.target_faults(self.target[None], self.position_only, "compensate")[0]
         if fault:
             return self._ended(Status.BAD_TARGET, fault)
         lacking = missing_column(self.model, self.context)
         if lacking:
             return self._ended(Status.STALE_CONTEXT, lacking)
-        found = self._search(self.target, task.starts)
+        found = self._search(self.target, self.starts)
         self.ideal = self.q = found.q
         if not found.ok:
             here = self.target if self.target.ndim == 1 else self.target[:3, 3]
             why = other_unit(here, *reach(self.model))
             return self._ended(Status.UNREACHABLE, why or missed("target", found))
-        if not task.method.learned:
+        if not self.method.learned:
             return self._ended(Status.SUCCESS)
-        if task.predictor is None:
+        if self.predictor is None:
             return self._ended(Status.NO_PREDICTOR, NO_PREDICTOR)
-        return self._correct(task.predictor)
+        return self._correct(self.predictor)
 
     def _correct(self, predictor: ResidualPredictor) -> Compensation:
-        task, settling = self.task, self.task.settling
+        settling = self.settling
         while True:
             expected = predictor.predict(self.q[None], self.context)
             before, self.error = self.error, np.asarray(expected.error[0], float)
@@ -204,7 +199,7 @@ class _Target:
                 return self._ended(Status.NOT_CONVERGED, settling.unsettled)
             self.passes += 1
             # A pseudo-target lies next to its target: look near its joints only
-            found = self._search(shifted(self.target, self.error), min(task.starts, 3))
+            found = self._search(shifted(self.target, self.error), min(self.starts, 3))
             if not found.ok:
                 return self._ended(Status.UNREACHABLE, missed("pseudo-target", found))
             self.q = found.q
@@ -212,26 +207,25 @@ class _Target:
                 return self._ended(Status.SUCCESS)
 
     def _search(self, to: np.ndarray, starts: int) -> ik.Solution:
-        task = self.task
         return ik.solve(
-            self.model, to, seed=self.q, context=self.context, position_only=task.position_only,
-            locked=task.locked, max_starts=starts,
+            self.model, to, seed=self.q, context=self.context, position_only=self.position_only,
+            locked=self.locked, max_starts=starts,
         )  # fmt: skip
 
     def _ended(self, status: Status, reason: str = "") -> Compensation:
         alone, miss, chosen = status.physics_only, UNKNOWN, None
         applied = np.zeros(3) if alone else self.error
         command = self.q if status is Status.SUCCESS else self.ideal
-        if status.success and self.task.lattice and not self.task.settling.single_pass:
-            chosen = self._chosen(self.task.lattice, command, status)
+        if status.success and self.lattice and not self.settling.single_pass:
+            chosen = self._chosen(self.lattice, command, status)
             command = chosen.joints
             applied = np.zeros(3) if alone else self.error
             reason = "; ".join(filter(None, (reason, chosen.note)))
         if status.success:
-            miss = self._miss(command, applied, learned=self.task.method.learned and not alone)
-            if status is Status.OUT_OF_DOMAIN and inside_data(self.task.model, miss):
+            miss = self._miss(command, applied, learned=self.method.learned and not alone)
+            if status is Status.OUT_OF_DOMAIN and inside_data(self.whole, miss):
                 status = Status.SUCCESS
-            spread, why = unknown_history(self.model, command, self.context, self.task.doubtful)
+            spread, why = unknown_history(self.model, command, self.context, self.doubtful)
             miss = miss.beside(spread**2)
             beyond = outside_data(self.model, command, self.context)
             reason = "; ".join(filter(None, (reason, why, beyond)))
@@ -243,17 +237,16 @@ class _Target:
 
     def _miss(self, command: np.ndarray, applied: np.ndarray, *, learned: bool) -> ExpectedMiss:
         """How far off the command may be, by all that the model knows."""
-        whole = not learned and not missing_column(self.task.model, self.context)
-        model = self.task.model if whole else self.model
+        whole = not learned and not missing_column(self.whole, self.context)
+        model = self.whole if whole else self.model
         target = self.target if self.target.ndim == 1 else self.target[:3, 3]
         sigma = self.sigma if learned else None
         return expected_miss(model, command, self.context, target, applied, sigma)
 
     def _chosen(self, lattice: Lattice, joints: np.ndarray, status: Status) -> Realisable:
         """Realisable joints in place of some; what is learned is looked up again where they are."""
-        task = self.task
-        learned = task.predictor if task.method.learned and not status.physics_only else None
-        context_at = task.context_at or (lambda _: self.context)
+        learned = self.predictor if self.method.learned and not status.physics_only else None
+        context_at = self.context_at or (lambda _: self.context)
 
         def tip(q: np.ndarray, _: np.ndarray) -> np.ndarray:
             poses = tip_poses(self.model, q, context_at(q))
@@ -261,10 +254,10 @@ class _Target:
                 poses[:, :3, 3] += learned.predict(q, self.context).error
             return poses
 
-        free = task.position_only and self.target.ndim == 2
+        free = self.position_only and self.target.ndim == 2
         target = self.target[:3, 3] if free else self.target
         arm = self.model.arm
-        locked = ik.locked_joints(self.model, task.locked)
+        locked = ik.locked_joints(self.model, self.locked)
         search = Search(characteristic_length(self.model))
         chosen = choose(arm, lattice, tip, target[None], joints[None], search, locked=locked)[0]
         self.context = context_at(chosen.joints[None]).take(0)

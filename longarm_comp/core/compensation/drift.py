@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike
 
 from longarm_comp.core.errors import InputError
 
-SHIFT = 1.0
+_SHIFT = 1.0
 """Shift along an axis that is looked for, standard deviations."""
-GROWTH = 1.6
+_GROWTH = 1.6
 """Growth of the standard deviation that is looked for."""
 AXES = ("x", "y", "z")
 _TESTS = 2 * len(AXES) + 1
@@ -84,8 +84,8 @@ class Monitor:
             raise InputError("monitor", "sigma", sigma, "three numbers above 0, m")
         z = r / s
         square = float(z @ z)
-        shifts = np.stack([SHIFT * z - SHIFT**2 / 2, -SHIFT * z - SHIFT**2 / 2], axis=1).ravel()
-        growth = 0.5 * square * (1 - GROWTH**-2) - 3 * math.log(GROWTH)
+        shifts = np.stack([_SHIFT * z - _SHIFT**2 / 2, -_SHIFT * z - _SHIFT**2 / 2], axis=1).ravel()
+        growth = 0.5 * square * (1 - _GROWTH**-2) - 3 * math.log(_GROWTH)
         raised = self.sums + np.append(shifts, growth)
         alive = raised > 0
         fresh = self.sums == 0

@@ -14,7 +14,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik.box_step import rotation_error
 from longarm_comp.core.ik.lattice import NOTHING, nearest
 
-DIFFERENCE = 1e-4
+_DIFFERENCE = 1e-4
 """Half the difference (rad, m) from which the tip's derivative is taken."""
 EDGE = 1e-9
 """Share of a step, or rad or m, by which rounding may put a joint beyond a limit."""
@@ -228,8 +228,8 @@ class _Search:
         moving = self.problem.moving
         number = 1 + np.arange(moving.size)
         q = np.repeat(at[:, None], 1 + 2 * moving.size, axis=1)
-        up = np.minimum(at + DIFFERENCE, self.problem.upper)
-        down = np.maximum(at - DIFFERENCE, self.problem.lower)
+        up = np.minimum(at + _DIFFERENCE, self.problem.upper)
+        down = np.maximum(at - _DIFFERENCE, self.problem.lower)
         q[:, number, moving] = up[:, moving]
         q[:, moving.size + number, moving] = down[:, moving]
         return q
@@ -237,8 +237,8 @@ class _Search:
     def slope(self, at: np.ndarray, local: np.ndarray) -> np.ndarray:
         """Derivative (N, m, moving) from the errors at the joints that `around` gives."""
         moving = self.problem.moving
-        up = np.minimum(at + DIFFERENCE, self.problem.upper)
-        down = np.maximum(at - DIFFERENCE, self.problem.lower)
+        up = np.minimum(at + _DIFFERENCE, self.problem.upper)
+        down = np.maximum(at - _DIFFERENCE, self.problem.lower)
         rise = local[:, 1 : 1 + moving.size] - local[:, 1 + moving.size :]
         slope = (rise / (up - down)[:, moving, None]).swapaxes(1, 2)
         return np.where(np.isfinite(slope), slope, 0.0)

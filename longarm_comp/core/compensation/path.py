@@ -31,7 +31,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.keep_out import entered_at
 from longarm_comp.core.model.model import Model
 
-POSE_JOINTS = 6
+_POSE_JOINTS = 6
 """An arm of fewer joints cannot keep a planned orientation: its path is one of positions."""
 
 
@@ -70,7 +70,7 @@ class PlannedPath:
         The first way-point is where it believes the arm to stand.
         """
         poses = Model(arm).pose(joints)
-        targets = poses if arm.n >= POSE_JOINTS else poses[:, :3, 3]
+        targets = poses if arm.n >= _POSE_JOINTS else poses[:, :3, 3]
         return cls(targets, times, joints, velocities, begun=True)
 
 
@@ -180,7 +180,7 @@ def as_planned(rigid: Model, model: Model, q: np.ndarray, context: Context) -> n
     Where none inside the limits do, the nearest.
     """
     real = model.pose(q, context)
-    target = real if model.arm.n >= POSE_JOINTS else real[:3, 3]
+    target = real if model.arm.n >= _POSE_JOINTS else real[:3, 3]
     return ik.solve(rigid, target, seed=q, max_starts=1).q
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from longarm_comp.core.arm.context import LEGS, PER_JOINT, Context
 from longarm_comp.core.model.model import Model
 
-LEAST_M = 1e-5
+_LEAST_M = 1e-5
 """A tip that moves by less, whatever the joints did before, does not depend on it."""
 
 
@@ -82,14 +82,14 @@ def unknown_history(
     tip = model.tip(np.tile(q, (2 * len(open_), 1)), supposed)
     half = 0.5 * (tip[0::2] - tip[1::2])
     size = np.linalg.norm(half, axis=1)
-    if not (size > LEAST_M).any():
+    if not (size > _LEAST_M).any():
         return np.zeros(3), ""
     spread = np.sqrt((half**2).sum(axis=0))
     names = model.arm.joint_names
     parts = [
         f"{_WORDS[name]} of {names[joint]}"
         for (name, joint, _), moved in zip(open_, size, strict=True)
-        if moved > LEAST_M
+        if moved > _LEAST_M
     ]
     sigma_mm = 1e3 * float(np.linalg.norm(spread))
     why = f"the tip depends on what is not known: {', '.join(parts)} (sigma {sigma_mm:.2f} mm)"

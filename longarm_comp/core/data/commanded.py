@@ -3,7 +3,7 @@
 A measurement holds more than a command can use.  A cause on the camera's side moves what is seen,
 not the tip, so no command compensates it.  A command knows its own way, and what the joints did
 before it where their moves are followed, as in a running graph; of rows that only say from which
-side a joint came, nobody does.  And it is told the circumstances in `TOLD` only.  `errors` of a
+side a joint came, nobody does.  And it is told the circumstances in `_TOLD` only.  `errors` of a
 model uses all of that and therefore flatters it; the errors here use what a command has.
 """
 
@@ -19,7 +19,7 @@ from longarm_comp.core.data.session import INCLINATION, Session
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.model.model import Model
 
-TOLD = ("t_s", "temperature_c", "payload_kg")
+_TOLD = ("t_s", "temperature_c", "payload_kg")
 """Circumstances that a command is told, besides inclinations: by topics, or by its target."""
 CAMERA_SIDE, NEVER_TOLD = "(camera side)", "(a circumstance that no command is told)"
 
@@ -49,7 +49,7 @@ def commandable(term: Effect | Bias) -> bool:
 
 def is_told(name: str) -> bool:
     """Whether a command is told a circumstance."""
-    return name in TOLD or INCLINATION.match(name) is not None
+    return name in _TOLD or INCLINATION.match(name) is not None
 
 
 def own_way(session: Session) -> Session:

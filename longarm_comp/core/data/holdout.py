@@ -23,46 +23,15 @@ def blocked_split(
     Blocks are drawn until the hold-out has `fraction` of the rows and `min_poses` poses with a
     marker, but never more than a third of the poses.
     """
-    return _split(session, fraction, min_poses, rng, blocks=25)
-
-
-def random_split(
-    session: Session,
-    fraction: float = 0.2,
-    min_poses: int = 1,
-    rng: np.random.Generator | int = 0,
-) -> tuple[Session, Session]:
-    """Training set and hold-out by single random poses; otherwise as `blocked_split`."""
-    return _split(session, fraction, min_poses, rng, blocks=None)
-
-
-RUN = 50
-"""Rows in a run of `spread`: short beside a session, long beside the memory of its noise."""
-
-
-def spread(session: Session, most: int) -> Session:
-    """At most so many rows: runs of neighbours, evenly over the session; all where they are few."""
-    runs = most // RUN
-    if len(session) <= most:
-        return session
-    starts = np.linspace(0, len(session) - RUN, runs).round().astype(int)
-    return session.take(np.unique(starts[:, None] + np.arange(RUN)))
-
-
-def _split(
-    session: Session,
-    fraction: float,
-    min_poses: int,
-    rng: np.random.Generator | int,
-    blocks: int | None,
-) -> tuple[Session, Session]:
     if not 0 < fraction < 1:
         raise InputError("split", "fraction", fraction, "between 0 and 1")
     _, first, inverse = np.unique(session.pose_id, return_index=True, return_inverse=True)
     poses = len(first)
     if poses < 2:
         raise InputError(session.source, "poses", poses, "at least 2 distinct poses to split")
-    block = _block_numbers(first, blocks)[inverse]
+    place = np.empty(poses, dtype=np.int64)
+    place[np.argsort(first)] = np.arange(poses)
+    block = (place * min(25, poses) // poses)[inverse]
     held = np.zeros(len(session), dtype=bool)
     for drawn in np.random.default_rng(rng).permutation(np.unique(block)):
         more = held | (block == drawn)
@@ -75,13 +44,17 @@ def _split(
     return session.take(~held), session.take(held)
 
 
-def _block_numbers(first_visit: np.ndarray, blocks: int | None) -> np.ndarray:
-    """Block of every pose, from its place in the order of first visits."""
-    place = np.empty(len(first_visit), dtype=np.int64)
-    place[np.argsort(first_visit)] = np.arange(len(first_visit))
-    if blocks is None:
-        return place
-    return place * min(blocks, len(first_visit)) // len(first_visit)
+_RUN = 50
+"""Rows in a run of `spread`: short beside a session, long beside the memory of its noise."""
+
+
+def spread(session: Session, most: int) -> Session:
+    """At most so many rows: runs of neighbours, evenly over the session; all where they are few."""
+    runs = most // _RUN
+    if len(session) <= most:
+        return session
+    starts = np.linspace(0, len(session) - _RUN, runs).round().astype(int)
+    return session.take(np.unique(starts[:, None] + np.arange(_RUN)))
 
 
 class SealedError(LongarmError):

@@ -17,7 +17,7 @@ from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 
-PAPER_STROKES = np.array(
+_PAPER_STROKES = np.array(
     [[0, 0], [0, 63], [60, 10], [53, 63], [104, 18], [105, 63]], dtype=float
 ) / np.array([105.0, 63.0])
 """Section III.B: the six pairs of prismatic strokes, as shares of each stroke."""
@@ -67,7 +67,7 @@ def paper_grid(arm: Arm) -> np.ndarray:
     """
     sliding = [k for k, row in enumerate(arm.commanded) if arm.joints[row - 1].type == "prismatic"]
     pairs = (
-        PAPER_STROKES
+        _PAPER_STROKES
         if len(sliding) == 2
         else np.array(list(itertools.product((0.0, 0.5, 1.0), repeat=len(sliding))))
     )

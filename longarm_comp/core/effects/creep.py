@@ -15,7 +15,7 @@ from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.effects.effect import Effect, form, parameter
 from longarm_comp.core.effects.link_deflection import extra_sag
 
-TIMES_S = (900.0, 3600.0, 14400.0)
+_TIMES_S = (900.0, 3600.0, 14400.0)
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Creep(Effect):
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
         """All beams together, by time constant."""
-        return [(cls(time=time),) for time in TIMES_S] if arm.links else []
+        return [(cls(time=time),) for time in _TIMES_S] if arm.links else []
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:
         """The declared cantilever twist times the grown share."""

@@ -200,11 +200,11 @@ def _amount(
     declared: tuple[Parameter, ...], unit: str, of: Function, scale: float, arm: Arm
 ) -> tuple[Parameter, ...]:
     return tuple(
-        dataclasses.replace(p, unit=quotient(unit, of.units(arm)), prior=scale) for p in declared
+        dataclasses.replace(p, unit=_quotient(unit, of.units(arm)), prior=scale) for p in declared
     )
 
 
-def quotient(unit: str, over: list[str]) -> str:
+def _quotient(unit: str, over: list[str]) -> str:
     """``N/(rad m)``, ``rad/rad^2``."""
     powers = {u: over.count(u) for u in over}
     below = [u if n == 1 else f"{_bracketed(u)}^{n}" for u, n in powers.items()]

@@ -25,7 +25,7 @@ from longarm_comp.core.arm.posture import Lumped, Posture
 from longarm_comp.core.arm.spatial import Frame, Scalar, Twist, Vec
 from longarm_comp.core.errors import InputError
 
-FLAT = 1000.0
+_FLAT = 1000.0
 """Width of a prior that knows nothing, in ordinary sizes: 50 m and 50 rad for a base."""
 
 
@@ -50,7 +50,7 @@ class Parameter:
     @property
     def width(self) -> float:
         """Standard deviation of the fit's prior."""
-        return FLAT * self.prior if self.unknown else self.prior
+        return _FLAT * self.prior if self.unknown else self.prior
 
 
 _PARAMETER, _PLACE, _FORM = "parameter", "place", "form"
@@ -160,8 +160,8 @@ class _Term:
         continuous: changes little for a small motion of the joints.
         loaded: depends on the loads, so that it must be iterated as the arm sags.
         searched: tried by a diagnosis. Geometry is always fitted instead.
-        aliases: effects that no measurement of the tip can distinguish from it, whatever the
-            poses. One of the two must declare it.
+        aliases: effects that no measurement of the tip can distinguish from it. One of the two
+            must declare it.
         limit_aliases: effects that it equals at an end of its form's scale or of a parameter's
             bounds. Studies accept either name there.
         free_levels: for an effect that depends only on the position of one turning joint: number
@@ -172,8 +172,7 @@ class _Term:
             any displacement of that joint at the tip, and remaining structure is sought in it.
         stepped: has steps of a size that a scan finds (`of_step`).
         bounded: holds within the data that it was found in only (`Effect.outside`).
-        acts: where in the drive of its joint it acts: ``servo``, ``gear`` or ``arm``. An encoder at
-            the motor sees what the servo does, one at the joint what the gear does too.
+        acts: where it acts: a motor's encoder sees ``servo``, one at the joint ``gear`` too.
     """
 
     name: ClassVar[str]
@@ -380,7 +379,7 @@ class Bias(_Term, ABC):
         """Point reported by the camera for a tip at `point` (m, base frame)."""
 
     def read(self, value: Scalar, row: int) -> Scalar:
-        """What the encoder of a row reads where it sees its joint at a value (rad or m)."""
+        """What a row's encoder reads where it sees its joint at a value (rad or m)."""
         return value
 
     def seen_pose(self, tip: Frame, context: Context, arm: Arm) -> Frame:

@@ -319,13 +319,8 @@ def restart_points(n: int, count: int) -> np.ndarray:
     for _ in range(40):
         g = (1 + g) ** (1 / (n + 1))
     steps = (1 / g) ** np.arange(1, n + 1)
-    return with_radii((0.5 + np.arange(1, count + 1)[:, None] * steps) % 1.0)
-
-
-def with_radii(points: np.ndarray) -> np.ndarray:
-    """Points (S, n) stretched and with their radii, (S, n + 1)."""
-    radii = np.ones((len(points), points.shape[1] + 1))
-    radii[:, :-1] = points
-    radii[1::2, :-1] = np.clip(0.5 + 1.6 * (points[1::2] - 0.5), 0.0, 1.0)
-    radii[:2, -1] = (0.25, 0.5)[: len(points)]
-    return radii
+    points = np.ones((count, n + 1))
+    points[:, :-1] = (0.5 + np.arange(1, count + 1)[:, None] * steps) % 1.0
+    points[1::2, :-1] = np.clip(0.5 + 1.6 * (points[1::2, :-1] - 0.5), 0.0, 1.0)
+    points[:2, -1] = (0.25, 0.5)[:count]
+    return points

@@ -25,7 +25,7 @@ from longarm_comp.core.ik.jacobian import geometric
 from longarm_comp.core.model.model import Model
 
 Fixed = dict[tuple[int, int], float]
-Slots = dict[tuple[int, int], int]
+_Slots = dict[tuple[int, int], int]
 _KEPT = 32  # number of kernels kept, the most recently used
 
 
@@ -87,7 +87,7 @@ class Kernel:
                 self._trace(f"judge{m}_{level.evaluate}", of_level)
             self._trace(f"round{m}", partial(newton.step_in_box, span=span, m=m))
 
-    def _trace_model(self, model: Model, fixed: Fixed, slot: Slots) -> None:
+    def _trace_model(self, model: Model, fixed: Fixed, slot: _Slots) -> None:
         def seen(posture: Posture) -> newton.Outcome:
             return {"out": tip_and_jacobian(model, posture)}
 
@@ -168,7 +168,7 @@ def characteristic_length(model: Model) -> float:
     return max(0.25 * size, 0.01)
 
 
-def _twist_slots(model: Model, layout: Layout) -> tuple[Fixed, Slots]:
+def _twist_slots(model: Model, layout: Layout) -> tuple[Fixed, _Slots]:
     """Components of twists (station, number): constant ones, and places of the others.
 
     The constant ones depend neither on joints nor on context or loads.
@@ -180,7 +180,7 @@ def _twist_slots(model: Model, layout: Layout) -> tuple[Fixed, Slots]:
     free = {s: tuple(graph.input(f"x{s}, {i}") for i in range(6)) for s in start}
     again = model.twists(model.loaded(q, context, free))  # type: ignore[arg-type]
     fixed: Fixed = {}
-    slot: Slots = {}
+    slot: _Slots = {}
     for s in sorted(start):
         for i in range(6):
             if not isinstance(again[s][i], Symbol) and again[s][i] == start[s][i]:

@@ -23,9 +23,9 @@ from longarm_comp.core.arm.spatial import floor, sqrt, where
 from longarm_comp.core.ik.newton import Flow, Outcome, Repeat, State
 from longarm_comp.core.ik.traced import Traced
 
-LOVASZ = 0.99
-MAX_SWEEPS = 200.0
-MAX_WIDER = 8.0
+_LOVASZ = 0.99
+_MAX_SWEEPS = 200.0
+_MAX_WIDER = 8.0
 _SLACK = 1e-9  # of a step
 NOTHING = 1e300
 """Squared distance of an entry without a point."""
@@ -132,7 +132,7 @@ def sweep(s: State, n: int) -> Outcome:
         a = b - 1
         _subtract(R, U, n, b, a)
         corner, beside, own = R[a * wide + a], R[a * wide + b], R[b * wide + b]
-        swap = beside * beside + own * own < LOVASZ * corner * corner
+        swap = beside * beside + own * own < _LOVASZ * corner * corner
         swaps = swaps + swap
         for matrix, width, height in ((R, wide, b + 1), (U, n, n)):
             for i in range(height):
@@ -148,7 +148,7 @@ def sweep(s: State, n: int) -> Outcome:
             R[b * wide + j] = cosine * down - sine * up
         R[b * wide + a] = 0.0
     sweeps = s["sweeps"][0] + 1.0
-    more = where(swaps > 0.0, where(sweeps < MAX_SWEEPS, 1.0, 0.0), 0.0)
+    more = where(swaps > 0.0, where(sweeps < _MAX_SWEEPS, 1.0, 0.0), 0.0)
     return {"R": R, "U": U, "sweeps": [sweeps], "more": [more]}
 
 
@@ -272,7 +272,7 @@ def widen(s: State, n: int) -> Outcome:
     """
     lacking = where(s["distance2"][-1] < NOTHING, 0.0, s[f"open{n}"][0])
     wider = s["wider"][0] + lacking
-    again = where(wider < MAX_WIDER, where(s["nodes"][0] < s["cap"][0], lacking, 0.0), 0.0)
+    again = where(wider < _MAX_WIDER, where(s["nodes"][0] < s["cap"][0], lacking, 0.0), 0.0)
     inner2 = s["radius2"][0]
     return {
         f"open{n}": [again], "wider": [wider], "inner2": [inner2],

@@ -25,7 +25,6 @@ from longarm_comp.core.ik.engines import (
     restart_points,
     run,
     warm_up,
-    with_radii,
 )
 from longarm_comp.core.ik.kernel import characteristic_length
 from longarm_comp.core.ik.newton import ROTATION_TOLERANCE
@@ -39,7 +38,7 @@ TOLERANCE = 1e-9
 REACHED = 1e-6
 """Tolerance of success, m and rad. On the boundary of the reachable space, the last digits of a
 target decide whether any joints meet it more closely."""
-MAX_ITERATIONS = 60
+_MAX_ITERATIONS = 60
 MAX_STARTS = 16
 _MACHINE = (Engine.AUTO, Engine.COMPILED)
 
@@ -119,9 +118,8 @@ def solve(
     position_only: bool = False,
     locked: Sequence[int | str] = (),
     tol: float = TOLERANCE,
-    max_iterations: int = MAX_ITERATIONS,
+    max_iterations: int = _MAX_ITERATIONS,
     max_starts: int = MAX_STARTS,
-    rng: np.random.Generator | None = None,
     engine: Engine = Engine.AUTO,
 ) -> Solution:
     """Joints that bring the tip to one target: see `solve_many`."""
@@ -130,7 +128,7 @@ def solve(
     target = np.asarray(target, dtype=float)
     if target.shape not in ((3,), (4, 4)):
         raise InputError("ik.solve", "target", f"shape {target.shape}", "shape (3,) or (4, 4)")
-    if rng is None and not locked and engine in _MACHINE:
+    if not locked and engine in _MACHINE:
         m = 3 if position_only or target.size == 3 else 6
         found = solve_compiled(model, target, seed, context, (m, tol, max_iterations), engine)
         if found is not None:
@@ -149,7 +147,6 @@ def solve(
         tol=tol,
         max_iterations=max_iterations,
         max_starts=max_starts,
-        rng=rng,
         engine=engine,
     )
     return many[0]
@@ -164,9 +161,8 @@ def solve_many(
     position_only: bool = False,
     locked: Sequence[int | str] = (),
     tol: float = TOLERANCE,
-    max_iterations: int = MAX_ITERATIONS,
+    max_iterations: int = _MAX_ITERATIONS,
     max_starts: int = MAX_STARTS,
-    rng: np.random.Generator | None = None,
     engine: Engine = Engine.AUTO,
     threads: int = 1,
 ) -> Solutions:
@@ -182,12 +178,11 @@ def solve_many(
         tol: tolerance of the search on the position (m) and on the angle (rad).
         max_iterations: per start.
         max_starts: number of starts including the seed; 1 never leaves the seed's branch.
-        rng: draws the restarts; by default they are a fixed low-discrepancy sequence.
         engine: how to run the search; see `warm_up` for the compiled one.
         threads: number of threads, in machine code only.
     """
     arm = model.arm
-    position, axes = checked_targets(targets, position_only)
+    position, axes = _checked_targets(targets, position_only)
     start = checked_seed(model, seed, len(position))
     if not (np.isfinite(tol) and tol > 0):
         raise InputError("ik.solve_many", "tol", tol, "a number above 0")
@@ -195,8 +190,7 @@ def solve_many(
     upper = np.repeat(arm.upper[None], len(position), axis=0)
     for k in locked_joints(model, locked):
         lower[:, k] = upper[:, k] = start[:, k]
-    more = max(max_starts - 1, 0)
-    points = restart_points(arm.n, more) if rng is None else with_radii(rng.random((more, arm.n)))
+    points = restart_points(arm.n, max(max_starts - 1, 0))
     targets = np.zeros((len(position), 12))
     targets[:, :3] = position
     if axes is not None:
@@ -244,7 +238,7 @@ def _axes(T: np.ndarray) -> np.ndarray:
     return T[:, :3, :3].transpose(0, 2, 1).reshape(-1, 9)
 
 
-def checked_targets(
+def _checked_targets(
     targets: np.ndarray, position_only: bool, where: str = "ik.solve_many"
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Checked positions (N, 3) and axes n, o, a (N, 9) or None."""

@@ -35,7 +35,7 @@ INITS: dict[str, Start] = {
     "ssa": sparrow_start,
     "xavier": lambda shape, fitness, rng, search: xavier_start(shape, rng),
 }
-HIDDEN_CHOICES = (8, 12, 17, 24, 34)  # tried in order until the evidence falls by _UNLIKELY
+_HIDDEN_CHOICES = (8, 12, 17, 24, 34)  # tried in order until the evidence falls by _UNLIKELY
 _UNLIKELY = 30.0
 FOLDS = 4
 """Parts of the rows that are left out in turn, to see whether a network helps at all."""
@@ -91,7 +91,7 @@ def train(
     scale = float(np.sqrt(np.mean(np.median(np.abs(y - offset)[weights > 0], axis=0) ** 2)))
     scale = max(1.4826 * scale, 1e-9)
     rows = _Rows(x, (y - offset) / scale, weights, init, seed, search)
-    sizes = HIDDEN_CHOICES if hidden is None else (hidden,)
+    sizes = _HIDDEN_CHOICES if hidden is None else (hidden,)
     starts = ensemble if hidden is not None else (ensemble + 1) // 2
 
     def tell(networks: int) -> None:

@@ -47,7 +47,7 @@ class Encoding:
 
     def raw(self, q: Array, context: Context) -> Array:
         """(N, columns) raw inputs in SI units; NaN where the context is unknown."""
-        return raw_columns(q, context, self.context)
+        return _raw_columns(q, context, self.context)
 
     def standardise(self, raw: Array) -> Array:
         """Inputs (N, d) from raw columns. NaN is replaced by the training mean."""
@@ -67,7 +67,7 @@ def raw_names(joints: int, context: tuple[str, ...]) -> list[str]:
     return names
 
 
-def raw_columns(q: Array, context: Context, used: tuple[str, ...]) -> Array:
+def _raw_columns(q: Array, context: Context, used: tuple[str, ...]) -> Array:
     """(N, columns) raw inputs in SI units; NaN where the context is not known."""
     n, joints = q.shape
     raw = np.full((n, joints + sum(_width(name, joints) for name in used)), np.nan)
@@ -109,7 +109,7 @@ def fit_encoding(q: Array, context: Context, kind: str) -> Encoding:
     if kind not in INPUT_KINDS:
         raise InputError("train", "inputs", kind, f"one of {sorted(INPUT_KINDS)}")
     used = tuple(name for name in INPUT_KINDS[kind] if context.has(name))
-    raw = raw_columns(q, context, used)
+    raw = _raw_columns(q, context, used)
     raw = np.where(np.isnan(raw).all(axis=0), 0.0, raw)
     mean, scale = np.nanmean(raw, axis=0), np.nanstd(raw, axis=0)
     # a column whose sd is below this (relative to its size) carries nothing

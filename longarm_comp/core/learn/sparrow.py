@@ -19,19 +19,8 @@ best and the worst are refreshed after the foragers have moved; each sparrow kee
 best; positions are clipped to the bounds. One iteration evaluates discoverers, followers and
 vigilantes as three batches.
 
-Errata of the paper's printed Eq. (6)-(8), kept selectable as ``form="printed"``:
-
-* (7) first line divides by ``alpha T`` instead of ``i^2``. With a long horizon the exponent is
-  nearly zero, so every starving sparrow becomes ``Q`` times a vector of ones: all weights of the
-  network alike, a start from which back-propagation cannot recover. As ``alpha -> 0`` it overflows.
-* (7) second line has ``X^{t+1}`` on both sides; read as ``X + ...`` it never moves a follower to
-  the discoverer ``Xp``.
-* (8) first line has ``exp(|Xworst - X| / (f - f_worst))``, unbounded as ``f -> f_worst``; the
-  canonical form has no exponential.
-* (8) second line draws one scalar ``beta``; the canonical form draws one per dimension.
-
-The measured effect stands in ``docs/ssa_bp.md`` and is printed again by
-``python -m bench.ssa_pays``.
+``form="printed"`` is the paper's Eq. (6)-(8) as they are printed; `docs/ssa_bp.md` says what is
+wrong with them, and ``python -m bench.ssa_pays`` what that costs.
 
 Known weakness: the update is biased towards the origin and the diagonal (all coordinates alike),
 so as a general-purpose optimiser it loses to differential evolution on shifted problems.
@@ -64,9 +53,9 @@ class Flock:
     horizon: int  # T, iterations in all
 
 
-Discover = Callable[[np.random.Generator, Array, Array, int, bool], Array]
+_Discover = Callable[[np.random.Generator, Array, Array, int, bool], Array]
 Follow = Callable[[np.random.Generator, Array, Array], Array]
-Starve = Callable[[np.random.Generator, Array, Array, Flock], Array]
+_Starve = Callable[[np.random.Generator, Array, Array, Flock], Array]
 Watch = Callable[[np.random.Generator, Array, Array, Flock], Array]
 
 
@@ -74,9 +63,9 @@ Watch = Callable[[np.random.Generator, Array, Array, Flock], Array]
 class Rules:
     """The four moves of one form of the algorithm; each takes and returns (m, D) positions."""
 
-    discover: Discover  # (rng, position, rank (m,), horizon, alarmed)
+    discover: _Discover  # (rng, position, rank (m,), horizon, alarmed)
     follow: Follow  # (rng, position, leader (D,))
-    starve: Starve  # (rng, position, rank (m,), flock)
+    starve: _Starve  # (rng, position, rank (m,), flock)
     watch: Watch  # (rng, position, fitness (m,), flock)
 
 

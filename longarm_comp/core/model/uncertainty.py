@@ -22,7 +22,7 @@ LEVEL = 0.9
 """Probability of the radius that a command states."""
 _NORMAL = NormalDist().inv_cdf(LEVEL)
 _log_gamma = np.vectorize(math.lgamma, otypes=[float])  # SciPy loads for half a second
-Identity = tuple[object, ...]
+_Identity = tuple[object, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class ModelUncertainty:
         rows: number of fitted rows.
     """
 
-    slots: tuple[Identity, ...]
+    slots: tuple[_Identity, ...]
     factor: np.ndarray
     stretch: float
     structure: np.ndarray
@@ -48,7 +48,7 @@ class ModelUncertainty:
     largest_m: float
     rows: int
 
-    def carried(self, columns: np.ndarray, slots: Sequence[Identity]) -> np.ndarray:
+    def carried(self, columns: np.ndarray, slots: Sequence[_Identity]) -> np.ndarray:
         """(N, 3, 3) m^2 that the parameters bring to the tip.
 
         Args:

@@ -25,8 +25,8 @@ from longarm_comp.core.arm.spatial import Scalar, Vec
 from longarm_comp.core.ik.jacobian import geometric
 from longarm_comp.core.model.model import Model
 
-ELEMENTS = 8
-"""Of each beam; twice as many change the first frequencies by less than 1 %."""
+ELEMENTS = 12
+"""Of all beams together, at least; twice as many change the first frequencies by less than 1 %."""
 MODES = 6
 """Modes that are kept, the slowest first."""
 _PUSH = 0.1
@@ -70,7 +70,8 @@ def modes(model: Model, q: np.ndarray, context: Context | None = None) -> Modes:
         q: (n,) rad and m.
         context: circumstances; the payload above all.
     """
-    fine = replace(model, elements_per_beam=max(ELEMENTS, model.elements_per_beam))
+    each = -(-ELEMENTS // max(1, len(model.arm.links)))
+    fine = replace(model, elements_per_beam=max(each, model.elements_per_beam))
     posture = fine.posture(tuple(float(x) for x in q), context)
     masses = masses_of(posture)
     n, tip = model.arm.n, model.arm.tip
@@ -133,9 +134,9 @@ def flexibility(model: Model, posture: Posture, points: list[Mass]) -> np.ndarra
     pushes: dict[int, list[tuple[Scalar, Vec]]] = {}
     for k, p in enumerate(points):
         pushes.setdefault(p.station, []).append(((which == k).astype(float), p.at))
-    gravity = tuple(np.where(along == axis, sizes, 0.0) for axis in range(3))
+    x, y, z = (np.where(along == axis, sizes, 0.0) for axis in range(3))
     pushed = _Pushed(
-        posture.chain, posture.q, posture.context, posture.frames, posture.lengths, gravity,
+        posture.chain, posture.q, posture.context, posture.frames, posture.lengths, (x, y, z),
         pushes=pushes,
     )  # fmt: skip
     moved = np.zeros((len(points), 3, count))

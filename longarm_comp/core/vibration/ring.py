@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 from longarm_comp.core.compensation.retime import Timed
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.vibration.modes import Modes
-from longarm_comp.core.vibration.shaper import Shaper, Way
+from longarm_comp.math.shaper import Shaper, Way
 
 SMALL_M = 1e-4
 """A ring below it is over: what a good camera sees of one picture."""
@@ -58,9 +58,6 @@ def left_by(modes: Modes, times: np.ndarray, joints: np.ndarray, damping: float)
         modes: at its end.
         times: (M,) s, increasing, far closer than a period. joints: (M, n).
         damping: share of critical damping of every mode.
-
-    Raises:
-        InputError: the damping is not above 0 and below 1.
     """
     if not 0.0 < damping < 1.0:
         raise InputError("ringing", "damping", damping, "above 0 and below 1")

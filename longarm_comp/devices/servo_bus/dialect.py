@@ -49,7 +49,9 @@ class Dialect(ABC):
         goal: goal position with its speed.
         torque: one byte, 0 free, 1 driven.
         turns: what decides between one turn and many, kept by the servo when unpowered.
-        turns_lock: write 0 here before and 1 after changing ``turns``; None: no lock.
+        turns_lock: write 0 here before and 1 after changing ``turns`` or ``identity``; None: no
+            lock.
+        identity: the id itself; None: it is set with the maker's tool.
         alarm: register of the alarms, for when the status byte only flags that there is one.
     """
 
@@ -64,6 +66,7 @@ class Dialect(ABC):
     torque: ClassVar[Block]
     turns: ClassVar[Block]
     turns_lock: ClassVar[Block | None]
+    identity: ClassVar[Block | None] = None
     alarm: ClassVar[Block | None]
 
     @abstractmethod

@@ -60,6 +60,7 @@ class DynamixelX(Dialect):
     model = Block(0, 2)
     firmware = Block(6, 1)
     baudrates = (57_600, 1_000_000, 115_200, 2_000_000, 3_000_000, 4_000_000)
+    identity = Block(7, 1)
     turns = Block(11, 1)
     turns_lock = None
     torque = Block(64, 1)

@@ -37,6 +37,7 @@ class FeetechSts(Dialect):
     model = Block(3, 2)
     firmware = Block(0, 2)
     baudrates = (1_000_000, 500_000, 115_200, 57_600, 38_400)
+    identity = Block(5, 1)
     turns = Block(9, 4)
     torque = Block(40, 1)
     goal = Block(41, 7)

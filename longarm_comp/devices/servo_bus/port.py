@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import grp
+import os
 import time
 
 import serial
+from serial.tools import list_ports
 
 from longarm_comp.devices.servo_bus.errors import BusUnplugged
 
@@ -29,7 +33,7 @@ class SerialPort:
                 path, baudrate, timeout=reply_timeout_s, write_timeout=1.0, exclusive=True
             )
         except (OSError, ValueError) as error:
-            raise BusUnplugged(path, str(error)) from error
+            raise BusUnplugged(path, _in_words(path, error)) from error
         # Where a USB adapter has a latency timer (16 ms), that is most of a round trip.
         with contextlib.suppress(OSError, ValueError, AttributeError, NotImplementedError):
             self._serial.set_low_latency_mode(True)
@@ -60,3 +64,19 @@ class SerialPort:
         """Release the port; closing twice, or after an unplug, is fine."""
         with contextlib.suppress(OSError):
             self._serial.close()
+
+
+def _in_words(path: str, error: OSError | ValueError) -> str:
+    """Why a port cannot be opened, and what to do about it."""
+    number = getattr(error, "errno", None)
+    if number in (errno.EACCES, errno.EPERM):
+        with contextlib.suppress(OSError, KeyError):
+            group = grp.getgrgid(os.stat(path).st_gid).gr_name
+            return (f"no permission: `sudo usermod -aG {group} $USER`, then log out and in again; "
+                    f"until then `sudo chmod a+rw {path}`")  # fmt: skip
+    if number in (errno.EBUSY, errno.EAGAIN):
+        return "another program holds it: a running `longarm up`, or another terminal"
+    if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
+        there = ", ".join(sorted(port.device for port in list_ports.comports()))
+        return f"no such port; there are: {there or 'none'} (`longarm find-port` finds yours)"
+    return str(error)

@@ -84,7 +84,7 @@ def scan_line(
             servos = []
             for n, servo_id in enumerate(asked):
                 tell(f"{name}, {rate} bit/s, id {servo_id}", (k + n / len(asked)) / len(tries))
-                servo = _look(line, protocols()[name](), name, servo_id)
+                servo = look(line, protocols()[name](), name, servo_id)
                 servos += [servo] if servo else []
         finally:
             line.close()
@@ -101,7 +101,7 @@ def usable_ports() -> list[tuple[str, str]]:
     return [(p.device, p.description or "") for p in found if p.vid is not None]
 
 
-def _look(line: SerialPort, dialect: Dialect, protocol: str, servo_id: int) -> FoundServo | None:
+def look(line: SerialPort, dialect: Dialect, protocol: str, servo_id: int) -> FoundServo | None:
     """One id. A twin's model number is the same and its state is not, so both are read."""
     counters = BusCounters()
 

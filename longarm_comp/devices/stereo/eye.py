@@ -107,14 +107,6 @@ class StereoEye:
         return left, right
 
     @property
-    def corner_sigma_px(self) -> float | None:
-        """Noise of corners over the last sightings (pooled residuals), px.
-
-        None before the first sighting.
-        """
-        return float(np.sqrt(self._square_px2 / self._freedom)) if self._freedom else None
-
-    @property
     def expected_noise(self) -> PixelNoise:
         """The assumed noise, corrected by the residuals of the last sightings.
 

@@ -16,7 +16,7 @@ from longarm_comp.devices.stereo.refusal import RefusalReason, StereoRefusal
 from longarm_comp.devices.stereo.target import Corners, Grey, Target
 
 FEWEST_VIEWS = 10
-FEWEST_CORNERS = 8
+_FEWEST_CORNERS = 8
 _ROWS, _COLUMNS = ("top", "middle", "bottom"), ("left", "middle", "right")
 _NEW_PLACE, _NEW_SIZE, _NEW_TILT_DEG = 0.12, 0.12, 10.0
 
@@ -80,8 +80,8 @@ def view_of(board: Target, left: Grey, right: Grey, limits: Limits | None = None
         for side, grey in (("left", left), ("right", right))
     )
     ids, in_left, in_right = np.intersect1d(seen[0].ids, seen[1].ids, return_indices=True)
-    if len(ids) < FEWEST_CORNERS:
-        raise StereoRefusal(RefusalReason.OCCLUDED, corners=len(ids), at_least=FEWEST_CORNERS)
+    if len(ids) < _FEWEST_CORNERS:
+        raise StereoRefusal(RefusalReason.OCCLUDED, corners=len(ids), at_least=_FEWEST_CORNERS)
     pixels = seen[0].pixels[in_left]
     shift = np.median(pixels[:, 0] - seen[1].pixels[in_right][:, 0])
     distance, tilt = _rough_pose(board.points(ids), pixels, left.shape[1], left.shape[0])

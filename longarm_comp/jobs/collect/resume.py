@@ -16,8 +16,8 @@ from longarm_comp.sessions.bag import open_bag
 from longarm_comp.sessions.message_types import message_types
 
 ROW_TOPIC, ROW_TYPE = "session_row", "std_msgs/msg/String"
-COMMAND_TOPIC = "joint_trajectory"
-_READ = {ROW_TOPIC: ROW_TYPE, COMMAND_TOPIC: "trajectory_msgs/msg/JointTrajectory"}
+_COMMAND_TOPIC = "joint_trajectory"
+_READ = {ROW_TOPIC: ROW_TYPE, _COMMAND_TOPIC: "trajectory_msgs/msg/JointTrajectory"}
 
 
 def visited(path: Path, todo: Sequence[Visit], n: int) -> set[int]:
@@ -31,7 +31,7 @@ def visited(path: Path, todo: Sequence[Visit], n: int) -> set[int]:
             name = _last_name(connection.topic)
             message: Any = message_types().deserialize_cdr(raw, _READ[name])
             try:
-                if name == COMMAND_TOPIC:
+                if name == _COMMAND_TOPIC:
                     command = np.array([point.positions for point in message.points], float)
                     continue
                 index = int(json.loads(message.data)["index"])

@@ -40,7 +40,7 @@ _FRESH_S = 0.05  # a sighting shall be taken this long after the joints came to 
 _CIRCUMSTANCES_S = 5.0
 """Patience with the first temperature, payload and tilt. They come about once a second."""
 
-GIVE_UP = 6
+_GIVE_UP = 6
 """Visits without one sighting, after which nothing is expected of the others."""
 _HEARD_S = 0.2
 """Time for the last message to be heard before the node ends."""
@@ -71,7 +71,7 @@ def collect(
     *,
     pace: Pace | None = None,
     resume: bool = False,
-    give_up: int = GIVE_UP,
+    give_up: int = _GIVE_UP,
     view: View | None = None,
     pause: threading.Event | None = None,
     progress: Callable[[Progress], None] = lambda now: None,

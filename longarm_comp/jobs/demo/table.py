@@ -16,7 +16,7 @@ ORIGINAL, DECLARED, FOUND, LEARNED = (
 
 NAMES = Names(ORIGINAL, DECLARED, FOUND, LEARNED)
 
-PAPER = {ORIGINAL: (17.70, 223.94), DECLARED: (15.39, 215.97), LEARNED: (9.98, 180.81)}
+_PAPER = {ORIGINAL: (17.70, 223.94), DECLARED: (15.39, 215.97), LEARNED: (9.98, 180.81)}
 """Table I, 300 samples: mean of the absolute error (mm) and its variance (mm^2)."""
 
 
@@ -27,7 +27,7 @@ def rows(trials: Sequence[Trial]) -> list[dict[str, Any]]:
 
 def _row(trial: Trial) -> dict[str, Any]:
     seen, true = Errors.of(trial.error), Errors.of(trial.true_error)
-    mean, variance = PAPER.get(trial.name, (None, None))
+    mean, variance = _PAPER.get(trial.name, (None, None))
     return {
         "model": trial.name,
         "n": seen.n,

@@ -30,7 +30,7 @@ from longarm_comp.workflows.apply import nothing_to_apply
 from longarm_comp.workflows.diagnose import DiagnosisResult, diagnose_files
 from longarm_comp.workflows.verification import Verification, verification
 
-Agree = Callable[[DiagnosisReport], bool]
+_Agree = Callable[[DiagnosisReport], bool]
 """Shows a diagnosis and says whether to apply it."""
 
 
@@ -104,7 +104,7 @@ class Loop:
         self,
         client: ArmClient,
         settings: LoopSettings,
-        agree: Agree,
+        agree: _Agree,
         *,
         witness: Witness | None = None,
         resume: bool = False,

@@ -31,7 +31,7 @@ _EXACT = re.compile(
 _TURNED = re.compile(
     r"(?:q(?:uat(?:ernion)?)?_?[wxyz0]|quat.*|roll|pitch|yaw|r[xyz]|[abc]|o[xyz]|euler.*|rot.*)"
 )
-POINT = "point"
+_POINT = "point"
 """The user's own number or name of a row."""
 TEXTS = LABELS
 
@@ -86,7 +86,7 @@ def meaning(name: str, arm: Arm | None = None, *, headings: bool = True) -> str 
     if plain in ("t", "time", "timestamp", "datetime", "clock"):
         return "t_s"
     if plain in ("point", "pointid", "pointno", "pointnr", "pointnumber", "pt", "no", "nr"):
-        return POINT
+        return _POINT
     if plain in ("temp", "temperature"):
         return "temperature_c"
     if plain in ("payload", "row"):

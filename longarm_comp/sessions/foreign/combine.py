@@ -15,12 +15,12 @@ from longarm_comp.sessions.foreign.cells import Cells
 from longarm_comp.sessions.foreign.clock import seconds
 from longarm_comp.sessions.foreign.units import split_name
 
-MARKER = "marker"
+_MARKER = "marker"
 _AXIS = re.compile(r"(?i)(.*?)[ _.:-]*([xyz])")
 _COUNTED = re.compile(r"\d+|\b[A-Za-z]\b")
 
 
-def place_of(cells: Cells, name: str, field: str) -> int:
+def _place_of(cells: Cells, name: str, field: str) -> int:
     """Place of the column that is called so, with or without its unit."""
     found = [k for k, n in enumerate(cells.names) if name == n]
     found = found or [k for k, n in enumerate(cells.names) if name == split_name(n)[0]]
@@ -54,7 +54,7 @@ def joined(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str, ...]
     made, *others = map(_pointed, tables)
     lonely: list[str] = []
     for table in others:
-        here, there = (place_of(t, column, "--join") for t in (made, table))
+        here, there = (_place_of(t, column, "--join") for t in (made, table))
         one, two = ([row[k] for _, row in t.rows] for t, k in ((made, here), (table, there)))
         partner = _partners(one, two, table, column)
         left = sorted(set(range(len(two))) - set(partner))
@@ -79,7 +79,7 @@ def joined(tables: Sequence[Cells], column: str) -> tuple[Cells, tuple[str, ...]
 
 def ordered(cells: Cells, column: str) -> Cells:
     """The rows in the order of a column: of numbers, of times, else of the texts."""
-    place = place_of(cells, column, "--sort")
+    place = _place_of(cells, column, "--sort")
     texts = [row[place] for _, row in cells.rows]
     numbers = [cells.number(text) for text in texts]
     clock = seconds(texts)
@@ -119,7 +119,7 @@ def melted(cells: Cells, headings: Sequence[str]) -> Cells:
             tip = (row[groups[heading][axis]] for axis in "xyz")
             rows.append((line, (*(row[k] for k in rest), *tip, heading)))
             index.append(cells.index[number] if cells.index else number)
-    names = (*(cells.names[k] for k in rest), *axes, MARKER)
+    names = (*(cells.names[k] for k in rest), *axes, _MARKER)
     return replace(cells, names=names, rows=tuple(rows), index=tuple(index))
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from longarm_comp.core.errors import InputError
 
-QUATERNIONS = {"xyzw": (0, 1, 2, 3), "wxyz": (1, 2, 3, 0)}
-ROTATION_VECTOR = "rotvec"
+_QUATERNIONS = {"xyzw": (0, 1, 2, 3), "wxyz": (1, 2, 3, 0)}
+_ROTATION_VECTOR = "rotvec"
 ALLOWED = (
     "CONVENTION:COLUMNS with xyzw or wxyz and four columns; rotvec and three; or Euler angles and "
     "three: xyz about the fixed x, y, then z (roll, pitch, yaw), ZYX about the turned z, y, x; "
@@ -25,7 +25,7 @@ class Rotation:
     """A convention and the columns that are in it: ``wxyz:q0,q1,q2,q3``, ``ZYX:A,B,C``.
 
     Attributes:
-        convention: a key of `QUATERNIONS`, `ROTATION_VECTOR`, or Euler axes as scipy names them
+        convention: a key of `_QUATERNIONS`, `_ROTATION_VECTOR`, or Euler axes as scipy names them
             (lower case fixed, upper case turned).
         columns: names in the file.
         inverse: the columns hold the base's orientation in the tool's frame.
@@ -45,8 +45,8 @@ class Rotation:
             convention.lower(),
             convention.upper(),
         )
-        count = 4 if convention in QUATERNIONS else 3
-        known = convention in QUATERNIONS or convention == ROTATION_VECTOR or euler
+        count = 4 if convention in _QUATERNIONS else 3
+        known = convention in _QUATERNIONS or convention == _ROTATION_VECTOR or euler
         if not colon or not known or len(columns) != count or not all(columns):
             raise InputError(where, "--rotation", text, ALLOWED)
         return cls(convention, columns, inverse)
@@ -54,7 +54,7 @@ class Rotation:
     @property
     def angles(self) -> bool:
         """Whether the columns are angles, with a unit."""
-        return self.convention not in QUATERNIONS
+        return self.convention not in _QUATERNIONS
 
     def quaternions(self, values: np.ndarray) -> np.ndarray:
         """(N, 4) x, y, z, w of unit length from (N, 3 or 4) values (rad); NaN rows stay NaN.
@@ -69,14 +69,14 @@ class Rotation:
         if not told.any():
             return made
         held = values[told]
-        if self.convention in QUATERNIONS:
-            held = held[:, QUATERNIONS[self.convention]]
+        if self.convention in _QUATERNIONS:
+            held = held[:, _QUATERNIONS[self.convention]]
             off = np.abs(np.linalg.norm(held, axis=1) - 1)
             if off.max() > UNIT_LENGTH:
                 row = int(np.flatnonzero(told)[int(off.argmax())])
                 raise ValueError(f"row {row + 1}: length {np.linalg.norm(values[row]):.4g}")
             turn = Turn.from_quat(held)
-        elif self.convention == ROTATION_VECTOR:
+        elif self.convention == _ROTATION_VECTOR:
             turn = Turn.from_rotvec(held)
         else:
             turn = Turn.from_euler(self.convention, held)

@@ -18,7 +18,7 @@ from longarm_comp.sim.measure import TrueCamera
 Array = np.ndarray
 Hidden = HiddenEffect | CameraEffect
 _STEPS = 2  # sizes need no nanometres
-Maker = Callable[[Arm, np.random.Generator], Hidden]
+_Maker = Callable[[Arm, np.random.Generator], Hidden]
 
 
 def _kind(arm: Arm, kind: str) -> Array:
@@ -111,7 +111,7 @@ def _measured_tilt(arm: Arm, rng: np.random.Generator) -> Hidden:
     )
 
 
-HIDDEN: dict[str, Maker] = {
+HIDDEN: dict[str, _Maker] = {
     "joint_zero": _joint_zero,
     "dh_error": _dh_error,
     "base_pose": _base_pose,

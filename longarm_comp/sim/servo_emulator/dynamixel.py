@@ -21,9 +21,9 @@ TORQUE, HARDWARE_ERROR, PROFILE_VELOCITY, GOAL = 64, 70, 112, 116
 MOVING, LOAD, VELOCITY, POSITION, VOLTS, TEMPERATURE = 122, 126, 128, 132, 144, 146
 MEMORY = 147
 BAD_INSTRUCTION, BAD_RANGE, OVER_LIMIT, NO_ACCESS = 2, 4, 6, 7
-HARDWARE_BITS = {VOLTAGE: 1, OVERHEAT: 4, SENSOR: 8, CURRENT: 16, OVERLOAD: 32}
-SPEED_UNIT = 0.229 * 4096 / 60  # ticks/s
-EXTENDED = 4
+_HARDWARE_BITS = {VOLTAGE: 1, OVERHEAT: 4, SENSOR: 8, CURRENT: 16, OVERLOAD: 32}
+_SPEED_UNIT = 0.229 * 4096 / 60  # ticks/s
+_EXTENDED = 4
 
 
 class DynamixelWire(Wire):
@@ -55,7 +55,7 @@ class DynamixelWire(Wire):
                 continue
             if len(buffer) < end:
                 break
-            if crc16(bytes(buffer[: end - 2])) == int.from_bytes(buffer[end - 2 : end], "little"):
+            if _crc16(bytes(buffer[: end - 2])) == int.from_bytes(buffer[end - 2 : end], "little"):
                 frames.append(bytes(buffer[:end]))
                 del buffer[:end]
             else:
@@ -124,19 +124,19 @@ class DynamixelWire(Wire):
         if address <= GOAL < end:
             goal = int.from_bytes(data[GOAL - address : GOAL - address + 4], "little", signed=True)
             low, high = device.get(MIN_POSITION, 4), device.get(MAX_POSITION, 4)
-            if device.get(MODE, 1) == EXTENDED:
+            if device.get(MODE, 1) == _EXTENDED:
                 low, high = -1048575, 1048575
             if not low <= goal <= high:
                 return OVER_LIMIT
             motor.goal = float(goal)
         device.memory[address:end] = data
-        device.kept = bytes(device.memory)
+        device.kept, device.servo_id = bytes(device.memory), device.get(ID, 1)
         if address <= TORQUE < end:
             if not motor.torque_on:
                 motor.goal = motor.position
             motor.switch(device.get(TORQUE, 1) == 1)
         if address <= PROFILE_VELOCITY < end:
-            motor.speed_limit = device.get(PROFILE_VELOCITY, 4) * SPEED_UNIT
+            motor.speed_limit = device.get(PROFILE_VELOCITY, 4) * _SPEED_UNIT
         return 0
 
 
@@ -144,11 +144,11 @@ def _refresh(device: Device) -> None:
     """Bring the read-only part of the memory up to date."""
     motor = device.motor
     device.put(TORQUE, 1, int(motor.torque_on))
-    device.put(HARDWARE_ERROR, 1, sum(HARDWARE_BITS[name] for name in motor.alarms))
+    device.put(HARDWARE_ERROR, 1, sum(_HARDWARE_BITS[name] for name in motor.alarms))
     device.put(GOAL, 4, round(motor.goal) & 0xFFFFFFFF)
     device.put(MOVING, 1, int(motor.moving))
     device.put(LOAD, 2, round(motor.effort * 1000) & 0xFFFF)
-    device.put(VELOCITY, 4, round(motor.velocity / SPEED_UNIT) & 0xFFFFFFFF)
+    device.put(VELOCITY, 4, round(motor.velocity / _SPEED_UNIT) & 0xFFFFFFFF)
     device.put(POSITION, 4, round(motor.position) & 0xFFFFFFFF)
     device.put(VOLTS, 2, round(motor.voltage_v * 10))
     device.put(TEMPERATURE, 1, round(motor.temperature_c))
@@ -159,7 +159,7 @@ def _status(device: Device, error: int, data: bytes) -> tuple[int, bytes]:
     body = (bytes((0x55, error)) + data).replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
     size = (len(body) + 2).to_bytes(2, "little")
     frame = b"\xff\xff\xfd\x00" + bytes((device.servo_id,)) + size + body
-    return device.servo_id, frame + crc16(frame).to_bytes(2, "little")
+    return device.servo_id, frame + _crc16(frame).to_bytes(2, "little")
 
 
 def _shifted(register: int) -> int:
@@ -172,7 +172,7 @@ def _shifted(register: int) -> int:
 _SHIFTED = tuple(_shifted(byte << 8) for byte in range(256))
 
 
-def crc16(data: bytes) -> int:
+def _crc16(data: bytes) -> int:
     """CRC-16 with polynomial 0x8005, initial value 0, not reflected."""
     register = 0
     for byte in data:

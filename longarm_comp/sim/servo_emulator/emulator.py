@@ -218,6 +218,8 @@ class ServoEmulator:
             others = dict(self._wire.answer(frame, self._twins)) if self._twins else {}
         except IndexError:
             return []  # fewer parameters than the instruction needs: a servo ignores it
+        if any(i != device.servo_id for i, device in self._devices.items()):
+            self._devices = {device.servo_id: device for device in self._devices.values()}
         return [(i, _collided(reply, others.get(i, reply))) for i, reply in replies]
 
     def _frames(self, buffer: bytearray) -> list[bytes]:

@@ -19,7 +19,7 @@ FIRMWARE, MODEL, ID, MIN_ANGLE, MAX_ANGLE, MAX_TEMPERATURE = 0, 3, 5, 9, 11, 13
 TORQUE, GOAL, GOAL_SPEED, LOCK = 40, 42, 46, 55
 POSITION, SPEED, LOAD, VOLTS, TEMPERATURE, STATUS, MOVING, AMPS = 56, 58, 60, 62, 63, 65, 66, 69
 MEMORY = 87
-STATUS_BITS = {VOLTAGE: 1, SENSOR: 2, OVERHEAT: 4, CURRENT: 8, OVERLOAD: 32}
+_STATUS_BITS = {VOLTAGE: 1, SENSOR: 2, OVERHEAT: 4, CURRENT: 8, OVERLOAD: 32}
 
 
 class FeetechWire(Wire):
@@ -100,6 +100,7 @@ class FeetechWire(Wire):
         device.memory[address:end] = data
         if not device.get(LOCK, 1):
             device.kept = bytes(device.memory)  # while locked, changes last until power is lost
+        device.servo_id = device.get(ID, 1)
         motor = device.motor
         if address <= GOAL_SPEED < end:
             motor.speed_limit = float(device.get(GOAL_SPEED, 2) & 0x7FFF)
@@ -140,7 +141,7 @@ def _status(device: Device, data: bytes) -> tuple[int, bytes]:
 
 
 def _status_bits(motor: Motor) -> int:
-    return sum(STATUS_BITS[name] for name in motor.alarms)
+    return sum(_STATUS_BITS[name] for name in motor.alarms)
 
 
 def _sign_magnitude(value: int, bit: int) -> int:

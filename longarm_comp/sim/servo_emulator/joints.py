@@ -15,9 +15,8 @@ from typing import Any
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import read_yaml
 
-TICKS_PER_TURN = 4096.0
-STALL_NM = 2.94
-"""Torque of an STS3215 at full effort (12 V)."""
+_TICKS_PER_TURN = 4096.0
+_STALL_NM = 2.94  # torque of an STS3215 at full effort (12 V)
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,8 @@ def _joint(name: str, fields: Mapping[str, Any]) -> EmulatedJoint:
         turn = float(fields["screw_lead_m"])
     elif fields["type"] == "prismatic":
         turn *= float(fields["pinion_radius_m"])
-    gearing = float(fields.get("gear_ratio", 1.0)) * TICKS_PER_TURN
+    gearing = float(fields.get("gear_ratio", 1.0)) * _TICKS_PER_TURN
+    stall = _STALL_NM * 2.0 * math.pi * gearing / (turn * _TICKS_PER_TURN)
     return EmulatedJoint(
         name=str(name),
         servo_id=int(fields["servo_id"]),
@@ -93,7 +93,5 @@ def _joint(name: str, fields: Mapping[str, Any]) -> EmulatedJoint:
         travel=int(fields.get("direction", 1)) * turn / gearing,
         lower=float(fields["lower"]),
         upper=float(fields["upper"]),
-        full_effort=float(
-            fields.get("full_effort", STALL_NM * 2.0 * math.pi * gearing / (turn * TICKS_PER_TURN))
-        ),
+        full_effort=float(fields.get("full_effort", stall)),
     )

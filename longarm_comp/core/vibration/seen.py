@@ -1,0 +1,137 @@
+"""Frequency and damping of a ring that was seen: damped waves fitted to sightings after a move.
+
+The amplitudes are linear and eliminated (variable projection); waves are added one after the other
+while each takes off far more than noise would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.stats import f as f_distribution
+
+from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.vibration.modes import Modes
+
+LEAST = 12
+"""Sightings that say anything of a wave."""
+A_PERIOD = 2.5
+"""Sightings in a period; with fewer another frequency fits as well."""
+_ODDS = 1e-6
+"""Chance at which noise alone would be taken for a wave."""
+_FIRST = 0.01
+"""Damping that the search begins with."""
+
+
+@dataclass(frozen=True, eq=False)
+class Wave:
+    """One damped wave of the tip.
+
+    Attributes:
+        hz: undamped frequency, and its standard deviation. damping: likewise, share of critical.
+        size: (3,) m at the first sighting, along the base's axes.
+    """
+
+    hz: float
+    hz_sd: float
+    damping: float
+    damping_sd: float
+    size: np.ndarray
+
+
+def waves(times: np.ndarray, xyz: np.ndarray, most: int = 2) -> list[Wave]:
+    """The waves in sightings (N, 3) m at times (N,) s, the largest first; none if all is noise.
+
+    The arm has to stand: its joints do not move any more.
+
+    Raises:
+        InputError: too few sightings, or they are not in order.
+        JobError: the cameras are too slow for a ring that may be there.
+    """
+    if len(times) < LEAST or (np.diff(times) <= 0.0).any():
+        raise InputError("ring", "sightings", len(times), f"{LEAST} or more, one after the other")
+    t = times - times[0]
+    fastest = 1.0 / (A_PERIOD * float(np.median(np.diff(t))))
+    slowest = 1.0 / float(t[-1])
+    if fastest <= slowest:
+        raise JobError("too few sightings in a second for any ring", sightings=len(t))
+    found: list[float] = []  # omega, damping, omega, damping, ...
+    left = _left(np.array(found), t, xyz)
+    for _ in range(most):
+        tried = 2.0 * np.pi * np.arange(slowest, fastest, 0.1 * slowest)
+        sizes = [float((_left(np.array([*found, w, _FIRST]), t, xyz) ** 2).sum()) for w in tried]
+        begin = np.array([*found, tried[int(np.argmin(sizes))], _FIRST])
+        bounds = (np.tile([0.0, 1e-5], len(begin) // 2), np.tile([np.inf, 0.5], len(begin) // 2))
+        fit = least_squares(lambda p: _left(p, t, xyz).ravel(), begin, bounds=bounds, x_scale=begin)
+        now = _left(fit.x, t, xyz)
+        free = now.size - 3 * (1 + len(begin)) - len(begin)
+        if free < 1:
+            break
+        gain = ((left**2).sum() - (now**2).sum()) / 8.0
+        noise = (now**2).sum() / free
+        if f_distribution.sf(gain / max(noise, 1e-30), 8, free) > _ODDS:
+            break
+        found, left, last = fit.x.tolist(), now, fit
+    if not found:
+        return []
+    noise = (left**2).sum() / (left.size - 3 * (1 + len(found)) - len(found))
+    sd = np.sqrt(np.diag(noise * np.linalg.pinv(last.jac.T @ last.jac)))
+    parts = np.linalg.lstsq(_basis(np.array(found), t), xyz, rcond=None)[0][1:]
+    made = [
+        Wave(
+            w / (2.0 * np.pi), sd[2 * k] / (2.0 * np.pi), z, sd[2 * k + 1],
+            np.hypot(parts[2 * k], parts[2 * k + 1]),
+        )
+        for k, (w, z) in enumerate(zip(found[::2], found[1::2], strict=True))
+    ]  # fmt: skip
+    return sorted(made, key=lambda wave: -float(np.linalg.norm(wave.size)))
+
+
+def _basis(parameters: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """(N, 1 + 2 k): rest, and cosine and sine of each damped wave."""
+    columns = [np.ones_like(t)]
+    for omega, damping in parameters.reshape(-1, 2):
+        decay = np.exp(-damping * omega * t)
+        angle = omega * np.sqrt(1.0 - damping**2) * t
+        columns += [decay * np.cos(angle), decay * np.sin(angle)]
+    return np.stack(columns, axis=1)
+
+
+def _left(parameters: np.ndarray, t: np.ndarray, xyz: np.ndarray) -> np.ndarray:
+    basis, _ = np.linalg.qr(_basis(parameters, t))
+    return np.asarray(xyz - basis @ (basis.T @ xyz))
+
+
+def corrected(modes: Modes, at_ring: Modes, seen: Sequence[Wave]) -> Modes:
+    """Modes with the frequencies that were seen at another posture taken into account.
+
+    Weight loads an arm downwards: a calibration at rest knows how it bends up and down, and of
+    what bends sideways only the parts that it shares.  So each mode takes the factor of the wave
+    that swings most as steeply as it does.
+
+    Args:
+        modes: of the model, at any posture. at_ring: of the model, where the ring was seen.
+        seen: as of `waves`.
+    """
+    if not seen or not len(modes.omega) or not len(at_ring.omega):
+        return modes
+    steep = [_steep(wave.size) for wave in seen]
+    model = _steepness(at_ring.tip)
+    slow = at_ring.omega < 2.0 * at_ring.omega[0]
+    factors = []
+    for wave, rise in zip(seen, steep, strict=True):
+        nearest = int(np.argmin(np.where(slow, np.abs(model - rise), np.inf)))
+        factors.append(wave.hz / float(at_ring.hz[nearest]))
+    nearest_wave = np.abs(np.subtract.outer(_steepness(modes.tip), steep)).argmin(axis=1)
+    return replace(modes, omega=modes.omega * np.array(factors)[nearest_wave])
+
+
+def _steep(move: np.ndarray) -> float:
+    return float(abs(move[2]) / np.linalg.norm(move))
+
+
+def _steepness(moves: np.ndarray) -> np.ndarray:
+    return np.array([_steep(move) for move in moves])

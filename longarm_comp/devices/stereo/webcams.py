@@ -1,0 +1,63 @@
+"""The webcams of this computer, by what Linux tells of them, and a picture of each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from longarm_comp.core.errors import JobError
+
+_SYSTEM = Path("/sys/class/video4linux")
+_FRAMES = 5
+"""The first pictures of a webcam are dark: it sets its exposure."""
+
+
+@dataclass(frozen=True)
+class Webcam:
+    """A camera: its device, and its name as its maker wrote it."""
+
+    device: str
+    name: str
+
+
+def webcams(system: Path = _SYSTEM) -> list[Webcam]:
+    """Those that give pictures; a camera's further devices carry other data."""
+    found = []
+    for entry in sorted(system.glob("video*"), key=lambda path: int(path.name[5:] or 0)):
+        index = entry / "index"
+        if not index.is_file() or index.read_text().strip() == "0":
+            found.append(Webcam(f"/dev/{entry.name}", (entry / "name").read_text().strip()))
+    return found
+
+
+def picture(device: str) -> np.ndarray:
+    """A picture (H, W, 3) of a device.
+
+    Raises:
+        JobError: it gives none.
+    """
+    camera = cv2.VideoCapture(device)
+    try:
+        taken = [image for _ in range(_FRAMES) for ok, image in [camera.read()] if ok]
+    finally:
+        camera.release()
+    if not taken:
+        raise JobError(
+            "the camera gives no picture: does another program use it, and are you in the group "
+            "video (`sudo usermod -aG video $USER`)?",
+            device=device,
+        )  # fmt: skip
+    return np.asarray(taken[-1])
+
+
+def driver_lines(left: str, right: str) -> list[str]:
+    """What publishes two cameras where `stereo_bridge` listens."""
+    return [
+        f"ros2 run v4l2_camera v4l2_camera_node --ros-args -p video_device:={device} "
+        f"-r image_raw:={side}/image_raw -r camera_info:={side}/camera_info "
+        f"-r __node:={side}_camera"
+        for side, device in (("left", left), ("right", right))
+    ]

@@ -1,0 +1,154 @@
+"""How long the tip rings after a move, and what shaping by an identified model saves.
+
+The arms are made so soft that they sag by `SAG_M` on average, and hide soft joints and beams.  A
+calibration at rest identifies the stiffness; of it the modes are computed at the end of each move.
+The true arm rings by its own physics (`sim/ringing.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.plan import random_joints
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.vibration.modes import modes
+from longarm_comp.core.vibration.ring import SMALL_M, straight
+from longarm_comp.core.vibration.seen import corrected, waves
+from longarm_comp.core.vibration.shaper import shaper_of
+from longarm_comp.math.shaper import Way
+from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.ringing import Ringing
+from studies.path import ELASTIC, StudiedArm
+
+SAG_M = 0.02
+DAMPING = 0.01
+SPEED, RANGE_S = 0.5, 1.5
+"""Mean speed of the tip at most, m/s, and time for a joint's whole range at least, s."""
+CAMERA_HZ, SEEN_S, NOISE_M = 30.0, 4.0, 2e-4
+"""Of the one ring that is watched."""
+_STEP_S = 4e-3
+_LOOK_S, _LONGEST_S = 5e-3, 120.0
+
+
+@dataclass(frozen=True)
+class Shaping:
+    """How moves are shaped.
+
+    Attributes:
+        model: by which one's modes; not at all where empty.
+        seen: whether its frequencies are corrected by one ring that the cameras saw.
+        factor: its frequencies are wrong by.
+    """
+
+    name: str
+    model: str = ""
+    seen: bool = False
+    factor: float = 1.0
+
+
+SHAPINGS = (
+    Shaping("not shaped"),
+    Shaping("by the declared model", "declared"),
+    Shaping("by the identified model", "identified"),
+    Shaping("identified, one ring seen", "identified", seen=True),
+    Shaping("the same, frequency 10 % high", "identified", True, 1.1),
+    Shaping("the same, frequency 10 % low", "identified", True, 0.9),
+)
+
+
+def softened(arm: Arm, sag_m: float) -> Arm:
+    """The arm with its beams so soft that it sags so much on average over its postures."""
+    q = random_joints(arm, 64, np.random.default_rng(0))
+    for _ in range(3):
+        sag = np.linalg.norm(declared_model(arm).tip(q) - Model(arm).tip(q), axis=1).mean()
+        data = arm.model_dump(mode="json", exclude_none=True)
+        for beam in data["links"]:
+            for key in ("E_pa", "G_pa", "EI_nm2", "GJ_nm2"):
+                if key in beam:
+                    beam[key] *= float(sag / sag_m)
+        arm = Arm.parse(data, "softened")
+    return arm
+
+
+def after(true: TrueArm, way: Way, seconds: float) -> Ringing:
+    """The true arm at the end of a motion."""
+    ring = Ringing(true, DAMPING)
+    times = np.append(np.arange(0.0, seconds, _STEP_S), seconds)
+    for t, q in zip(times.tolist(), way(times), strict=True):
+        ring.moved(t, q)
+    ring.moved(seconds + 1e-9, way(times[-1:])[0])  # it stops
+    return ring
+
+
+def settle_s(ring: Ringing) -> float:
+    """Time until the true tip stays within `SMALL_M` of its rest."""
+    later = np.arange(0.0, _LONGEST_S, _LOOK_S)
+    away = np.flatnonzero(np.linalg.norm(ring.left(later), axis=1) > SMALL_M)
+    return float(later[away[-1]]) if len(away) else 0.0
+
+
+def one_arm(declared: Arm, number: int, seed: int, moves: int) -> list[dict[str, Any]]:
+    """Random moves of one arm, each made in every way."""
+    studied = StudiedArm.draw(softened(declared, SAG_M), number, seed, ELASTIC)
+    known = {"identified": studied.model, "declared": declared_model(studied.arm)}
+    rng = np.random.default_rng([seed, number, 1])
+    lines, heard = [], None
+    for _ in range(moves + 1):
+        start, end = random_joints(studied.arm, 2, rng)
+        far = np.linalg.norm(np.diff(studied.model.tip(np.stack([start, end])), axis=0))
+        share = np.abs(end - start) / (studied.arm.upper - studied.arm.lower)
+        seconds = float(max(far / SPEED, RANGE_S * share.max()))
+        way = straight(start, end, seconds)
+        if heard is None:  # the first move is watched
+            times = np.arange(0.0, SEEN_S, 1.0 / CAMERA_HZ)
+            seen = after(studied.true, way, seconds).left(times)
+            found = waves(times, seen + NOISE_M * rng.standard_normal(seen.shape))
+            heard = modes(studied.model, end), found
+            continue
+        for shaping in SHAPINGS:
+            made, longer = way, 0.0
+            if shaping.model:
+                ends = [modes(known[shaping.model], q) for q in (start, end)]
+                if shaping.seen:
+                    ends = [corrected(each, *heard) for each in ends]
+                wrong = [replace(each, omega=shaping.factor * each.omega) for each in ends]
+                shaper = shaper_of(wrong, DAMPING)
+                assert shaper is not None
+                made, longer = shaper.shaped(way), shaper.duration
+            lines.append({
+                "moves": shaping.name, "move_s": seconds, "longer_s": longer,
+                "settle_s": settle_s(after(studied.true, made, seconds + longer)),
+            })  # fmt: skip
+    return lines
+
+
+def study(
+    declared: Arm, count: int, seed: int, moves: int, show: Callable[[str, float], None]
+) -> Iterator[dict[str, Any]]:
+    """Lines of all arms."""
+    for number in range(count):
+        yield from one_arm(declared, number, seed, moves)
+        show(f"{number + 1} of {count} arms", (number + 1) / count)
+
+
+def table(lines: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """One row a way: mean times, s, and the mean settling over that of unshaped moves."""
+    rows: list[dict[str, Any]] = []
+    for shaping in SHAPINGS:
+        mine = [line for line in lines if line["moves"] == shaping.name]
+        row = {key: float(np.mean([line[key] for line in mine]))
+               for key in ("move_s", "longer_s", "settle_s")}  # fmt: skip
+        whole = row["longer_s"] + row["settle_s"]
+        first = rows[0]["settle_s"] if rows else row["settle_s"]
+        rows.append({
+            "moves": shaping.name, **row,
+            "p95_settle_s": float(np.percentile([line["settle_s"] for line in mine], 95)),
+            "settle_ratio": row["settle_s"] / first, "ratio_with_longer": whole / first,
+        })  # fmt: skip
+    return rows
