@@ -35,8 +35,7 @@ class Parameter:
 
     Attributes:
         prior: standard deviation of plausible values; 0 means fixed at its value.
-        unknown: nothing is known beforehand: the prior is the size of an ordinary change only,
-            and the fit's prior is so much wider that it does not pull.
+        unknown: nothing is known beforehand: the fit's prior is too wide to pull (`FLAT`).
     """
 
     name: str
