@@ -91,9 +91,9 @@ class Plant:
         self.config = config
         self._behind = tuple(e for e in config.hidden if not isinstance(e, ServoDroop))
         droops = [e for e in config.hidden if isinstance(e, ServoDroop)]
-        names = config.arm.joint_names
+        order = config.arm.joint_names
         specs = {
-            j.servo_id: _drooping(config.spec, j, droops, names.index(j.name))
+            j.servo_id: _drooping(config.spec, j, droops, order.index(j.name))
             for j in config.servos.joints
         }
         self._loads: Mapping[int, float] = {}
