@@ -57,7 +57,8 @@ class Motor:
     def __init__(self, spec: MotorSpec, position_ticks: float) -> None:
         self.spec = spec
         self.position = float(position_ticks)
-        self.goal = float(position_ticks)
+        self.goal = self._sent = float(position_ticks)
+        self._towards = 0
         self.velocity = 0.0
         self.speed_limit = 0.0
         self.torque_on = False
@@ -99,8 +100,11 @@ class Motor:
         self.velocity = (self.position - start) / dt_s
         wound = self.wound + (self.position - start) / self.spec.wind_up_ticks
         self.wound = max(-1.0, min(1.0, wound))
-        if abs(self.position - start) > 1e-3:
-            self.approach = 1 if self.position > start else -1
+        if self.goal != self._sent:
+            self._towards, self._sent = (1 if self.goal > self._sent else -1), self.goal
+        moved = 1 if self.position > start else -1
+        if abs(self.position - start) > 1e-3 and moved == self._towards:
+            self.approach = moved  # giving way afterwards turns nothing round
         self._drive(dt_s)
 
     def _travelled(self, dt_s: float) -> float:
