@@ -79,7 +79,7 @@ def values(effect: Hidden, arm: Arm) -> Values:
 def places(effect: Hidden, arm: Arm) -> frozenset[str]:
     """Places of the effect in the terms of the library; empty for the whole arm."""
     found = set()
-    for field in effect.doses:
+    for field in effect.sizes:
         value = getattr(effect, field)
         if np.ndim(value) and np.shape(value)[-1] == arm.n and field != "delta":
             some: np.ndarray = np.any(np.reshape(value, (-1, arm.n)), axis=0)
@@ -98,7 +98,7 @@ def at_one_place(effect: Hidden, arm: Arm, rng: np.random.Generator) -> Hidden:
         return effect
     kept = str(rng.choice(where))
     changes: dict[str, object] = {}
-    for field in effect.doses:
+    for field in effect.sizes:
         value = getattr(effect, field)
         if np.ndim(value) and np.shape(value)[-1] == arm.n:
             mask = np.array([f"joint {row}" == kept for row in arm.commanded])
@@ -110,5 +110,5 @@ def at_one_place(effect: Hidden, arm: Arm, rng: np.random.Generator) -> Hidden:
 
 def size(effect: Hidden, arm: Arm) -> int:
     """Number of parameters that describe it."""
-    counts = [int(np.count_nonzero(getattr(effect, field))) for field in effect.doses]
+    counts = [int(np.count_nonzero(getattr(effect, field))) for field in effect.sizes]
     return max(sum(counts), len(places(effect, arm)), 1)

@@ -54,8 +54,12 @@ class Dosed:
 
     def scaled(self: Scaled, dose: float) -> Scaled:
         """The same effect `dose` times as large."""
-        sizes = self.doses or (fields(self)[0].name,)  # type: ignore[arg-type]
-        return replace(self, **{f: dose * getattr(self, f) for f in sizes})  # type: ignore
+        return replace(self, **{f: dose * getattr(self, f) for f in self.sizes})  # type: ignore
+
+    @property
+    def sizes(self) -> tuple[str, ...]:
+        """Names of the fields that are its size."""
+        return self.doses or (fields(self)[0].name,)  # type: ignore[arg-type]
 
 
 class HiddenEffect(Dosed):
