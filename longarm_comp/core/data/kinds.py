@@ -222,7 +222,7 @@ class Plane(Kind):
         return Equations(-point[:, 2:], columns[:, 2:], motion.pull(self.name)[:, 2:])
 
 
-class JointReading(Kind):
+class EncoderReading(Kind):
     """Where the encoder of a joint says that it stands, rad (m of a slide), at rest."""
 
     unit = "rad"
@@ -247,7 +247,7 @@ class _Kinds(dict[str, Kind]):
     """The kinds that measure the tip, and by name one for the reading of every joint."""
 
     def __missing__(self, name: str) -> Kind:
-        return JointReading(int(name.removeprefix("read_q")))
+        return EncoderReading(int(name.removeprefix("read_q")))
 
     def __contains__(self, name: object) -> bool:
         return super().__contains__(name) or bool(re.fullmatch(r"read_q[1-9]\d*", str(name)))
