@@ -67,10 +67,14 @@ class ServoArm:
     """
 
     def __init__(
-        self, config: ServoConfig, keeps_out: KeepsOut | None = None, shapes: Shapes | None = None
+        self,
+        config: ServoConfig,
+        keeps_out: KeepsOut | None = None,
+        shapes: Shapes | None = None,
+        trim: bool = False,
     ) -> None:
         self.config = config
-        self.follower = TrajectoryFollower(config, keeps_out, shapes)
+        self.follower = TrajectoryFollower(config, keeps_out, shapes, trim)
         self._ids = list(config.ids.values())
         self._powered = False
         self._owing_off = False  # torque off is still to be sent to an unplugged bus
