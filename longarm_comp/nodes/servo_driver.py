@@ -23,7 +23,7 @@ from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.keep_out import keeper
 from longarm_comp.core.vibration.shaper import shaping
-from longarm_comp.devices.servo_arm import Cycle, JointReading, ServoArm
+from longarm_comp.devices.servo_arm import Cycle, ServoArm, ServoReading
 from longarm_comp.devices.servo_bus import BusUnplugged, IncompleteReply
 from longarm_comp.devices.servo_config import BusConfig, FollowerConfig, ServoConfig
 from longarm_comp.devices.servo_follower import (
@@ -253,7 +253,7 @@ class ServoDriver(LifecycleNode):
         return list(self._config.joints)
 
     @property
-    def readings(self) -> Mapping[str, JointReading]:
+    def readings(self) -> Mapping[str, ServoReading]:
         """The last read-back by joint; empty where a servo was silent."""
         return self._last.joints if self._last is not None else {}
 
