@@ -29,9 +29,11 @@ __all__ = [
     "calibrate",
     "compensate",
     "compensate_path",
+    "declared_model",
     "diagnose",
     "effects",
     "evaluate",
+    "import_table",
     "load_model",
     "load_predictor",
     "plan",
@@ -49,6 +51,7 @@ if TYPE_CHECKING:
     from longarm_comp.core.data.session import Session
     from longarm_comp.core.effects import catalogue as effects
     from longarm_comp.core.errors import InputError, JobError, LongarmError
+    from longarm_comp.core.model.declared_model import declared_model
     from longarm_comp.core.model.model import Model
     from longarm_comp.core.model.model_file import load_model
     from longarm_comp.sessions.poses import write_poses
@@ -59,6 +62,7 @@ if TYPE_CHECKING:
     from longarm_comp.workflows.compensate_path import compensate_path
     from longarm_comp.workflows.diagnose import diagnose
     from longarm_comp.workflows.evaluate import evaluate
+    from longarm_comp.workflows.import_table import import_table
     from longarm_comp.workflows.inputs import load_predictor
     from longarm_comp.workflows.plan import plan
     from longarm_comp.workflows.train import train
@@ -93,9 +97,11 @@ _MODULE_OF = {
     "calibrate": "workflows.calibrate",
     "compensate": "workflows.compensate",
     "compensate_path": "workflows.compensate_path",
+    "declared_model": "core.model.declared_model",
     "diagnose": "workflows.diagnose",
     "effects": "core.effects.catalogue",
     "evaluate": "workflows.evaluate",
+    "import_table": "workflows.import_table",
     "load_model": "core.model.model_file",
     "load_predictor": "workflows.inputs",
     "plan": "workflows.plan",

@@ -43,6 +43,11 @@ FOUND = Model(ARM, (*JointZero.for_arm(ARM), FrictionHysteresis(1, width=0.004))
 @pytest.fixture
 def diagnosed(work: Path, tmp_path: Path) -> Callable[..., Path]:
     """Writes the folder of a diagnosis of the session in ``work``."""
+    return writer(work, tmp_path)
+
+
+def writer(work: Path, tmp_path: Path) -> Callable[..., Path]:
+    """As `diagnosed`, into any folder."""
 
     def write(
         name: str = "diagnosis",
@@ -228,9 +233,16 @@ class Versions:
         assert (self.model.read_bytes(), self.predictor.read_bytes()) == self.one
 
 
+@pytest.fixture(scope="module")
+def trained_versions(work: Path, tmp_path_factory: pytest.TempPathFactory) -> Versions:
+    folder = tmp_path_factory.mktemp("versions")
+    return Versions(writer(work, folder), folder)
+
+
 @pytest.fixture
-def versions(diagnosed: Callable[..., Path], tmp_path: Path) -> Versions:
-    return Versions(diagnosed, tmp_path)
+def versions(trained_versions: Versions) -> Versions:
+    trained_versions.again()
+    return trained_versions
 
 
 @pytest.mark.parametrize("network", [True, False])

@@ -306,11 +306,16 @@ def test_check_draws_sections_as_they_stand_and_prints_the_sag(
     """A clamped beam by the textbook. Its height is along the level axis of joint 2."""
     text = BOX.replace("WIDTH", str(width)).replace("HEIGHT", str(height))
     (tmp_path / "arm.yaml").write_text(text)
-    beam, sag = (f.text for f in check_folder(tmp_path) if f.level == "declared")
+    beam, sag, ring = (f.text for f in check_folder(tmp_path) if f.level == "declared")
     expected = 9.80665 * (2.0 / 3 + 1.5 / 8) / (7e10 * height * width**3 / 12)
     found = re.search(r"sags by ([\d.]+) mm", sag)
     assert found is not None and float(found[1]) == pytest.approx(1e3 * expected, rel=0.02)
     assert "held out to 1.00 m" in sag
+    stiffness = 3 * 7e10 * height * width**3 / 12  # of the upright side, and 33/140 of the beam
+    other = 3 * 7e10 * width * height**3 / 12
+    hz = np.sqrt(min(stiffness, other) / (2.0 + 33 / 140 * 1.5)) / (2 * np.pi)
+    told = re.search(r"rings at ([\d.]+) Hz; how long: longarm modes", ring)
+    assert told is not None and float(told[1]) == pytest.approx(hz, rel=0.03)
     assert "width_m is upright there, to 0 deg" in beam
     assert beam.count("|") == 2 * lines
 

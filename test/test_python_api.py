@@ -6,6 +6,7 @@ import ast
 import inspect
 import logging
 import re
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
@@ -343,3 +344,65 @@ def test_what_is_shown_is_short(
     for shown in (samples, model, made, la.compensate(model, la.Model(arm).tip(ARM.mid))):
         assert len(repr(shown)) < 200
     assert len(repr(made.held_out).splitlines()) == 5
+    commands = la.compensate(model, la.Model(arm).tip(ARM.mid))
+    for shown, held in (
+        (arm, "joint4"),  (samples, f"{samples.q[0, 0]:.4g}"),
+        (made, f"{made.held_out.rows[-1]['mean_mm']:.4g}"), (made.held_out, "geometry"),
+        (commands, f"{commands.command[0, 1]:.4g}"),
+    ):  # fmt: skip
+        page = shown._repr_html_()
+        assert held in page and len(repr(shown)) < 2000
+        ET.fromstring(f"<all>{page}</all>")
+    heights = [bar.get_height() for bar in made.plot().axes[0].patches]
+    assert heights[: len(made.held_out)] == [row["mean_mm"] for row in made.held_out.rows]
+    assert len(commands.plot().axes[0].patches) == 2
+
+
+def test_a_name_cannot_break_a_page(arm: la.Arm) -> None:
+    named = la.Arm.parse({**arm.model_dump(mode="json"), "name": "<script>"}, "arm")
+    assert "<script>" not in named._repr_html_()
+
+
+def test_no_beam_is_left_out_without_a_word(demo_arm_path: Path) -> None:
+    demo = la.Arm.load(demo_arm_path)
+    assert f"{len(demo.links)} declared beams left out" in repr(la.Model(demo))
+    assert "left out" not in repr(la.declared_model(demo))
+    q = demo.mid
+    assert np.linalg.norm(la.declared_model(demo).tip(q) - la.Model(demo).tip(q)) > 1e-3
+
+
+def test_progress_is_told_a_step_a_line(
+    arm: la.Arm, samples: la.Session, capsys: pytest.CaptureFixture[str]
+) -> None:
+    la.calibrate(arm, samples, progress=True)
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split()[-1] for line in lines] == [
+        *("frames_only", "joint_zeros", "geometry", "rows")
+    ]  # fmt: skip
+    la.calibrate(arm, samples)
+    assert not capsys.readouterr().err
+
+
+def test_a_table_of_another_program_is_a_session(
+    arm: la.Arm, samples: la.Session, tmp_path: Path
+) -> None:
+    lines = ["A;B;C;D;X [mm];Y [mm];Z [mm]"]
+    for q, xyz in zip(samples.q[:20], samples.xyz[:20], strict=True):
+        turned = [np.degrees(q[0]), np.degrees(q[1]), 1e3 * q[2], np.degrees(q[3]), *(1e3 * xyz)]
+        lines.append(";".join(f"{value:.9f}" for value in turned))
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    names = {"A": "q1:deg", "B": "q2:deg", "C": "q3:mm", "D": "q4:deg"}
+    found = la.import_table(tmp_path / "log.csv", arm, names=names)
+    np.testing.assert_allclose(found.q, samples.q[:20], atol=1e-9)
+    np.testing.assert_allclose(found.xyz, samples.xyz[:20], atol=1e-9)
+    assert found.source == "log.csv"
+
+
+def test_mistakes_of_a_first_hour_are_named(arm: la.Arm, model: la.Model, tmp_path: Path) -> None:
+    with pytest.raises(la.InputError, match="longarm import-urdf"):
+        la.Arm.load(tmp_path / "boom.urdf")
+    for wrong in ([["a", 2, 3]], [[1.0, 2.0], [3.0]]):
+        with pytest.raises(la.InputError, match="targets"):
+            la.compensate(model, wrong)
+    saved = la.compensate(model, la.Model(arm).tip(ARM.mid)).save(tmp_path / "c.csv")
+    assert saved == tmp_path / "c.csv" and saved.is_file()

@@ -1,4 +1,4 @@
-"""Joint readings: equations of what acts before encoders, and what `diagnose` makes of them."""
+"""Joint readings: what acts before the encoders, and what a diagnosis makes of them."""
 
 from __future__ import annotations
 
@@ -7,11 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_robot import command, robot, row_said, sighting, state
 from hidden_arm import at
-from read_arm import ARM, ENCODERS, heavy, readings, session
+from read_arm import ARM, ENCODERS, heavy, readings, sensed, session
+from small_arm import ARM as SMALL
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.history import History
+from longarm_comp.core.compensation.expected import expected_miss
 from longarm_comp.core.data.measurement import equations, posture
+from longarm_comp.core.data.rest import RestWatch
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.effect import Effect
@@ -24,7 +30,10 @@ from longarm_comp.core.identify.calibrate import geometry
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.noise import from_repeats
+from longarm_comp.core.identify.uncertainty import with_uncertainty
+from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.model import Model
+from longarm_comp.sessions.bag import read_bag
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sim.hidden import drives
 
@@ -41,10 +50,9 @@ def soft(*joints: int) -> drives.HiddenEffect:
 def shown(arm: Arm, term: Effect, q: np.ndarray) -> np.ndarray:
     """(N, n) by how much the encoders see the joints displaced."""
     model, rows = Model(arm, (term,)), Session.record(q, np.zeros((len(q), 3)))
-    return (
-        np.stack([np.broadcast_to(s, len(q)) for s in model.encoders_at(posture(model, rows))], -1)
-        - q
-    )
+    motion = model.motion(posture(model, rows), ())
+    read = [motion.read(k, row)[0] for k, row in enumerate(arm.commanded)]
+    return np.concatenate(read, axis=1) - q
 
 
 @pytest.mark.parametrize(
@@ -201,5 +209,75 @@ def test_play_is_behind_a_motors_encoder_and_before_a_joints() -> None:
     rows = Session.record(q, np.zeros((5, 3)), approach=np.ones(5))
     for encoder, amount in (("motor", 0.0), ("joint", 0.005)):
         model = Model(heavy(encoder=encoder), (play,))
-        read = np.broadcast_to(model.encoders_at(posture(model, rows))[1], 5)
+        read = model.motion(posture(model, rows), ()).read(1, 2)[0][:, 0]
         assert np.abs(read - q[:, 1]) == pytest.approx(np.full(5, amount))
+
+
+# ------------------------------------------------------------------ the tip by readings
+
+
+def test_the_tip_by_readings_needs_no_model_of_the_servos() -> None:
+    """Nearer than by command, and it says so; where the servos droop as never before, too."""
+    rows = session((DROOP, soft(3)), n=150)
+    terms = (ServoDroop(3), JointCompliance(3))
+    fitted = fit(Model(ARM, terms).plus(*geometry(ARM, rows)), rows)
+    model = with_uncertainty(fitted)
+    worse = drives.ServoDroop(3 * DROOP.yielding, DROOP.deadband, 0.0)
+    fresh = sensed((worse, soft(3)), seed=7)
+    by_command = np.linalg.norm(model.tip(fresh.q) - fresh.tip, axis=1).mean()
+    arm = by_readings(model)
+    off = np.linalg.norm(arm.tip(fresh.read) - fresh.tip, axis=1)
+    assert off.mean() < 0.1 * by_command
+    said = [
+        expected_miss(arm, q, Context.empty(), arm.tip(q), np.zeros(3)).expected_m
+        for q in fresh.read[:40]
+    ]
+    assert off[:40].mean() == pytest.approx(np.mean(said), rel=0.5)
+
+
+def test_a_zero_that_runs_together_with_the_droop_does_not_widen_the_tip_by_readings() -> None:
+    """Zero, deadband and joint zero of one joint: their sum at the tip is known."""
+    rows = session((DROOP,), n=150)
+    fitted = fit(Model(ARM, (ServoDroop(3),)).plus(*geometry(ARM, rows)), rows)
+    at = {s.label: e for s, e in zip(fitted.slots, fitted.standard_errors, strict=True)}
+    model = with_uncertainty(fitted)
+    arm, q = by_readings(model), session(n=5).q
+    said = [expected_miss(arm, v, Context.empty(), arm.tip(v), np.zeros(3)).expected_m for v in q]
+    assert at["encoder / joint 3 / zero"] > 1e-3
+    assert max(said) < 3e-4
+
+
+def test_a_bag_holds_where_the_joints_stood_at_rest(tmp_path: Path) -> None:
+    """The mean of the readings at rest, none of the way there; blank where they did not rest."""
+    goal, droop = np.array([0.1, 0.5, 0.05, 0.2]), np.array([0.0, -4e-3, 1e-4, 0.0])
+    flicker = np.array([0.0, 2e-4, 0.0, 0.0])
+    with robot(tmp_path / "bag") as put:
+        for k, at_s in enumerate((1.0, 4.0)):
+            command(put, at_s, list(goal + 0.1 * k))
+            for n in range(25):
+                left = max(0.0, 0.2 - n / 10) if k == 0 else 0.02 * (n % 2)
+                q = goal + 0.1 * k + droop - left + flicker * (n % 2)
+                state(put, at_s + 0.1 + n / 10, q.tolist())
+            sighting(put, at_s + 2.5, [0.4, 0.1, 0.3])
+        row_said(put, 6.6, index=1)
+    rows = read_bag(tmp_path / "bag", SMALL)
+    found = np.concatenate([rows.readings[f"read_q{k}"] for k in range(1, 5)], axis=1)
+    np.testing.assert_allclose(found[0], goal + droop + 0.5 * flicker, atol=1e-5)
+    assert len(rows) == 1 or np.isnan(found[1]).all()
+    assert rows.seen[0]
+
+
+def test_servos_that_give_way_rest_where_the_driver_says_so() -> None:
+    """They never come within a tick of their goals; until then it is a passage."""
+    watch = RestWatch(settle_s=0.5, sightings=1)
+    goal, hangs, tip = np.zeros(2), np.array([0.0, -0.02]), np.array([0.4, 0.1, 0.3])
+    for told in (False, True):
+        watch.commanded(goal, History.unknown(2))
+        if told:
+            watch.reached()
+        watch.joints(hangs, 1.0)
+        rest = watch.sighted(tip, np.zeros(3), 2.0)
+        assert (rest is not None) == told
+    watch.commanded(goal, History.unknown(2))
+    watch.joints(hangs, 3.0)
+    assert watch.sighted(tip, np.zeros(3), 4.0) is None

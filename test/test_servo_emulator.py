@@ -174,8 +174,19 @@ def test_motor_steps_do_not_depend_on_their_size() -> None:
     assert one.position == pytest.approx(many.position, abs=1e-6)
 
 
+def test_a_loaded_motor_hangs_at_the_edge_of_its_dead_band() -> None:
+    """From either side: where its effort carries the load, beyond the band."""
+    for start in (0.0, 2000.0):
+        motor = Motor(MotorSpec(dead_band_ticks=3.0, droop_ticks=50.0), start)
+        motor.switch(True)
+        motor.goal, motor.external_load = 1000.0, -0.5
+        for _ in range(300):
+            motor.advance(0.01)
+        assert motor.position == pytest.approx(1000.0 - 25.0 - 3.0, abs=1e-3)
+
+
 def test_motor_rests_on_the_side_it_came_from_and_droops_under_load() -> None:
-    spec = MotorSpec(dead_band_ticks=3.0, droop_ticks=50.0)
+    spec = MotorSpec(hold_share=0.06, droop_ticks=50.0)
     for start, side in ((0.0, -1.0), (2000.0, 1.0)):
         motor = Motor(spec, start)
         motor.torque_on, motor.goal, motor.external_load = True, 1000.0, -0.5

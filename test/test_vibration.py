@@ -18,7 +18,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.vibration.modes import modes
 from longarm_comp.core.vibration.ring import along, straight
-from longarm_comp.core.vibration.seen import Wave, corrected, waves
+from longarm_comp.core.vibration.seen import SeenWave, corrected, waves
 from longarm_comp.core.vibration.shaper import left_over, shaper_of, zvd
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden import loads
@@ -195,7 +195,7 @@ def test_a_ring_tells_what_weight_does_not() -> None:
     q, other = ARM.mid, ARM.lower + 0.7 * (ARM.upper - ARM.lower)
     np.testing.assert_allclose(unknown.tip(q), soft.tip(q), atol=2e-5)
     here, there = modes(unknown, q), modes(unknown, other)
-    seen = [Wave(float(hz), 0.0, 0.01, 0.0, np.abs(tip)) for hz, tip in
+    seen = [SeenWave(float(hz), 0.0, 0.01, 0.0, np.abs(tip)) for hz, tip in
             zip(modes(soft, q).hz[:2], modes(soft, q).tip[:2], strict=True)]  # fmt: skip
     true = modes(soft, other).hz[:2]
     assert np.abs(np.sort(there.hz[:2]) / true - 1.0).max() > 0.1

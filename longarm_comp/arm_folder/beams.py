@@ -11,7 +11,8 @@ from longarm_comp.arm_folder.findings import FolderFinding, declared
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.beam import Beam, Rect, Tube
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.model import unstack
+from longarm_comp.core.model.model import Model, unstack
+from longarm_comp.core.vibration.modes import modes
 
 _LINES = 4
 """Height of a drawing of a section's longer side; a character is twice as high as wide."""
@@ -42,6 +43,16 @@ def of_beams(arm: Arm, q: np.ndarray) -> Iterator[FolderFinding]:
     )
     said = f"held out to {out.max():.2f} m ({joints}) the tip sags by {sag:.3g} mm. Measure it: "
     yield declared("arm.yaml: links", said + "twice as much or half is a wrong section or side")
+    yield from _ringing(model, at)
+
+
+def _ringing(model: Model, at: np.ndarray) -> Iterator[FolderFinding]:
+    """How it rings there."""
+    hz = modes(model, at).hz
+    if len(hz):
+        known = model.arm.damping
+        more = f"damping {known:g}" if known else "how long: longarm modes, and `damping`"
+        yield declared("arm.yaml: damping", f"there it rings at {hz[0]:.3g} Hz; {more}")
 
 
 def _shown(arm: Arm, k: int, value: float) -> str:

@@ -61,7 +61,7 @@ def command(
     repeats: int,
     in_order: bool,
     sightings: int,
-    dwell: float,
+    dwell: float | None,
     move: float,
     resume: bool,
     give_up: int,
@@ -86,6 +86,8 @@ def command(
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.data.allowed_poses import above
     from longarm_comp.core.data.plan import from_both_sides, with_random_sides
+    from longarm_comp.core.model.declared_model import declared_model
+    from longarm_comp.core.vibration.dwell import rest_s
     from longarm_comp.jobs.collect.preview import preview, refuse_blocked, servos_beside
     from longarm_comp.jobs.measurement_schedule import visits
     from longarm_comp.sessions.poses import read_poses
@@ -98,10 +100,11 @@ def command(
     if other is not None:
         plan = other(declared, plan, seed)
     todo = visits(plan, declared, repeats=repeats, shuffle=not in_order, seed=seed)
+    rest = rest_s(declared_model(declared), plan.q, move, dwell)
     bounded = declared if floor is None else above(declared, floor)
     ahead = preview(
         bounded, todo, view=view_beside(arm), servos=servos_beside(arm, declared.joint_names),
-        rest_s=dwell + _LOOK_S * sightings,
+        rest_s=rest + _LOOK_S * sightings,
     )  # fmt: skip
     if picture is not None:
         from longarm_comp.jobs.collect.picture import draw
@@ -114,7 +117,7 @@ def command(
     assert output is not None
     from longarm_comp.jobs.pace import Pace
 
-    pace = Pace(sightings=sightings, dwell_s=dwell, move_s=move)
+    pace = Pace(sightings=sightings, dwell_s=rest, move_s=move)
     done = _drive(ahead, output, namespace, as_json, pace=pace, resume=resume, give_up=give_up)
     if as_json:
         print_json({"bag": str(output), **vars(done)})

@@ -42,7 +42,7 @@ def command(
     no_network: bool,
     resume: bool,
     sightings: int,
-    dwell: float,
+    dwell: float | None,
     move: float,
     namespace: str,
     seed: int,
@@ -67,6 +67,9 @@ def command(
     """
     from longarm_comp.cli.signals import stop_on_signals
     from longarm_comp.core.arm.arm import Arm
+    from longarm_comp.core.data.plan import sobol
+    from longarm_comp.core.model.declared_model import declared_model
+    from longarm_comp.core.vibration.dwell import rest_s
     from longarm_comp.jobs.client import ArmClient
     from longarm_comp.jobs.loop.files import write_loop
     from longarm_comp.jobs.loop.run import Loop
@@ -74,9 +77,10 @@ def command(
     from longarm_comp.jobs.pace import Pace
 
     declared = Arm.load(arm)
+    rest = rest_s(declared_model(declared), sobol(declared, 16, seed).q, move, dwell)
     settings = LoopSettings(
         output, rounds, poses, targets, not no_network, seed,
-        Pace(sightings=sightings, dwell_s=dwell, move_s=move),
+        Pace(sightings=sightings, dwell_s=rest, move_s=move),
     )  # fmt: skip
 
     def agree(report: DiagnosisReport) -> bool:

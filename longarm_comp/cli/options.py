@@ -35,7 +35,10 @@ def pace(function: Callable[..., Any]) -> Callable[..., Any]:
     for option in (
         click.option("--move", default=0.5, show_default=True, help="Least time of a move, s."),
         click.option(
-            "--dwell", default=0.3, show_default=True, help="Rest before the first sighting, s."
+            "--dwell",
+            type=float,
+            help="Rest before the first sighting, s; default: computed where arm.yaml has damping, "
+            "at least 0.3.",
         ),
         click.option(
             "--sightings", default=5, show_default=True, help="Sightings averaged at each pose."

@@ -25,6 +25,7 @@ COMMANDS = (
     Entry("evaluate", "evaluate", "Error table on measured poses, as in the paper's Table I."),
     Entry("diagnose", "diagnose", "Find missing effects in the residual, add and prove them."),
     Entry("fleet", "fleet", "Diagnose many arms and compare them."),
+    Entry("modes", "modes", "How an arm rings after a move: frequencies, time to rest."),
     Entry("plan", "plan", "Poses to measure: grid, sobol, optimal, or those a diagnosis requests."),
     Entry("import-data", "import_data", "Convert another program's CSV or XLSX to a session."),
     Entry("import-urdf", "import_urdf", "Write an arm.yaml from a URDF."),

@@ -35,5 +35,7 @@ def command(namespace: str, as_json: bool) -> None:
         click.echo(f"{trouble.level}: {trouble.node}, {trouble.part}: {trouble.message}")
     if not found.troubles:
         click.echo(f"All is well: {', '.join(found.nodes)}.")
+    if found.tip:
+        click.echo(f"{found.tip[0].upper()}{found.tip[1:]}.")
     if found.next:
         click.echo(f"Next: {found.next}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,6 +41,11 @@ _HELP = "Enter: touches now; a name: the next point; plane NAME; undo; end"
     show_default=True,
     help="How well these distances are known.",
 )
+@click.option(
+    "--by-hand",
+    is_flag=True,
+    help="Torque off meanwhile: hold the arm before you start, and at the end.",
+)
 @click.option("--resume", is_flag=True, help="Add to an existing session.")
 @options.namespace
 @options.as_json
@@ -49,6 +55,7 @@ def command(
     name: str,
     distances: tuple[tuple[str, str, float], ...],
     tolerance_mm: float,
+    by_hand: bool,
     resume: bool,
     namespace: str,
     as_json: bool,
@@ -56,17 +63,18 @@ def command(
     """Record the joints of ARM's running graph while its tip touches points; one key a touch.
 
     Guide the arm by hand, or jog it, until the ball sits in the socket, and press Enter. Nothing is
-    sent to the arm. After some touches every row is told how far it is from its point.
+    sent to the arm but, with --by-hand, torque off, and at the end on again. After some touches
+    every row is told how far it is from its point.
 
     \b
     Examples:
       longarm touch arm.yaml -o touches.csv --distance left_0 left_1 0.050 --name left_0
-      longarm touch arm.yaml -o touches.csv --resume
+      longarm touch arm.yaml -o touches.csv --resume --by-hand
     """
     from longarm_comp.cli.signals import stop_on_signals
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.jobs.client import ArmClient
-    from longarm_comp.jobs.touch import TouchLog, with_distances
+    from longarm_comp.jobs.touch import TouchLog, limp, with_distances
     from longarm_comp.sessions.read import read_session
 
     declared = Arm.load(arm)
@@ -75,7 +83,11 @@ def command(
         raise InputError(str(output), "session", "exists", "a new file, or --resume")
     if output.exists():
         touches.begin_with(read_session(output, declared))
-    with stop_on_signals() as stop, ArmClient(declared, namespace, stop, "touch") as client:
+    with (
+        stop_on_signals() as stop,
+        ArmClient(declared, namespace, stop, "touch") as client,
+        limp(client) if by_hand else nullcontext(""),
+    ):
         note(_HELP)
         column, line = "touch", _asked(f"touch {name}")
         while line != "end":

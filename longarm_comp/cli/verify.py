@@ -19,6 +19,8 @@ from longarm_comp.core.errors import JobError
 @options.path_option("--model", "Random targets are where this model's tip goes; default: ARM's.")
 @click.option("--method", type=click.Choice(["deflection", "network", "both"]),
               help="Compensation to judge; default: the one of the running node.")  # fmt: skip
+@click.option("--by", type=click.Choice(["cameras", "readings"]), default="cameras",
+              show_default=True, help="Who says where the tip is.")  # fmt: skip
 @options.pace
 @options.namespace
 @options.seed
@@ -35,8 +37,9 @@ def command(
     count: int,
     model: Path | None,
     method: str | None,
+    by: str,
     sightings: int,
-    dwell: float,
+    dwell: float | None,
     move: float,
     namespace: str,
     seed: int,
@@ -47,8 +50,10 @@ def command(
 
     Measures tip - target with the cameras and compares both runs, target by target. Targets that
     the graph refuses are left out and counted. The graph may be of a real or a simulated arm; its
-    method is put back at the end. The exit code is 3 unless compensation brings the tip nearer
-    beyond chance: the 95 % interval of the gain lies above 0.
+    method is put back at the end. --by readings needs no camera: encoders and model say where the
+    tip is, and what acts behind the encoders is only as good as the model. The exit code is 3
+    unless compensation brings the tip nearer beyond chance: the 95 % interval of the gain lies
+    above 0.
 
     \b
     Examples:
@@ -62,12 +67,14 @@ def command(
     from longarm_comp.cli.signals import stop_on_signals
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.core.compensation.compensate import Method
-    from longarm_comp.core.data.plan import random_targets
+    from longarm_comp.core.data.plan import random_targets, sobol
     from longarm_comp.core.files import write_text
+    from longarm_comp.core.vibration.dwell import rest_s
     from longarm_comp.jobs.client import ArmClient
     from longarm_comp.jobs.pace import Pace
     from longarm_comp.jobs.targets import TargetRunner
     from longarm_comp.jobs.verify import Draw, choose, method_at_work, one_by_one, verify
+    from longarm_comp.nodes import interfaces as graph
     from longarm_comp.sessions.targets import read_targets
     from longarm_comp.workflows.inputs import physics
 
@@ -77,10 +84,12 @@ def command(
     if targets is not None:
         given = read_targets(targets).xyz
         draw, count = one_by_one(given), len(given)
-    pace = Pace(sightings=sightings, dwell_s=dwell, move_s=move)
+    rest = rest_s(drawn_from, sobol(declared, 16, seed).q, move, dwell)
+    pace = Pace(sightings=sightings, dwell_s=rest, move_s=move)
+    tips = graph.TIP_BY_READINGS if by == "readings" else graph.TIP_MEASURED
     with (
         stop_on_signals() as stop,
-        ArmClient(declared, namespace, stop, "verify") as client,
+        ArmClient(declared, namespace, stop, "verify", tips) as client,
         progress("verify") as show,
     ):
         client.ready()

@@ -30,7 +30,7 @@ from longarm_comp.devices.servo_follower import (
 
 
 @dataclass(frozen=True)
-class JointReading:
+class ServoReading:
     """Position (rad or m), velocity and effort of one joint, as its servo reports them.
 
     The effort (N m, N) is NaN where the configuration does not say what full effort is.
@@ -53,7 +53,7 @@ class Cycle:
     """
 
     step: Step
-    joints: dict[str, JointReading]
+    joints: dict[str, ServoReading]
     states: Mapping[int, ServoState]
     trouble: str
 
@@ -67,10 +67,14 @@ class ServoArm:
     """
 
     def __init__(
-        self, config: ServoConfig, keeps_out: KeepsOut | None = None, shapes: Shapes | None = None
+        self,
+        config: ServoConfig,
+        keeps_out: KeepsOut | None = None,
+        shapes: Shapes | None = None,
+        trim: bool = False,
     ) -> None:
         self.config = config
-        self.follower = TrajectoryFollower(config, keeps_out, shapes)
+        self.follower = TrajectoryFollower(config, keeps_out, shapes, trim)
         self._ids = list(config.ids.values())
         self._powered = False
         self._owing_off = False  # torque off is still to be sent to an unplugged bus
@@ -191,13 +195,13 @@ class ServoArm:
             self.bus.close()
             self.bus = None
 
-    def _joints(self, states: Mapping[int, ServoState]) -> dict[str, JointReading]:
+    def _joints(self, states: Mapping[int, ServoState]) -> dict[str, ServoReading]:
         readings = {}
         for name, joint in self.config.joints.items():
             state = states.get(joint.servo_id)
             if state is None:
                 return {}
-            readings[name] = JointReading(
+            readings[name] = ServoReading(
                 joint.to_si(state.position_ticks),
                 joint.speed_to_si(state.velocity_ticks_s),
                 joint.effort_to_si(state.load),

@@ -54,6 +54,14 @@ class FollowerConfig(ServoSettings):
     jump_ticks: Positive = Field(
         200.0, description="a read-back so far from any reachable position is rejected"
     )
+    trim_ticks: Positive = Field(
+        100.0,
+        description="so far may a servo give way: the largest correction by trim, and how far "
+        "beyond its limit a joint may hang when it is taken up",
+    )
+    trim_pause_s: Positive = Field(
+        0.12, description="rest between two steps of trim: a period of the slowest swing, s"
+    )
 
 
 class ServoConfig(ServoSettings):

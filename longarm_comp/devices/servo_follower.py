@@ -37,10 +37,13 @@ from longarm_comp.devices.servo_bus import ServoState
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_watch import JointFault, ServoTrouble, ServoWatch
 from longarm_comp.devices.trajectory_check import checked
+from longarm_comp.devices.trim import Trim
 from longarm_comp.math.shaper import Shaper
 
 __all__ = ["Accepted", "Event", "EventKind", "FollowerState", "Step", "TrajectoryFollower"]
 
+_OF_A_MOVE = 2
+"""Points of a move: its run-up and its end. More are a path, which is not trimmed."""
 
 KeepsOut = Callable[[Array], str]
 """Says why an arm must not go through joints (N, n); empty where it may."""
@@ -57,10 +60,15 @@ class TrajectoryFollower:
     Args:
         keeps_out: asked of every trajectory; None: nothing is kept out of.
         shapes: asked of every trajectory that begins at rest; None: none is shaped.
+        trim: whether moves end with the readings where they were sent (`Trim`).
     """
 
     def __init__(
-        self, config: ServoConfig, keeps_out: KeepsOut | None = None, shapes: Shapes | None = None
+        self,
+        config: ServoConfig,
+        keeps_out: KeepsOut | None = None,
+        shapes: Shapes | None = None,
+        trim: bool = False,
     ) -> None:
         self._config, self._keeps_out, self._shapes = config, keeps_out, shapes
         self._joints = list(config.joints.values())
@@ -82,6 +90,8 @@ class TrajectoryFollower:
         self._goals: dict[int, int] | None = None
         self._way: TakenOver | InParts | None = None
         self._way_time = 0.0
+        self._trim = Trim(config) if trim else None
+        self._trims, self._untrimmed = False, ""
 
     @property
     def state(self) -> FollowerState:
@@ -92,6 +102,12 @@ class TrajectoryFollower:
     def set_points(self) -> dict[str, float]:
         """Where each joint should be now, rad or m; empty while none is driven."""
         return {} if self._set is None else dict(zip(self._names, self._set.tolist(), strict=True))
+
+    @property
+    def trimmed(self) -> dict[str, float]:
+        """Correction of each joint's goal by trim, ticks; empty without trim."""
+        offset = [] if self._trim is None else self._trim.offset.tolist()
+        return dict(zip(self._names, offset, strict=False))
 
     def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
         """Accept a trajectory. It starts with the next step, from the present set-point.
@@ -118,6 +134,7 @@ class TrajectoryFollower:
                 start, wanted.times, wanted.positions, wanted.velocities, self._max_velocity
             )
             self._check_inside(path)
+        several = len(trajectory.points) > _OF_A_MOVE
         taken = self._taken_over(path, start)
         way: TakenOver | InParts = taken
         if wanted is not None and self._shapes is not None and not accepted.replaces:
@@ -128,6 +145,10 @@ class TrajectoryFollower:
             if entry:
                 raise JobError(entry)
         self._set, self._way, self._way_time = start, way, 0.0
+        self._trims = self._trim is not None and bool(trajectory.points) and not several
+        self._untrimmed = ""
+        if self._trim is not None:
+            self._trim.begin(path=several)
         self._state, self._settled, self._still_s = FollowerState.TRACKING, False, 0.0
         kind = EventKind.REPLACED if accepted.replaces else EventKind.STARTED
         self._say(kind, f"{len(trajectory.points)} points, {way.duration:.2f} s")
@@ -230,20 +251,45 @@ class TrajectoryFollower:
         if arrived and np.allclose(self._set, path.end, rtol=0.0, atol=1e-9):
             self._state = FollowerState.HOLDING
             self._settle(dt)
-        self._goals = {
-            joint.servo_id: joint.to_ticks(value)
-            for joint, value in zip(self._joints, self._set.tolist(), strict=True)
-        }
+        wanted = self._wanted()
+        if self._trim is not None:
+            for name, by in zip(wanted, self._trim.applied(dt).tolist(), strict=True):
+                low, high = self._config.joints[name].tick_limits
+                wanted[name] = min(max(round(wanted[name] + by), low), high)
+        self._goals = {self._config.ids[name]: goal for name, goal in wanted.items()}
         return self._goals
+
+    def _wanted(self) -> dict[str, int]:
+        """Goals without trim, ticks by joint."""
+        assert self._set is not None
+        each = zip(self._names, self._joints, self._set.tolist(), strict=True)
+        return {name: joint.to_ticks(value) for name, joint, value in each}
+
+    def _trimmed(self, states: Mapping[str, ServoState]) -> str | None:
+        """Trim a resting arm: None while it goes on, then what it could not do, or nothing."""
+        if self._trim is None or not self._trims:
+            return self._untrimmed
+        if self._still_s < self._config.follower.trim_pause_s:
+            return None
+        if self._trim.corrected(self._wanted(), states):
+            self._still_s = 0.0
+            return None
+        self._untrimmed, self._trims = self._trim.failed(self._wanted(), states), False
+        return self._untrimmed
 
     def _settle(self, dt: float) -> None:
         """Report once that the arm has come to rest: at the end of its trajectory, or short."""
-        states = [self._watch.state(name) for name in self._names]
-        still = all(s is not None and abs(s.velocity_ticks_s) < 30.0 for s in states)  # ticks/s
+        read = {name: self._watch.state(name) for name in self._names}
+        states = {name: state for name, state in read.items() if state is not None}
+        still = all(abs(s.velocity_ticks_s) < 30.0 for s in states.values())  # ticks/s
+        still = still and len(states) == len(read)
         self._still_s = self._still_s + dt if still else 0.0
         if self._settled or not still:
             return
-        short = self._short()
+        untrimmed = self._trimmed(states)
+        if untrimmed is None:
+            return
+        short = untrimmed or self._short()
         if not short:
             self._say(EventKind.ARRIVED, "at rest at the end of the trajectory")
         elif self._still_s > self._config.follower.stall_time_s:
@@ -284,6 +330,8 @@ class TrajectoryFollower:
         return [JointFault(ServoTrouble.LET_GO, name, "its torque is off") for name in loose]
 
     def _drop_motion(self) -> None:
+        if self._trim is not None:
+            self._trim.drop()
         self._way = self._set = self._goals = None
         self._velocity = np.zeros_like(self._velocity)
 
@@ -301,12 +349,12 @@ class TrajectoryFollower:
         """The present set-point; when idle, the present position of the arm."""
         if self._set is not None:
             return self._set
-        values = []
+        values, limits = [], self._config.follower
         for name, joint in self._config.joints.items():
             state = self._watch.state(name)
             assert state is not None
             value = joint.to_si(state.position_ticks)
-            slack = self._config.follower.stall_error_ticks * joint.si_per_tick
+            slack = max(limits.stall_error_ticks, limits.trim_ticks) * joint.si_per_tick
             if not joint.lower - slack <= value <= joint.upper + slack:
                 allowed = f"{joint.lower:g} to {joint.upper:g} {joint.unit}; move it by hand"
                 raise InputError("read-back", name, value, allowed)

@@ -13,6 +13,7 @@ from longarm_comp.core.errors import JobError
 from longarm_comp.jobs.client import GraphClient
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.driver_messages import STATES
+from longarm_comp.nodes.health import TIP_SAID
 from longarm_comp.nodes.interfaces import Service
 from longarm_interfaces.msg import DriverState
 
@@ -53,6 +54,7 @@ class Standing:
         nodes: that have reported on /diagnostics.
         troubles: of their parts.
         next: command that leads on; empty where none is needed.
+        tip: where the tip stands by the readings of the joints, in one sentence; empty: unknown.
     """
 
     driver: str
@@ -60,6 +62,7 @@ class Standing:
     nodes: tuple[str, ...]
     troubles: tuple[Trouble, ...]
     next: str
+    tip: str = ""
 
 
 class Attendant:
@@ -124,7 +127,8 @@ class Attendant:
         step = _NEXT.get(driver.state, "") if driver else "longarm up ARM"
         if step == "longarm reset" and self._namespace:
             step += f" --namespace {self._namespace[1:]}"
-        return Standing(words, why, tuple(sorted(self._reports)), troubles, step)
+        _, tip = self._reports.get("kinematics", {}).get(TIP_SAID, (0, ""))
+        return Standing(words, why, tuple(sorted(self._reports)), troubles, step, tip)
 
     # ------------------------------------------------------------------ asking
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +17,8 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError, JobError, LongarmError
 from longarm_comp.core.identify.calibrate import stages
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.jobs.client import ArmClient
+from longarm_comp.jobs.attend import Attendant
+from longarm_comp.jobs.client import ArmClient, GraphClient
 from longarm_comp.nodes.interfaces import JOINT_STATES
 
 READINGS = 10
@@ -86,6 +88,25 @@ class TouchLog:
         except LongarmError:
             return None
         return spreads(fitted.model, whole)
+
+
+@contextmanager
+def limp(client: GraphClient) -> Iterator[str]:
+    """The servos' torque is off meanwhile, so that a hand can guide the arm; it comes back on where
+    the arm stands then.
+
+    Yields:
+        What the driver said.
+
+    Raises:
+        JobError: no driver answers, or it cannot switch the torque.
+    """
+    attendant = Attendant(client)
+    try:
+        yield attendant.stop()
+    finally:
+        with client.putting_back():
+            attendant.reset()
 
 
 def resting(client: ArmClient) -> np.ndarray:

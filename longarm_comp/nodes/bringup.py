@@ -131,9 +131,14 @@ class BringUp:
         """Parameters that override the file; ``bus``: link to the simulated servo bus."""
         arm = {"arm": str(self.arm.absolute())}
         servos = str(self.file("servo_driver").absolute())
+        said = self.set.get("servo_driver", {}).get("trim")
+        trim = _ros_parameters(self.file("servo_driver")).get("trim", False)
         port = bus if self.sim else self.port
         per_node: dict[str, dict[str, Any]] = {
-            "kinematics": arm | _path("model", self.model) | _paths("effects", self.effects),
+            "kinematics": arm
+            | _path("model", self.model)
+            | _paths("effects", self.effects)
+            | ({"trimmed": True} if (trim if said is None else said) else {}),
             "error_predictor": arm
             | _path("model", self.model)
             | _path("predictor", self.predictor),

@@ -9,7 +9,7 @@ from builtin_interfaces.msg import Time
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 
-from longarm_comp.devices.servo_arm import Cycle, JointReading
+from longarm_comp.devices.servo_arm import Cycle, ServoReading
 from longarm_comp.devices.servo_bus import SerialServoBus
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_follower import Accepted
@@ -29,7 +29,7 @@ STATES = {
 """States of the driver, in words."""
 
 
-def readings_message(readings: Mapping[str, JointReading], stamp: Time) -> JointState:
+def readings_message(readings: Mapping[str, ServoReading], stamp: Time) -> JointState:
     """The last read-back; empty where a servo was silent."""
     message = JointState(
         name=list(readings),

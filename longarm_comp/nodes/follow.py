@@ -18,7 +18,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from longarm_comp.devices.servo_arm import JointReading
+from longarm_comp.devices.servo_arm import ServoReading
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import duration, seconds
 from longarm_comp.nodes.ticks import Ticks
@@ -33,7 +33,7 @@ class FollowSite(Protocol):
         """Names of the joints."""
 
     @property
-    def readings(self) -> Mapping[str, JointReading]:
+    def readings(self) -> Mapping[str, ServoReading]:
         """The last read-back by joint; empty where a servo was silent."""
 
     @property

@@ -171,6 +171,13 @@ TIP_MEASURED = Topic(
     RELIABLE,
     "tip as the cameras see it, base frame; position NaN: marker lost",
 )
+TIP_BY_READINGS = Topic(
+    "tip_by_readings",
+    PoseWithCovarianceStamped,
+    20,
+    RELIABLE,
+    "tip as the readings of the joints say, with its covariance, base frame",
+)
 LEFT_IMAGE = Topic(
     "left/image_raw", Image, 5, BEST_EFFORT, "left image, grey, colour, YUV or Bayer"
 )
@@ -234,7 +241,7 @@ TOPICS: tuple[Topic, ...] = (
     *(TARGET_POSE, JOINT_TRAJECTORY, WITHDRAWN, COMPENSATION, JOINT_STATES, MOTION, DRIVER_STATE),
     PLANNED_JOINTS,
     PREDICTED_ERROR,
-    TIP_MEASURED,
+    *(TIP_MEASURED, TIP_BY_READINGS),
     *(LEFT_IMAGE, RIGHT_IMAGE, LEFT_COMPRESSED, RIGHT_COMPRESSED, LEFT_INFO, RIGHT_INFO),
     *(TEMPERATURE, PAYLOAD, INCLINATION),
     *(MARKERS, COLLECT_PROGRESS, DIAGNOSTICS, ROBOT_DESCRIPTION),

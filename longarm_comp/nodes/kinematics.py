@@ -18,15 +18,26 @@ from std_srvs.srv import Trigger
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.online import StaleContext
+from longarm_comp.core.compensation.stands import TipByReadings
 from longarm_comp.core.effects.catalogue import load_file
-from longarm_comp.nodes import arm_frames, compensator, markers, monitoring, reach, targets
+from longarm_comp.core.model.model import Model
+from longarm_comp.nodes import (
+    arm_frames,
+    by_readings,
+    compensator,
+    markers,
+    monitoring,
+    reach,
+    targets,
+)
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.arm_frames import ArmFrames
 from longarm_comp.nodes.arm_state import ArmState
+from longarm_comp.nodes.by_readings import ReadingsTeller
 from longarm_comp.nodes.compensator import Compensator
 from longarm_comp.nodes.driver_link import DriverLink
 from longarm_comp.nodes.frames import FrameListener, prefix_of
-from longarm_comp.nodes.health import ERROR, OK, PERIOD, WARN, Health, Report, Tally
+from longarm_comp.nodes.health import ERROR, OK, PERIOD, TIP_SAID, WARN, Health, Report, Tally
 from longarm_comp.nodes.interfaces import BEST_EFFORT
 from longarm_comp.nodes.markers import Markers
 from longarm_comp.nodes.model_files import ModelFiles
@@ -41,6 +52,7 @@ from longarm_comp.nodes.targets import TargetInlet
 from longarm_comp.nodes.twins import Twins
 from longarm_comp.nodes.watch import FileWatch
 from longarm_comp.nodes.worker import Worker
+from longarm_interfaces.msg import Motion
 
 PARAMS = (
     Param("arm", "", "arm.yaml: the declared arm"),
@@ -60,6 +72,8 @@ PARAMS = (
     *monitoring.PARAMS,
     *markers.PARAMS,
     *arm_frames.PARAMS,
+    *by_readings.PARAMS,
+    Param("trimmed", False, "the driver trims: what encoders see is not compensated again"),
     PERIOD,
 )
 
@@ -81,7 +95,7 @@ class Kinematics(Node):
         p = declare(self, PARAMS)
         for path in filter(None, p["effects"].split(os.pathsep)):
             load_file(path)
-        self._files = ModelFiles(p["arm"], p["model"])
+        self._files = ModelFiles(p["arm"], p["model"], trimmed=p["trimmed"])
         self._arm = self._files.arm
         self._base_frame = prefix_of(self) + p["base_frame"]
         self._max_age_s = p["context_max_age_s"]
@@ -104,7 +118,7 @@ class Kinematics(Node):
         )  # fmt: skip
         self._driver = DriverLink(
             inlets, self._arm, acknowledged=p["acknowledged"], joints=lambda: self._state.joints,
-            commanded=self._monitor.on_command, told=lambda motion: self._reach.told(motion),
+            commanded=self._monitor.on_command, told=self._on_told,
             refused=tally.count,
         )  # fmt: skip
         self._twins = Twins(self)
@@ -120,6 +134,9 @@ class Kinematics(Node):
             self, self._arm, p, self._base_frame, self._worker, compute, self._driver, self._state,
             tally, self._markers.on_answer, self._monitor.aimed, lambda: self._health.mended(),
         )  # fmt: skip
+        self._tip_by_readings = ReadingsTeller(
+            self, self._base_frame, p["readings.period_s"], self._worker, self._standing
+        )
         self._reach = ReachServer(self, self._arm, self, p["reach.feedback_s"], p["reach.look_s"])
         self._tips = graph.TIP_MEASURED.subscription(self, self._on_tip)
         graph.RELOAD.server(self, self._on_reload, ReentrantCallbackGroup())
@@ -136,6 +153,8 @@ class Kinematics(Node):
             "model": self._files.report,
             "monitor": self._monitor.report,
             "at the target": self._monitor.target_report,
+            "servos": self._monitor.servo_report,
+            TIP_SAID: self._tip_by_readings.report,
         }
         self._health = Health(self, parts, p[PERIOD.name])
         self._worker.start()
@@ -177,6 +196,11 @@ class Kinematics(Node):
         """The tip at the last target that the arm rested at."""
         return self._monitor.sighted
 
+    @property
+    def tip_by_readings(self) -> TipByReadings | None:
+        """Where the tip stands now by the readings of the joints."""
+        return self._tip_by_readings.tell()
+
     # ------------------------------------------------------------------ files and monitoring
 
     def _reload(self) -> tuple[bool, str]:
@@ -213,6 +237,20 @@ class Kinematics(Node):
             return self._state.readings.context(model, now, self._max_age_s, history)
         except StaleContext:
             return None
+
+    def _standing(self) -> tuple[Model, np.ndarray, Context] | None:
+        """Model, readings and circumstances of now."""
+        q, context = self._state.joints, self._now_context(self._driver.history)
+        return None if q is None or context is None else (self._files.loaded.model, q, context)
+
+    def _on_told(self, motion: Motion) -> None:
+        self._reach.told(motion)
+        if motion.event != Motion.REACHED:
+            return
+        self._monitor.on_reached()
+        now = self._standing()
+        if now is not None:
+            self._worker.submit(partial(self._monitor.judge_servos, *now))
 
     def _draw(self) -> None:
         q, context = self._state.joints, self._now_context(self._driver.history)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model
@@ -25,13 +26,14 @@ class LoadedModel:
 class ModelFiles:
     """arm.yaml, read once, and model.yaml, read again on demand."""
 
-    def __init__(self, arm_path: str, model_path: str) -> None:
+    def __init__(self, arm_path: str, model_path: str, trimmed: bool = False) -> None:
         if not arm_path:
             raise InputError("parameters", "arm", arm_path, "path of arm.yaml")
         self.arm = Arm.load(arm_path)
         self._path = model_path
         self.rigid = Model(self.arm)
-        self.loaded = LoadedModel(declared_model(self.arm))
+        self._of_commands = by_readings if trimmed else (lambda model: model)
+        self.loaded = LoadedModel(self._of_commands(declared_model(self.arm)))
         self._fault = ""
         self.loads = 0
         self.reload()
@@ -41,7 +43,8 @@ class ModelFiles:
         if not self._path:
             return True, "the arm as declared: no model.yaml is configured"
         try:
-            self.loaded = LoadedModel(load_model(self._path, self.arm), file_hash(self._path))
+            model = self._of_commands(load_model(self._path, self.arm))
+            self.loaded = LoadedModel(model, file_hash(self._path))
         except LongarmError as error:
             self._fault = str(error)
             return False, self._fault

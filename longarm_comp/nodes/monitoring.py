@@ -13,6 +13,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import SAME_POSE, History
 from longarm_comp.core.compensation.drift import Monitor
+from longarm_comp.core.compensation.stands import tip_by_readings
 from longarm_comp.core.data.rest import RestPose, RestWatch
 from longarm_comp.core.model.model import Model
 from longarm_comp.nodes.health import OK, WARN, Report
@@ -90,6 +91,8 @@ class TipMonitor:
         self._sigma_m, self._run_length, self._advice = sigma_m, run_length, advice
         self._monitor = Monitor(run_length)
         self._at_target = Monitor(run_length)
+        self._servos = Monitor(run_length)
+        self._sent: np.ndarray | None = None
         self._aim: tuple[np.ndarray, np.ndarray] | None = None
         self.sighted: Sighted | None = None
         self._last = "no rest pose measured yet"
@@ -98,7 +101,7 @@ class TipMonitor:
 
     def reset(self) -> None:
         """Start the tests again, because another model predicts other tips."""
-        self._monitor = self._at_target = Monitor(self._run_length)
+        self._monitor = self._at_target = self._servos = Monitor(self._run_length)
 
     def aimed(self, q: np.ndarray, target: np.ndarray) -> None:
         """Take a command for a target: joints (n,) that bring the tip to it, (3,) m."""
@@ -106,8 +109,14 @@ class TipMonitor:
 
     def on_command(self, q: np.ndarray, history: History) -> None:
         """Take a command: joints (n,) and their history on arrival."""
+        self._sent = q
         with self._feeding:
             self._watch.commanded(q, history)
+
+    def on_reached(self) -> None:
+        """Take the driver's word that the last command's end is reached."""
+        with self._feeding:
+            self._watch.reached()
 
     def on_joints(self, q: np.ndarray, at_s: float) -> None:
         """Take a joint reading (n,) of a time (ROS clock, s)."""
@@ -161,6 +170,26 @@ class TipMonitor:
         if not found.in_domain:
             return None
         return Promise(tip + found.error, found.sigma)
+
+    def judge_servos(self, model: Model, read: np.ndarray, context: Context) -> None:
+        """Add the readings (n,) at the end of a move to the test of the servos.
+
+        What they say of the tip against what the command promised, without a sighting.
+        """
+        if self._sent is None:
+            return
+        promised = model.tip(self._sent, context)
+        off = tip_by_readings(model, read, context).tip - promised
+        self._servos = self._servos.seen(off, np.full(3, self._sigma_m))
+
+    def servo_report(self) -> Report:
+        """Whether joints stand where commands promised, for diagnostics."""
+        verdict = self._servos.verdict()
+        facts = {"moves": verdict.samples, EVIDENCE: round(verdict.evidence, 3)}
+        if verdict.drifted:
+            said = f"the joints' readings leave what commands promised: {verdict.finding}"
+            return Report(WARN, said, facts)
+        return Report(OK, "joints stand where commands promised", facts)
 
     def target_report(self) -> Report:
         """Whether tips come to rest at their targets, for diagnostics."""

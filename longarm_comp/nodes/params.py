@@ -23,7 +23,7 @@ from rclpy.parameter import Parameter
 
 from longarm_comp.core.errors import InputError
 
-_ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides")
+ROS_OWN = ("use_sim_time", "start_type_description_service", "qos_overrides")
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,7 @@ def described(section: type[BaseModel], field: str) -> ParameterDescriptor:
 def overrides(node: Node) -> dict[str, Any]:
     """Parameters given on the command line and in its files, without ROS's own."""
     names = node.list_parameters([], 0).names
-    own = [name for name in names if name.split(".")[0] not in _ROS_OWN]
+    own = [name for name in names if name.split(".")[0] not in ROS_OWN]
     return {name: node.get_parameter(name).value for name in own}
 
 

@@ -14,6 +14,7 @@ from rclpy.node import Node
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
+from longarm_comp.core.compensation.stands import TipByReadings
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import Answer, joints_message, vector_message
 from longarm_comp.nodes.monitoring import Sighted
@@ -52,6 +53,10 @@ class ReachSite(Protocol):
     @property
     def sighted(self) -> Sighted | None:
         """The tip at the last target that the arm rested at."""
+
+    @property
+    def tip_by_readings(self) -> TipByReadings | None:
+        """Where the tip stands now by the readings of the joints."""
 
 
 class ReachServer:
@@ -126,6 +131,10 @@ class ReachServer:
         await self._looks(goal, command, before, result)
         result.success = True
         self._at_rest(result)
+        stands, target = self._site.tip_by_readings, answer.target.pose.position
+        if stands is not None:
+            said = stands.said(np.array([target.x, target.y, target.z]))
+            result.message = f"{result.message}; {said}" if result.message else said
         goal.succeed()
         return result
 

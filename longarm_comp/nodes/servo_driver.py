@@ -23,7 +23,7 @@ from longarm_comp.core.errors import InputError, LongarmError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.keep_out import keeper
 from longarm_comp.core.vibration.shaper import shaping
-from longarm_comp.devices.servo_arm import Cycle, JointReading, ServoArm
+from longarm_comp.devices.servo_arm import Cycle, ServoArm, ServoReading
 from longarm_comp.devices.servo_bus import BusUnplugged, IncompleteReply
 from longarm_comp.devices.servo_config import BusConfig, FollowerConfig, ServoConfig
 from longarm_comp.devices.servo_follower import (
@@ -56,6 +56,7 @@ PARAMS = (
     Param("autostart", True, "configure and activate by itself, and again after a failure"),
     Param("retry_s", 1.0, "pause between two such attempts", 0.1, 60.0),
     Param("patience_s", 5.0, "no servos at the start are an error only after it", 0.0, 600.0),
+    Param("trim", False, "after a move, goals are moved until the readings stand where sent"),
     *intake.PARAMS,
     PERIOD,
 )
@@ -77,6 +78,7 @@ class ServoDriver(LifecycleNode):
         p = declare(self, PARAMS, sections=tuple(SECTIONS))
         self._config = self._servo_config()
         self._keeps_out, self._shapes = self._rules_of(p)
+        self._trim = p["trim"]
         self._autostart, self._period_s = p["autostart"], 1.0 / p["rate_hz"]
         self._arm: ServoArm | None = None
         self._active = False
@@ -145,7 +147,7 @@ class ServoDriver(LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open the port and find every servo."""
         try:
-            self._arm = ServoArm(self._config, self._keeps_out, self._shapes)
+            self._arm = ServoArm(self._config, self._keeps_out, self._shapes, self._trim)
         except LongarmError as error:
             return self._failed(error)
         self._fault = ""
@@ -251,7 +253,7 @@ class ServoDriver(LifecycleNode):
         return list(self._config.joints)
 
     @property
-    def readings(self) -> Mapping[str, JointReading]:
+    def readings(self) -> Mapping[str, ServoReading]:
         """The last read-back by joint; empty where a servo was silent."""
         return self._last.joints if self._last is not None else {}
 

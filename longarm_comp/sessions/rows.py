@@ -14,7 +14,7 @@ from longarm_comp.core.data.session import INCLINATION, Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.sessions.message_buffer import MessageBuffer, SessionRow
 from longarm_comp.sessions.moment import CLOCKS_APART
-from longarm_comp.sessions.settled import Sighting, nowhere, settled
+from longarm_comp.sessions.settled import Sighting, nowhere, settled, stood
 
 
 class Rows:
@@ -28,6 +28,7 @@ class Rows:
         self._came: list[History] = []
         self._sides: list[np.ndarray] = []
         self._made: list[Sighting] = []
+        self._read: list[np.ndarray] = []
         self._told: list[SessionRow] = []
         self._index: list[int] = []
         self._lost: dict[int, str] = {}
@@ -52,7 +53,8 @@ class Rows:
         buffer = self._buffer
         begin, points = buffer.commands.popleft()
         sightings, rows = buffer.sightings_between(begin, end), buffer.rows_between(begin, end)
-        seen, why = settled(sightings, *buffer.states_between(begin, end), begin)
+        states = buffer.states_between(begin, end)
+        seen, why = settled(sightings, *states, begin)
         row = rows[0][1] if rows else SessionRow()
         passed = seen is None
         if seen is None and rows:  # a measurement was meant: it is a row, and says why it is blank
@@ -70,6 +72,7 @@ class Rows:
             self._came.append(self._history)
             self._sides.append(_sides(row, buffer))
             self._made.append(seen)
+            self._read.append(stood(*states, begin))
             self._told.append(row)
             self._index.append(number)
             if why:
@@ -115,6 +118,8 @@ class Rows:
             "position": np.array([seen.xyz for seen in self._made]),
             "orientation": np.array([seen.quaternion for seen in self._made]),
         }
+        joints = np.array(self._read).T[..., None]
+        made |= {f"read_q{k}": values for k, values in enumerate(joints, 1)}
         for name in sorted({name for row in self._told for name in row.readings}):
             if name not in KINDS:
                 where = "session_row readings"

@@ -75,14 +75,11 @@ def settled(
     seen = [s for s in sightings if not np.isnan(s.xyz).any()]
     if not seen:
         return Settled(sightings[-1], "marker lost")
-    rest = begin
     if len(times):
-        moving = np.flatnonzero((np.abs(joints - joints[-1]) > JOINT_REST).any(axis=1))
-        rest = float(times[moving[-1]]) if len(moving) else begin
+        rest, arrived = _rest(times, joints, begin)
         if max(times[-1], sightings[-1].t) - rest < REST_S:
             return Settled(None, NO_REST)
         still = _still(times, joints, rest)
-        arrived = float(times[moving[-1] + 1]) if len(moving) else begin
         since = ([s for s in seen if s.t >= t] for t in (still + AFTER_S, still, arrived))
         seen = next(filter(None, since), [])
         if not seen:  # it was seen on the way only
@@ -104,6 +101,28 @@ def settled(
         sum(s.turn_variance for s in kept) / n**2,
     )
     return Settled(mean)
+
+
+def stood(times: np.ndarray, joints: np.ndarray, begin: float) -> np.ndarray:
+    """(n,) mean of the measured joints at rest after a command at `begin` (s); NaN: no rest.
+
+    Args:
+        times, joints: as in `settled`.
+        begin: time of the command, s.
+    """
+    rest = _rest(times, joints, begin)[0] if len(times) else begin
+    if not len(times) or times[-1] - rest < REST_S:
+        return np.full(joints.shape[1], np.nan)
+    since = _still(times, joints, rest)
+    return np.asarray(joints[times >= since].mean(axis=0))
+
+
+def _rest(times: np.ndarray, joints: np.ndarray, begin: float) -> tuple[float, float]:
+    """Times (s) of the last reading off the final joints, and of the first one at them."""
+    moving = np.flatnonzero((np.abs(joints - joints[-1]) > JOINT_REST).any(axis=1))
+    if not len(moving):
+        return begin, begin
+    return float(times[moving[-1]]), float(times[moving[-1] + 1])
 
 
 def _still(times: np.ndarray, joints: np.ndarray, rest: float) -> float:

@@ -5,6 +5,7 @@ It is commanded only through the servo bus and observed only through the cameras
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,9 +22,9 @@ from longarm_comp.sim.cameras import CameraPair, Conditions, Plate, render
 from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden.base import HiddenEffect
 from longarm_comp.sim.hidden.catalogue import draw
-from longarm_comp.sim.hidden.drives import Backlash
+from longarm_comp.sim.hidden.drives import Backlash, ServoDroop
 from longarm_comp.sim.ringing import Ringing
-from longarm_comp.sim.servo_emulator import EmulatedArm, MotorSpec, ServoEmulator
+from longarm_comp.sim.servo_emulator import EmulatedArm, EmulatedJoint, MotorSpec, ServoEmulator
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
@@ -88,11 +89,20 @@ class Plant:
             names = ", ".join(j.name for j in config.servos.joints)
             raise InputError("plant", "servo joints", names, ", ".join(config.arm.joint_names))
         self.config = config
+        self._behind = tuple(e for e in config.hidden if not isinstance(e, ServoDroop))
+        droops = [e for e in config.hidden if isinstance(e, ServoDroop)]
+        order = config.arm.joint_names
+        specs = {
+            j.servo_id: _drooping(config.spec, j, droops, order.index(j.name))
+            for j in config.servos.joints
+        }
+        self._loads: Mapping[int, float] = {}
         self.emulator = ServoEmulator(
-            config.servos.protocol, config.servos.start_ticks(), config.spec, link=link
-        )
+            config.servos.protocol, config.servos.start_ticks(), specs, link=link,
+            load_of=(lambda _: self._loads) if droops else None,
+        )  # fmt: skip
         self._rng = rng
-        self._true = TrueArm(config.arm, config.hidden, steps=_STEPS)
+        self._true = TrueArm(config.arm, self._behind, steps=_STEPS)
         self._last: tuple[Array, Array] | None = None
         self._ringing = Ringing(self._true, config.damping) if config.damping else None
         self._swing, self._swings = np.zeros(3), threading.Lock()
@@ -112,7 +122,7 @@ class Plant:
             if not 0.0 <= value < np.inf:
                 raise InputError("plant", f"more_play {joint}", value, "0 or more, rad or m")
         more = np.array([play.get(name, 0.0) for name in names])
-        self._true = TrueArm(self.config.arm, _with_play(self.config.hidden, more), steps=_STEPS)
+        self._true = TrueArm(self.config.arm, _with_play(self._behind, more), steps=_STEPS)
         self._last = None
 
     def start(self) -> None:
@@ -156,16 +166,41 @@ class Plant:
             context = TrueContext(
                 side, self.temperature_c(t_s), self.config.payload_kg, t_s, wound=wound
             )
-            self._last = known, self._true.pose(q, context)
+            found = self._true.settled(q, context)
+            self._last = known, found.pose[0]
+            self._loads = self._felt(found.torques[0])
         pose = self._last[1].copy()
         pose[:3, 3] += self._swing
         return pose
+
+    def _felt(self, torques: Array) -> Mapping[int, float]:
+        """What each servo feels of the joints' loads (n,), in the sense of its ticks, by id."""
+        by_name = dict(zip(self.config.arm.joint_names, torques.tolist(), strict=True))
+        return {
+            j.servo_id: math.copysign(1.0, j.travel) * by_name[j.name] / j.full_effort
+            for j in self.config.servos.joints
+        }
 
     def look(self, t_s: float) -> tuple[Grey, Grey]:
         """Left and right image (H, W) at this time."""
         config = self.config
         plate = self.tip_pose(t_s) @ config.plate_on_tip
         return render(plate, config.plate, config.cameras, self._rng, config.conditions)
+
+
+def _drooping(
+    spec: MotorSpec, joint: EmulatedJoint, droops: Sequence[ServoDroop], number: int
+) -> MotorSpec:
+    """The mechanics of a joint's servo, whose controller gives way as it should not."""
+    for droop in droops:
+        soft = droop.yielding[number] * joint.full_effort
+        spec = replace(
+            spec,
+            droop_ticks=spec.droop_ticks + soft / abs(joint.travel),
+            dead_band_ticks=spec.dead_band_ticks + droop.deadband[number] / abs(joint.travel),
+            hold_share=spec.hold_share + droop.friction / joint.full_effort,
+        )
+    return spec
 
 
 def mounting(turn_rad: Sequence[float]) -> Array:

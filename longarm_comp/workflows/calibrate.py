@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +18,7 @@ from longarm_comp.core.effects.base_pose import BasePose
 from longarm_comp.core.effects.catalogue import effect_class
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.html_table import html_table
 from longarm_comp.core.identify.calibrate import Rung, ladder, stages
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.kind_of_arm import folded
@@ -37,13 +40,16 @@ from longarm_comp.workflows.inputs import (
     FilePath,
     ModelLike,
     Note,
-    Progress,
     SessionLike,
     admitted,
     log_note,
-    silent,
 )
 from longarm_comp.workflows.kind_of_arm import kind_from, noise_key
+from longarm_comp.workflows.telling import Telling, teller
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 Term = Effect | Bias
 
@@ -165,10 +171,17 @@ class Calibration:
             f"{len(self.fit.slots)} parameters fitted to {len(self.fit.session)} rows"
         )
 
+    def _repr_html_(self) -> str:
+        return html_table(self.summary, self.held_out.rows)
+
+    def plot(self) -> Figure:
+        """Errors of every model on rows that were not fitted."""
+        return self.held_out.plot()
+
     def __repr__(self) -> str:
         return f"Calibration({self.summary})"
 
-    def save(self, path: FilePath) -> None:
+    def save(self, path: FilePath) -> Path:
         """Write model.yaml with 95 % intervals. An existing file becomes the previous version."""
         provenance: dict[str, str | int | float] = {
             "session_hash": self.session.hash,
@@ -180,6 +193,7 @@ class Calibration:
         provenance |= {"kind_of": self.kind_of} if self.kind_of else {}
         provenance |= {noise_key(kind): sigma for kind, sigma in self._noise.items()}
         save_model(path, store(self.model, self.fit.standard_errors, provenance=provenance))
+        return Path(path)
 
 
 def calibrate(
@@ -192,7 +206,7 @@ def calibrate(
     seed: int = 0,
     kind_of: Sequence[ModelLike] = (),
     note: Note = log_note,
-    progress: Progress = silent,
+    progress: Telling = False,
 ) -> Calibration:
     """Fit geometry and declared effects of an arm to a session.
 
@@ -211,7 +225,7 @@ def calibrate(
             from the drawing is then what is expected of this one. An arm.yaml beside a file is
             that arm's; without one it is an arm as this one is declared.
         note: called with each finding of the admission.
-        progress: called with the name of the model being fitted.
+        progress: true: tell each step; or called with the model being fitted and the share done.
 
     Raises:
         InputError: the session was refused; an effect has no place on this arm or needs an input
@@ -226,7 +240,7 @@ def calibrate(
     chosen = [_named(effect, arm, whole, note) for effect in effects]
     kind, origin = kind_from(arm, kind_of) if kind_of else (None, "")
     train, held_out = blocked_split(whole, fraction, rng=seed)
-    steps = 5 + len(chosen)
+    steps, tell = 5 + len(chosen), teller(progress)
     done = iter(range(steps))
     rungs = ladder(
         arm,
@@ -234,7 +248,7 @@ def calibrate(
         held_out,
         chosen,
         deflection=deflection,
-        progress=lambda name: progress(name, next(done) / steps),
+        progress=lambda name: tell(name, next(done) / steps),
         kind=kind,
     )
     last = rungs[-1].model
@@ -243,7 +257,7 @@ def calibrate(
     for rung, than in ((rungs[1], "placed frames alone"), (rungs[0], "the declared arm")):
         check_worth(held, size(rung.model, held_out), whole.source, than, unit)
     check_carries_over(size(last, train), held, whole.source, unit)
-    progress("all rows", (steps - 1) / steps)
+    tell("all rows", (steps - 1) / steps)
     if kind is None:
         final = fit(last, whole)
     else:

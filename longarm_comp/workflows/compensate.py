@@ -7,7 +7,8 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, overload
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,13 +22,18 @@ from longarm_comp.core.compensation.result import Compensation, Method, Settling
 from longarm_comp.core.compensation.target_frame import Placement, placement
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.html_table import html_table
 from longarm_comp.core.identify.wind_up import as_fitted
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.read import read_session
 from longarm_comp.sessions.table import WriteTable, write_table
 from longarm_comp.sessions.targets import Command, Targets, write_commands
+from longarm_comp.workflows.error_bars import bars
 from longarm_comp.workflows.inputs import FilePath, SessionLike, check_predictor
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -103,6 +109,21 @@ class Commands(Sequence[Compensation]):
         )
         return f"; expected error up to {expected:.2f} mm, 90 % within {within:.2f} mm"
 
+    def _repr_html_(self) -> str:
+        rows = [
+            {"target": int(number), "status": each.status.name.lower(),
+             "expected, mm": 1e3 * float(each.expected_m), "90 %, mm": 1e3 * float(each.p90_m),
+             **{f"q{j}": float(q) for j, q in enumerate(each.command, 1)}}
+            for number, each in zip(self.numbers, self, strict=True)
+        ]  # fmt: skip
+        return html_table(f"{self.summary}{self.promise}", rows)
+
+    def plot(self) -> Figure:
+        """Expected error of every command."""
+        heights = {"expected": [1e3 * each.expected_m for each in self],
+                   "90 % within": [1e3 * each.p90_m for each in self]}  # fmt: skip
+        return bars([str(k) for k in self.numbers], heights, "expected error, mm")
+
     def __repr__(self) -> str:
         return f"Commands({self.summary}{self.promise})"
 
@@ -112,9 +133,10 @@ class Commands(Sequence[Compensation]):
         rows = zip(self.numbers, self.arrivals, placements, strict=True)
         return [_line(int(k), arrival, placed) for k, arrival, placed in rows]
 
-    def save(self, path: FilePath, write: WriteTable = write_table) -> None:
+    def save(self, path: FilePath, write: WriteTable = write_table) -> Path:
         """Write commands.csv, or another form with ``write``; the reason where a target failed."""
         write_commands(path, self.command.shape[1], self.lines(), write)
+        return Path(path)
 
 
 def compensate(
@@ -270,7 +292,10 @@ def goals_of(
         all_contexts = targets.context(model.arm.n)
         goals = [_goal(targets, row) for row in range(len(targets))]
         return goals, [all_contexts.take(row) for row in range(len(targets))], targets.index
-    given = np.asarray(targets, dtype=float)
+    try:
+        given = np.asarray(targets, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError("compensate", "targets", str(error), "numbers, m") from error
     given = given[None] if given.shape in ((3,), (4, 4)) else given
     if given.ndim not in (2, 3) or given.shape[1:] not in ((3,), (4, 4)) or not len(given):
         allowed = "positions (N, 3) or poses (N, 4, 4), N of at least 1"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -43,13 +44,14 @@ class PathCommands(points.Commands):
     def __repr__(self) -> str:
         return f"PathCommands({len(self)} way-points, {self.timed.times[-1]:.3g} s)"
 
-    def save(self, path: FilePath, write: WriteTable = write_table) -> None:
+    def save(self, path: FilePath, write: WriteTable = write_table) -> Path:
         """Write commands.csv, with t_s and velocities v_q1..v_qn besides."""
         n = self.timed.joints.shape[1]
         further = {"t_s": self.timed.times}
         for name, column in zip(joint_names(n), self.timed.velocities.T, strict=True):
             further[f"v_{name}"] = column
         write_commands(path, n, self.lines(), write, further)
+        return Path(path)
 
 
 def compensate_path(

@@ -6,13 +6,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.admission import FEW_POSES
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import origin
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.html_table import html_table
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.calibrate import Errors
 from longarm_comp.core.identify.diagnosis import Diagnosis
@@ -40,6 +41,11 @@ from longarm_comp.workflows.inputs import (
     physics,
 )
 from longarm_comp.workflows.residual import training_rows
+from longarm_comp.workflows.telling import Telling, teller
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 Say = Callable[[str], None]
 
@@ -103,6 +109,13 @@ class DiagnosisResult:
         )
         return ErrorTable(seen, commanded)
 
+    def _repr_html_(self) -> str:
+        return html_table(self.summary, self.held_out.rows)
+
+    def plot(self) -> Figure:
+        """Errors of every model on rows that were not fitted."""
+        return self.held_out.plot()
+
     def __repr__(self) -> str:
         return f"DiagnosisResult({self.verdict}: {self.summary})"
 
@@ -110,7 +123,7 @@ class DiagnosisResult:
         """The contents of report.json."""
         return self._assembled[0]
 
-    def save(self, folder: FilePath) -> None:
+    def save(self, folder: FilePath) -> Path:
         """Write report.json, report.html, plots, model.yaml; predictor.npz where a network
         helped, and next_poses.csv where more poses would tell two effects apart.
         """
@@ -122,6 +135,7 @@ class DiagnosisResult:
         )  # fmt: skip
         write_predictor(self.predictor, self.session_hash, target)
         write_next(self.diagnosis, target)
+        return target
 
     @cached_property
     def _assembled(self) -> tuple[dict[str, Any], Any]:
@@ -137,7 +151,7 @@ def diagnose(
     network: bool = True,
     seed: int = 0,
     note: Note = log_note,
-    progress: Say = lambda _: None,
+    progress: Telling = False,
 ) -> DiagnosisResult:
     """Find the effects that a model lacks in a session, add them, and prove them on a hold-out.
 
@@ -149,7 +163,7 @@ def diagnose(
         network: whether to train a network on the remaining error.
         seed: seed of all random choices.
         note: called with each finding of the admission.
-        progress: called with the present step.
+        progress: true: tell each step; or called with it.
 
     Raises:
         InputError: the data were refused, or a file cannot be used.
@@ -169,7 +183,7 @@ def diagnose(
         model=known,
         train_network=_train(seed) if network else None,
         seed=seed,
-        progress=progress,
+        progress=teller(progress),
     )
     facts = {"session": _name(session), "arm": arm.hash, "rows": str(len(whole))}
     if test is not None and held_out is not None:

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from longarm_comp.core.html_table import html_table
 from longarm_comp.core.identify.calibrate import Errors
+from longarm_comp.workflows.error_bars import bars
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _ERROR_COLUMNS = (
     *("mean_mm", "commanded_mean_mm", "median_mm", "rms_mm", "p95_mm", "max_mm"),
@@ -44,6 +49,15 @@ class ErrorTable(Mapping[str, Errors]):
     def rows(self) -> list[dict[str, Any]]:
         """One row a model, in millimetres (and mrad), under the names of report.json."""
         return [_row(name, self[name], self.commanded[name]) for name in self]
+
+    def _repr_html_(self) -> str:
+        return html_table("errors on rows that were not fitted", self.rows)
+
+    def plot(self) -> Figure:
+        """Mean and 95 % of every model as bars."""
+        rows = self.rows
+        heights = {name: [row[f"{name}_mm"] for row in rows] for name in ("mean", "p95")}
+        return bars([row["model"] for row in rows], heights, "error, mm")
 
     def __repr__(self) -> str:
         width = max(map(len, ("model", *self)))

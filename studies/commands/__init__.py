@@ -12,6 +12,7 @@ STUDIES = (
     Entry("coverage", "coverage", "How often a stated 90 % radius holds."),
     Entry("day", "day", "A day of work: wear, warmth, changing payloads."),
     Entry("path", "path", "Planned paths, before and after compensation."),
+    Entry("readings", "readings", "What joint readings bring: names, tip, trim."),
     Entry("ringing", "ringing", "How long the tip rings, and what shaping saves."),
     Entry("discover", "discover", "Causes in no library: what finds them."),
     Entry("loop", "loop", "Benchmark the diagnosis on simulated arms."),

@@ -207,3 +207,25 @@ class EmergencyStop:
         client.call_async(SetBool.Request(data=True))
         scene.go_on(_BROKEN_S)
         client.call_async(SetBool.Request(data=False))
+
+
+@dataclass(frozen=True)
+class Flood:
+    """Far more targets than anybody can follow."""
+
+    name: str = "flood"
+
+    def strike(self, scene: Scene) -> None:
+        """Send them all at once."""
+        scene.flood(2000)
+
+
+@dataclass(frozen=True)
+class PathSent:
+    """A planned path between the targets."""
+
+    name: str = "path"
+
+    def strike(self, scene: Scene) -> None:
+        """Send it and see how it ends."""
+        scene.path(points=21, seconds=1.0)

@@ -23,9 +23,11 @@ from soak.faults import (
     ClockFault,
     EmergencyStop,
     Fault,
+    Flood,
     Freeze,
     Hold,
     Kill,
+    PathSent,
     RubbishParameters,
 )
 from soak.scene import Scene
@@ -48,6 +50,10 @@ def faults(setting: SoakSettings) -> list[Fault]:
         Freeze("simulated_arm", 4.0),  # the servos and the cameras are silent: a driver fault
         Freeze("servo_driver", 1.0),
         Freeze("kinematics", 1.0),
+        Kill("trajectory_compensator"),
+        Freeze("trajectory_compensator", 1.0),
+        Flood(),
+        PathSent(),
         ClockFault("clock stands", rate=0.0),
         ClockFault("clock runs away", rate=10.0),
         ClockFault("clock jumps ahead", jump_s=100.0),

@@ -5,19 +5,22 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
+from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
-from trajectory_msgs.msg import JointTrajectory
+from rclpy.action import ActionClient
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from bench.slow_path import slow_path
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.messages import pose_message
+from longarm_comp.nodes.messages import duration, pose_message
 from longarm_comp.nodes.stamps import stamp_ns, stamp_of
 from longarm_comp.nodes.supervisor import Supervisor
 from longarm_interfaces.msg import Compensation
@@ -147,6 +150,63 @@ class Scene:
         self._probing = False
         self._mark()
         return why
+
+    @contextmanager
+    def aside(self) -> Iterator[None]:
+        """What is sent in here is not in the ledger, and no other target is."""
+        self.audit()
+        self._probing, self._probed = True, 0
+        try:
+            yield
+        finally:
+            self.client.spin(0.3)
+            self._rested()
+            self._probing = False
+            self._mark()
+
+    def flood(self, count: int) -> None:
+        """Targets as fast as they can be sent: the last one must be answered."""
+        with self.aside():
+            last = [self._publish(good=True, number=n) for n in range(count)][-1]
+            if not self._within(self.setting.patience_s, lambda: self._probed == last):
+                self.ledger.wrong["the last target of a flood has no answer"] += 1
+
+    def path(self, points: int, seconds: float) -> None:
+        """A planned path there and back, for `trajectory_compensator`: it must say how it ended."""
+        with self.aside():
+            server = ActionClient(self.client.node, graph.FOLLOW.type, graph.FOLLOW_PLANNED.name)
+            try:
+                why = self._path_ends(server, points, seconds)
+            finally:
+                server.destroy()
+        if why:
+            self.ledger.wrong[f"a planned path: {why}"] += 1
+
+    def _path_ends(self, server: ActionClient, points: int, seconds: float) -> str:
+        patience = self.setting.patience_s
+        if not self._within(patience, server.server_is_ready):
+            return "nobody takes it"
+        arm = self.arm
+        share = np.sin(np.linspace(0.0, np.pi, points))[:, None]
+        assert self.client.joints is not None
+        start = np.clip(self.client.joints, arm.lower, arm.upper)
+        joints = start + 0.1 * share * (arm.mid - start)
+        goal = graph.FOLLOW.type.Goal()
+        goal.trajectory.joint_names = list(arm.joint_names)
+        goal.trajectory.header.stamp = stamp_of(self.clock.stamp_ns())
+        goal.trajectory.points = [
+            JointTrajectoryPoint(positions=q, time_from_start=duration(t))
+            for q, t in zip(joints.tolist(), np.linspace(0.1, seconds, points), strict=True)
+        ]
+        sent = server.send_goal_async(goal)
+        if not self._within(patience, sent.done):
+            return "no answer to the goal"
+        ended = sent.result().get_result_async()
+        if not self._within(patience, ended.done):
+            return "it never ends"
+        done = ended.result()
+        followed = done.status == GoalStatus.STATUS_SUCCEEDED
+        return "" if followed or done.result.error_string else "refused without a reason"
 
     def _try_target(self, number: int, why: str) -> str:
         """Send one target: why it was not reached (``why`` if it had no answer), or nothing."""

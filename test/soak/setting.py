@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.nodes.bringup import SIMULATED, BringUp
+from longarm_comp.nodes.bringup import PATHS, SIMULATED, BringUp
 from longarm_comp.share import folder
 
 NAMESPACE = "longarm_soak"
@@ -75,5 +75,6 @@ class SoakSettings:
             sim=True,
             namespace=NAMESPACE,
             speed=10.0,
-            set={node: own.get(node, {}) | {"use_sim_time": True} for node in SIMULATED},
+            paths=True,
+            set={n: own.get(n, {}) | {"use_sim_time": True} for n in (*SIMULATED, PATHS)},
         )

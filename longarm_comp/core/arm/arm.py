@@ -32,6 +32,8 @@ from longarm_comp.core.arm.measuring import (
 )
 from longarm_comp.core.arm.pose import NonNegative, Pose, Positive, Vec3
 from longarm_comp.core.arm.spatial import IDENTITY, Frame, rpy_frame
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.html_table import html_table
 from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, read_yaml
 
 
@@ -357,10 +359,26 @@ class Arm(Declared):
         held = self.sensors.get(name)
         return (held.frame() if isinstance(held, CameraSensor) else IDENTITY).matrix()[:3]
 
+    def __repr__(self) -> str:
+        bends = f"{len(self.links)} beams" if self.links else "rigid"
+        return f"Arm({self.name}: {self.n} joints ({', '.join(self.joint_names)}), {bends})"
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        rows = [
+            {"row": j.id, "name": j.name or "", "type": j.type, "a, m": j.a_m,
+             "alpha, deg": j.alpha_deg, "d, m": j.d_m, "theta, deg": j.theta_offset_deg,
+             "limits": " to ".join(f"{v:g}" for v in j.limits_deg or j.limits_m or ())}
+            for j in self.joints
+        ]  # fmt: skip
+        return html_table(repr(self), rows)
+
     @cached_property
     def hash(self) -> str:
-        """SHA-256 of the arm's contents (not of the file's layout)."""
-        text = json.dumps(self.model_dump(mode="json", exclude_defaults=True), sort_keys=True)
+        """SHA-256 of what a model depends on: the contents but for `damping`, not the layout."""
+        held = self.model_dump(mode="json", exclude_defaults=True, exclude={"damping"})
+        text = json.dumps(held, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     @classmethod
@@ -370,6 +388,8 @@ class Arm(Declared):
         Raises:
             InputError: the file cannot be read, a key is unknown, a value is not allowed.
         """
+        if Path(path).suffix.lower() in (".urdf", ".xacro", ".xml"):
+            raise InputError(path, "file", "a URDF", "an arm.yaml: longarm import-urdf makes one")
         return cls.parse(read_yaml(path), str(path))
 
     @classmethod

@@ -51,6 +51,7 @@ class Kind(ABC):
         takes: rows that it takes to solve what a text names, where there are no cells.
         sigma: column of its standard deviation in a file, or empty.
         of_joint: whether it measures a joint and not the tip.
+        number: of that joint, from 1.
     """
 
     name: ClassVar[str]
@@ -62,6 +63,7 @@ class Kind(ABC):
     takes: ClassVar[int] = 0
     sigma: ClassVar[str] = ""
     of_joint: ClassVar[bool] = False
+    number: int = 0
 
     def measured(self, values: np.ndarray) -> np.ndarray:
         """(N, k) which equations readings (N, c) hold; NaN is not measured."""
@@ -220,7 +222,7 @@ class Plane(Kind):
         return Equations(-point[:, 2:], columns[:, 2:], motion.pull(self.name)[:, 2:])
 
 
-class JointReading(Kind):
+class EncoderReading(Kind):
     """Where the encoder of a joint says that it stands, rad (m of a slide), at rest."""
 
     unit = "rad"
@@ -245,7 +247,7 @@ class _Kinds(dict[str, Kind]):
     """The kinds that measure the tip, and by name one for the reading of every joint."""
 
     def __missing__(self, name: str) -> Kind:
-        return JointReading(int(name.removeprefix("read_q")))
+        return EncoderReading(int(name.removeprefix("read_q")))
 
     def __contains__(self, name: object) -> bool:
         return super().__contains__(name) or bool(re.fullmatch(r"read_q[1-9]\d*", str(name)))

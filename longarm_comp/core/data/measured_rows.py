@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from longarm_comp.core.arm.measuring import KnownDistance
-from longarm_comp.core.data.kinds import KINDS, JointReading, Kind
+from longarm_comp.core.data.kinds import KINDS, EncoderReading, Kind
 from longarm_comp.core.errors import InputError
 
 
@@ -46,8 +46,9 @@ class MeasuredRows:
 
     @cached_property
     def seen(self) -> np.ndarray:
-        """(N,) whether anything was measured."""
-        return np.asarray(self.measured.any(axis=1))
+        """(N,) whether anything was measured of the tip."""
+        of_tip = [not KINDS[b.kind].of_joint for b in self.blocks for _ in b.channels]
+        return np.asarray(self.measured[:, of_tip].any(axis=1))
 
     @cached_property
     def located(self) -> np.ndarray:
@@ -88,7 +89,7 @@ class MeasuredRows:
     def read_joints(self) -> tuple[int, ...]:
         """Positions among the commanded joints of those that were read."""
         kinds = (KINDS[b.kind] for b in self.blocks)
-        return tuple(kind.number - 1 for kind in kinds if isinstance(kind, JointReading))
+        return tuple(kind.number - 1 for kind in kinds if isinstance(kind, EncoderReading))
 
     @cached_property
     def channels(self) -> tuple[str, ...]:
@@ -199,7 +200,7 @@ class MeasuredRows:
             kind = KINDS[name]
             values = np.asarray(given, dtype=float)
             check_shape(self.source, name, values, (n_rows, len(kind.cells)))
-            if isinstance(kind, JointReading) and kind.number > self.q.shape[1]:
+            if isinstance(kind, EncoderReading) and kind.number > self.q.shape[1]:
                 raise InputError(self.source, name, "unknown", f"read_q1..q{self.q.shape[1]}")
             wrong, allowed = kind.wrong(values)
             partly = np.isnan(values).any(axis=1) & ~np.isnan(values).all(axis=1)

@@ -32,9 +32,7 @@ def equations(
     """Equations of all channels of a session by some parameters, all of a model's by default."""
     slots = model.slots if slots is None else slots
     model = completed(model, session, at)
-    return _stacked(
-        model.motion(at, slots, session.turns, bool(session.read_joints)), session, model
-    )
+    return _stacked(model.motion(at, slots, session.turns), session, model)
 
 
 def shifts(
@@ -42,8 +40,7 @@ def shifts(
 ) -> np.ndarray:
     """(N, d, k) change of the prediction by each of k terms outside the model."""
     model = completed(model, session, at)
-    motion = model.added(at, terms, session.turns, bool(session.read_joints))
-    return _stacked(motion, session, model).columns
+    return _stacked(model.added(at, terms, session.turns), session, model).columns
 
 
 def metres(model: Model, session: Session) -> np.ndarray:

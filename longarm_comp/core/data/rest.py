@@ -58,6 +58,7 @@ class RestWatch:
     commands: int = 0
     _goal: tuple[np.ndarray, History] | None = None
     _there_since: float | None = None
+    _told: bool = False
     _seen: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -66,15 +67,19 @@ class RestWatch:
 
     def commanded(self, q: np.ndarray, history: History) -> None:
         """Take a command q (n,) and the history of the joints on arrival."""
-        self._goal, self._there_since = (q, history), None
+        self._goal, self._there_since, self._told = (q, history), None, False
         self._seen.clear()
         self.commands += 1
+
+    def reached(self) -> None:
+        """The driver says that the joints rest where they were sent, however far they give way."""
+        self._told = True
 
     def joints(self, q: np.ndarray, at_s: float) -> None:
         """Take a joint reading q (n,) of a time (s, of the clock of the sightings)."""
         if self._goal is None:
             return
-        if np.abs(q - self._goal[0]).max() > JOINT_REST:
+        if not self._told and np.abs(q - self._goal[0]).max() > JOINT_REST:
             self._there_since = None
             self._seen.clear()
         elif self._there_since is None or at_s < self._there_since:  # a clock that jumped back

@@ -21,7 +21,10 @@ from longarm_comp.core.arm.history import SAME_POSE, History, recorded, sides_to
 from longarm_comp.core.arm.measuring import KnownDistance
 from longarm_comp.core.data.measured_rows import ChannelBlock, MeasuredRows, check_shape
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.html_table import html_table
 
+_SHOWN = 8
+"""Rows of a session in a notebook."""
 INCLINATION = re.compile(r"incl_(\w+)_[xy]$")
 """Names of the columns of an inclinometer; NaN where it gave no reading."""
 
@@ -178,6 +181,16 @@ class Session(MeasuredRows):
         seen = int(self.seen.sum())
         what = "marker seen" if self.plain else "measured"
         return f"Session({self.source}: {len(self)} rows of {self.n} joints, {what} in {seen})"
+
+    def _repr_html_(self) -> str:
+        """The first rows; repr says how many there are."""
+        numbers = range(min(_SHOWN, len(self)))
+        rows = [
+            {"index": int(self.index[k]), **{f"q{j}": float(v) for j, v in enumerate(self.q[k], 1)},
+             **{axis: float(v) for axis, v in zip("xyz", self.xyz[k], strict=True)}}
+            for k in numbers
+        ]  # fmt: skip
+        return html_table(repr(self), rows)
 
     @property
     def n(self) -> int:

@@ -35,8 +35,7 @@ class Parameter:
 
     Attributes:
         prior: standard deviation of plausible values; 0 means fixed at its value.
-        unknown: nothing is known beforehand: the prior is the size of an ordinary change only,
-            and the fit's prior is so much wider that it does not pull.
+        unknown: nothing is known beforehand: the fit's prior is too wide to pull (`FLAT`).
     """
 
     name: str
@@ -54,6 +53,7 @@ class Parameter:
 
 
 _PARAMETER, _PLACE, _FORM = "parameter", "place", "form"
+Drive = Literal["servo", "gear", "arm"]
 Places = Callable[[Arm], Sequence[int] | Sequence[str]]
 
 
@@ -159,8 +159,8 @@ class _Term:
         continuous: changes little for a small motion of the joints.
         loaded: depends on the loads, so that it must be iterated as the arm sags.
         searched: tried by a diagnosis. Geometry is always fitted instead.
-        aliases: effects that no measurement of the tip can distinguish from it, whatever the
-            poses. One of the two must declare it.
+        aliases: effects that no measurement of the tip can distinguish from it. One of the two
+            must declare it.
         limit_aliases: effects that it equals at an end of its form's scale or of a parameter's
             bounds. Studies accept either name there.
         free_levels: for an effect that depends only on the position of one turning joint: number
@@ -174,8 +174,7 @@ class _Term:
             play operators, and `run_up`, one for the whole session, which are sought in the data.
             Its first parameter is what the side of arrival alone decides.
         bounded: holds within the data that it was found in only (`Effect.outside`).
-        acts: where in the drive of its joint it acts: ``servo``, ``gear`` or ``arm``. An encoder at
-            the motor sees what the servo does, one at the joint what the gear does too.
+        acts: where it acts: a motor's encoder sees ``servo``, one at the joint ``gear`` too.
     """
 
     name: ClassVar[str]
@@ -195,7 +194,7 @@ class _Term:
     stepped: ClassVar[bool] = False
     bounded: ClassVar[bool] = False
     remembers: ClassVar[bool] = False
-    acts: ClassVar[Literal["servo", "gear", "arm"]] = "arm"
+    acts: ClassVar[Drive] = "arm"
 
     @classmethod
     def heading(cls) -> str:
@@ -383,7 +382,7 @@ class Bias(_Term, ABC):
         """Point reported by the camera for a tip at `point` (m, base frame)."""
 
     def read(self, value: Scalar, row: int) -> Scalar:
-        """What the encoder of a row reads where it sees its joint at a value (rad or m)."""
+        """What a row's encoder reads where it sees its joint at a value (rad or m)."""
         return value
 
     def seen_pose(self, tip: Frame, context: Context, arm: Arm) -> Frame:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -9,9 +10,17 @@ from typing_extensions import Self
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.arm.spatial import Scalar, Vec
-from longarm_comp.core.effects.effect import Bias, Parameter, moving_joints, parameter, place
-from longarm_comp.core.effects.joint_term import with_prior
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.arm.spatial import Scalar, Twist, Vec
+from longarm_comp.core.effects.effect import (
+    Bias,
+    Drive,
+    Parameter,
+    moving_joints,
+    parameter,
+    place,
+)
+from longarm_comp.core.effects.joint_term import JointTerm, with_prior
 
 
 @dataclass(frozen=True)
@@ -50,3 +59,23 @@ class Encoder(Bias):
     def read(self, value: Scalar, row: int) -> Scalar:
         """Its zero and scale on its own joint."""
         return self.zero + (1.0 + self.scale) * value if row == self.joint else value
+
+
+@dataclass(frozen=True)
+class Shaft(JointTerm):
+    """Where a joint stands whose encoder reads the commanded value: `Encoder` turned round.
+
+    It has the name and parameters of its encoder, whose uncertainty is its own.
+    """
+
+    name: ClassVar[str] = Encoder.name
+    searched: ClassVar[bool] = False
+    acts: ClassVar[Drive] = "arm"
+
+    zero: float = parameter("rad", "reading where the joint is at 0", 4e-3)
+    scale: float = parameter("1", "extra reading per motion", 0.01)
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """From the reading to the joint."""
+        read = posture.q[posture.arm.commanded.index(self.joint)]
+        return self.motion(posture, (read - self.zero) * (1.0 / (1.0 + self.scale)) - read)

@@ -16,7 +16,7 @@ from longarm_comp.core.arm.context import PER_JOINT, Context
 from longarm_comp.core.arm.history import play
 from longarm_comp.core.arm.posture import Chain, Posture
 from longarm_comp.core.arm.spatial import Scalar, Twist
-from longarm_comp.core.effects.effect import Effect, Parameter, moving_joints, place
+from longarm_comp.core.effects.effect import Drive, Effect, Parameter, moving_joints, place
 
 GATES = (0.0, 0.03, 0.075, 0.15, 0.3, 0.75)
 """Loads below which friction may hold a joint (`JointTerm.side`), of the arm's typical ones."""
@@ -37,7 +37,7 @@ class JointTerm(Effect):
     """
 
     actions: ClassVar[Mapping[str, str]] = {}
-    acts = "gear"
+    acts: ClassVar[Drive] = "gear"
 
     joint: int = place(moving_joints)
 

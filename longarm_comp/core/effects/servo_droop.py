@@ -12,7 +12,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import Parameter, form, parameter
+from longarm_comp.core.effects.effect import Drive, Parameter, form, parameter
 from longarm_comp.core.effects.joint_term import (
     BLEND,
     GATES,
@@ -37,7 +37,7 @@ class ServoDroop(JointTerm):
 
     name: ClassVar[str] = "servo_droop"
     title: ClassVar[str] = "servo that gives way"
-    acts = "servo"
+    acts: ClassVar[Drive] = "servo"
     action: ClassVar[str] = (
         "Raise the gain of the servo or add integral action; otherwise fit a stronger one."
     )

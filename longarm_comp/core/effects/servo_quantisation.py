@@ -13,7 +13,7 @@ from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
-from longarm_comp.core.effects.effect import form
+from longarm_comp.core.effects.effect import Drive, form
 from longarm_comp.core.effects.joint_term import JointTerm
 
 STEPS_PER_TURN = (
@@ -37,7 +37,7 @@ class ServoQuantisation(JointTerm):
 
     name: ClassVar[str] = "servo_quantisation"
     title: ClassVar[str] = "servo steps"
-    acts = "servo"
+    acts: ClassVar[Drive] = "servo"
     action: ClassVar[str] = (
         "Nothing to repair: declare the steps in arm.yaml; finer ones need another servo."
     )

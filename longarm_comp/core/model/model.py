@@ -23,10 +23,10 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import PLACEMENT, Chain, Lumped, Posture, Twists
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter
-from longarm_comp.core.model import encoders
 from longarm_comp.core.model.encoders import Parts
 from longarm_comp.core.model.tip_motion import (
     Reseen,
+    SeenJoints,
     TipMotion,
     TwistChange,
     moved,
@@ -67,10 +67,9 @@ class Model:
         elements_per_beam: number of elements of each beam.
         arrivals: per commanded joint, number of fitted rows that arrived from above (-1) and
             from below (+1); empty if not recorded.
-        tolerances: share of the drawing's tolerances that geometry is expected to be off by; less
-            than 1 beside what other arms of the kind tell.
-        uncertainty: how far off its tip may be; None for an arm as declared, and for a model
-            that nothing is known of.
+        tolerances: share of the drawing's tolerances that geometry may be off by; less than 1
+            beside what other arms of the kind tell.
+        uncertainty: how far off its tip may be; None where that is not known.
     """
 
     arm: Arm
@@ -85,7 +84,10 @@ class Model:
     def __repr__(self) -> str:
         counts = Counter(term.name for term in self.terms)
         held = (f"{count} {name}" if count > 1 else name for name, count in counts.items())
-        return f"Model({self.arm.name}: {', '.join(held) or 'rigid'})"
+        beams = len(self.arm.links)
+        left_out = beams and "link_deflection" not in counts
+        rest = f"; {beams} declared beams left out, see la.declared_model" if left_out else ""
+        return f"Model({self.arm.name}: {', '.join(held) or 'rigid'}{rest})"
 
     def __getstate__(self) -> dict[str, object]:
         """State for copies and other processes, without compiled programs."""
@@ -274,7 +276,7 @@ class Model:
         return self.measured_at(self.posture(unstack(q), context))
 
     def measured_at(self, posture: Posture) -> np.ndarray:
-        """`measured` at a posture of this model."""
+        """`measured` at a posture."""
         return stack(self.seen(self.tip_frame(posture).p, posture.context))
 
     # ------------------------------------------------------------------ explain
@@ -289,24 +291,19 @@ class Model:
             slots: the parameters; all of them by default.
 
         Returns:
-            Predicted points (N, 3) in m and columns (N, 3, p), by Eq. (5) with fixed frames.
-            They are exact at zero effect and within a few percent at large ones.
+            Points (N, 3) in m and columns (N, 3, p), by Eq. (5) with fixed frames: exact at zero
+            effect, within a few percent at large ones.
         """
         return self.motion(posture, slots).point()
 
     def motion(
-        self,
-        posture: Posture,
-        slots: Sequence[Slot] | None = None,
-        turns: bool = False,
-        joints: bool = False,
+        self, posture: Posture, slots: Sequence[Slot] | None = None, turns: bool = False
     ) -> TipMotion:
         """The tip at N postures and its motion per unit of every parameter, as `columns`.
 
         Args:
             posture, slots: as in `columns`.
             turns: whether the turns of the tip's axes are wanted.
-            joints: whether what the joints' encoders see is.
         """
         slots = self.slots if slots is None else slots
         total = self._at_last(posture) if slots else {}
@@ -322,14 +319,10 @@ class Model:
                 continue
             up, down = (self._moved(slot, by).twists(posture) for by in (step, -step))
             ends.append(TwistChange([(term, up)], [(term, down)], 0.5 / step))
-        return self._motion(posture, total, ends, turns, joints)
+        return self._motion(posture, total, ends, turns)
 
     def added(
-        self,
-        posture: Posture,
-        terms: Sequence[Effect | Bias],
-        turns: bool = False,
-        joints: bool = False,
+        self, posture: Posture, terms: Sequence[Effect | Bias], turns: bool = False
     ) -> TipMotion:
         """The tip and its motion by each of some terms outside the model.
 
@@ -341,7 +334,7 @@ class Model:
                 ends.append(Reseen(self.plus(term), self, 1.0, term.sees))
             else:
                 ends.append(TwistChange([(term, term.twists(posture))], [], 1.0))
-        return self._motion(posture, self._at_last(posture), ends, turns, joints)
+        return self._motion(posture, self._at_last(posture), ends, turns)
 
     def _at_last(self, posture: Posture) -> Twists:
         """`twists`, kept for the posture that was asked for last."""
@@ -351,26 +344,14 @@ class Model:
         return held[1]
 
     def _motion(
-        self,
-        posture: Posture,
-        total: Twists,
-        ends: Sequence[TwistChange | Reseen],
-        turns: bool,
-        joints: bool,
+        self, posture: Posture, total: Twists, ends: Sequence[TwistChange | Reseen], turns: bool
     ) -> TipMotion:
         tip = self.tip_frame(posture)
         arm_side = [e for e in ends if isinstance(e, TwistChange)]
-        shifts = iter(moved(posture, tip.p, total, arm_side, turns, joints))
+        shifts = iter(moved(posture, tip.p, total, arm_side, turns))
         changes = [next(shifts) if isinstance(e, TwistChange) else e for e in ends]
-        return TipMotion(
-            self, tip, posture.context, changes, self.encoders_at(posture) if joints else ()
-        )
-
-    def encoders_at(self, posture: Posture) -> tuple[Scalar, ...]:
-        """Where the encoder of each commanded joint sees it, n scalars (rad or m)."""
-        parts = [(e, e.twists(posture)) for e in self.effects if e.acts != "arm"]
-        off = encoders.seen(posture.chain, parts)
-        return tuple(q + by for q, by in zip(posture.q, off, strict=True))
+        read = SeenJoints(posture, self.effects, arm_side)
+        return TipMotion(self, tip, posture.context, changes, read)
 
     def _moved(self, slot: Slot, by: float) -> Any:
         name = slot.parameter.name
@@ -407,12 +388,8 @@ class Model:
 
 def slots_of(arm: Arm, terms: Sequence[Effect | Bias]) -> tuple[Slot, ...]:
     """The free parameters of some terms."""
-    return tuple(
-        Slot(t, term, p)
-        for t, term in enumerate(terms)
-        for p in term.parameters(arm)
-        if p.prior > 0
-    )
+    every = ((t, term, p) for t, term in enumerate(terms) for p in term.parameters(arm))
+    return tuple(Slot(t, term, p) for t, term, p in every if p.prior > 0)
 
 
 def unstack(q: np.ndarray) -> tuple[Scalar, ...]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -17,6 +18,7 @@ from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import PLACEMENT, Posture, Twists
 from longarm_comp.core.arm.spatial import IDENTITY, Frame, Scalar, Vec
+from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.model import encoders
 from longarm_comp.core.model.encoders import Parts
 
@@ -36,14 +38,10 @@ class Sensor(Protocol):
 
 @dataclass(frozen=True)
 class Moved:
-    """A change of the arm: shift of the tip (m) and turn of its axes (rad), in the base frame.
-
-    `joints`: by how much each joint's encoder sees it displaced (rad or m), where that is wanted.
-    """
+    """A change of the arm: shift of the tip (m) and turn of its axes (rad), in the base frame."""
 
     shift: Vec
     turn: Vec
-    joints: tuple[Scalar, ...] = ()
 
 
 STILL = Moved(spatial.ZERO, spatial.ZERO)
@@ -59,6 +57,45 @@ class Reseen:
     sees: frozenset[str]
 
 
+class TwistChange(NamedTuple):
+    """A change of effects' twists: ``per`` times the difference of two."""
+
+    raised: Parts
+    lowered: Parts
+    per: float
+
+
+@dataclass(frozen=True)
+class SeenJoints:
+    """What the joints' encoders see at N postures.
+
+    Attributes:
+        posture: the arm there.
+        effects: all of the arm's side.
+        ends: a change of these a parameter.
+    """
+
+    posture: Posture
+    effects: Sequence[Effect]
+    ends: Sequence[TwistChange]
+
+    @cached_property
+    def now(self) -> list[Scalar]:
+        """n scalars, rad or m."""
+        parts = [(e, e.twists(self.posture)) for e in self.effects]
+        off = encoders.seen(self.posture.chain, parts)
+        return [q + by for q, by in zip(self.posture.q, off, strict=True)]
+
+    @cached_property
+    def changes(self) -> list[list[Scalar]]:
+        """n scalars a parameter, per unit of it."""
+        made = []
+        for end in self.ends:
+            up, down = (encoders.seen(self.posture.chain, part) for part in end[:2])
+            made.append([end.per * (a - b) for a, b in zip(up, down, strict=True)])
+        return made
+
+
 @dataclass(frozen=True)
 class TipMotion:
     """The tip at N postures and its change by each of p parameters.
@@ -68,14 +105,15 @@ class TipMotion:
         frame: pose of the tip in the base frame.
         context: circumstances of the postures.
         changes: one per parameter.
-        joints: where each joint's encoder sees it (rad or m), where that is wanted.
+        joints: where every joint's encoder sees it, and its change by each parameter of the arm's
+            side, both when they are asked for.
     """
 
     sensor: Sensor
     frame: Frame
     context: Context
     changes: Sequence[Moved | Reseen]
-    joints: tuple[Scalar, ...] = ()
+    joints: SeenJoints
 
     def point(self, kind: str = "position") -> tuple[np.ndarray, np.ndarray]:
         """Reported point (N, 3) in m and its derivative (N, 3, p)."""
@@ -106,10 +144,11 @@ class TipMotion:
             joint: position among the commanded joints.
             row: its row in the arm.
         """
-        at, sensor = self.joints[joint], self.sensor
+        at, sensor = self.joints.now[joint], self.sensor
         gain = (sensor.read(at + _H, row) - sensor.read(at - _H, row)) * (0.5 / _H)
+        moves = iter(self.joints.changes)
         each = [
-            gain * change.joints[joint]
+            gain * next(moves)[joint]
             if isinstance(change, Moved)
             else change.per * (change.raised.read(at, row) - change.lowered.read(at, row))
             for change in self.changes
@@ -164,14 +203,6 @@ class TipMotion:
         return spatial.scale(change.per, spatial.turned(ends[0], ends[1]))
 
 
-class TwistChange(NamedTuple):
-    """A change of effects' twists: ``per`` times the difference of two."""
-
-    raised: Parts
-    lowered: Parts
-    per: float
-
-
 def summed(parts: Iterable[Twists]) -> Twists:
     """Sum of twists by station."""
     total: dict[int, spatial.Twist] = {}
@@ -183,12 +214,7 @@ def summed(parts: Iterable[Twists]) -> Twists:
 
 
 def moved(
-    posture: Posture,
-    tip: Vec,
-    total: Twists,
-    ends: Sequence[TwistChange],
-    turns: bool,
-    joints: bool = False,
+    posture: Posture, tip: Vec, total: Twists, ends: Sequence[TwistChange], turns: bool
 ) -> list[Moved]:
     """Eq. (5): the tip's motion under changes of twists.
 
@@ -213,9 +239,7 @@ def moved(
                 _add(shift, per, turned[k] if k < 3 else shifted[k - 3])
                 if turns and k >= 3:
                     _add(turn, per, turned[k - 3])
-        both = (encoders.seen(posture.chain, part) for part in e[:2]) if joints else ((), ())
-        read = tuple(e.per * (a - b) for a, b in zip(*both, strict=True))
-        made.append(Moved(tuple(shift), tuple(turn), read))  # type: ignore[arg-type]
+        made.append(Moved(tuple(shift), tuple(turn)))  # type: ignore[arg-type]
     return made
 
 

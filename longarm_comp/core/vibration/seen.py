@@ -27,7 +27,7 @@ _FIRST = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Wave:
+class SeenWave:
     """One damped wave of the tip.
 
     Attributes:
@@ -42,7 +42,7 @@ class Wave:
     size: np.ndarray
 
 
-def waves(times: np.ndarray, xyz: np.ndarray, most: int = 2) -> list[Wave]:
+def waves(times: np.ndarray, xyz: np.ndarray, most: int = 2) -> list[SeenWave]:
     """The waves in sightings (N, 3) m at times (N,) s, the largest first; none if all is noise.
 
     The arm has to stand: its joints do not move any more.
@@ -81,7 +81,7 @@ def waves(times: np.ndarray, xyz: np.ndarray, most: int = 2) -> list[Wave]:
     sd = np.sqrt(np.diag(noise * np.linalg.pinv(last.jac.T @ last.jac)))
     parts = np.linalg.lstsq(_basis(np.array(found), t), xyz, rcond=None)[0][1:]
     made = [
-        Wave(
+        SeenWave(
             w / (2.0 * np.pi), sd[2 * k] / (2.0 * np.pi), z, sd[2 * k + 1],
             np.hypot(parts[2 * k], parts[2 * k + 1]),
         )
@@ -105,7 +105,7 @@ def _left(parameters: np.ndarray, t: np.ndarray, xyz: np.ndarray) -> np.ndarray:
     return np.asarray(xyz - basis @ (basis.T @ xyz))
 
 
-def corrected(modes: Modes, at_ring: Modes, seen: Sequence[Wave]) -> Modes:
+def corrected(modes: Modes, at_ring: Modes, seen: Sequence[SeenWave]) -> Modes:
     """Modes with the frequencies that were seen at another posture taken into account.
 
     Weight loads an arm downwards: a calibration at rest knows how it bends up and down, and of

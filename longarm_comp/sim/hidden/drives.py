@@ -79,6 +79,9 @@ class FrictionHysteresis(HiddenEffect):
     def joints(self, q: Array, state: State) -> Array:
         return q - self.lag * state.approach
 
+    def before(self, torques: Array, state: State) -> Array:
+        return -self.lag * state.approach
+
 
 @dataclass(frozen=True)
 class FrictionMemory(HiddenEffect):

@@ -16,11 +16,15 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import read_yaml
 
 _TICKS_PER_TURN = 4096.0
+_STALL_NM = 2.94  # torque of an STS3215 at full effort (12 V)
 
 
 @dataclass(frozen=True)
 class EmulatedJoint:
-    """One joint: value (rad, m) = travel * (ticks - zero), ``travel`` signed, per tick."""
+    """One joint: value (rad, m) = travel * (ticks - zero), ``travel`` signed, per tick.
+
+    ``full_effort``: N m or N at the joint when its servo gives its full effort.
+    """
 
     name: str
     servo_id: int
@@ -28,6 +32,7 @@ class EmulatedJoint:
     travel: float
     lower: float
     upper: float
+    full_effort: float
 
     def value(self, ticks: float) -> float:
         """Joint value, rad or m."""
@@ -80,6 +85,7 @@ def _joint(name: str, fields: Mapping[str, Any]) -> EmulatedJoint:
     elif fields["type"] == "prismatic":
         turn *= float(fields["pinion_radius_m"])
     gearing = float(fields.get("gear_ratio", 1.0)) * _TICKS_PER_TURN
+    stall = _STALL_NM * 2.0 * math.pi * gearing / (turn * _TICKS_PER_TURN)
     return EmulatedJoint(
         name=str(name),
         servo_id=int(fields["servo_id"]),
@@ -87,4 +93,5 @@ def _joint(name: str, fields: Mapping[str, Any]) -> EmulatedJoint:
         travel=int(fields.get("direction", 1)) * turn / gearing,
         lower=float(fields["lower"]),
         upper=float(fields["upper"]),
+        full_effort=float(fields.get("full_effort", stall)),
     )

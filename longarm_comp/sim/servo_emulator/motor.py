@@ -21,10 +21,12 @@ class MotorSpec:
     Attributes:
         max_speed_ticks_s: no-load speed (STS3215 at 7.4 V: about 3,000).
         lag_s: time constant of the position loop near the goal.
-        dead_band_ticks: the drive rests within this distance, so the arrival side shows.
+        dead_band_ticks: error that the controller leaves alone; beyond it the effort grows.
+        hold_share: share of full effort by which friction holds the gear wherever it stopped.
         wind_up_ticks: travel that winds the gear train up from slack to one side; turning round,
             it takes twice as much to wind it up to the other.
-        droop_ticks: how far full external load pushes the horn off its goal.
+        droop_ticks: error at which the proportional controller gives its full effort: so far does
+            a load as large push the horn off its goal.
         stiff_ticks: position error at which a jammed drive gives its full effort.
         friction_share: effort to turn freely at full speed.
         ambient_c, heating_c, heat_time_s: temperature at rest, rise at full effort, time constant.
@@ -36,6 +38,7 @@ class MotorSpec:
     max_speed_ticks_s: float = 3000.0
     lag_s: float = 0.03
     dead_band_ticks: float = 0.0
+    hold_share: float = 0.0
     wind_up_ticks: float = 650.0
     droop_ticks: float = 0.0
     stiff_ticks: float = 200.0
@@ -54,7 +57,8 @@ class Motor:
     def __init__(self, spec: MotorSpec, position_ticks: float) -> None:
         self.spec = spec
         self.position = float(position_ticks)
-        self.goal = float(position_ticks)
+        self.goal = self._sent = float(position_ticks)
+        self._towards = 0
         self.velocity = 0.0
         self.speed_limit = 0.0
         self.torque_on = False
@@ -96,18 +100,21 @@ class Motor:
         self.velocity = (self.position - start) / dt_s
         wound = self.wound + (self.position - start) / self.spec.wind_up_ticks
         self.wound = max(-1.0, min(1.0, wound))
-        if abs(self.position - start) > 1e-3:
-            self.approach = 1 if self.position > start else -1
+        if self.goal != self._sent:
+            self._towards, self._sent = (1 if self.goal > self._sent else -1), self.goal
+        moved = 1 if self.position > start else -1
+        if abs(self.position - start) > 1e-3 and moved == self._towards:
+            self.approach = moved  # giving way afterwards turns nothing round
         self._drive(dt_s)
 
     def _travelled(self, dt_s: float) -> float:
         """Position after ``dt_s``: constant speed far from the goal, first-order lag near it."""
         spec = self.spec
-        rest = self.goal + spec.droop_ticks * self.external_load
-        error = rest - self.position
-        distance = abs(error) - spec.dead_band_ticks
-        if distance <= 0.0:
+        low, high = self._rest()
+        if low <= self.position <= high:
             return self.position
+        error = (low if self.position < low else high) - self.position
+        distance = abs(error)
         speed = spec.max_speed_ticks_s
         if self.speed_limit > 0.0:
             speed = min(speed, self.speed_limit)
@@ -119,6 +126,17 @@ class Motor:
             time_left -= cruise
         left *= math.exp(-time_left / spec.lag_s)
         return self.position + math.copysign(distance - left, error)
+
+    def _rest(self) -> tuple[float, float]:
+        """Ends of where the horn may stand still: the controller against load and friction."""
+        spec = self.spec
+
+        def balanced(share: float, edge: float) -> float:
+            side = math.copysign(1.0, share) if share else edge
+            return self.goal + spec.droop_ticks * share + spec.dead_band_ticks * side
+
+        load, held = self.external_load, spec.hold_share
+        return balanced(load - held, -1.0), balanced(load + held, 1.0)
 
     def _drive(self, dt_s: float) -> None:
         """Effort, temperature and the servo's own protection."""

@@ -1,0 +1,96 @@
+"""``longarm modes``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from longarm_comp.cli import options
+from longarm_comp.cli.output import note, print_json, print_rows
+
+
+@click.command()
+@options.arm
+@options.path_option("--at", "Postures (poses.csv); default: the joint box's ends and middle.")
+@options.model
+@click.option("--move", default=0.5, show_default=True, help="Time of a move, s.")
+@click.option(
+    "--damping", type=float, metavar="SHARE",
+    help="Share of critical damping; default: that of arm.yaml, else 0.01.",
+)  # fmt: skip
+@options.path_option("--ring", "Sightings after a move to the first posture: CSV t_s,x,y,z.")
+@options.effects
+@options.as_json
+def command(
+    arm: Path,
+    at: Path | None,
+    model: Path | None,
+    move: float,
+    damping: float | None,
+    ring: Path | None,
+    as_json: bool,
+) -> None:
+    """How ARM rings: the slowest modes at postures, and the time until the tip is still.
+
+    Stiffness is that of the model; the drives are held. settle_s is the time after a move from the
+    posture before, straight and in --move seconds, until the tip stays within 0.1 mm. With --ring
+    the frequencies and damping that were seen are printed beside them and correct the others.
+
+    \b
+    Examples:
+      longarm modes arm.yaml
+      longarm modes arm.yaml --model model.yaml --at poses.csv --ring tip.csv
+    """
+    import numpy as np
+
+    from longarm_comp.core.arm.arm import Arm
+    from longarm_comp.core.vibration.dwell import ring_of_moves
+    from longarm_comp.core.vibration.seen import SeenWave, corrected, waves
+    from longarm_comp.core.vibration.shaper import USUAL_DAMPING
+    from longarm_comp.sessions.poses import read_poses
+    from longarm_comp.sessions.ring import read_ring
+    from longarm_comp.workflows.inputs import physics
+
+    declared = Arm.load(arm)
+    known = physics(declared, model)
+    ends = np.stack([declared.lower, declared.mid, declared.upper])
+    joints = ends if at is None else read_poses(at, declared).q
+    chosen = damping if damping is not None else declared.damping or USUAL_DAMPING
+    found = ring_of_moves(known, joints, move, chosen)
+    seen: list[SeenWave] = []
+    if ring is not None:
+        seen = waves(*read_ring(ring))
+        here = found[0][0]
+        if not seen:
+            note(f"{ring}: nothing rings above the noise")
+        found = [(corrected(each, here, seen), left) for each, left in found]
+    rows = [
+        {
+            "posture": row, "mode": k + 1, "hz": float(hz),
+            **{f"tip_{axis}": float(part) for axis, part in zip("xyz", way, strict=True)},
+            "ring_mm": 1e3 * left.size_m(), "settle_s": left.settle_s(),
+        }
+        for row, (each, left) in enumerate(found)
+        for k, (hz, way) in enumerate(zip(each.hz, _directions(each.tip), strict=True))
+    ]  # fmt: skip
+    told = [{"hz": w.hz, "hz_sd": w.hz_sd, "damping": w.damping, "damping_sd": w.damping_sd,
+             "size_mm": (1e3 * w.size).tolist()} for w in seen]  # fmt: skip
+    if as_json:
+        print_json({"damping": chosen, "rows": rows, "seen": told})
+        return
+    if not rows:
+        note("nothing of this model bends under load: declare beams, or give --model")
+        return
+    print_rows(f"Modes of {declared.name}, damping {chosen:g}", rows)
+    if told:
+        print_rows("Seen after a move", told)
+    if damping is None and declared.damping is None and not seen:
+        note("the damping is assumed: measure it (--ring) and write `damping` into arm.yaml")
+
+
+def _directions(tip):  # type: ignore[no-untyped-def]
+    """(k, 3) unit vectors of the tip's motion."""
+    import numpy as np
+
+    return tip / np.maximum(np.linalg.norm(tip, axis=1, keepdims=True), 1e-30)

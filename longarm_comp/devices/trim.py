@@ -1,0 +1,92 @@
+"""Trim: a resting arm's goals are moved by what its readings lack, in a few bounded steps.
+
+A proportional servo rests where its effort carries the load, short of its goal.  Each step moves
+the goal by what is missing; friction may take a step without a motion, so there are several.  What
+was found is kept as the start of the next move.  An encoder that is frozen, has slipped or jumped
+asks for more than a servo gives way: at the bound trimming stops, is undone and says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from longarm_comp.devices.joint_path import Array
+from longarm_comp.devices.servo_bus import ServoState
+from longarm_comp.devices.servo_config import ServoConfig
+
+MOST_STEPS = 5
+"""Steps after a move: two of them find a droop, the others are for friction."""
+
+
+class Trim:
+    """Corrections of the goals, in ticks, in the order of the configuration.
+
+    Args:
+        config: the joints, and the largest correction.
+
+    Attributes:
+        offset: (n,) corrections that are wanted.
+    """
+
+    def __init__(self, config: ServoConfig) -> None:
+        self._joints = config.joints
+        self._most = config.follower.trim_ticks
+        self._rate = np.array([j.max_speed_ticks_s for j in config.joints.values()])
+        self.drop()
+
+    def drop(self) -> None:
+        """No correction any more."""
+        self.offset = np.zeros(len(self._joints))
+        self._applied = self.offset.copy()
+        self._steps = 0
+
+    def begin(self, path: bool) -> None:
+        """A move begins, with the last corrections; a path has none."""
+        self._steps = 0
+        if path:
+            self.offset = np.zeros(len(self._joints))
+
+    def applied(self, dt: float) -> Array:
+        """(n,) correction of the goals now; it changes no faster than a joint may move."""
+        step = np.clip(self.offset - self._applied, -self._rate * dt, self._rate * dt)
+        self._applied = self._applied + step
+        return self._applied
+
+    def corrected(self, wanted: Mapping[str, int], states: Mapping[str, ServoState]) -> bool:
+        """Take another step from the readings of a resting arm; whether there was one to take.
+
+        Args:
+            wanted: goal without correction by joint, ticks.
+            states: trusted read-back by joint.
+        """
+        missing = np.array([wanted[name] - states[name].position_ticks for name in self._joints])
+        if not missing.any() or self._steps == MOST_STEPS:
+            return False
+        self._steps += 1
+        before = self.offset
+        self.offset = np.clip(before + missing, -self._most, self._most)
+        for k, (name, joint) in enumerate(self._joints.items()):
+            low, high = joint.tick_limits
+            self.offset[k] = np.clip(self.offset[k], low - wanted[name], high - wanted[name])
+            if abs(states[name].load) >= joint.max_load:
+                self.offset[k] = before[k]
+        return bool((self.offset != before).any())
+
+    def failed(self, wanted: Mapping[str, int], states: Mapping[str, ServoState]) -> str:
+        """Which joints no step brought to within a tick, and how far off; those lose theirs.
+
+        One that would have to go beyond its limit is as near as it may be.
+        """
+        said = []
+        for k, (name, joint) in enumerate(self._joints.items()):
+            off = (states[name].position_ticks - wanted[name]) * joint.si_per_tick
+            free = joint.tick_limits[0] < wanted[name] + self.offset[k] < joint.tick_limits[1]
+            if free and abs(off) > 1.5 * joint.si_per_tick:
+                by = abs(self.offset[k]) * joint.si_per_tick
+                said.append(
+                    f"{name} by {abs(off):.4g} {joint.unit} after {by:.4g} {joint.unit} of trim"
+                )
+                self.offset[k] = 0.0
+        return ", ".join(said)

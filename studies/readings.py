@@ -1,0 +1,178 @@
+"""What joint readings bring: names of droop and softness, the tip without a camera, trim."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.plan import sobol
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.servo_droop import ServoDroop
+from longarm_comp.core.identify.calibrate import geometry
+from longarm_comp.core.identify.diagnose import diagnose
+from longarm_comp.core.identify.fit import fit
+from longarm_comp.core.model.by_readings import by_readings
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.strict_yaml import read_yaml
+from longarm_comp.devices.follower_step import EventKind
+from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
+from longarm_comp.devices.servo_arm import ServoArm
+from longarm_comp.devices.servo_config import ServoConfig
+from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.cameras import CameraPair, tag_plate
+from longarm_comp.sim.context import TrueContext
+from longarm_comp.sim.hidden import drives
+from longarm_comp.sim.hidden.base import HiddenEffect
+from longarm_comp.sim.hidden.catalogue import draw, hidden
+from longarm_comp.sim.hidden.loads import JointCompliance
+from longarm_comp.sim.measure import TrueCamera, TrueEncoders, measure_session
+from longarm_comp.sim.plant import Plant, PlantConfig, mounting
+from longarm_comp.sim.servo_emulator import read_arm
+
+SIZE_MM = 8.0
+"""Shift of the tip, as in the demonstration."""
+PLANTED = (("servo_droop",), ("joint_compliance",), ("servo_droop", "joint_compliance"))
+JOINTS = (2, 4, 5)
+"""That a load turns and the cameras see, of the demonstration arm."""
+
+
+def names(arm: Arm, cases: int, share: float = 0.3, rows: int = 120) -> Iterator[dict[str, Any]]:
+    """A row a case: planted at one joint, at a share of the size; what the diagnosis says."""
+    for k in range(cases):
+        planted, joint = PLANTED[k % 3], JOINTS[k // 3 % 3]
+        rng = np.random.default_rng([26, k])
+        effects = [_at(joint, name, arm, share * SIZE_MM, rng) for name in planted]
+        found = diagnose(arm, measured(arm, effects, rng, rows)).findings
+        said = [(f.names, list(f.where)) for f in found]
+        want = [((name,), [f"joint {joint}"]) for name in planted]
+        yield {
+            "case": k,
+            "planted": " + ".join(planted),
+            "joint": joint,
+            "said": "; ".join(f"{'/'.join(n)} {', '.join(w)}" for n, w in said) or "nothing",
+            "right": sorted(said) == sorted(want),
+        }
+
+
+def measured(
+    arm: Arm, effects: Sequence[HiddenEffect], rng: np.random.Generator, rows: int
+) -> Session:
+    """A session of a simulated arm with wrong geometry too, its motors read."""
+    true = TrueArm(arm, [*effects, *_misbuilt(arm, rng)], steps=4)
+    zero = rng.normal(0.0, 1e-3, arm.n)
+    q = sobol(arm, rows, rng).q
+    made = measure_session(true, TrueCamera.of(arm), q, rng=rng, encoders=TrueEncoders(zero=zero))
+    return session_of(made.columns, arm.n)
+
+
+def _misbuilt(arm: Arm, rng: np.random.Generator) -> list[HiddenEffect]:
+    """Wrong geometry of typical size."""
+    made = [hidden(n, arm, 1.0, rng) for n in ("joint_zero", "dh_error", "base_pose")]
+    return [effect for effect in made if isinstance(effect, HiddenEffect)]
+
+
+def session_of(columns: dict[str, np.ndarray], n: int) -> Session:
+    """A simulated session with its readings as the diagnosis reads it."""
+    columns = dict(columns)
+    q = np.column_stack([columns.pop(f"q{k + 1}") for k in range(n)])
+    xyz = np.column_stack([columns.pop(axis) for axis in "xyz"])
+    repeat = np.nan_to_num(columns.pop("repeat_id"), nan=-1.0).astype(int)
+    index, approach = columns.pop("index").astype(int), columns.pop("approach")
+    read = {f"read_q{k}": columns.pop(f"read_q{k}")[:, None] for k in range(1, n + 1)}
+    return Session.record(
+        q, xyz, index=index, approach=approach, repeat_id=repeat, columns=columns,
+        readings=read, source="study",
+    )  # fmt: skip
+
+
+def _at(joint: int, name: str, arm: Arm, size_mm: float, rng: np.random.Generator) -> HiddenEffect:
+    """Droop or softness of one joint, of a size at the tip."""
+    place = np.array([float(row == joint) for row in arm.commanded])
+    made: HiddenEffect = JointCompliance(1e-3 * place)
+    if name == "servo_droop":
+        made = drives.ServoDroop(1e-3 * place, 2e-4 * place, 0.05)
+    poses = rng.uniform(arm.lower, arm.upper, (60, arm.n))
+    sound = TrueArm(arm, steps=2).tip(poses)
+    for _ in range(8):
+        moved = TrueArm(arm, [made], steps=2).tip(poses) - sound
+        made = made.scaled(1e-3 * size_mm / float(np.sqrt((moved**2).sum(1).mean())))
+    return made
+
+
+def tip(arm: Arm, rows: int = 150) -> dict[str, Any]:
+    """Error of the tip by command and by readings, mm, of servos that droop and stick.
+
+    The model knows neither: it was fitted to the same arm's geometry and readings.
+    """
+    rng = np.random.default_rng(26)
+    droop, friction = (draw(n, arm, rng, 3.0) for n in ("servo_droop", "friction_hysteresis"))
+    assert isinstance(droop, HiddenEffect) and isinstance(friction, HiddenEffect)
+    true = TrueArm(arm, [droop, friction, *_misbuilt(arm, rng)], steps=4)
+    q = sobol(arm, rows, rng).q
+    made = measure_session(true, TrueCamera.of(arm), q, rng=rng, encoders=TrueEncoders())
+    session = session_of(made.columns, arm.n)
+    terms = (*(ServoDroop(row) for row in ServoDroop.rows(arm)), *geometry(arm, session))
+    model = fit(declared_model(arm).plus(*terms), session).model
+    q = sobol(arm, 100, rng).q
+    side = np.repeat(rng.choice([-1.0, 1.0], (100, 1)), arm.n, axis=1)
+    context, known = TrueContext(approach=side), Session.record(q, 0 * q[:, :3], approach=side)
+    want = true.tip(q, context)
+    read = TrueEncoders().read(true.shafts(q, context), rng)
+    at = known.context()
+    by_command = np.linalg.norm(model.tip(q, at) - want, axis=1).mean()
+    by_reading = np.linalg.norm(by_readings(model).tip(read, at) - want, axis=1).mean()
+    return {
+        "by_command_mm": round(1e3 * float(by_command), 3),
+        "by_readings_mm": round(1e3 * float(by_reading), 3),
+        "ratio": round(float(by_reading / by_command), 3),
+    }
+
+
+def trimmed(folder: Path, scratch: Path, moves: int, trim: bool) -> dict[str, Any]:
+    """Moves of the demonstration arm whose servos droop by 8 mm: true miss (mm) and time (s)."""
+    arm = Arm.load(folder / "arm_demo_steps.yaml")
+    data = read_yaml(folder / "servo_driver.yaml")["/**/servo_driver"]["ros__parameters"]
+    data["bus"]["port"] = str(scratch / "bus")
+    servos = ServoConfig.parse({k: data[k] for k in ("bus", "joints", "follower")}, "study")
+    turns = np.array([float(j.type == "revolute") for j in arm.joints])
+    config = PlantConfig(
+        arm,
+        read_arm(folder / "servo_driver.yaml"),
+        CameraPair(position_m=(0.75, -1.7, 0.3), optical_axis=(0.0, 1.0, 0.0)),
+        tag_plate(0.06, 0.012, 2, 2),
+        mounting([0.0, 0.0, 0.0]),
+        (drives.ServoDroop(2.3e-3 * turns, 3e-4 * turns, 0.05),),
+    )
+    plant = Plant(config, scratch / "bus", np.random.default_rng(1))
+    sound, off, took = TrueArm(arm, (), steps=2), [], []
+    plant.start()
+    driver = ServoArm(servos, trim=trim)
+    driver.power(True)
+    ends = {EventKind.ARRIVED, EventKind.SHORT, EventKind.FAULT}
+    for q in (
+        np.round(sobol(arm, moves + 1, np.random.default_rng(2)).q[1:] / arm.steps) * arm.steps
+    ):
+        driver.cycle(time.monotonic())
+        points = (TrajectoryPoint(1.0, tuple(q.tolist())),)
+        began = time.monotonic()
+        driver.accept(JointTrajectory(arm.joint_names, points), began)
+        said: set[EventKind] = set()
+        while not said & ends:
+            said |= {e.kind for e in driver.cycle(time.monotonic()).step.events}
+            plant.tip_pose(0.0)
+        took.append(time.monotonic() - began)
+        want = sound.tip(q, TrueContext(payload_kg=0.0)).ravel()
+        off.append(float(np.linalg.norm(plant.tip_pose(0.0)[:3, 3] - want)))
+    driver.close()
+    plant.stop()
+    return {
+        "trim": trim,
+        "mean_mm": round(1e3 * float(np.mean(off)), 3),
+        "max_mm": round(1e3 * max(off), 3),
+        "mean_s": round(float(np.mean(took)), 2),
+    }

@@ -1,0 +1,86 @@
+"""`longarm modes`, and the rest that it gives to measurements."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from cli_shell import Shell
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.vibration.dwell import REST_S, rest_s, ring_of_moves
+from longarm_comp.core.vibration.modes import modes
+
+ARM = Path(__file__).parents[1] / "config" / "arm_demo.yaml"
+
+
+@pytest.fixture
+def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Shell:
+    (tmp_path / "arm.yaml").write_text(ARM.read_text() + "damping: 0.02\n")
+    return Shell(tmp_path, capsys)
+
+
+def test_the_command_prints_modes_and_the_time_to_rest(shell: Shell) -> None:
+    arm = Arm.load(ARM)
+    printed = shell.json("modes", shell.folder / "arm.yaml")
+    assert printed["damping"] == 0.02
+    rows = printed["rows"]
+    assert [(row["posture"], row["mode"]) for row in rows[:7:6]] == [(0, 1), (1, 1)]
+    assert rows[6]["hz"] == pytest.approx(modes(declared_model(arm), arm.mid).hz[0])
+    (_, lower), (_, middle), _ = ring_of_moves(
+        declared_model(arm), np.stack([arm.lower, arm.mid, arm.upper]), 0.5, 0.02
+    )
+    assert rows[0]["settle_s"] == pytest.approx(lower.settle_s())
+    assert rows[6]["settle_s"] == pytest.approx(middle.settle_s()) and middle.settle_s() > 1.0
+    assert np.linalg.norm([rows[0][f"tip_{axis}"] for axis in "xyz"]) == pytest.approx(1.0)
+    quick = shell.json("modes", shell.folder / "arm.yaml", "--damping", 0.2)["rows"]
+    assert quick[6]["settle_s"] < 0.2 * rows[6]["settle_s"]
+
+
+def test_a_ring_that_was_seen_is_printed_and_corrects(shell: Shell) -> None:
+    arm = Arm.load(ARM)
+    hz = 0.9 * modes(declared_model(arm), arm.lower).hz[0]
+    times = np.arange(0.0, 4.0, 0.03)
+    way = modes(declared_model(arm), arm.lower).tip[0]
+    wave = np.exp(-0.03 * 2 * np.pi * hz * times) * np.cos(2 * np.pi * hz * times)
+    noise = 1e-4 * np.random.default_rng(0).standard_normal((len(times), 3))
+    xyz = [*(0.4 + 5e-3 * np.outer(wave, way / np.linalg.norm(way)) + noise)]
+    rows = [",".join(map(str, (t, *p))) for t, p in zip(times, xyz, strict=True)]
+    (shell.folder / "tip.csv").write_text("\n".join(["t_s,x,y,z", *rows, "9,,,"]) + "\n")
+    at = shell.folder / "tip.csv"
+    printed = shell.json("modes", shell.folder / "arm.yaml", "--ring", at)
+    (seen,) = printed["seen"]
+    assert seen["hz"] == pytest.approx(hz, rel=0.01)
+    assert seen["damping"] == pytest.approx(0.03, rel=0.1)
+    assert printed["rows"][0]["hz"] == pytest.approx(hz, rel=0.01)
+    at.write_text("t_s,x,y,z\n0,1,1,1\n")
+    assert "12 or more" in shell.refused("modes", shell.folder / "arm.yaml", "--ring", at)
+
+
+def test_bad_input_is_refused_in_words(shell: Shell) -> None:
+    arm = shell.folder / "arm.yaml"
+    assert "damping" in shell.refused("modes", arm, "--damping", 0)
+    assert "time of a move" in shell.refused("modes", arm, "--move", 0)
+    arm.write_text(ARM.read_text() + "damping: 1.5\n")
+    assert "damping" in shell.refused("modes", arm)
+
+
+def test_rest_is_computed_where_the_damping_is_declared() -> None:
+    arm = Arm.load(ARM)
+    q = np.stack([arm.lower, arm.upper] * 5)
+    known = arm.model_copy(update={"damping": 0.02})
+    assert rest_s(declared_model(arm), q, 0.5, None) == REST_S
+    assert rest_s(declared_model(known), q, 0.5, 1.5) == 1.5
+    ring = ring_of_moves(declared_model(known), q, 0.5, 0.02)
+    longest = max(left.settle_s() for _, left in ring)
+    assert REST_S < 0.5 * longest < rest_s(declared_model(known), q, 0.5, None) <= longest
+    assert rest_s(Model(known), q, 0.5, None) == REST_S  # rigid
+
+
+def test_the_damping_makes_no_other_arm_of_it(tmp_path: Path) -> None:
+    held = yaml.safe_load(ARM.read_text())
+    assert Arm.parse(held | {"damping": 0.02}, "arm").hash == Arm.load(ARM).hash

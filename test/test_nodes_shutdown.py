@@ -1,0 +1,40 @@
+"""Nodes end by SIGINT whoever started them: shells start what runs in the background deaf to it."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Iterator
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from nodes_bench import ROOT, Bench, bench, own_graph
+
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.share import folder
+
+DEAF = (
+    "import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_IGN);"
+    "os.execv(sys.argv[1], sys.argv[1:])"
+)
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    with own_graph(tmp_path_factory.mktemp("shutdown")), bench() as made:
+        yield made
+
+
+@pytest.mark.parametrize("node", ["kinematics", "trajectory_compensator"])
+def test_a_node_that_was_started_deaf_to_interrupts_ends(stage: Bench, node: str) -> None:
+    heard = stage.collect(graph.DIAGNOSTICS)
+    arm = folder("config") / "arm_demo.yaml"
+    words = ["-m", f"longarm_comp.nodes.{node}", "--ros-args", "-p", f"arm:={arm}"]
+    process = stage.program([sys.executable, "-c", DEAF, sys.executable, *words], ROOT, ROOT)
+    stage.spin(
+        lambda: any(s.name.startswith(f"/{node}") for array in heard for s in array.status), 90.0
+    )
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=30) == 0

@@ -1,0 +1,94 @@
+"""The tip by readings, on the graph of an arm whose servos give way: said, watched and trimmed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from cli_shell import Shell
+from geometry_msgs.msg import PointStamped, PoseStamped
+from rclpy.action import ActionClient
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.jobs.client import ArmClient
+from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.bringup import BringUp, running
+from longarm_interfaces.action import Reach
+from longarm_interfaces.srv import Compensate
+
+DROOP = "servo_droop=5.0"
+
+
+def reached(client: ArmClient, reach: ActionClient, pose: PoseStamped) -> Reach.Result:
+    """The result of a goal, sent again while it was too old when it was taken up."""
+    while True:
+        sent = reach.send_goal_async(Reach.Goal(target=pose, position_only=True))
+        client.until(sent.done, 60.0, "goal")
+        done = sent.result().get_result_async()
+        client.until(done.done, 120.0, "result")
+        result = done.result().result
+        if result.status != Compensate.Response.STALE_TARGET:
+            assert result.success, result.message
+            return result
+
+
+@pytest.fixture(params=[False, True], ids=["plain", "trimmed"])
+def arm_at_work(
+    request: pytest.FixtureRequest, ros_domain: int, demo_arm_path: Path
+) -> Iterator[tuple[ArmClient, bool]]:
+    bringup = BringUp(
+        arm=demo_arm_path,
+        sim=True,
+        speed=10.0,
+        set={
+            "simulated_arm": {"hidden": DROOP, "seed": 3, "frame_rate_hz": 10.0},
+            "servo_driver": {"trim": request.param, "follower.trim_pause_s": 0.5},
+            "kinematics": {"method": "deflection", "move_time_s": 0.2, "compiled": False},
+        },
+        without=("error_predictor", "stereo_bridge"),
+    )
+    tips = graph.TIP_BY_READINGS
+    with running(bringup), ArmClient(Arm.load(demo_arm_path), tips=tips) as client:
+        client.ready(120.0)
+        yield client, request.param
+
+
+def test_the_tip_by_readings_sees_a_droop_that_no_model_holds(
+    arm_at_work: tuple[ArmClient, bool], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Reach says it with its doubt, status too; trim leaves nothing of it."""
+    client, trim = arm_at_work
+    truth: list[np.ndarray] = []
+    client.node.create_subscription(
+        PointStamped,
+        "simulated_arm/true_tip",
+        lambda m: truth.append(np.array([m.point.x, m.point.y, m.point.z])),
+        20,
+    )
+    arm = client.arm
+    want = declared_model(arm).tip(arm.lower + 0.6 * (arm.upper - arm.lower))
+    pose = PoseStamped()
+    pose.header.frame_id = "base"
+    pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = want.tolist()
+    reach = ActionClient(client.node, Reach, graph.REACH.name)
+    client.until(reach.server_is_ready, 60.0, "reach")
+    for _ in range(2):  # the second starts from what the first one trimmed
+        result = reached(client, reach, pose)
+    assert "by readings the tip stands" in result.message and ", within " in result.message
+    del truth[:], client.sightings[:]
+    client.until(lambda: len(truth) > 2 and len(client.sightings) > 1, 30.0, "tips")
+    off, by_readings = truth[-1] - want, client.sightings[-1][1]
+    assert np.linalg.norm(by_readings - truth[-1]) < 3e-4
+    if trim:
+        assert np.linalg.norm(off) < 3e-4
+    else:
+        assert np.linalg.norm(off) > 2e-3
+    shell = Shell(tmp_path, capsys)
+    assert shell("status") == 0
+    assert "By readings the tip stands at" in shell.out
