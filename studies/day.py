@@ -232,7 +232,7 @@ def one_day(setting: DaySetting, seed: int, ways: Sequence[Way] = WAYS) -> DayOu
     """Calibrate in the morning and work all day.
 
     Raises:
-        InputError, JobError: as `identify.search`.
+        InputError, JobError: as `explain_session`.
     """
     rng = np.random.default_rng([seed, 11])
     truth, arm = _Truth(setting, rng), setting.arm

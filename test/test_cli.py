@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -59,7 +60,7 @@ def test_no_file_of_a_command_is_forgotten() -> None:
         ".".join(path.relative_to(root).with_suffix("").parts)
         for folder in (Path(run.__file__).parent, root / "studies" / "commands")
         for path in folder.glob("*.py")
-        if "\ndef command(" in path.read_text("utf-8")
+        if re.search(r"^(def|from bench.command import) command", path.read_text("utf-8"), re.M)
     }
     assert files == set(MODULES.values())
 

@@ -17,7 +17,6 @@ from longarm_comp.core.effects import catalogue
 from longarm_comp.core.effects.catalogue import BUILT_IN, LIBRARY, register, searched
 from longarm_comp.core.effects.effect import Effect, form, moving_joints, parameter, place
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
-from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.candidates import library
@@ -155,29 +154,6 @@ def test_an_alias_is_what_one_of_two_classes_says(
 ) -> None:
     found = diagnose(ARM, session([drives.JointGain(at(1, 0.1))], n=150), kinds=kinds)
     assert [set(f.names) for f in found.findings] == [names]
-
-
-@pytest.mark.parametrize(("levels", "alike"), [(3, True), (0, False)])
-def test_what_is_flexible_on_a_coarse_grid_is_what_its_class_says(levels: int, alike: bool) -> None:
-    found = diagnose(ARM, session(GAIN, levels=levels), kinds=(JointGain, Flexible))
-    assert [f.name for f in found.findings] == ["joint_gain"]
-    assert ("flexible" in found.findings[0].names) == alike
-    stiff = diagnose(ARM, session(GAIN, levels=levels), kinds=(JointGain, Stiff))
-    assert [f.names for f in stiff.findings] == [("joint_gain",)]
-
-
-@dataclasses.dataclass(frozen=True)
-class Flexible(JointCompliance):
-    """By evidence it is nothing: the small arm has no weight."""
-
-    name: ClassVar[str] = "flexible"
-    free_levels: ClassVar[int] = 3
-
-
-@dataclasses.dataclass(frozen=True)
-class Stiff(Flexible):
-    name: ClassVar[str] = "stiff"
-    free_levels: ClassVar[int] = 2
 
 
 def test_a_place_may_be_anything_that_the_arm_has() -> None:

@@ -109,8 +109,6 @@ def test_a_scale_of_the_camera_is_the_cameras() -> None:
     assert cause.terms[0].function == "1"  # type: ignore[union-attr]
 
 
-
-
 def test_a_weight_has_its_size() -> None:
     cause = alone(DEMO, loads.LinkMass(row=6, mass_kg=0.5))
     assert cause.amounts[0].value == pytest.approx(4.9, rel=0.1)

@@ -42,7 +42,6 @@ COMMANDS = {
     "day": "study day --arms 3",
     "poses": "study poses --arms 3",
     "measurements": "study measurements --arms 4",
-    "explain": "study explain",
     "realisable": "study realisable",
     "discover": "study discover --no-network",
     **{f"loop {name}": f"study loop -o {{out}}/{name}.jsonl {w}" for name, w in LOOPS.items()},
@@ -151,10 +150,6 @@ TABLES: dict[str, tuple[str, tuple[str, ...], Callable[[Any], Cells]]] = {
         "studies.md", ("rows", "pose", "position", "distance"),
         lambda found: [list(row.values()) for row in found["errors"]]
         + [[f"rows for {row.pop('error_mm'):g} mm", *row.values()] for row in found["needed"]],
-    ),
-    "explain": (
-        "studies.md", ("by", "cases", "right", "more", "missed", "wrong", "median s"),
-        of("by", "cases", "right", "more", "missed", "wrong", "median_s", among="summary"),
     ),
     **{
         f"loop {group}": (

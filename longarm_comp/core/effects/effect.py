@@ -170,6 +170,7 @@ class _Term:
         displaces_joint: its only parameter displaces one joint. Its column is then the effect of
             any displacement of that joint at the tip, and remaining structure is sought in it.
         stepped: has steps of a size that a scan finds (`of_step`).
+        bends_beams: the declared beams bend by it.
         remembers: how far its joint winds up is part of its form: `near` and `far`, radii of two
             play operators, and `run_up`, one for the whole session, which are sought in the data.
             Its first parameter is what the side of arrival alone decides.
@@ -194,6 +195,7 @@ class _Term:
     stepped: ClassVar[bool] = False
     bounded: ClassVar[bool] = False
     remembers: ClassVar[bool] = False
+    bends_beams: ClassVar[bool] = False
     acts: ClassVar[Drive] = "arm"
 
     @classmethod

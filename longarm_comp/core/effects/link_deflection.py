@@ -23,6 +23,7 @@ class LinkDeflection(Effect):
     title: ClassVar[str] = "sag of the beams"
     action: ClassVar[str] = "Nothing to repair: a stiffer section or less load lowers it."
     loaded: ClassVar[bool] = True
+    bends_beams: ClassVar[bool] = True
     searched: ClassVar[bool] = False
 
     def twists(self, posture: Posture) -> Mapping[int, Twist]:

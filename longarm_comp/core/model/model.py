@@ -85,7 +85,7 @@ class Model:
         counts = Counter(term.name for term in self.terms)
         held = (f"{count} {name}" if count > 1 else name for name, count in counts.items())
         beams = len(self.arm.links)
-        left_out = beams and "link_deflection" not in counts
+        left_out = beams and not any(term.bends_beams for term in self.effects)
         rest = f"; {beams} declared beams left out, see la.declared_model" if left_out else ""
         return f"Model({self.arm.name}: {', '.join(held) or 'rigid'}{rest})"
 

@@ -235,7 +235,7 @@ class OfferedEffects:
         levels = max((self._levels(t) for t in terms), default=0)
         free = {n for n, k in self._first.items() if self.things[k].terms[0].free_levels >= levels}
         for name, chance in names.items():
-            few = free - {name} if levels and name in free else set()
+            few = free - {name} if levels and name == terms[0].name else set()
             alike = [name, *self._aliases.get(name, set()) | few]
             for other in alike:
                 made[other] = made.get(other, 0.0) + chance / len(alike)
