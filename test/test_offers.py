@@ -22,7 +22,8 @@ from longarm_comp.core.identify.evidence import columns_at
 from longarm_comp.core.identify.fit import fit
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.posterior.found import FoundEffect, Proposition
-from longarm_comp.core.identify.posterior.offers import OfferedEffects, offered, tolerances
+from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
+from longarm_comp.core.identify.posterior.offers import offered, tolerances
 from longarm_comp.core.identify.posterior.propositions import propositions
 from longarm_comp.core.model.model import Model
 from studies.outside import PumpShake, RubberStop

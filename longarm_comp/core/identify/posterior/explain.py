@@ -23,7 +23,8 @@ from longarm_comp.core.identify.fit import fit, unfitted
 from longarm_comp.core.identify.model_fit import ModelFit
 from longarm_comp.core.identify.noise import NoiseEstimate
 from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect, Proposition
-from longarm_comp.core.identify.posterior.offers import TOLERANCES, OfferedEffects, offered
+from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
+from longarm_comp.core.identify.posterior.offers import TOLERANCES, offered
 from longarm_comp.core.identify.posterior.propositions import propositions
 from longarm_comp.core.identify.posterior.single_effects import NONE
 from longarm_comp.core.identify.step_scan import UnknownStep, scan
