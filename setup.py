@@ -62,6 +62,7 @@ EXTRAS = {
         *VIEW,
         *PATH,
         "PyNiteFEA",
+        "catkin-pkg",
         "colcon-common-extensions",
         "dynamixel-sdk",
         "example-robot-data",

@@ -98,7 +98,7 @@ def test_values_outside_the_limits_are_refused(value: float) -> None:
         ({"model": "xl430-w250"}, "joints.a.model", "sts3215"),
         ({"type": "ball"}, "joints.a.type", "revolute"),
         ({"direction": 0}, "joints.a.direction", "1 or -1"),
-        ({"gear_ratio": 0.0}, "joints.a.gear_ratio", "greater than 0"),
+        ({"gear_ratio": 0.0}, "joints.a.gear_ratio", "greater than or equal to 0.000001"),
         ({"zero_ticks": math.nan}, "joints.a.zero_ticks", "finite"),
         ({"upper": -2.0}, "joints.a.upper", "above lower"),
         ({"lower": -4.0}, "joints.a.lower", "multi_turn"),

@@ -232,7 +232,7 @@ def test_broken_instructions_do_not_stop_it(protocol: str) -> None:
         port = serial.Serial(emulator.port, 1_000_000, timeout=0.2, write_timeout=0.2)
         dialect = protocols()[protocol]()
         for instruction in range(256):
-            for params in (b"", b"\x38", b"\x38\x00", b"\xff\xff\xff\xff", bytes(40)):
+            for params in (b"", b"\x38", b"\x38\x00", b"\xff\xff\xff\xff", bytes([0x38] * 40)):
                 port.write(dialect.encode(1, instruction, params))
                 port.write(dialect.encode(0xFE, instruction, params))
         assert _until(lambda: emulator.frames_heard > 1000)
