@@ -33,7 +33,7 @@ DOCS = ROOT / "docs"
 ORDER = ("README.md", "docs/start.md", "docs/your_own_arm.md", "docs/laser_tracker.md")
 PAGES = (*ORDER, *sorted({p.relative_to(ROOT).as_posix() for p in DOCS.rglob("*.md")} - {*ORDER}))
 YOURS = (
-    *("arm.yaml", "robot.urdf", "samples.csv", "test.csv", "targets.csv"),
+    *("arm.yaml", "robot.urdf", "samples.csv", "test.csv", "targets.csv", "tip.csv"),
     *("tracker.csv", "tracker.xlsx", "second.xlsx", "log.xlsx", "mocap.csv"),
     *("day1.csv", "day2.csv", "joints.csv", "tracker.txt"),
     *("DATA", "A", "B", "A.csv", "B.csv", "ARM", "DIAGNOSIS_A", "DIAGNOSIS_B"),
@@ -87,7 +87,15 @@ def read_and_written(context: click.Context) -> tuple[list[Path], list[Path]]:
         value = context.params.get(parameter.name or "")
         given = value if isinstance(value, tuple) else (value,)
         asked = context.get_parameter_source(parameter.name or "")
-        new = parameter.name in ("output", "out", "picture", "write_effect", "log", "save")
+        new = parameter.name in (
+            "output",
+            "out",
+            "picture",
+            "write_effect",
+            "log",
+            "save",
+            "frames",
+        )
         for path in given:
             if isinstance(path, Path) and asked is not click.core.ParameterSource.DEFAULT:
                 (writes if new else reads).append(path)
