@@ -136,8 +136,8 @@ def test_a_drift_is_told_from_a_bent_guide() -> None:
 def test_links_that_bend_and_are_not_declared_are_named() -> None:
     """Where the truth has a column and two links as exact rods, the declared arm is rigid."""
     beams = [
-        {"name": f"link {row}", "row": row, "role": "a", "length_m": long, "EI_nm2": ei, "GJ_nm2": 2500.0}
-        for row, long, ei in ((3, 0.8, 3000.0), (4, 0.6, 2000.0))
+        {"name": f"link {k}", "row": k, "role": "a", "length_m": long, "EI_nm2": ei, "GJ_nm2": 2500}
+        for k, long, ei in ((3, 0.8, 3000.0), (4, 0.6, 2000.0))
     ]  # fmt: skip
     truth = TrueArm(arm(BENT, *beams))
     q = poses(160)
