@@ -104,7 +104,7 @@ def scaled(rows: Session) -> Session:
 
 def test_a_scale_of_the_camera_is_the_cameras() -> None:
     cause = one(explained(DEMO, scaled(measured(DEMO, (), ROWS, 3))))
-    assert cause.where[0] == "what the camera sees, distance"
+    assert cause.where[0] == "what is measured, distance"
     assert not cause.compensated
     assert cause.terms[0].function == "1"  # type: ignore[union-attr]
 
@@ -125,7 +125,7 @@ def test_a_recorded_column_that_drives_the_error_is_found_on_its_axis(
 ) -> None:
     cause = alone(SMALL, PumpShake(sway=sway, waves=6.0), rows=rows, seed=seed)
     assert cause.inputs == ("pump_bar",)
-    assert cause.where == ("base, move x", "what the camera sees, x")
+    assert cause.where == ("base, move x", "what is measured, x")
     assert cause.amounts[0].value == pytest.approx(sway, rel=0.05)
     assert "something that the recorded column drives" in cause.reading
 
@@ -162,7 +162,7 @@ def test_a_name_that_imitates_a_cause_is_not_named() -> None:
     setting = set_up(DEMO, "window_glass", "grid", 2, ROWS)
     found = explained(DEMO, setting.train, (BearingTilt,))
     cause = one(found)
-    assert cause.where[0] == "what the camera sees, z"
+    assert cause.where[0] == "what is measured, z"
     assert cause.inputs == ("seen_x",)
     assert cause.names == ()
     assert not cause.compensated

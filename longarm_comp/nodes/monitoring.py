@@ -149,7 +149,7 @@ class TipMonitor:
             self._last_miss = f"tip - target {_mm(missed)}"
 
     def _missed(self, rest: RestPose, model: Model, context: Context) -> np.ndarray | None:
-        """tip - target (3,) m where the arm rests at a target, without the camera's side."""
+        """tip - target (3,) m where the arm rests at a target, without the measuring side."""
         if self._aim is None or np.abs(rest.q - self._aim[0]).max() >= SAME_POSE:
             return None
         seen_beside = model.measured(rest.q, context) - model.tip(rest.q, context)

@@ -57,12 +57,12 @@ class Slot:
 
 @dataclass(frozen=True)
 class Model:
-    """Arm, arm-side effects and camera-side biases.
+    """Arm, arm-side effects and measuring-side biases.
 
     Attributes:
         arm: as declared.
         effects: arm side, in any order.
-        biases: camera side, applied in order. They never change a joint command.
+        biases: measuring side, applied in order. They never change a joint command.
         passes: load passes (1 leaves 0.14 mm at 18 mm of sag, 2 leave 0.001; docs/physics.md).
         elements_per_beam: number of elements of each beam.
         arrivals: per commanded joint, number of fitted rows that arrived from above (-1) and
@@ -375,7 +375,7 @@ class Model:
         return [(e, e.twists(posture)) for e in self.effects if e.loaded or e.changes_loads]
 
     def _reseen(self, slot: Slot, by: float) -> Model:
-        """The model with a parameter of the camera side moved."""
+        """The model with a parameter of the measuring side moved."""
         position = slot.term - len(self.effects)
         biases = list(self.biases)
         changed = self._moved(slot, by)
