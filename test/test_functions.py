@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from discover_rows import DEMO, HELD_OUT, ROWS, calibrated, measured
+from hidden_arm import at, session
 from small_arm import ARM as SMALL
 
 from longarm_comp.core.arm.arm import Arm
@@ -27,7 +28,8 @@ from longarm_comp.core.identify.discover.functions import SWITCH, Functions, swi
 from longarm_comp.core.identify.discover.inputs import Argument, Arguments, levels_of
 from longarm_comp.core.identify.discover.propose import POSES, doubts, proposed
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
-from longarm_comp.sim.hidden import loads
+from longarm_comp.core.model.model import Model
+from longarm_comp.sim.hidden import drives, loads
 from longarm_comp.sim.hidden.base import HiddenEffect
 from studies.discover import set_up
 from studies.outside import HosePull, PumpShake, RubberStop, TwoSeats
@@ -71,6 +73,14 @@ def test_a_hose_is_a_force_where_it_pulls() -> None:
         for m in (plain.model, found.fit.model)
     )
     assert after < 0.5 * before
+
+
+def test_a_function_is_found_where_the_geometry_is_exact() -> None:
+    """The model has no free parameter then."""
+    (effect,) = explain_session(Model(SMALL), session([drives.JointGain(at(2, 0.02))]), ()).found
+    (term,) = effect.terms
+    assert (term.where, term.function) == ("joint 2, turn z", "linear(q2)")
+    assert term.amount == pytest.approx(0.02, rel=0.02)
 
 
 @pytest.mark.xfail(raises=AssertionError, reason="8.7 N/rad x q2 along x of joint 5, alone")
