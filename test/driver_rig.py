@@ -57,7 +57,7 @@ class Rig:
         self.said = stage.collect(graph.DRIVER_STATE)
         self.diagnostics = stage.collect(graph.DIAGNOSTICS)
         self.trajectories = graph.JOINT_TRAJECTORY.publisher(stage.node)
-        self.stamps, self.ids = Stamps(stage.node), dict[str, list[str]]()
+        self.stamps, self.ids = Stamps(stage.node.get_clock()), dict[str, list[str]]()
         self.process = self.start()
 
     def start(self, patience_s: float = 5.0, clock: str = "system") -> subprocess.Popen[str]:

@@ -174,7 +174,7 @@ class ArmClient(GraphClient):
         graph.JOINT_STATES.subscription(self.node, self._on_joints)
         tips.subscription(self.node, self._on_tip)
         self._driver: DriverState | None = None
-        self._stamps = Stamps(self.node)
+        self._stamps = Stamps(self.node.get_clock())
         self._sent, self._refused, self._reached = "", "", False
         self._way: tuple[str, dict[str, float]] = "", {}
         self._at: dict[str, float] = {}

@@ -27,14 +27,19 @@ def order_id(message: JointTrajectory) -> str:
 
 
 class Stamps:
-    """Stamps of a node's orders: now, and later than the one before also where its clock stands."""
+    """Stamps of a node's orders: now; while its clock stands, each 1 ns later than the one before.
 
-    def __init__(self, node: Node) -> None:
-        self._clock, self._last = node.get_clock(), 0
+    A clock that goes back takes them with it.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock, self._read, self._last = clock, 0, 0
 
     def next(self) -> Time:
         """The stamp of the next order."""
-        self._last = max(int(self._clock.now().nanoseconds), self._last + 1)
+        before, self._read = self._read, int(self._clock.now().nanoseconds)
+        stood = before <= self._read <= self._last
+        self._last = self._last + 1 if stood else self._read
         return stamp_of(self._last)
 
 
