@@ -1,0 +1,260 @@
+"""The model at work learns from sightings of ordinary moves.
+
+Each sighting is an equation of the model's parameters and of all that may have changed
+(`posterior.py`).  The model that is served is the mean over all explanations.  What is sure is said:
+which effect moved, since when, how much.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.at_work.bank import Bank, Branch, Change
+from longarm_comp.core.at_work.changes import Parameters
+from longarm_comp.core.at_work.posterior import Posterior, Row
+from longarm_comp.core.errors import InputError
+from longarm_comp.core.identify.posterior.found import CREDIBLE
+from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.uncertainty import ModelUncertainty, triangular
+
+DOUBT = 0.01
+"""Probability that a sighting is wrong: of another point, or of an arm that still moves."""
+STEP_M = 2e-3
+"""Largest step of the tip by one sighting's learning."""
+
+
+@dataclass(frozen=True)
+class Named:
+    """An effect that changed.
+
+    Attributes:
+        effect, where: what and where.
+        since_s: time of the first sighting that shows it.
+        by: (parameter, unit, how much), of those that moved.
+        probability: of the effect at its place.
+        sightings: that it took to be sure.
+    """
+
+    effect: str
+    where: str
+    since_s: float
+    by: tuple[tuple[str, str, float], ...]
+    probability: float
+    sightings: int
+
+
+@dataclass(frozen=True, eq=False)
+class Version:
+    """The model as it was served once a change was sure.
+
+    Attributes:
+        at_s: when.
+        model: with the record of how good it is.
+        named: what had changed.
+    """
+
+    at_s: float
+    model: Model
+    named: Named | None
+
+
+@dataclass(frozen=True, eq=False)
+class Learner:
+    """The model at work. Frozen: `seen` returns the next one.
+
+    Attributes:
+        model: that is served.
+        known: what is known; None before the first sighting.
+        versions: of the model, the first as it was given.
+        frozen: whether sightings change nothing.
+        step_m: largest step of the tip by one sighting.
+        sightings: taken in, and `doubtful`: left out.
+    """
+
+    model: Model
+    known: Bank | None = None
+    versions: tuple[Version, ...] = ()
+    frozen: bool = False
+    step_m: float = STEP_M
+    sightings: int = 0
+    doubtful: int = 0
+    pending: tuple[Bank, Row, float] | None = None
+
+    @classmethod
+    def of(cls, model: Model, step_m: float = STEP_M) -> Learner:
+        """From a fitted model.
+
+        Raises:
+            InputError: it does not say how well it is known.
+        """
+        if model.uncertainty is None:
+            raise InputError("model", "uncertainty", "missing", "a model that a diagnosis wrote")
+        return cls(model, versions=(Version(-math.inf, model, None),), step_m=step_m)
+
+    @property
+    def record(self) -> ModelUncertainty:
+        """How good the model is."""
+        assert self.model.uncertainty is not None
+        return self.model.uncertainty
+
+    def seen(
+        self, q: np.ndarray, context: Context, tip: np.ndarray, variance: np.ndarray, t_s: float
+    ) -> Learner:
+        """Take a sighting of an arm at rest.
+
+        Args:
+            q: (n,) commanded joints.
+            context: circumstances, with the history of the joints.
+            tip: (3,) m, and its variance (3,) m^2.
+            t_s: when, on a clock of the caller's.
+        """
+        if self.frozen:
+            return self
+        known = self.known or _begun(self.model, context)
+        point, columns = known.space.columns(self.model, q, context)
+        at = _values(known.space, self.model)
+        noise = self.record.structure + np.maximum(self.record.noise, np.diag(variance))
+        value = tip - point + columns @ at
+        row = Row(t_s, columns, value, noise, float(np.linalg.norm(point)))
+        known, pending, doubtful = _judged(known, row, self.pending)
+        after = dataclasses.replace(
+            self, known=known, pending=pending, sightings=self.sightings + 1,
+            doubtful=self.doubtful + doubtful,
+        )  # fmt: skip
+        return after if known is self.known else after._named(t_s)._served(columns, at)
+
+    def _named(self, t_s: float) -> Learner:
+        """With a version for what has become sure."""
+        known = self.known
+        assert known is not None
+        said = {(n.effect, n.where) for n in self.named}
+        made = self
+        for branch in known.branches[:1]:
+            for change in branch.changes:
+                named = self._name(branch, change)
+                if (named.effect, named.where) not in said and named.probability >= CREDIBLE:
+                    version = Version(t_s, self._of(known.expected), named)
+                    made = dataclasses.replace(made, versions=(*made.versions, version))
+        return made
+
+    def _name(self, branch: Branch, change: Change) -> Named:
+        space = branch.known.space
+        places = space.own(space.keys.index(change.key))
+        slots = [space.slots[k] for k in places]
+        moved = branch.known.expected[places] - np.array(change.before)
+        by = tuple(
+            (slot.parameter.name, slot.parameter.unit, float(v))
+            for slot, v in zip(slots, moved, strict=True)
+            if v
+        )
+        assert self.known is not None
+        return Named(
+            change.key[0], slots[0].owner.where, change.since_s, by,
+            self.known.probability(change.key), change.sightings,
+        )  # fmt: skip
+
+    def _served(self, columns: np.ndarray, at: np.ndarray) -> Learner:
+        """Serve the mean over all explanations, in a bounded step."""
+        assert self.known is not None
+        wanted = np.clip(self.known.expected, *self.known.space.bounds) - at
+        step = float(np.linalg.norm(columns @ wanted))
+        share = min(1.0, self.step_m / max(step, 1e-12))
+        return dataclasses.replace(self, model=self._of(at + share * wanted))
+
+    def _of(self, values: np.ndarray) -> Model:
+        known = self.known
+        assert known is not None
+        model = known.space.at(values)
+        active, covariance = known.covariance()
+        slots = tuple(known.space.identities[k] for k in active)
+        factor = triangular(_root(covariance))
+        record = dataclasses.replace(self.record, slots=slots, factor=factor, stretch=1.0)
+        made = dataclasses.replace(model, uncertainty=record)
+        made.__dict__["chain"] = model.chain
+        return made
+
+    # ------------------------------------------------------------------ what people ask for
+
+    @property
+    def named(self) -> tuple[Named, ...]:
+        """What changed, in the order in which it was sure."""
+        return tuple(v.named for v in self.versions if v.named is not None)
+
+    @property
+    def unexplained(self) -> bool:
+        """Whether something changed that no known effect explains: a matter of a diagnosis."""
+        return self.known is not None and self.known.unexplained >= CREDIBLE
+
+    def freeze(self) -> Learner:
+        """Serve what is served now, whatever is seen."""
+        return dataclasses.replace(self, frozen=True)
+
+    def thaw(self) -> Learner:
+        """Learn on, from what is served."""
+        return dataclasses.replace(self, frozen=False, known=None, pending=None)
+
+    def undo(self) -> Learner:
+        """Serve the version before the last, and learn no more until told."""
+        kept = self.versions[:-1] or self.versions
+        return dataclasses.replace(
+            self, model=kept[-1].model, versions=kept, known=None, pending=None, frozen=True
+        )
+
+
+def _begun(model: Model, context: Context) -> Bank:
+    """What a fitted model's record says."""
+    record = model.uncertainty
+    assert record is not None
+    space = Parameters.of(model, context)
+    at = {identity: k for k, identity in enumerate(record.slots)}
+    active = np.array([k for k, name in enumerate(space.identities) if name in at], dtype=int)
+    factor = record.factor[[at[space.identities[k]] for k in active]]
+    covariance = record.stretch * factor @ factor.T
+    return Bank((Branch(1.0, Posterior.begun(space, space.values, active, covariance)),))
+
+
+def _values(space: Parameters, model: Model) -> np.ndarray:
+    """(q,) numbers of a model; 0 of what it does not hold."""
+    made = np.zeros(len(space))
+    for slot, value in zip(model.slots, model.values, strict=True):
+        made[space.position[slot.identity]] = value
+    return made
+
+
+def _judged(
+    known: Bank, row: Row, pending: tuple[Bank, Row, float] | None
+) -> tuple[Bank, tuple[Bank, Row, float] | None, bool]:
+    """Take a row in, unless it is doubtful; the one before, if that was doubtful, with it."""
+    after = known.seen(row)
+    doubt = _doubtful(known, row)
+    if pending is not None:
+        before, held, held_doubt = pending
+        both = before.seen(held)
+        together = both.seen(row)
+        if both.log_likelihood + together.log_likelihood > held_doubt + max(
+            after.log_likelihood, doubt
+        ):
+            return together, None, False
+    if doubt > after.log_likelihood:
+        return known, (known, row, doubt), pending is not None
+    return after, None, pending is not None
+
+
+def _doubtful(known: Bank, row: Row) -> float:
+    """Log likelihood of a sighting of anything around, with its prior odds."""
+    off = known.predicted(row)
+    square = float(off @ off) / row.reach**2
+    return math.log(DOUBT) - 0.5 * square - 1.5 * math.log(2.0 * math.pi * row.reach**2)
+
+
+def _root(covariance: np.ndarray) -> np.ndarray:
+    """A factor of a covariance whose scales differ widely."""
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
