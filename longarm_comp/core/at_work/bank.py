@@ -32,13 +32,15 @@ class Change:
     """An effect that changed, by one explanation.
 
     Attributes:
-        key: effect and place.
+        key: of the effect.
+        where: it is.
         since_s: time of the first sighting that shows it.
         sightings: from then until posteriors parted.
         before: (k,) values of its parameters until then.
     """
 
     key: Key
+    where: str
     since_s: float
     sightings: int
     before: tuple[float, ...]
@@ -75,8 +77,9 @@ class Branch:
         key, t = known.space.keys[c], int(known.probability[:, c].argmax())
         if any(change.key == key for change in self.changes):
             return self.changes
-        before = tuple(known.mean[known.space.own(c)].tolist())
-        made = Change(key, float(known.since[t]), int(known.count[t]), before)
+        own = known.space.own(c)
+        before, where = tuple(known.mean[own].tolist()), known.space.slots[own[0]].owner.where
+        made = Change(key, where, float(known.since[t]), int(known.count[t]), before)
         return (*self.changes, made)
 
 
@@ -141,6 +144,11 @@ class Bank:
         """Probability that something changed that no known effect explains."""
         return sum(b.weight * b.known.unexplained for b in self.branches)
 
-    def probability(self, key: Key) -> float:
-        """That an effect at a place has changed."""
-        return sum(b.weight for b in self.branches if any(c.key == key for c in b.changes))
+    @cached_property
+    def places(self) -> dict[str, float]:
+        """Where something has changed, with the probability of it."""
+        made: dict[str, float] = {}
+        for b in self.branches:
+            for place in {c.where for c in b.changes}:
+                made[place] = made.get(place, 0.0) + b.weight
+        return made

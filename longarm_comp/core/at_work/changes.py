@@ -114,7 +114,7 @@ class Parameters:
     def columns(self, at: Model, q: np.ndarray, context: Context) -> tuple[np.ndarray, np.ndarray]:
         """Predicted sighting (3,) m at joints (n,), and its derivative by every number, (3, q)."""
         held = {term.key for term in at.terms}
-        rest = slots_of(at.arm, [t for t in self.absent if t.key not in held])
+        rest = slots_of(at.arm, [t for t in self.absent if t.key not in held and _told(t, context)])
         slots = (*at.slots, *rest)
         point, columns = at.columns(at.posture(tuple(q.tolist()), context), slots)
         made = np.zeros((3, len(self)))
@@ -130,9 +130,16 @@ def _possible(arm: Arm, context: Context) -> dict[Key, Effect | Bias]:
             names = [p.name for p in term.parameters(arm)]
             if not names or term.key in made:
                 continue
-            try:
-                term.require(context)
-            except InputError:
+            if not _told(term, context):
                 continue
             made[term.key] = dataclasses.replace(term, **dict.fromkeys(names, 0.0))
     return made
+
+
+def _told(term: Effect | Bias, context: Context) -> bool:
+    """Whether the circumstances hold what a term needs."""
+    try:
+        term.require(context)
+    except InputError:
+        return False
+    return True

@@ -10,35 +10,38 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.at_work.bank import Bank, Branch, Change
+from longarm_comp.core.at_work.bank import Bank, Branch
 from longarm_comp.core.at_work.changes import Parameters
 from longarm_comp.core.at_work.posterior import Posterior, Row
+from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.model.uncertainty import ModelUncertainty, triangular
+from longarm_comp.core.model.uncertainty import ModelUncertainty
 
 DOUBT = 0.01
 """Probability that a sighting is wrong: of another point, or of an arm that still moves."""
 STEP_M = 2e-3
 """Largest step of the tip by one sighting's learning."""
+WORTH = 0.1
+"""Step, in standard deviations of a sighting, from which on another model is served."""
 
 
 @dataclass(frozen=True)
 class Named:
-    """An effect that changed.
+    """What changed: a place, and the effect there that is the most probable.
 
     Attributes:
         effect, where: what and where.
         since_s: time of the first sighting that shows it.
         by: (parameter, unit, how much), of those that moved.
-        probability: of the effect at its place.
-        sightings: that it took to be sure.
+        probability: of the effect, given that something changed there.
+        rivals: other effects there that may have, with theirs.
+        sightings: that it took.
     """
 
     effect: str
@@ -46,7 +49,16 @@ class Named:
     since_s: float
     by: tuple[tuple[str, str, float], ...]
     probability: float
+    rivals: tuple[tuple[str, float], ...]
     sightings: int
+
+    @property
+    def text(self) -> str:
+        """In one line: ``backlash (61 %) or friction_hysteresis (39 %), joint 2: width +3.1e-03 rad``."""
+        each = ((self.effect, self.probability), *self.rivals)
+        names = " or ".join(f"{name} ({100 * p:.0f} %)" for name, p in each)
+        by = ", ".join(f"{name} {value:+.2g} {unit}" for name, unit, value in self.by)
+        return f"{names}, {self.where}: {by}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +131,9 @@ class Learner:
         known = self.known or _begun(self.model, context)
         point, columns = known.space.columns(self.model, q, context)
         at = _values(known.space, self.model)
-        noise = self.record.structure + np.maximum(self.record.noise, np.diag(variance))
+        spread, _ = unknown_history(self.model, q, context)
+        noise = np.maximum(self.record.noise, np.diag(variance)) + np.diag(spread**2)
+        noise = noise + self.record.structure
         value = tip - point + columns @ at
         row = Row(t_s, columns, value, noise, float(np.linalg.norm(point)))
         known, pending, doubtful = _judged(known, row, self.pending)
@@ -130,41 +144,43 @@ class Learner:
         return after if known is self.known else after._named(t_s)._served(columns, at)
 
     def _named(self, t_s: float) -> Learner:
-        """With a version for what has become sure."""
-        known = self.known
-        assert known is not None
-        said = {(n.effect, n.where) for n in self.named}
-        made = self
-        for branch in known.branches[:1]:
-            for change in branch.changes:
-                named = self._name(branch, change)
-                if (named.effect, named.where) not in said and named.probability >= CREDIBLE:
-                    version = Version(t_s, self._of(known.expected), named)
-                    made = dataclasses.replace(made, versions=(*made.versions, version))
+        """With a version for every place at which something has surely changed."""
+        assert self.known is not None
+        made, said = self, {n.where for n in self.named}
+        for where, chance in self.known.places.items():
+            if where not in said and chance >= CREDIBLE:
+                version = Version(t_s, self._of(self.known.expected), self._name(where))
+                made = dataclasses.replace(made, versions=(*made.versions, version))
         return made
 
-    def _name(self, branch: Branch, change: Change) -> Named:
+    def _name(self, where: str) -> Named:
+        assert self.known is not None
+        here = [(b, c) for b in self.known.branches for c in b.changes if c.where == where]
+        whole = sum(b.weight for b, _ in here)
+        chances: dict[str, float] = {}
+        for branch, change in here:
+            name = change.key[0]
+            chances[name] = chances.get(name, 0.0) + branch.weight / whole
+        order = sorted(chances, key=lambda name: -chances[name])
+        branch, change = next((b, c) for b, c in here if c.key[0] == order[0])
         space = branch.known.space
         places = space.own(space.keys.index(change.key))
-        slots = [space.slots[k] for k in places]
         moved = branch.known.expected[places] - np.array(change.before)
-        by = tuple(
-            (slot.parameter.name, slot.parameter.unit, float(v))
-            for slot, v in zip(slots, moved, strict=True)
-            if v
-        )
-        assert self.known is not None
+        parameters = (space.slots[k].parameter for k in places)
+        by = ((p.name, p.unit, float(v)) for p, v in zip(parameters, moved, strict=True) if v)
+        rivals = tuple((name, chances[name]) for name in order[1:])
         return Named(
-            change.key[0], slots[0].owner.where, change.since_s, by,
-            self.known.probability(change.key), change.sightings,
-        )  # fmt: skip
+            order[0], where, change.since_s, tuple(by), chances[order[0]], rivals, change.sightings
+        )
 
     def _served(self, columns: np.ndarray, at: np.ndarray) -> Learner:
         """Serve the mean over all explanations, in a bounded step."""
         assert self.known is not None
         wanted = np.clip(self.known.expected, *self.known.space.bounds) - at
         step = float(np.linalg.norm(columns @ wanted))
-        share = min(1.0, self.step_m / max(step, 1e-12))
+        if step < WORTH * math.sqrt(float(np.trace(self.record.noise + self.record.structure))):
+            return self
+        share = min(1.0, self.step_m / step)
         return dataclasses.replace(self, model=self._of(at + share * wanted))
 
     def _of(self, values: np.ndarray) -> Model:
@@ -173,7 +189,7 @@ class Learner:
         model = known.space.at(values)
         active, covariance = known.covariance()
         slots = tuple(known.space.identities[k] for k in active)
-        factor = triangular(_root(covariance))
+        factor = _factor(covariance)
         record = dataclasses.replace(self.record, slots=slots, factor=factor, stretch=1.0)
         made = dataclasses.replace(model, uncertainty=record)
         made.__dict__["chain"] = model.chain
@@ -185,6 +201,12 @@ class Learner:
     def named(self) -> tuple[Named, ...]:
         """What changed, in the order in which it was sure."""
         return tuple(v.named for v in self.versions if v.named is not None)
+
+    @property
+    def now(self) -> tuple[Named, ...]:
+        """The same, by what is known now."""
+        known = self.known.places if self.known is not None else {}
+        return tuple(self._name(n.where) if n.where in known else n for n in self.named)
 
     @property
     def unexplained(self) -> bool:
@@ -253,8 +275,8 @@ def _doubtful(known: Bank, row: Row) -> float:
     return math.log(DOUBT) - 0.5 * square - 1.5 * math.log(2.0 * math.pi * row.reach**2)
 
 
-def _root(covariance: np.ndarray) -> np.ndarray:
-    """A factor of a covariance whose scales differ widely."""
+def _factor(covariance: np.ndarray) -> np.ndarray:
+    """(p, p) triangle whose product with itself is a covariance, to a part in a billion."""
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+    alike = covariance / np.outer(scale, scale) + 1e-9 * np.eye(len(scale))
+    return np.asarray(scale[:, None] * np.linalg.cholesky(alike))

@@ -111,8 +111,8 @@ class Posterior:
         gain = carried @ inverse
         off = row.value - row.columns @ self.mean
         response = _with_new(self.response)
-        seen = row.columns - np.einsum("ip,tpq->tiq", a, response)
-        response = response + np.einsum("pi,tiq->tpq", gain, seen)
+        seen = row.columns - a @ response
+        response = response + gain @ seen
         jump = _of_changes(self.space, seen)  # (T, C, k, 3)
         turned = jump @ inverse
         mean = self.mean.copy()
@@ -258,14 +258,14 @@ class Hypotheses:
         chance /= chance.sum(-1, keepdims=True)
         mean = np.clip(means, lower, upper)
         middle = np.einsum("tcs,tcsi->tci", chance, mean)
-        spread = np.einsum("tcik,tck,tcjk->tcij", turn, np.einsum("tcs,tcsk->tck", chance, share), turn)
+        spread = np.einsum(
+            "tcik,tck,tcjk->tcij", turn, np.einsum("tcs,tcsk->tck", chance, share), turn
+        )
         log_prior = space.log_prior + math.log(HAZARD * (1.0 - UNNAMED))
         if known.again.any():
             more = math.log(AGAIN / known.again.sum())
             log_prior = np.where(known.again, np.maximum(log_prior, more), log_prior)
-        return cls(
-            factor + log_prior, middle, spread, known.growth + math.log(HAZARD * UNNAMED)
-        )
+        return cls(factor + log_prior, middle, spread, known.growth + math.log(HAZARD * UNNAMED))
 
 
 def _with_new(held: np.ndarray) -> np.ndarray:
