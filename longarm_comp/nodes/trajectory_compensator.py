@@ -106,7 +106,7 @@ class TrajectoryCompensator(Node):
             joints=lambda: self._state.joints, commanded=lambda q, history: None,
             told=lambda motion: None, refused=self._tally.count,
         )  # fmt: skip
-        self._fresh, self._stamps = Freshness(self, p["order_max_age_s"]), Stamps(self)
+        self._fresh, self._stamps = Freshness(self, p["order_max_age_s"]), Stamps(self.get_clock())
         self._ticks, self._following = Ticks(self, 0.05), 0
         type_, group = graph.FOLLOW.type, ReentrantCallbackGroup()
         self._out = ActionClient(self, type_, self._controller, callback_group=group)

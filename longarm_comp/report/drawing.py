@@ -93,8 +93,8 @@ def _guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
             names += [f"q{commanded.index(j) + 1}" for j in term.joints if j in commanded]
         names += found.terms[0].inputs
     names += diagnosis.structure.inputs
-    known = [name for name in dict.fromkeys(names) if rows.input(name) is not None]
-    return tuple(known[:GUILTY])
+    known = {entry.name for entry in rows.inputs}
+    return tuple(name for name in dict.fromkeys(names) if name in known)[:GUILTY]
 
 
 def _size(diagnosis: Diagnosis, term: Term) -> float:

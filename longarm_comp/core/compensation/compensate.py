@@ -39,7 +39,12 @@ from longarm_comp.core.compensation.result import (
     outside,
     shifted,
 )
-from longarm_comp.core.compensation.unknown import missing_column, outside_data, unknown_history
+from longarm_comp.core.compensation.unknown import (
+    missing_column,
+    outside_data,
+    uncertain_payload,
+    unknown_history,
+)
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
@@ -226,9 +231,10 @@ class _Target:
             if status is Status.OUT_OF_DOMAIN and inside_data(self.whole, miss):
                 status = Status.SUCCESS
             spread, why = unknown_history(self.model, command, self.context, self.doubtful)
-            miss = miss.beside(spread**2)
+            sag, doubt = uncertain_payload(self.model, command, self.context)
+            miss = miss.beside(spread**2 + sag**2)
             beyond = outside_data(self.model, command, self.context)
-            reason = "; ".join(filter(None, (reason, why, beyond)))
+            reason = "; ".join(filter(None, (reason, why, doubt, beyond)))
         return Compensation(
             self.target, self.ideal, applied, miss.sigma, self.inside,
             shifted(self.target, applied), command, self.passes, status, reason, chosen,

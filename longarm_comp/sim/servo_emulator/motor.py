@@ -22,7 +22,8 @@ class MotorSpec:
         max_speed_ticks_s: no-load speed (STS3215 at 7.4 V: about 3,000).
         lag_s: time constant of the position loop near the goal.
         dead_band_ticks: error that the controller leaves alone; beyond it the effort grows.
-        hold_share: share of full effort by which friction holds the gear wherever it stopped.
+        hold_share: share of full effort by which friction holds the gear wherever it stopped; so
+            much more than the load does a drive give that came from below, so much less from above.
         wind_up_ticks: travel that winds the gear train up from slack to one side; turning round,
             it takes twice as much to wind it up to the other.
         droop_ticks: error at which the proportional controller gives its full effort: so far does
@@ -31,6 +32,8 @@ class MotorSpec:
             the controller has a finer one of its own.
         stiff_ticks: position error at which a jammed drive gives its full effort.
         friction_share: effort to turn freely at full speed.
+        load_units: reading of the register of load, or current, at full effort.
+        model: number that it says it is; None: the protocol's usual one.
         ambient_c, heating_c, heat_time_s: temperature at rest, rise at full effort, time constant.
         shutdown_c: the servo alarms and lets go above this.
         overload_share, overload_s: so much effort for so long makes it alarm and let go.
@@ -47,6 +50,8 @@ class MotorSpec:
     encoder_step_ticks: float = 1.0
     stiff_ticks: float = 200.0
     friction_share: float = 0.2
+    load_units: float = 1000.0
+    model: int | None = None
     ambient_c: float = 25.0
     heating_c: float = 60.0
     heat_time_s: float = 120.0
@@ -163,6 +168,7 @@ class Motor:
         """Effort, temperature and the servo's own protection."""
         spec = self.spec
         own = spec.friction_share * self.velocity / spec.max_speed_ticks_s
+        own += spec.hold_share * self.approach
         if self.blocked:
             own = (self.goal - self.position) / spec.stiff_ticks
         wanted = own - self.external_load
