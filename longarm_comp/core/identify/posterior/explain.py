@@ -9,11 +9,11 @@ and forms on a scale move to where the evidence is highest.  It ends when the ex
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify import noise as noise_step
 from longarm_comp.core.identify.candidates import Candidate, Term, distinct
@@ -341,16 +341,6 @@ def _loose(found: FoundEffect) -> FoundEffect:
     return replace(found, terms=terms)
 
 
-def without(model: Model, places: Container[tuple[str, str]]) -> Model:
-    """A model without its terms at some places."""
-    left = [t for t in model.terms if t.key not in places]
-    return replace(
-        model,
-        effects=tuple(t for t in left if isinstance(t, Effect)),
-        biases=tuple(t for t in left if isinstance(t, Bias)),
-    )
-
-
 def _known(model: Model, found: Sequence[FoundEffect]) -> list[Term]:
     """The terms of what was found, at the model's values where it holds them."""
     known = {t.variant: t for t in model.terms}
@@ -360,9 +350,4 @@ def _known(model: Model, found: Sequence[FoundEffect]) -> list[Term]:
 def _with(base: Model, now: Model, terms: Sequence[Term]) -> Model:
     """The base model with further terms, the geometry started from the model as it is now."""
     known = {t.key: t for t in now.terms}
-    every = [*(known.get(t.key, t) for t in base.terms), *terms]
-    return replace(
-        base,
-        effects=tuple(t for t in every if isinstance(t, Effect)),
-        biases=tuple(t for t in every if isinstance(t, Bias)),
-    )
+    return base.with_terms([*(known.get(t.key, t) for t in base.terms), *terms])
