@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import subprocess
 from collections.abc import Iterator
@@ -125,8 +126,12 @@ class Rig:
         self.stage.spin(there)
 
     def goes(self, stamp: Time | None = None, **goal: float) -> None:
-        """Send until it is on its way: the driver's subscription may still be connecting."""
-        self.send(stamp=stamp, **goal)
+        """Send until the driver tells of it: its subscription may still be connecting."""
+        for _ in range(6):
+            sent = self.send(stamp=stamp, **goal)
+            with contextlib.suppress(AssertionError):
+                self.stage.spin(lambda sent=sent: self.events(sent), within=5.0)
+                break
         self.arrives(**goal)
 
     def told(self, part: str) -> str:

@@ -39,7 +39,12 @@ from longarm_comp.core.compensation.result import (
     outside,
     shifted,
 )
-from longarm_comp.core.compensation.unknown import missing_column, outside_data, unknown_history
+from longarm_comp.core.compensation.unknown import (
+    missing_column,
+    outside_data,
+    uncertain_payload,
+    unknown_history,
+)
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
@@ -148,8 +153,9 @@ def judged(
     whole = sigma is None and not missing_column(model, context)
     miss = expected_miss(model if whole else physics, command, context, pseudo, sigma)
     spread, why = unknown_history(physics, command, context, doubtful)
-    doubts = why, outside_data(physics, command, context)
-    return miss.beside(spread**2), inside_data(model, miss), doubts
+    sag, doubt = uncertain_payload(physics, command, context)
+    doubts = why, doubt, outside_data(physics, command, context)
+    return miss.beside(spread**2 + sag**2), inside_data(model, miss), doubts
 
 
 def lattice_of(model: Model, realisable: bool | Lattice) -> Lattice | None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from longarm_comp.core.arm.context import LEGS, PER_JOINT, Context
+from longarm_comp.core.compensation.weighing import SD
 from longarm_comp.core.ik.forward import tip_poses
 from longarm_comp.core.model.model import Model
 
@@ -92,6 +93,19 @@ def unknown_history(
     sigma_mm = 1e3 * float(np.linalg.norm(spread))
     why = f"the tip depends on what is not known: {', '.join(parts)} (sigma {sigma_mm:.2f} mm)"
     return spread, why
+
+
+def uncertain_payload(model: Model, q: np.ndarray, context: Context) -> tuple[np.ndarray, str]:
+    """How far the tip depends on a payload that is known to `SD` only: as `unknown_history`."""
+    sd = float(context.column(SD, 0.0))  # type: ignore[arg-type]
+    if not sd:
+        return np.zeros(3), ""
+    kg = context.payload_kg(0.0) + sd * np.array([1.0, -1.0])
+    told = dataclasses.replace(context, columns={**context.columns, "payload_kg": kg})
+    tips = [model.tip(q, told.take(k)) for k in range(2)]
+    half = np.abs(tips[0] - tips[1]) / 2.0
+    mm = 1e3 * float(np.linalg.norm(half))
+    return half, f"the payload is known to {sd:.3f} kg only (sigma {mm:.2f} mm)"
 
 
 def _either_side(side: np.ndarray, unsure: bool) -> np.ndarray | None:
