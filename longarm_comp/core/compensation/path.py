@@ -38,6 +38,7 @@ from longarm_comp.core.compensation.take_up import TakeUp
 from longarm_comp.core.compensation.unknown import (
     missing_column,
     outside_data,
+    uncertain_payload,
     unknown_history,
 )
 from longarm_comp.core.errors import InputError, JobError
@@ -261,8 +262,9 @@ class _Way:
         """What is not known where the path begins, and what lies beyond the data."""
         rows = range(int(self.begun), len(answers.command))
         found = [
-            unknown_history(self.physics, answers.command[k], answers.context.take(k))[1]
+            doubt(self.physics, answers.command[k], answers.context.take(k))[1]
             for k in rows[:1]
+            for doubt in (unknown_history, uncertain_payload)
         ]
         if any(effect.bounded for effect in self.physics.effects):
             found += [
