@@ -36,7 +36,7 @@ _FAR = 63
 _NEAR = 0.02  # rad, m
 _TRY_S = 3.0
 _SAMPLE_S = 1.0
-_PATIENCE_S = 60.0
+_PATIENCE_S = 300.0
 _MOST_WAITING = 50
 """Most open targets. It is far below the depth of the topics, beyond which messages are lost."""
 
