@@ -228,10 +228,7 @@ def test_the_tip_by_readings_needs_no_model_of_the_servos() -> None:
     arm = by_readings(model)
     off = np.linalg.norm(arm.tip(fresh.read) - fresh.tip, axis=1)
     assert off.mean() < 0.1 * by_command
-    said = [
-        expected_miss(arm, q, Context.empty(), arm.tip(q)).expected_m
-        for q in fresh.read[:40]
-    ]
+    said = [expected_miss(arm, q, Context.empty(), arm.tip(q)).expected_m for q in fresh.read[:40]]
     assert off[:40].mean() == pytest.approx(np.mean(said), rel=0.5)
 
 
