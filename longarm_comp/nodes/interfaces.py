@@ -229,6 +229,8 @@ PREDICT_ERROR = Service("predict_error", PredictError, "learned error at given j
 RELOAD = Service("~/reload", Trigger, "read the node's files again")
 ESTOP = Service("~/estop", SetBool, "true: torque off now, commands refused; false: ready again")
 HOLD = Service("~/hold", SetBool, "true: stop, stay with torque on, refuse commands; false: ready")
+FREEZE = Service("~/freeze", SetBool, "true: learn no more at work; false: learn again")
+UNDO = Service("~/undo", Trigger, "serve the version before what was learned last; then frozen")
 PAUSE = Service("collect/pause", SetBool, "true: `longarm collect` rests after the pose at hand")
 RESET = Service("~/reset", Trigger, "leave a fault once its cause is gone")
 
@@ -255,4 +257,14 @@ TOPICS: tuple[Topic, ...] = (
     *(MARKERS, COLLECT_PROGRESS, DIAGNOSTICS, ROBOT_DESCRIPTION),
     *((TF, TF_STATIC) if HAS_TF else ()),
 )
-SERVICES: tuple[Service, ...] = (COMPENSATE, PREDICT_ERROR, RELOAD, ESTOP, HOLD, RESET, PAUSE)
+SERVICES: tuple[Service, ...] = (
+    COMPENSATE,
+    PREDICT_ERROR,
+    RELOAD,
+    ESTOP,
+    HOLD,
+    RESET,
+    PAUSE,
+    FREEZE,
+    UNDO,
+)

@@ -7,24 +7,27 @@ import sys
 import time
 from collections.abc import Callable
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.online import StaleContext
 from longarm_comp.core.compensation.stands import TipByReadings
+from longarm_comp.core.data.rest import RestPose
 from longarm_comp.core.effects.catalogue import load_file
 from longarm_comp.core.model.model import Model
 from longarm_comp.nodes import (
     arm_frames,
     by_readings,
     compensator,
+    learning,
     markers,
     monitoring,
     payload,
@@ -38,8 +41,19 @@ from longarm_comp.nodes.by_readings import ReadingsTeller
 from longarm_comp.nodes.compensator import Compensator
 from longarm_comp.nodes.driver_link import DriverLink
 from longarm_comp.nodes.frames import FrameListener, prefix_of
-from longarm_comp.nodes.health import ERROR, OK, PERIOD, TIP_SAID, WARN, Health, Report, Tally
+from longarm_comp.nodes.health import (
+    ERROR,
+    LEARNED_SAID,
+    OK,
+    PERIOD,
+    TIP_SAID,
+    WARN,
+    Health,
+    Report,
+    Tally,
+)
 from longarm_comp.nodes.interfaces import BEST_EFFORT
+from longarm_comp.nodes.learning import Learning
 from longarm_comp.nodes.markers import Markers
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.monitoring import Sighted, TipMonitor
@@ -72,6 +86,7 @@ PARAMS = (
     Param("watch_period_s", 1.0, "how often the file is looked at for a new version", 0.1, 3600.0),
     *reach.PARAMS,
     *monitoring.PARAMS,
+    *learning.PARAMS,
     *markers.PARAMS,
     *arm_frames.PARAMS,
     *by_readings.PARAMS,
@@ -82,6 +97,7 @@ PARAMS = (
 
 
 Asked = Callable[[Worker], Caller]
+Response = TypeVar("Response", Trigger.Response, SetBool.Response)
 
 
 class Kinematics(Node):
@@ -114,6 +130,7 @@ class Kinematics(Node):
                 p["arm"], p["model"] if self._files.loaded.file_hash else "", self.get_namespace()
             ),
         )  # fmt: skip
+        self._learning = Learning(self._files, p["at_work"], p["at_work_step_m"])
         self._markers = Markers(self, self._base_frame)
         self._state = ArmState(
             self, self._arm, tally.count, self._on_joints,
@@ -146,6 +163,8 @@ class Kinematics(Node):
         self._reach = ReachServer(self, self._arm, self, p["reach.feedback_s"], p["reach.look_s"])
         self._tips = graph.TIP_MEASURED.subscription(self, self._on_tip)
         graph.RELOAD.server(self, self._on_reload, ReentrantCallbackGroup())
+        graph.FREEZE.server(self, self._on_freeze, ReentrantCallbackGroup())
+        graph.UNDO.server(self, self._on_undo, ReentrantCallbackGroup())
         self._watch = FileWatch((p["model"],))
         steady_timer(self, p["watch_period_s"], self._look)
         if p["markers.period_s"]:
@@ -162,6 +181,7 @@ class Kinematics(Node):
             "servos": self._monitor.servo_report,
             "payload": self._weigher.report,
             TIP_SAID: self._tip_by_readings.report,
+            LEARNED_SAID: self._learning.report,
         }
         self._health = Health(self, parts, p[PERIOD.name])
         self._worker.start()
@@ -212,6 +232,7 @@ class Kinematics(Node):
 
     def _reload(self) -> tuple[bool, str]:
         done = self._files.reload()
+        self._learning.begin()
         self._monitor.reset()
         return done
 
@@ -222,7 +243,21 @@ class Kinematics(Node):
     async def _on_reload(
         self, request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
-        future = self._worker.ask(self._reload)
+        return await self._done(self._reload, response)
+
+    async def _on_undo(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        return await self._done(self._learning.undo, response)
+
+    async def _on_freeze(
+        self, request: SetBool.Request, response: SetBool.Response
+    ) -> SetBool.Response:
+        return await self._done(partial(self._learning.freeze, request.data), response)
+
+    async def _done(self, job: Callable[[], tuple[bool, str]], response: Response) -> Response:
+        """What a job on the worker says."""
+        future = self._worker.ask(job)
         if future is None:
             response.message = "too many targets wait"
             return response
@@ -234,8 +269,12 @@ class Kinematics(Node):
         rest = self._monitor.on_tip(message, 1e-9 * self.get_clock().now().nanoseconds)
         context = None if rest is None else self._now_context(rest.history)
         if rest is not None and context is not None:
-            model = self._files.loaded.model
-            self._worker.submit(partial(self._monitor.judge, rest, model, context))
+            self._worker.submit(partial(self._judge, rest, context))
+
+    def _judge(self, rest: RestPose, context: Context) -> None:
+        learned = self._monitor.judge(rest, self._files.loaded.model, context)
+        now_s = 1e-9 * self.get_clock().now().nanoseconds
+        self._learning.seen(rest, context, learned, now_s)
 
     def _now_context(self, history: History) -> Context | None:
         """Circumstances at this moment; None while one that the model needs is unknown."""

@@ -9,7 +9,6 @@ import numpy as np
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.identify.candidates import Term
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.evidence import key
 from longarm_comp.core.identify.next_poses import NextPoses
 from longarm_comp.core.identify.visible_size import Smallest
 from longarm_comp.core.model.outline import outline
@@ -93,8 +92,8 @@ def _guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
             names += [f"q{commanded.index(j) + 1}" for j in term.joints if j in commanded]
         names += found.terms[0].inputs
     names += diagnosis.structure.inputs
-    known = [name for name in dict.fromkeys(names) if rows.input(name) is not None]
-    return tuple(known[:GUILTY])
+    known = {entry.name for entry in rows.inputs}
+    return tuple(name for name in dict.fromkeys(names) if name in known)[:GUILTY]
 
 
 def _size(diagnosis: Diagnosis, term: Term) -> float:
@@ -104,9 +103,9 @@ def _size(diagnosis: Diagnosis, term: Term) -> float:
 
 
 def _correlation(diagnosis: Diagnosis) -> Correlation | None:
-    found = {key(t) for f in diagnosis.findings for t in f.terms}
+    found = {t.key for f in diagnosis.findings for t in f.terms}
     fit = diagnosis.fit
-    own = [k for k, s in enumerate(fit.slots) if key(s.owner) in found]
+    own = [k for k, s in enumerate(fit.slots) if s.owner.key in found]
     rest = [k for k, s in enumerate(fit.slots) if s.owner.geometry]
     if not own or not rest:
         return None

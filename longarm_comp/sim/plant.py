@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -84,7 +85,13 @@ class PlantConfig:
 class Plant:
     """The running plant: `start` and `stop` it. Times are seconds since the start."""
 
-    def __init__(self, config: PlantConfig, link: Path, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        config: PlantConfig,
+        link: Path,
+        rng: np.random.Generator,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         if sorted(j.name for j in config.servos.joints) != sorted(config.arm.joint_names):
             names = ", ".join(j.name for j in config.servos.joints)
             raise InputError("plant", "servo joints", names, ", ".join(config.arm.joint_names))
@@ -100,7 +107,7 @@ class Plant:
         self._loaded = [j for j in config.servos.joints if j.told or droops]
         self.emulator = ServoEmulator(
             config.servos.protocol, config.servos.start_ticks(), specs, link=link,
-            load_of=lambda _: self._loads,
+            load_of=lambda _: self._loads, clock=clock,
         )  # fmt: skip
         self._rng = rng
         self._true = TrueArm(config.arm, self._behind, steps=_STEPS)

@@ -6,6 +6,7 @@ STUDIES = (
     Entry("table1", "table1", "The paper's Table I on simulated arms."),
     Entry("real", "real", "Held-out errors on public data of real arms."),
     Entry("touch", "touch", "Real arms that touched sockets, places held out."),
+    Entry("fleet", "fleet", "Many simulated arms of one kind: what is found, what it takes."),
     Entry("realisable", "realisable", "Choice among the servos' steps, compared with rounding."),
     Entry("measurements", "measurements", "Rows needed by pose, position, distance."),
     Entry("poses", "poses", "Which poses to measure: grid, Sobol, I-optimal."),

@@ -223,7 +223,7 @@ def save_model(path: str | Path, stored: StoredModel) -> None:
     """Write atomically. An existing file becomes the previous version."""
     data = stored.model_dump(mode="json", by_alias=True)
     text = (
-        "# Written by longarm; values in SI units. Geometry, effects and camera-side biases.\n"
+        "# Written by longarm; values in SI units. Geometry, effects and measuring-side biases.\n"
         + yaml.safe_dump(data, sort_keys=False, width=100)
     )
     put(path, text.encode())

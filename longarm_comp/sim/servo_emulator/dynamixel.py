@@ -152,7 +152,7 @@ def _refresh(device: Device) -> None:
     device.put(MOVING, 1, int(motor.moving))
     device.put(LOAD, 2, round(motor.effort * motor.spec.load_units) & 0xFFFF)
     device.put(VELOCITY, 4, round(motor.velocity / _SPEED_UNIT) & 0xFFFFFFFF)
-    device.put(POSITION, 4, round(motor.position) & 0xFFFFFFFF)
+    device.put(POSITION, 4, motor.reading & 0xFFFFFFFF)
     device.put(VOLTS, 2, round(motor.voltage_v * 10))
     device.put(TEMPERATURE, 1, round(motor.temperature_c))
 

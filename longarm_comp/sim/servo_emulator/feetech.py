@@ -117,7 +117,7 @@ def _refresh(device: Device) -> None:
     """Bring the read-only part of the memory up to date."""
     motor = device.motor
     device.put(TORQUE, 1, int(motor.torque_on))
-    ticks = round(motor.position)
+    ticks = motor.reading
     if device.get(MAX_ANGLE, 2):
         ticks %= motor.spec.ticks_per_turn  # in ordinary mode the encoder knows one turn only
     device.put(POSITION, 2, _sign_magnitude(ticks, 15))

@@ -28,6 +28,8 @@ class MotorSpec:
             it takes twice as much to wind it up to the other.
         droop_ticks: error at which the proportional controller gives its full effort: so far does
             a load as large push the horn off its goal.
+        encoder_zero_ticks, encoder_step_ticks: what the encoder says too much, and its resolution;
+            the controller has a finer one of its own.
         stiff_ticks: position error at which a jammed drive gives its full effort.
         friction_share: effort to turn freely at full speed.
         load_units: reading of the register of load, or current, at full effort.
@@ -44,6 +46,8 @@ class MotorSpec:
     hold_share: float = 0.0
     wind_up_ticks: float = 650.0
     droop_ticks: float = 0.0
+    encoder_zero_ticks: float = 0.0
+    encoder_step_ticks: float = 1.0
     stiff_ticks: float = 200.0
     friction_share: float = 0.2
     load_units: float = 1000.0
@@ -57,11 +61,17 @@ class MotorSpec:
 
 
 class Motor:
-    """One servo's mechanics. Advance it in time; read and set its fields between."""
+    """One servo's mechanics. Advance it in time; read and set its fields between.
+
+    Attributes:
+        follows: share of a motion that the encoder sees: 0 is frozen, less than 1 slips.
+        seen: where the encoder stands, not rounded.
+    """
 
     def __init__(self, spec: MotorSpec, position_ticks: float) -> None:
         self.spec = spec
         self.position = float(position_ticks)
+        self.seen, self.follows = self.position + spec.encoder_zero_ticks, 1.0
         self.goal = self._sent = float(position_ticks)
         self._towards = 0
         self.velocity = 0.0
@@ -76,6 +86,17 @@ class Motor:
         self.wound = 0.0
         self.alarms: set[str] = set()
         self._overloaded_s = 0.0
+
+    @property
+    def reading(self) -> int:
+        """What the encoder says, ticks."""
+        step = self.spec.encoder_step_ticks
+        return round(step * round(self.seen / step))
+
+    def turn(self, by: float) -> None:
+        """The horn turns by so many ticks."""
+        self.position += by
+        self.seen += self.follows * by
 
     @property
     def moving(self) -> bool:
@@ -101,7 +122,7 @@ class Motor:
             return
         start = self.position
         if self.torque_on and not self.blocked:
-            self.position = self._travelled(dt_s)
+            self.turn(self._travelled(dt_s) - start)
         self.velocity = (self.position - start) / dt_s
         wound = self.wound + (self.position - start) / self.spec.wind_up_ticks
         self.wound = max(-1.0, min(1.0, wound))
