@@ -29,7 +29,7 @@ TIP_STANDS = "By readings the tip stands at"
 
 def reached(client: ArmClient, reach: ActionClient, pose: PoseStamped) -> Reach.Result:
     """The result of a goal, sent again while it was too old when it was taken up."""
-    while True:
+    for _ in range(20):
         sent = reach.send_goal_async(Reach.Goal(target=pose, position_only=True))
         client.until(sent.done, 60.0, "goal")
         done = sent.result().get_result_async()
@@ -38,6 +38,7 @@ def reached(client: ArmClient, reach: ActionClient, pose: PoseStamped) -> Reach.
         if result.status != Compensate.Response.STALE_TARGET:
             assert result.success, result.message
             return result
+    raise AssertionError(f"too old every time: {result.message}")
 
 
 @pytest.fixture(
