@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,9 +16,37 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model
 from longarm_comp.nodes.health import OK, WARN, Report
 
+_Signature = tuple[tuple[int, int, int] | None, ...]
+
+
+class FileWatch:
+    """Detects when one of several files is created, changed, replaced or removed."""
+
+    def __init__(self, paths: Sequence[str]) -> None:
+        self._paths = tuple(paths)
+        self._seen = self._look()
+
+    def changed(self) -> bool:
+        """Whether a file changed since the last call, or since the start."""
+        now = self._look()
+        changed = now != self._seen
+        self._seen = now
+        return changed
+
+    def _look(self) -> _Signature:
+        return tuple(_signature(path) for path in self._paths)
+
+
+def _signature(path: str) -> tuple[int, int, int] | None:
+    try:
+        stat = os.stat(path)
+    except OSError:
+        return None
+    return stat.st_ino, stat.st_size, stat.st_mtime_ns
+
 
 @dataclass(frozen=True)
-class LoadedModel:
+class _LoadedModel:
     """A model and the SHA-256 of its file. The hash of the declared arm is empty."""
 
     model: Model
@@ -33,7 +63,7 @@ class ModelFiles:
         self._path = model_path
         self.rigid = Model(self.arm)
         self._of_commands = by_readings if trimmed else (lambda model: model)
-        self.loaded = LoadedModel(self._of_commands(declared_model(self.arm)))
+        self.loaded = _LoadedModel(self._of_commands(declared_model(self.arm)))
         self._fault = ""
         self.loads = 0
         self.reload()
@@ -44,7 +74,7 @@ class ModelFiles:
             return True, "the arm as declared: no model.yaml is configured"
         try:
             model = self._of_commands(load_model(self._path, self.arm))
-            self.loaded = LoadedModel(model, file_hash(self._path))
+            self.loaded = _LoadedModel(model, file_hash(self._path))
         except LongarmError as error:
             self._fault = str(error)
             return False, self._fault

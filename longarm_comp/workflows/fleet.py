@@ -18,15 +18,12 @@ from longarm_comp.core.identify.kind_of_arm import table
 from longarm_comp.workflows.diagnose import diagnose_files
 from longarm_comp.workflows.evaluate import evaluate
 
-_DRIFTED = 2.0
-"""Error of a model in use, in that of a calibration of today, from which the arm is another: three
-quarters of the squared error came since."""
 ARM, MODEL = "arm.yaml", "model.yaml"
 _MEASURED = {(*kind.cells, kind.label)[0] for kind in KINDS.values()}
 
 
 @dataclass(frozen=True)
-class Member:
+class _Member:
     """One arm of a fleet: its name, its arm.yaml, its newest session, the model in use if any."""
 
     name: str
@@ -78,7 +75,9 @@ class Diagnosed:
         """Whether the model in use errs by much more than what a calibration of today leaves."""
         if self.in_use_mm is None or self.calibrated_mm is None:
             return False
-        return self.in_use_mm > _DRIFTED * self.calibrated_mm
+        # Error of a model in use, in that of a calibration of today, from which the arm is another:
+        # three quarters of the squared error came since
+        return self.in_use_mm > 2.0 * self.calibrated_mm
 
     @property
     def row(self) -> dict[str, object]:
@@ -86,10 +85,10 @@ class Diagnosed:
         return {**asdict(self), "drifted": self.drifted}
 
 
-def members(folder: Path) -> list[Member]:
+def members(folder: Path) -> list[_Member]:
     """The arms of a folder: a subfolder each with arm.yaml, or one arm.yaml and a session each."""
     if (folder / ARM).is_file():
-        found = [Member(s.stem, folder / ARM, s, None) for s in sessions(folder)]
+        found = [_Member(s.stem, folder / ARM, s, None) for s in sessions(folder)]
     else:
         found = []
         for each in sorted(folder.iterdir()) if folder.is_dir() else ():
@@ -99,7 +98,7 @@ def members(folder: Path) -> list[Member]:
                     raise InputError(str(each), "session", "none", "a CSV or bag that measures")
                 newest = max(held, key=lambda path: (path.stat().st_mtime, path.name))
                 model = each / MODEL if (each / MODEL).is_file() else None
-                found.append(Member(each.name, each / ARM, newest, model))
+                found.append(_Member(each.name, each / ARM, newest, model))
     if not found:
         allowed = f"folders with {ARM} and a session each, or one {ARM} and a session an arm"
         raise InputError(str(folder), "fleet", "no arm", allowed)
@@ -153,7 +152,7 @@ def fleet(
     return compared(made)
 
 
-def _diagnosed(member: Member, kind: int, *, output: Path, network: bool, seed: int) -> Diagnosed:
+def _diagnosed(member: _Member, kind: int, *, output: Path, network: bool, seed: int) -> Diagnosed:
     arm, where = Arm.load(member.arm), str(member.session)
     try:
         found = diagnose_files(
