@@ -40,8 +40,8 @@ from longarm_comp.workflows.inputs import (
     log_note,
     physics,
 )
-from longarm_comp.workflows.residual import training_rows
 from longarm_comp.workflows.telling import Telling, teller
+from longarm_comp.workflows.train import training_rows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
