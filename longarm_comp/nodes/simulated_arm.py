@@ -17,7 +17,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Temperature
-from std_msgs.msg import Float64
+from std_msgs.msg import Float64, String
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError
@@ -53,6 +53,7 @@ PARAMS = (
     Param("warming_k", 0.0, "rise over hours", -50.0, 50.0),
     Param("damping", 0.0, "it rings with this share of critical damping; 0: not at all", 0.0, 0.9),
     Param("payload_kg", 0.25, "carried at the tool", 0.0, 1000.0),
+    Param("sockets", "", "conical sockets in the base frame, 'name=x,y,z name=x,y,z', m"),
     Param("camera.position", [0.75, -1.7, 0.3], "left camera in the base frame, m"),
     Param("camera.axis", [0.0, 1.0, 0.0], "where it looks"),
     Param("camera.baseline_m", 0.3, "from the left to the right camera", 1e-3, 10.0),
@@ -73,6 +74,8 @@ PARAMS = (
     PERIOD,
 )
 
+_FELT_S = 0.1
+"""Between two looks for contact of the ball, s."""
 _SIDES = ("left", "right")
 
 
@@ -91,6 +94,20 @@ def _numbers(field: str, text: str, allowed: str) -> dict[str, float]:
             where = "parameters of simulated_arm"
             raise InputError(where, field, part, allowed) from None
     return by_name
+
+
+def places(text: str) -> dict[str, tuple[float, ...]]:
+    """Sockets and their places, m, of ``name=x,y,z name=x,y,z``."""
+    made = {}
+    for part in text.split():
+        name, _, place = part.partition("=")
+        try:
+            x, y, z = map(float, place.split(","))
+        except ValueError:
+            where, allowed = "parameters of simulated_arm", "name=x,y,z (m)"
+            raise InputError(where, "sockets", part, allowed) from None
+        made[name] = (x, y, z)
+    return made
 
 
 def _named(field: str, text: str, known: Iterable[str]) -> list[str]:
@@ -130,6 +147,7 @@ class _SimulatedArm(Node):
             temperature_c=(p["temperature_c"], p["warming_k"]),
             payload_kg=p["payload_kg"],
             damping=p["damping"],
+            sockets=places(p["sockets"]),
         )
         self._plant = Plant(config, Path(p["port"]), rng)
         self._covered: list[str] = []
@@ -146,6 +164,9 @@ class _SimulatedArm(Node):
         self._truth = self.create_publisher(PointStamped, "~/true_tip", 20)
         self._temperature = graph.TEMPERATURE.publisher(self)
         self._payload = graph.PAYLOAD.publisher(self)
+        if config.sockets:
+            self._contact = graph.CONTACT.publisher(self)
+            steady_timer(self, _FELT_S, self._feel)
         if p["frame_rate_hz"]:
             steady_timer(self, 1.0 / p["frame_rate_hz"], self._expose)
         if p["context_rate_hz"]:
@@ -225,6 +246,10 @@ class _SimulatedArm(Node):
         message.header.stamp = stamp_of(now)
         self._temperature.publish(message)
         self._payload.publish(Float64(data=self._plant.config.payload_kg))
+
+    def _feel(self) -> None:
+        t_s = time.monotonic() - self._started
+        self._contact.publish(String(data=self._plant.contact(t_s)))
 
     def _report(self) -> Report:
         emulator = self._plant.emulator

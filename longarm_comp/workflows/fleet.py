@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import gc
 import hashlib
 import json
 from collections import Counter
@@ -252,7 +253,7 @@ def _diagnosed(
     except LongarmError as error:
         return Diagnosed(member.name, kind, where, 0, "failed", str(error), made_of=made_of)
     left = found.held_out
-    return Diagnosed(
+    made = Diagnosed(
         member.name,
         kind,
         where,
@@ -265,6 +266,9 @@ def _diagnosed(
         tuple(Finding(_names(f), place) for f in found.findings for place in f.where),
         made_of,
     )
+    del found
+    gc.collect()  # fits and postures refer to each other: a fleet would hold those of many arms
+    return made
 
 
 def _names(finding: EffectFinding) -> str:
