@@ -12,7 +12,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Vector3Stamped
+from geometry_msgs.msg import (
+    PoseStamped,
+    PoseWithCovarianceStamped,
+    Vector3Stamped,
+    WrenchStamped,
+)
 from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.node import Node
@@ -197,6 +202,9 @@ PAYLOAD = Topic("payload", Float64, 5, BEST_EFFORT, "mass carried at the tool, k
 INCLINATION = Topic(
     "inclination", Imu, 5, BEST_EFFORT, "tilt of a frame; frame_id is the row's number, 0 the base"
 )
+WRENCH = Topic(
+    "wrench", WrenchStamped, 5, BEST_EFFORT, "load on a wrist sensor, N; frame_id: the row's number"
+)
 MARKERS = Topic(
     "markers", MarkerArray, 5, RELIABLE, "for RViz: arm as declared and as it hangs, target, tip"
 )
@@ -245,7 +253,7 @@ TOPICS: tuple[Topic, ...] = (
     PREDICTED_ERROR,
     *(TIP_MEASURED, TIP_BY_READINGS),
     *(LEFT_IMAGE, RIGHT_IMAGE, LEFT_COMPRESSED, RIGHT_COMPRESSED, LEFT_INFO, RIGHT_INFO),
-    *(TEMPERATURE, PAYLOAD, INCLINATION),
+    *(TEMPERATURE, PAYLOAD, INCLINATION, WRENCH),
     *(MARKERS, COLLECT_PROGRESS, DIAGNOSTICS, ROBOT_DESCRIPTION),
     *((TF, TF_STATIC) if HAS_TF else ()),
 )

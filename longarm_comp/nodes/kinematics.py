@@ -30,6 +30,7 @@ from longarm_comp.nodes import (
     learning,
     markers,
     monitoring,
+    payload,
     reach,
     targets,
 )
@@ -57,6 +58,7 @@ from longarm_comp.nodes.markers import Markers
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.monitoring import Sighted, TipMonitor
 from longarm_comp.nodes.params import Param, declare
+from longarm_comp.nodes.payload import Weigher
 from longarm_comp.nodes.predictor_client import Caller, PredictorClient
 from longarm_comp.nodes.reach import ReachServer
 from longarm_comp.nodes.readiness import Readiness
@@ -88,6 +90,7 @@ PARAMS = (
     *markers.PARAMS,
     *arm_frames.PARAMS,
     *by_readings.PARAMS,
+    *payload.PARAMS,
     Param("trimmed", False, "the driver trims: what encoders see is not compensated again"),
     PERIOD,
 )
@@ -130,12 +133,15 @@ class Kinematics(Node):
         self._learning = Learning(self._files, p["at_work"], p["at_work_step_m"])
         self._markers = Markers(self, self._base_frame)
         self._state = ArmState(
-            self, self._arm, tally.count, self._monitor.on_joints,
+            self, self._arm, tally.count, self._on_joints,
             p["joints_max_age_s"], p["joints_max_rate"],
         )  # fmt: skip
+        self._weigher = Weigher(
+            self, self._arm, p, self._state, self._worker, tally.count, self._standing
+        )
         self._driver = DriverLink(
             inlets, self._arm, acknowledged=p["acknowledged"], joints=lambda: self._state.joints,
-            commanded=self._monitor.on_command, told=self._on_told,
+            commanded=self._on_command, told=self._on_told,
             refused=tally.count,
         )  # fmt: skip
         self._twins = Twins(self)
@@ -173,6 +179,7 @@ class Kinematics(Node):
             "monitor": self._monitor.report,
             "at the target": self._monitor.target_report,
             "servos": self._monitor.servo_report,
+            "payload": self._weigher.report,
             TIP_SAID: self._tip_by_readings.report,
             LEARNED_SAID: self._learning.report,
         }
@@ -282,11 +289,20 @@ class Kinematics(Node):
         q, context = self._state.joints, self._now_context(self._driver.history)
         return None if q is None or context is None else (self._files.loaded.model, q, context)
 
+    def _on_joints(self, q: np.ndarray, at_s: float) -> None:
+        self._monitor.on_joints(q, at_s)
+        self._weigher.read()
+
+    def _on_command(self, q: np.ndarray, history: History) -> None:
+        self._weigher.moving()
+        self._monitor.on_command(q, history)
+
     def _on_told(self, motion: Motion) -> None:
         self._reach.told(motion)
         if motion.event != Motion.REACHED:
             return
         self._monitor.on_reached()
+        self._weigher.reached()
         now = self._standing()
         if now is not None:
             self._worker.submit(partial(self._monitor.judge_servos, *now))

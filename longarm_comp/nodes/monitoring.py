@@ -154,7 +154,7 @@ class TipMonitor:
         return promise.learned
 
     def _missed(self, rest: RestPose, model: Model, context: Context) -> np.ndarray | None:
-        """tip - target (3,) m where the arm rests at a target, without the camera's side."""
+        """tip - target (3,) m where the arm rests at a target, without the measuring side."""
         if self._aim is None or np.abs(rest.q - self._aim[0]).max() >= SAME_POSE:
             return None
         seen_beside = model.measured(rest.q, context) - model.tip(rest.q, context)

@@ -23,11 +23,11 @@ from longarm_comp.core.model import encoders
 from longarm_comp.core.model.encoders import Parts
 
 _H = 1e-3
-"""Step (of a unit parameter, of a rad) of differences through the camera side."""
+"""Step (of a unit parameter, of a rad) of differences through the measuring side."""
 
 
 class Sensor(Protocol):
-    """What reports the tip: a model's camera side."""
+    """What reports the tip: a model's measuring side."""
 
     def seen(self, point: Vec, context: Context, kind: str = "position") -> Vec: ...
 
@@ -49,7 +49,7 @@ STILL = Moved(spatial.ZERO, spatial.ZERO)
 
 @dataclass(frozen=True)
 class Reseen:
-    """A change of the camera side: ``per`` times the difference of two sensors' reports."""
+    """A change of the measuring side: ``per`` times the difference of two sensors' reports."""
 
     raised: Sensor
     lowered: Sensor
@@ -101,7 +101,7 @@ class TipMotion:
     """The tip at N postures and its change by each of p parameters.
 
     Attributes:
-        sensor: the model's camera side.
+        sensor: the model's measuring side.
         frame: pose of the tip in the base frame.
         context: circumstances of the postures.
         changes: one per parameter.
