@@ -237,7 +237,7 @@ def _begun(model: Model, context: Context) -> Bank:
     at = {identity: k for k, identity in enumerate(record.slots)}
     active = np.array([k for k, name in enumerate(space.identities) if name in at], dtype=int)
     factor = record.factor[[at[space.identities[k]] for k in active]]
-    covariance = record.stretch * factor @ factor.T
+    covariance = record.stretch.factor * factor @ factor.T
     return Bank((Branch(1.0, Posterior.begun(space, space.values, active, covariance)),))
 
 
