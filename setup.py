@@ -74,6 +74,7 @@ EXTRAS = {
         "pin",
         "playwright",
         "pytest",
+        "pytest-timeout",
         "pytest-xdist",
         "ruff",
         "types-PyYAML",

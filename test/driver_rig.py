@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import subprocess
 from collections.abc import Iterator
@@ -57,7 +58,7 @@ class Rig:
         self.said = stage.collect(graph.DRIVER_STATE)
         self.diagnostics = stage.collect(graph.DIAGNOSTICS)
         self.trajectories = graph.JOINT_TRAJECTORY.publisher(stage.node)
-        self.stamps, self.ids = Stamps(stage.node), dict[str, list[str]]()
+        self.stamps, self.ids = Stamps(stage.node.get_clock()), dict[str, list[str]]()
         self.process = self.start()
 
     def start(self, patience_s: float = 5.0, clock: str = "system") -> subprocess.Popen[str]:
@@ -125,8 +126,12 @@ class Rig:
         self.stage.spin(there)
 
     def goes(self, stamp: Time | None = None, **goal: float) -> None:
-        """Send until it is on its way: the driver's subscription may still be connecting."""
-        self.send(stamp=stamp, **goal)
+        """Send until the driver tells of it: its subscription may still be connecting."""
+        for _ in range(6):
+            sent = self.send(stamp=stamp, **goal)
+            with contextlib.suppress(AssertionError):
+                self.stage.spin(lambda sent=sent: self.events(sent), within=5.0)
+                break
         self.arrives(**goal)
 
     def told(self, part: str) -> str:

@@ -84,16 +84,19 @@ def test_faults_are_rehearsed_and_a_second_graph_is_refused(
             said = shell.refused("sim", "freeze", "elbow")
             assert "kinematics" in said and "simulated_arm" in said
             with frozen(client, "simulated_arm") as pid:
-                state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-                assert state == "T"
-            state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-            assert state != "T"
+                client.until(lambda: stopped(pid), 60.0, "it goes on")
+            client.until(lambda: not stopped(pid), 60.0, "it stays frozen")
     finally:
         process.send_signal(signal.SIGINT)
         try:
             process.wait(timeout=60)
         finally:
             process.kill()
+
+
+def stopped(pid: int) -> bool:
+    """Whether a process is stopped by a signal."""
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "T"
 
 
 def test_a_bare_arm_gets_files_that_fit_in_simulation_only(tmp_path: Path) -> None:

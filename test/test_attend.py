@@ -68,7 +68,7 @@ def test_a_fault_is_told_with_its_cause_and_stays_until_it_is_cured(rig: Rig, sh
     shell("reset")
 
 
-@pytest.mark.parametrize("name", ["status", "hold", "stop", "reset"])
+@pytest.mark.parametrize("name", ["status", "hold"])
 def test_without_an_arm_the_command_says_so(rig: Rig, shell: Shell, name: str) -> None:
     assert "servo_driver" in (said := shell.refused(name, "--namespace", "moon", code=3)) or (
         "longarm up" in said

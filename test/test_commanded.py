@@ -55,7 +55,7 @@ def rows() -> Session:
 
 
 LEFT_OUT = {
-    "camera side": CameraDrift(x=2e-3, y=1e-3),
+    "measuring side": CameraDrift(x=2e-3, y=1e-3),
     "never told": PumpLift(lift=2e-3),
 }
 KEPT = {

@@ -102,6 +102,7 @@ def test_before_and_after_can_be_recomputed_from_the_files(work: Path) -> None:
     assert shown["with_effects"]["mean_mm"] < shown["calibrated"]["mean_mm"]
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_bytes(work: Path) -> None:
     arm, samples, test = (work / name for name in ("arm.yaml", "samples.csv", "test.csv"))
     assert diagnosed(arm, samples, "--test", test, "--no-network", "-o", work / "again") == 0
@@ -167,6 +168,7 @@ def test_nothing_is_found_where_nothing_is(data_dir: Path, tmp_path: Path) -> No
     assert np.linalg.norm(left, axis=1).mean() < 3e-4
 
 
+@pytest.mark.long
 def test_compliance_is_a_set_with_servo_droop(data_dir: Path, tmp_path: Path) -> None:
     found, left = twin(data_dir, "one_joint_compliance_300", tmp_path)
     assert found["verdict"] == "set"

@@ -11,9 +11,13 @@ from hidden_arm import SIGMA, at, session
 from small_arm import ARM
 from test_thresholds import session_of
 
+from longarm_comp.core.arm.measuring import CameraPlacement
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.backlash import Backlash
 from longarm_comp.core.effects.bearing_tilt import BearingTilt
+from longarm_comp.core.effects.camera_drift import CameraDrift
+from longarm_comp.core.effects.camera_radial import CameraRadial
+from longarm_comp.core.effects.camera_scale import CameraScale
 from longarm_comp.core.effects.gear_eccentricity import GearEccentricity
 from longarm_comp.core.effects.gravity_direction import GravityDirection
 from longarm_comp.core.effects.joint_gain import JointGain
@@ -151,3 +155,25 @@ def test_rows_in_which_a_switch_is_undecided_get_no_name(seed: int) -> None:
     (found,) = diagnose(DEMO, rows, kinds=(Backlash, GravityDirection)).findings
     assert found.names == ("backlash",)
     assert found.where == ("joint 6",)
+
+
+@pytest.mark.parametrize("instrument", [None, "camera", "tracker", "total_station", "touch"])
+def test_only_causes_of_what_measures_are_tried_and_said(instrument: str | None) -> None:
+    camera = CameraPlacement(position_m=(0.5, -3.0, 1.0))
+    arm = ARM.model_copy(update={"measuring": instrument, "camera": camera})
+    hours = np.linspace(0.0, 2.0, 120)
+    rows = session(n=120)
+    drifted = rows.xyz + np.outer(hours, [2e-3, -1e-3, 0.0])
+    rows = dataclasses.replace(rows, xyz=drifted, columns={"t_s": 3600.0 * hours})
+    kinds = (CameraDrift, CameraScale, CameraRadial, JointGain)
+    tried = {c.name for c in library(arm, rows.context(), kinds).testable}
+    views = {"camera_scale", "camera_radial"} if instrument in (None, "camera") else set()
+    drift = {"camera_drift"} if instrument != "touch" else set()
+    assert tried == {"joint_gain"} | views | drift
+    found = diagnose(arm, rows, kinds=kinds)
+    if drift:
+        (finding,) = assemble(found, "")[0]["findings"]
+        word = {None: "what measures", "total_station": "tripod"}.get(instrument, instrument)
+        assert finding["effect"] == "camera_drift"
+        assert word in finding["action"]
+        assert "camera" not in finding["action"] or instrument == "camera"

@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
@@ -44,6 +46,7 @@ def test_first_calibration(tmp_path: Path) -> None:
     assert float(differ[1]) < 0.25  # the noise of a sighting is 0.36 mm and more
 
 
+@pytest.mark.long
 def test_closing_the_loop(tmp_path: Path) -> None:
     said = printed("closing_the_loop.py", tmp_path)
     assert "['joint_gain']" in said
@@ -54,6 +57,7 @@ def test_closing_the_loop(tmp_path: Path) -> None:
     assert missed["and the network"] < 0.3
 
 
+@pytest.mark.long
 def test_online_loop(tmp_path: Path) -> None:
     said = printed("online_loop.py", tmp_path)
     alarms = [int(k) for k in re.findall(r"target (\d+): .*; calibrating again", said)]

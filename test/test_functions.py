@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from discover_rows import DEMO, HELD_OUT, ROWS, calibrated, measured
+from hidden_arm import SIGMA, at, session
 from small_arm import ARM as SMALL
 
 from longarm_comp.core.arm.arm import Arm
@@ -18,16 +19,19 @@ from longarm_comp.core.effects.bearing_tilt import BearingTilt
 from longarm_comp.core.effects.camera_drift import CameraDrift
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.function import Function
+from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.shapes import Legendre, Linear, Square, Switch
 from longarm_comp.core.identify.calibrate import declared_model, geometry
 from longarm_comp.core.identify.candidates import library
+from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.discover.bank import Hypothesis, Spot
 from longarm_comp.core.identify.discover.causes import Cause, causes
 from longarm_comp.core.identify.discover.functions import SWITCH, Functions, switch
 from longarm_comp.core.identify.discover.inputs import Argument, Arguments, levels_of
 from longarm_comp.core.identify.discover.propose import POSES, doubts, proposed
 from longarm_comp.core.identify.posterior.explain import ExplainedSession, explain_session
-from longarm_comp.sim.hidden import loads
+from longarm_comp.core.model.model import Model
+from longarm_comp.sim.hidden import drives, loads
 from longarm_comp.sim.hidden.base import HiddenEffect
 from studies.discover import set_up
 from studies.outside import HosePull, PumpShake, RubberStop, TwoSeats
@@ -73,6 +77,14 @@ def test_a_hose_is_a_force_where_it_pulls() -> None:
     assert after < 0.5 * before
 
 
+def test_a_function_is_found_where_the_geometry_is_exact() -> None:
+    """The model has no free parameter then."""
+    (effect,) = explain_session(Model(SMALL), session([drives.JointGain(at(2, 0.02))]), ()).found
+    (term,) = effect.terms
+    assert (term.where, term.function) == ("joint 2, turn z", "linear(q2)")
+    assert term.amount == pytest.approx(0.02, rel=0.02)
+
+
 @pytest.mark.xfail(raises=AssertionError, reason="8.7 N/rad x q2 along x of joint 5, alone")
 def test_twice_the_rows_tell_a_weaker_hose_exactly() -> None:
     cause = alone(DEMO, HosePull(row=5, first=1, second=4, pull=10.0), rows=2 * ROWS, seed=1)
@@ -104,7 +116,7 @@ def scaled(rows: Session) -> Session:
 
 def test_a_scale_of_the_camera_is_the_cameras() -> None:
     cause = one(explained(DEMO, scaled(measured(DEMO, (), ROWS, 3))))
-    assert cause.where[0] == "what the camera sees, distance"
+    assert cause.where[0] == "what is measured, distance"
     assert not cause.compensated
     assert cause.terms[0].function == "1"  # type: ignore[union-attr]
 
@@ -125,7 +137,7 @@ def test_a_recorded_column_that_drives_the_error_is_found_on_its_axis(
 ) -> None:
     cause = alone(SMALL, PumpShake(sway=sway, waves=6.0), rows=rows, seed=seed)
     assert cause.inputs == ("pump_bar",)
-    assert cause.where == ("base, move x", "what the camera sees, x")
+    assert cause.where == ("base, move x", "what is measured, x")
     assert cause.amounts[0].value == pytest.approx(sway, rel=0.05)
     assert "something that the recorded column drives" in cause.reading
 
@@ -162,7 +174,7 @@ def test_a_name_that_imitates_a_cause_is_not_named() -> None:
     setting = set_up(DEMO, "window_glass", "grid", 2, ROWS)
     found = explained(DEMO, setting.train, (BearingTilt,))
     cause = one(found)
-    assert cause.where[0] == "what the camera sees, z"
+    assert cause.where[0] == "what is measured, z"
     assert cause.inputs == ("seen_x",)
     assert cause.names == ()
     assert not cause.compensated
@@ -253,3 +265,33 @@ def test_a_ramp_fills_the_gap_of_the_data() -> None:
     assert (made.threshold, made.half) == pytest.approx((0.4, 0.2))
     np.testing.assert_allclose(made.at(values), [-1, -1, -1, 1, 1, 1], atol=1e-12)
     assert float(made.at(0.4)) == pytest.approx(0.0)
+
+
+# ------------------------------------------------------------------ recorded columns
+
+
+def test_the_diagnosis_names_the_driver_and_not_the_noise(rng: np.random.Generator) -> None:
+    """x += 4 mm sin(6 pump_bar) in 140 rows: 2.8 mm that were the noise of x."""
+    rows = session(n=140)
+    pump = rng.uniform(1.0, 3.0, 140)
+    xyz = rows.xyz + np.outer(4e-3 * np.sin(6.0 * pump), [1.0, 0.0, 0.0])
+    driven = dataclasses.replace(rows, xyz=xyz, columns={**rows.columns, "pump_bar": pump})
+    found = diagnose(SMALL, driven, kinds=(JointGain,))
+    assert found.verdict == "partly" and not found.findings
+    (cause,) = found.causes
+    assert cause.inputs == ("pump_bar",)
+    assert abs(cause.amounts[0].value) == pytest.approx(4e-3, rel=0.02)
+    assert any("measured" in place for place in cause.where)
+    assert found.written == "with_functions"
+    np.testing.assert_allclose(found.search.noise.sigma, SIGMA, rtol=0.35)
+
+
+def test_noise_that_is_far_larger_on_one_axis_is_noise_of_that_axis(
+    rng: np.random.Generator,
+) -> None:
+    rows = session(n=140)
+    uneven = dataclasses.replace(rows, xyz=rows.xyz + rng.normal(0.0, [8e-3, 0.0, 0.0], (140, 3)))
+    found = diagnose(SMALL, uneven, kinds=(JointGain,))
+    assert (found.verdict, found.findings) == ("noise", ())
+    assert found.search.noise.sigma[0] == pytest.approx(8e-3, rel=0.2)
+    np.testing.assert_allclose(found.search.noise.sigma[1:], SIGMA, rtol=0.35)

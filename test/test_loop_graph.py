@@ -133,6 +133,7 @@ def test_verify_says_whether_compensation_helps(
         choose(runner, lambda n: np.array([[9.0, 0.0, 0.0]]), 1, (Method.NONE,))
 
 
+@pytest.mark.long
 def test_after_a_sweep_the_history_is_known(
     files: Path, demo_arm_path: Path, client: ArmClient, runner: TargetRunner
 ) -> None:
@@ -216,6 +217,7 @@ def test_play_grows_while_the_simulation_runs(client: ArmClient, runner: TargetR
     np.testing.assert_allclose(witness(now()), before, atol=1e-6)
 
 
+@pytest.mark.long
 def test_the_loop_asks_goes_on_and_is_taken_back(
     files: Path, demo_arm_path: Path, client: ArmClient, runner: TargetRunner, tmp_path: Path
 ) -> None:

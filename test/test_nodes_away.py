@@ -14,6 +14,8 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from nodes_bench import Bench, bench
 from publishing import publishing
 from rclpy.action import ActionClient
+from rclpy.clock import ClockType, ROSClock
+from rclpy.time import Time
 from test_nodes_driver_link import ARM, Driver
 from test_nodes_kinematics import pose, request
 from trajectory_msgs.msg import JointTrajectory
@@ -23,7 +25,8 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.client import GraphClient
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.orders import order_id
+from longarm_comp.nodes.orders import Stamps, order_id
+from longarm_comp.nodes.stamps import stamp_ns
 from longarm_interfaces.action import Reach
 from longarm_interfaces.msg import Motion
 from longarm_interfaces.srv import Compensate
@@ -190,3 +193,13 @@ def test_a_flood_of_targets_starves_neither_a_service_nor_the_last_of_them(
     last = slow_path(arm, 97)[(sent[0] - 1) % 97]
     reached = np.array(stand.driver.got[-1].points[-1].positions)
     np.testing.assert_allclose(declared_model(arm).tip(reached), last[:3, 3], atol=1e-5)
+
+
+def test_stamps_of_orders_differ_and_go_where_the_clock_goes() -> None:
+    clock = ROSClock()
+    clock._set_ros_time_is_active(True)
+    stamps, made = Stamps(clock), []
+    for now_ns in (5_000, 5_000, 5_001, 9_000, 2_000, 2_000, 4_000):  # it stands, and goes back
+        clock.set_ros_time_override(Time(nanoseconds=now_ns, clock_type=ClockType.ROS_TIME))
+        made.append(stamp_ns(stamps.next()))
+    assert made == [5_000, 5_001, 5_002, 9_000, 2_000, 2_001, 4_000]

@@ -112,6 +112,7 @@ def stage(tmp_path: Path) -> Iterator[Bench]:
         yield made
 
 
+@pytest.mark.long
 def test_two_arms_side_by_side_survive_killed_nodes(stage: Bench, arm: Arm) -> None:
     said: list[str] = []
     compiled = bring_up("right_arm", kinematics={"compiled": True})

@@ -220,6 +220,7 @@ def test_wheel_holds_every_file_of_the_package_and_nothing_else(wheel: Path) -> 
     assert {name for name in folders if not name.startswith(f"{PACKAGE}-")} == {PACKAGE}
 
 
+@pytest.mark.long
 def test_the_source_distribution_builds_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
     """Made in the copy that the wheel was made of, so that nothing of a working tree helps."""
     make = "import sys; from setuptools import build_meta; build_meta.build_sdist(sys.argv[1])"

@@ -31,6 +31,7 @@ def test_a_deadband_takes_play_at_the_same_joints(play_and_droop: dict[str, Any]
     assert errors["with_effects"] < 1.3 * errors["true_effects"] + 0.02
 
 
+@pytest.mark.long
 def test_a_payload_that_does_for_soft_beams_too_is_found(demo_arm_path: Path) -> None:
     found = result(demo_arm_path, "link_stiffness", "tip_payload")
     assert found["found"] == [["tip_payload"]]
@@ -45,6 +46,7 @@ def test_an_effect_that_stands_alone_is_found_with_its_size(demo_arm_path: Path)
     assert all(i["high"] - i["low"] < 0.1 * abs(i["true"]) + 2e-3 for i in gain["intervals"])
 
 
+@pytest.mark.long
 def test_a_payload_and_a_soft_base_are_both_found(demo_arm_path: Path) -> None:
     """Bearings that tilt everywhere would do nearly as well."""
     found = result(demo_arm_path, "tip_payload", "base_compliance")

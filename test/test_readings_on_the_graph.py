@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from longarm_interfaces.action import Reach
 from longarm_interfaces.srv import Compensate
 
 DROOP = "servo_droop=5.0"
+TIP_STANDS = "By readings the tip stands at"
 
 
 def reached(client: ArmClient, reach: ActionClient, pose: PoseStamped) -> Reach.Result:
@@ -38,7 +40,12 @@ def reached(client: ArmClient, reach: ActionClient, pose: PoseStamped) -> Reach.
             return result
 
 
-@pytest.fixture(params=[False, True], ids=["plain", "trimmed"])
+@pytest.fixture(
+    params=[
+        pytest.param(False, id="plain", marks=pytest.mark.long),
+        pytest.param(True, id="trimmed"),
+    ]
+)
 def arm_at_work(
     request: pytest.FixtureRequest, ros_domain: int, demo_arm_path: Path
 ) -> Iterator[tuple[ArmClient, bool]]:
@@ -60,9 +67,12 @@ def arm_at_work(
 
 
 def test_the_tip_by_readings_sees_a_droop_that_no_model_holds(
-    arm_at_work: tuple[ArmClient, bool], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arm_at_work: tuple[ArmClient, bool],
+    tmp_path: Path,
+    demo_arm_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Reach says it with its doubt, status too; trim leaves nothing of it."""
+    """Reach says it with its doubt, status and verify too; trim leaves nothing of it."""
     client, trim = arm_at_work
     truth: list[np.ndarray] = []
     client.node.create_subscription(
@@ -90,5 +100,10 @@ def test_the_tip_by_readings_sees_a_droop_that_no_model_holds(
     else:
         assert np.linalg.norm(off) > 2e-3
     shell = Shell(tmp_path, capsys)
-    assert shell("status") == 0
-    assert "By readings the tip stands at" in shell.out
+    client.until(lambda: shell("status") == 0 and TIP_STANDS in shell.out, 60.0, shell.out)
+    verified = shell("verify", demo_arm_path, "-n", 4, "--by", "readings", "--move", 0.2, "--json")
+    report = json.loads(shell.out)
+    assert report["targets"] == 4
+    with_it = report["rows"][-1]["mean_mm"]
+    assert with_it < 0.5 if trim else with_it > 2.0
+    assert verified == (0 if report["helps"] else 3)

@@ -247,7 +247,7 @@ class Terminal:
     def until(self, *words: str) -> str:
         """Read until one of the words was said since the last one, and return it."""
         while not (found := [word for word in words if word in self._text]):
-            assert select.select([self._master], [], [], 15.0)[0], self._text
+            assert select.select([self._master], [], [], 60.0)[0], self._text
             self._text += os.read(self._master, 4096).decode(errors="replace")
         self._text = self._text.split(found[0], 1)[1]
         return found[0]

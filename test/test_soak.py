@@ -158,6 +158,7 @@ class DeafPredictor:
         pytest.param(DeafPredictor(), "status 1", id="predictor", marks=pytest.mark.long),
     ],
 )
+@pytest.mark.long
 def test_an_arm_that_stays_dead_fails_the_soak(
     fault: StuckStop | DeafPredictor,
     said: str,

@@ -211,6 +211,7 @@ def test_play_and_droop_whatever_side_the_joints_come_from(
     assert run_ups
 
 
+@pytest.mark.long
 def test_friction_that_remembers_the_move_before(
     ros_domain: int, demo_arm_path: Path, tmp_path: Path
 ) -> None:

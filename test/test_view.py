@@ -45,7 +45,7 @@ BESIDE = np.array([0.0008, -0.0006, 0.0])
 MEAN_WORDS = '<img src="x" onerror="window.planted = true">'
 PATIENCE_S = 60.0
 FEW_FRAMES = (
-    "window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), 200)"
+    "window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), 700)"
 )
 """Without a GPU 60 frames a second take all of a machine."""
 WIDE = ViewportSize(width=800, height=500)

@@ -152,7 +152,7 @@ def commanded_and_seen(figure: Figure) -> None:
     axes.text(seen[0] + 0.15, seen[1] + 0.05, "where the cameras see it", va="center")
     axes.text(1.45, 1.02, "as commanded:\nthe arm's own error", ha="right", color=BLUE, va="center")
     axes.text(2.0, 1.78, "as seen", ha="center", color="#555555")
-    axes.text(2.75, 1.2, "the camera's side (scale, hand-eye, lens):\nfitted, never compensated",
+    axes.text(2.75, 1.2, "the measuring side (scale, hand-eye, lens):\nfitted, never compensated",
               va="center")  # fmt: skip
     axes.set(xlim=(-0.1, 5.2), ylim=(0.45, 2.2),
              title="As commanded and as seen: every table has both")  # fmt: skip

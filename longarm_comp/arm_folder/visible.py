@@ -61,8 +61,8 @@ class View:
     @classmethod
     def of(cls, bridge: Mapping[str, Any], simulated: Mapping[str, Any]) -> View:
         """From parameters of `stereo_bridge` and `simulated_arm` by dotted name."""
-        from longarm_comp.devices.stereo.marker import tags_of
         from longarm_comp.devices.stereo.limits import Limits  # these take a second, with OpenCV
+        from longarm_comp.devices.stereo.marker import tags_of
         from longarm_comp.sim.cameras import CameraPair
         from longarm_comp.sim.plant import mounting
 
@@ -174,8 +174,7 @@ def view_beside(arm: Path) -> View | None:
 
 def _lens_beside(arm: Path) -> Lens | None:
     """The cameras' lens by the calibration beside an arm.yaml; None where there is none."""
-    from longarm_comp.arm_folder.camera_files import SIDES, camera_path
-    from longarm_comp.arm_folder.head_file import read_camera
+    from longarm_comp.arm_folder.camera_files import SIDES, camera_path, read_camera
 
     files = [camera_path(arm.absolute().parent, side) for side in SIDES]
     if not all(file.is_file() for file in files):

@@ -39,28 +39,31 @@ class BusConfig(ServoSettings):
 class FollowerConfig(ServoSettings):
     """Limits that hold for every joint; ticks are the servo's own."""
 
-    blend_s: Positive = Field(0.2, description="a new trajectory takes over from a running one, s")
+    blend_s: Positive = Field(
+        default=0.2, description="a new trajectory takes over from a running one, s"
+    )
     max_step_s: Positive = Field(
-        0.1, description="largest step of the set-point in time, also after a longer pause, s"
+        default=0.1,
+        description="largest step of the set-point in time, also after a longer pause, s",
     )
-    silence_s: Positive = Field(0.25, description="without a trusted read-back: a fault, s")
+    silence_s: Positive = Field(default=0.25, description="without a trusted read-back: a fault, s")
     stall_error_ticks: Positive = Field(
-        40.0, description="position error at full load that counts as a stall"
+        default=40.0, description="position error at full load that counts as a stall"
     )
-    stall_time_s: Positive = Field(0.5, description="how long it has to last, s")
+    stall_time_s: Positive = Field(default=0.5, description="how long it has to last, s")
     lost_error_ticks: Positive = Field(
-        400.0, description="position error over stall_time_s that is a fault at any load"
+        default=400.0, description="position error over stall_time_s that is a fault at any load"
     )
     jump_ticks: Positive = Field(
-        200.0, description="a read-back so far from any reachable position is rejected"
+        default=200.0, description="a read-back so far from any reachable position is rejected"
     )
     trim_ticks: Positive = Field(
-        100.0,
+        default=100.0,
         description="so far may a servo give way: the largest correction by trim, and how far "
         "beyond its limit a joint may hang when it is taken up",
     )
     trim_pause_s: Positive = Field(
-        0.12, description="rest between two steps of trim: a period of the slowest swing, s"
+        default=0.12, description="rest between two steps of trim: a period of the slowest swing, s"
     )
 
 

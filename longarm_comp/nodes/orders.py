@@ -27,14 +27,19 @@ def order_id(message: JointTrajectory) -> str:
 
 
 class Stamps:
-    """Stamps of a node's orders: now, and later than the one before also where its clock stands."""
+    """Stamps of a node's orders: now; while its clock stands, each 1 ns later than the one before.
 
-    def __init__(self, node: Node) -> None:
-        self._clock, self._last = node.get_clock(), 0
+    A clock that goes back takes them with it.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock, self._read, self._last = clock, 0, 0
 
     def next(self) -> Time:
         """The stamp of the next order."""
-        self._last = max(int(self._clock.now().nanoseconds), self._last + 1)
+        before, self._read = self._read, int(self._clock.now().nanoseconds)
+        stood = before <= self._read <= self._last
+        self._last = self._last + 1 if stood else self._read
         return stamp_of(self._last)
 
 
@@ -56,7 +61,7 @@ class Freshness:
     def __init__(self, node: Node, max_age_s: float) -> None:
         self._clock, self.max_age_s = node.get_clock(), max_age_s
         self._turned = time.monotonic()
-        self._away_s, self._back = 0.0, self._turned - max_age_s
+        self._away_s = self._back = 0.0
         # Period of the watch, as a share of the age allowed
         steady_timer(node, 0.1 * max_age_s, self._turn)
 
@@ -70,10 +75,11 @@ class Freshness:
     def away_s(self) -> float:
         """What is taken now may have waited for so long, s.
 
-        What came meanwhile may be delivered late too: it counts for as long as orders may be old.
+        What came meanwhile may be delivered late too. It is worked off in no longer than it came
+        in, so it counts for as long as the node was away.
         """
         now = time.monotonic()
-        late = self._away_s if now - self._back < self.max_age_s else 0.0
+        late = self._away_s if now - self._back < self._away_s else 0.0
         return max(now - self._turned, late)
 
     def too_old(self, stamp: Time) -> str:

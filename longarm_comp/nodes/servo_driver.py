@@ -13,6 +13,7 @@ import uuid
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pydantic import BaseModel
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
@@ -60,7 +61,11 @@ PARAMS = (
     *intake.PARAMS,
     PERIOD,
 )
-SECTIONS = {"bus": BusConfig, "joints": JointConfig, "follower": FollowerConfig}
+SECTIONS: dict[str, type[BaseModel]] = {
+    "bus": BusConfig,
+    "joints": JointConfig,
+    "follower": FollowerConfig,
+}
 """Parameters below these names are the servo configuration (`devices/servo_config.py`)."""
 
 

@@ -88,7 +88,7 @@ class TargetInlet:
         self._latest: _Sent | None = None
         self._passed: deque[_Sent] = deque()
         self._untold = 0
-        self._fresh, self._stamps = Freshness(node, self._max_age_s), Stamps(node)
+        self._fresh, self._stamps = Freshness(node, self._max_age_s), Stamps(node.get_clock())
         self._broken = ""  # the last fault of this software, until a target succeeds
         self._trajectory = graph.JOINT_TRAJECTORY.publisher(node)
         self._compensation = graph.COMPENSATION.publisher(node)

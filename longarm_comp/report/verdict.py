@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from longarm_comp.core.data.commanded import CAMERA_SIDE
+from longarm_comp.core.data.commanded import MEASURING_SIDE
 from longarm_comp.report.record import DiagnosisReport
 from longarm_comp.report.words import change, interval
 
@@ -71,7 +71,7 @@ class _Improvement:
         seen: mean error as seen; empty where it reads the same.
         proof: what the interval says; empty where nothing was added.
         between: what a command leaves out, where the two differ.
-        camera: whether a finding is on the camera's side.
+        camera: whether a finding is on the measuring side.
     """
 
     stages: tuple[str, str]
@@ -100,7 +100,7 @@ def improvement(report: DiagnosisReport) -> _Improvement | None:
         seen if differs else "",
         _proof(held.commanded_ci95_mm or held.before_after_ci95_mm),
         tuple(held.not_commanded) if differs else (),
-        any(said.endswith(CAMERA_SIDE) for said in held.not_commanded) and bool(report.findings),
+        any(said.endswith(MEASURING_SIDE) for said in held.not_commanded) and bool(report.findings),
     )
 
 

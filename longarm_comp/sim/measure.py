@@ -59,7 +59,7 @@ class TrueCamera:
     Attributes:
         position_m: (3,) in the base frame.
         axes: rows are its axes x right, y down, z along the optical axis, in the base frame.
-        effects: camera-side errors, in order.
+        effects: measuring-side errors, in order.
     """
 
     position_m: Array
@@ -81,7 +81,7 @@ class TrueCamera:
         return cls(np.asarray(arm.camera.position_m, float), axes, tuple(effects))
 
     def seen(self, points: Array, t_s: Array | float = 0.0) -> Array:
-        """Noise-free report (N, 3) m of true points (N, 3) m, camera-side effects included."""
+        """Noise-free report (N, 3) m of true points (N, 3) m, measuring-side effects included."""
         t = np.broadcast_to(t_s, len(points)).astype(float)
         local = (points - self.position_m) @ self.axes.T
         for effect in self.effects:
@@ -116,7 +116,7 @@ class SimulatedSession:
 
     Attributes:
         columns: as in samples.csv; NaN is blank.
-        truth: noise-free: `tip` (N, 3) m, `seen` (N, 3) m with camera-side effects, `side`
+        truth: noise-free: `tip` (N, 3) m, `seen` (N, 3) m with measuring-side effects, `side`
             (N, n) true approach, `outlier` (N,) bool.
     """
 

@@ -25,6 +25,7 @@ from longarm_comp.core.arm.measuring import (
     CameraPlacement,
     CameraSensor,
     Inclinometer,
+    Instrument,
     Marker,
     Placements,
     Sensors,
@@ -214,6 +215,9 @@ class Arm(Declared):
     links: tuple[Beam, ...] = ()
     point_masses: tuple[PointMass, ...] = ()
     camera: CameraPlacement | None = None
+    measuring: Instrument | None = Field(
+        default=None, description="what measures positions; only its own causes are tried then"
+    )
     markers: dict[str, Marker] = Field(default_factory=dict)
     anchors: dict[str, Anchor] = Field(default_factory=dict)
     sensors: Sensors = Field(default_factory=dict)

@@ -9,6 +9,9 @@ from pydantic import Field, model_validator
 from longarm_comp.core.arm.pose import Pose, Positive, Vec3
 from longarm_comp.core.yaml_file import Declared, Misdeclared
 
+Instrument = Literal["camera", "tracker", "total_station", "touch"]
+"""What positions are measured with."""
+
 
 class CameraPlacement(Declared):
     """The stereo head, in the base frame."""

@@ -1,6 +1,6 @@
 """Errors as a command would have them: what the tip would miss a target by, with this model.
 
-A measurement holds more than a command can use.  A cause on the camera's side moves what is seen,
+A measurement holds more than a command can use.  A cause on the measuring side moves what is seen,
 not the tip, so no command compensates it.  A command knows its own way, and what the joints did
 before it where their moves are followed, as in a running graph; of rows that only say from which
 side a joint came, nobody does.  And it is told the circumstances in `_TOLD` only.  `errors` of a
@@ -21,7 +21,7 @@ from longarm_comp.core.model.model import Model
 
 _TOLD = ("t_s", "temperature_c", "payload_kg")
 """Circumstances that a command is told, besides inclinations: by topics, or by its target."""
-CAMERA_SIDE, NEVER_TOLD = "(camera side)", "(a circumstance that no command is told)"
+MEASURING_SIDE, NEVER_TOLD = "(measuring side)", "(a circumstance that no command is told)"
 
 
 def commanded_errors(model: Model, session: Session) -> np.ndarray:
@@ -30,7 +30,7 @@ def commanded_errors(model: Model, session: Session) -> np.ndarray:
 
 
 def as_commanded(model: Model) -> Model:
-    """The model without what no command compensates: camera side, circumstances never told.
+    """The model without what no command compensates: measuring side, circumstances never told.
 
     Frames of sensors and anchors stay: they say in which frame a row was measured.
     """
@@ -62,7 +62,7 @@ def own_way(session: Session) -> Session:
 def not_commanded(model: Model, session: Session) -> list[str]:
     """What `commanded_errors` leaves out of a model at these rows, in words."""
     said = [
-        f"{term.name} {CAMERA_SIDE if isinstance(term, Bias) else NEVER_TOLD}"
+        f"{term.name} {MEASURING_SIDE if isinstance(term, Bias) else NEVER_TOLD}"
         for term in model.terms
         if not term.geometry and not commandable(term)
     ]

@@ -1,7 +1,8 @@
-"""A camera that moves slowly during the session."""
+"""What measures moves slowly during the session."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -9,6 +10,7 @@ from typing_extensions import Self
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.measuring import Instrument
 from longarm_comp.core.arm.spatial import Vec
 from longarm_comp.core.effects.effect import Bias, parameter
 
@@ -18,20 +20,20 @@ class CameraDrift(Bias):
     """Seen points drift linearly in time."""
 
     name: ClassVar[str] = "camera_drift"
-    title: ClassVar[str] = "camera drift"
+    title: ClassVar[str] = "drift of the measurements"
     action: ClassVar[str] = (
-        "Fix the camera's mount and let it warm up; measure again in random order."
+        "Fix the mount of what measures and let it warm up; measure again in random order."
     )
+    instruments: ClassVar[Mapping[Instrument, str]] = {
+        "camera": "Fix the cameras' mount and let them warm up; measure again in random order.",
+        "tracker": "Let the tracker warm up; check its stand; measure its home point again.",
+        "total_station": "Check tripod and level; sight a fixed prism first and last.",
+    }
     needs: ClassVar[tuple[str, ...]] = ("t_s",)
 
     x: float = parameter("m/h", "drift of the seen points", prior=2e-3)
     y: float = parameter("m/h", "drift of the seen points", prior=2e-3)
     z: float = parameter("m/h", "drift of the seen points", prior=2e-3)
-
-    @property
-    def where(self) -> str:
-        """``camera``."""
-        return "camera"
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:

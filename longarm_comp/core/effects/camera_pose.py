@@ -35,11 +35,6 @@ class CameraPose(Bias):
     ry: float = parameter("rad", "turn of the seen points", prior=0.05)
     rz: float = parameter("rad", "turn of the seen points", prior=0.05)
 
-    @property
-    def where(self) -> str:
-        """``camera``."""
-        return "camera"
-
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
         """One camera."""

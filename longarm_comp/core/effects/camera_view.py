@@ -1,13 +1,16 @@
-"""Base of camera-side biases: splits a point along and across the optical axis."""
+"""Base of measuring-side biases: splits a point along and across the optical axis."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from typing_extensions import Self
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.measuring import Instrument
 from longarm_comp.core.arm.spatial import Scalar, Vec, add, dot, scale, sub
 from longarm_comp.core.effects.effect import Bias
 
@@ -16,10 +19,7 @@ from longarm_comp.core.effects.effect import Bias
 class CameraView(Bias):
     """A bias that needs to know where the declared camera is."""
 
-    @property
-    def where(self) -> str:
-        """``camera``."""
-        return "camera"
+    instruments: ClassVar[Mapping[Instrument, str]] = {"camera": ""}
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:

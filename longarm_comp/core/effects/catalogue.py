@@ -27,7 +27,6 @@ from longarm_comp.core.effects.camera_drift import CameraDrift
 from longarm_comp.core.effects.camera_pose import CameraPose
 from longarm_comp.core.effects.camera_radial import CameraRadial
 from longarm_comp.core.effects.camera_scale import CameraScale
-from longarm_comp.core.effects.column_bending import ColumnBending
 from longarm_comp.core.effects.creep import Creep
 from longarm_comp.core.effects.cylinder_pins import CylinderPins
 from longarm_comp.core.effects.cylinder_play import CylinderPlay
@@ -42,6 +41,7 @@ from longarm_comp.core.effects.guide_curvature import GuideCurvature
 from longarm_comp.core.effects.joint_compliance import JointCompliance
 from longarm_comp.core.effects.joint_gain import JointGain
 from longarm_comp.core.effects.joint_zero import JointZero
+from longarm_comp.core.effects.link_bending import LinkBending
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.effects.link_mass import LinkMass
 from longarm_comp.core.effects.link_stiffness import LinkStiffness
@@ -90,7 +90,7 @@ _OURS: tuple[Kind, ...] = (
     TipPayload,
     LinkMass,
     TelescopeClearance,
-    ColumnBending,
+    LinkBending,
     SlidePlay,
     GuideCurvature,
     BaseCompliance,

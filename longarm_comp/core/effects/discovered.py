@@ -37,7 +37,7 @@ DISTANCE = "distance"
 
 
 def views(arm: Arm) -> list[str]:
-    """Ways that what the camera sees may be displaced; a distance is from a declared camera."""
+    """Ways that what is measured may be displaced; a distance is from a declared camera."""
     return [*AXES, *([DISTANCE] if arm.camera is not None else [])]
 
 
@@ -128,7 +128,7 @@ class Discovered(Effect):
 
 @dataclass(frozen=True)
 class DiscoveredView(Bias):
-    """A camera-side cause without a name: the seen point is displaced by some function of it.
+    """A measuring-side cause without a name: the seen point is displaced by some function of it.
 
     Attributes:
         axis: ``x``, ``y`` or ``z`` of the base frame; ``distance``: away from the camera, as a
@@ -138,7 +138,7 @@ class DiscoveredView(Bias):
     """
 
     name: ClassVar[str] = "discovered_view"
-    title: ClassVar[str] = "cause without a name in what the camera sees"
+    title: ClassVar[str] = "cause without a name in what is measured"
     action: ClassVar[str] = "Check mount, lenses and calibration of the camera."
     searched: ClassVar[bool] = False
 

@@ -21,6 +21,7 @@ from typing_extensions import Self
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.measuring import Instrument
 from longarm_comp.core.arm.posture import Lumped, Posture
 from longarm_comp.core.arm.spatial import Frame, Scalar, Twist, Vec
 from longarm_comp.core.errors import InputError
@@ -145,7 +146,7 @@ def markers(arm: Arm) -> list[str]:
 
 @dataclass(frozen=True)
 class _Term:
-    """Common base of arm-side effects and camera-side biases: identity, parameters, files.
+    """Common base of arm-side effects and measuring-side biases: identity, parameters, files.
 
     Attributes:
         name: canonical name, used in files and reports.
@@ -371,13 +372,30 @@ class Effect(_Term, ABC):
 
 @dataclass(frozen=True)
 class Bias(_Term, ABC):
-    """A camera-side cause. It moves the *seen* point, not the arm, and is never compensated.
+    """A measuring-side cause. It moves the *seen* point, not the arm, and is never compensated.
 
     Attributes:
         sees: kinds of measurement (`core/data/measurement.py`) that it acts on.
+        instruments: what may have it (`measuring` in arm.yaml; all where empty), and what can be
+            done about it there, where that is not `action`.
     """
 
     sees: ClassVar[frozenset[str]] = frozenset({"position", "orientation"})
+    instruments: ClassVar[Mapping[Instrument, str]] = {}
+
+    @property
+    def where(self) -> str:
+        """Its places; of most, what measures."""
+        return super().where if self.places else "measuring side"
+
+    @classmethod
+    def of_instrument(cls, arm: Arm) -> bool:
+        """Whether what measures the arm may have it; where nothing is declared, anything may."""
+        return arm.measuring is None or not cls.instruments or arm.measuring in cls.instruments
+
+    def advice(self, arm: Arm) -> str:
+        """By what measures the arm."""
+        return (arm.measuring and self.instruments.get(arm.measuring)) or self.action
 
     @abstractmethod
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:

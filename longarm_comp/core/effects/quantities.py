@@ -10,7 +10,7 @@
 | `distance_2_5` | distance between the bearings of rows 2 and 5 | m |
 | `side_2` | side that commanded joint 2 arrived from, -1 or +1; 0 unknown | 1 |
 | `warmth` | temperature above the arm's reference | K |
-| `seen_x` | coordinate of the seen point in the base frame (camera side only) | m |
+| `seen_x` | coordinate of the seen point in the base frame (measuring side only) | m |
 | any other | a recorded column of that name: `t_s`, `pump_bar` | of the column |
 """
 
@@ -37,7 +37,7 @@ AXES = ("x", "y", "z")
 
 @dataclass(frozen=True)
 class SeenPoint:
-    """What a camera-side function may depend on: the point and the circumstances."""
+    """What a measuring-side function may depend on: the point and the circumstances."""
 
     point: Vec
     context: Context

@@ -93,6 +93,9 @@ def library(
     missing: list[tuple[str, str]] = []
     tried = searched() if kinds is None else kinds
     for kind in tried:
+        if issubclass(kind, Bias) and not kind.of_instrument(arm):
+            missing.append((kind.name, f"positions are measured by {arm.measuring}"))
+            continue
         groups = kind.candidates(arm)
         if not groups:
             missing.append((kind.name, NO_PLACE))

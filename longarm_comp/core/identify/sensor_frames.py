@@ -1,6 +1,6 @@
 """What the sensors of a session leave open: axes of tracked bodies, places of anchors and points.
 
-Each is a camera-side term with a prior that leaves it free, so its start must be close: it is
+Each is a measuring-side term with a prior that leaves it free, so its start must be close: it is
 computed in closed form from the rows that it is in.
 """
 

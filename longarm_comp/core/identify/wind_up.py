@@ -12,7 +12,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -70,11 +70,12 @@ class WindUp:
 
     def terms(self, terms: Iterable[AnyTerm]) -> tuple[AnyTerm, ...]:
         """Terms with these radii."""
+        forms: dict[str, Any] = {"near": self.near, "far": self.far, "run_up": self.run_up}
 
         def shaped(term: AnyTerm) -> AnyTerm:
             if not remembers(term):
                 return term
-            return dataclasses.replace(term, near=self.near, far=self.far, run_up=self.run_up)
+            return dataclasses.replace(term, **forms)
 
         return tuple(map(shaped, terms))
 
@@ -87,8 +88,9 @@ def with_run_ups(session: Session, arm: Arm, run_up: float) -> Session:
 
 def as_fitted(session: Session, model: Model) -> Session:
     """The session with unrecorded run-ups taken to be as long as a model was fitted with."""
-    taken = [e.run_up for e in model.effects if remembers(e) and e.run_up > 0]
-    return with_run_ups(session, model.arm, taken[0]) if taken else session
+    taken = [float(e.forms["run_up"]) for e in model.effects if remembers(e)]
+    longest = max(taken, default=0.0)
+    return with_run_ups(session, model.arm, longest) if longest else session
 
 
 def wind_up(
@@ -139,7 +141,7 @@ class _Evidence:
     fitted: ModelFit
     marginal: Marginal
     rows: Callable[[float], Session]
-    terms: tuple[Effect, ...]
+    terms: tuple[Effect | Bias, ...]
     side_alone: float = 0.0
     known: dict[float, CandidateColumns] = field(default_factory=dict)
 
@@ -148,7 +150,7 @@ class _Evidence:
         cls,
         fitted: ModelFit,
         rows: Callable[[float], Session],
-        terms: tuple[Effect, ...],
+        terms: tuple[Effect | Bias, ...],
     ) -> _Evidence:
         """On top of the rest of a model that holds the terms."""
         rest = [not remembers(s.owner) for s in fitted.slots]
@@ -160,7 +162,7 @@ class _Evidence:
         model: Model,
         rows: Callable[[float], Session],
         candidates: Sequence[Candidate],
-        terms: tuple[Effect, ...],
+        terms: tuple[Effect | Bias, ...],
     ) -> _Evidence:
         """On top of a model without the terms and of all else that the library holds."""
         fitted = fit(model, rows(_middle(RUN_UPS)))

@@ -169,7 +169,7 @@ def solve_many(
     """Joints that bring the tip to each of N targets.
 
     Args:
-        model: arm and effects; camera-side biases are not used.
+        model: arm and effects; measuring-side biases are not used.
         targets: positions (N, 3) in m or poses (N, 4, 4), base frame.
         seed: (n,) or (N, n) starts (rad, m), put inside the limits; default mid-range.
         context: circumstances of the targets, scalars or (N,) arrays.

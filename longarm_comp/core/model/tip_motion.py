@@ -23,11 +23,11 @@ from longarm_comp.core.model import encoders
 from longarm_comp.core.model.encoders import Parts
 
 _H = 1e-3
-"""Step (of a unit parameter, of a rad) of differences through the camera side."""
+"""Step (of a unit parameter, of a rad) of differences through the measuring side."""
 
 
-class _Sensor(Protocol):
-    """What reports the tip: a model's camera side."""
+class Sensor(Protocol):
+    """What reports the tip: a model's measuring side."""
 
     def seen(self, point: Vec, context: Context, kind: str = "position") -> Vec: ...
 
@@ -49,10 +49,10 @@ STILL = _Moved(spatial.ZERO, spatial.ZERO)
 
 @dataclass(frozen=True)
 class Reseen:
-    """A change of the camera side: ``per`` times the difference of two sensors' reports."""
+    """A change of the measuring side: ``per`` times the difference of two sensors' reports."""
 
-    raised: _Sensor
-    lowered: _Sensor
+    raised: Sensor
+    lowered: Sensor
     per: float
     sees: frozenset[str]
 
@@ -101,7 +101,7 @@ class TipMotion:
     """The tip at N postures and its change by each of p parameters.
 
     Attributes:
-        sensor: the model's camera side.
+        sensor: the model's measuring side.
         frame: pose of the tip in the base frame.
         context: circumstances of the postures.
         changes: one per parameter.
@@ -109,7 +109,7 @@ class TipMotion:
             side, both when they are asked for.
     """
 
-    sensor: _Sensor
+    sensor: Sensor
     frame: Frame
     context: Context
     changes: Sequence[_Moved | Reseen]

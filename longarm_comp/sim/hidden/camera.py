@@ -1,4 +1,4 @@
-"""Hidden effects on the camera side: errors of the points reported by the stereo head."""
+"""Hidden effects on the measuring side: errors of the points reported by the stereo head."""
 
 from __future__ import annotations
 

@@ -157,6 +157,11 @@ def whitened_design(fit: ModelFit) -> np.ndarray:
     return fit.columns * priors(fit.slots) * weight(fit)[..., None]
 
 
+def flattened(design: np.ndarray) -> np.ndarray:
+    """(N d, p) of (N, d, p), where a model has no free parameter too."""
+    return design.reshape(design.shape[0] * design.shape[1], design.shape[2])
+
+
 def around(bank: Bank, candidate: Hypothesis, width: float) -> Iterator[Hypothesis]:
     """The same candidate with thresholds or frequencies near its own."""
     factors = dict.fromkeys(f for function in candidate.functions for f in function.factors)
@@ -188,7 +193,7 @@ def marginal_of(fit: ModelFit, kept: np.ndarray) -> tuple[Marginal, np.ndarray]:
     weights = weight(fit)
     design = whitened_design(fit)[inside]
     data = (fit.residual + fit.columns @ fit.model.values) * weights
-    marginal = Marginal(design.reshape(-1, design.shape[-1])[:, kept], data[inside].ravel())
+    marginal = Marginal(flattened(design)[:, kept], data[inside].ravel())
     left = np.zeros(data.shape)
     left[inside] = marginal.py.reshape(-1, data.shape[1])
     return marginal, left

@@ -143,7 +143,7 @@ def _resolved(found: Quantity, values: np.ndarray, widest: float) -> float:
 
 
 def camera_inputs(points: np.ndarray, session: Session) -> Arguments:
-    """Arguments of the camera's side: the seen point (N, 3) m, and recorded columns."""
+    """Arguments of the measuring side: the seen point (N, 3) m, and recorded columns."""
     made: list[Argument] = []
     for axis, values in zip("xyz", points.T, strict=True):
         _add(made, f"{SEEN}{axis}", values, None)

@@ -19,6 +19,7 @@ from longarm_comp.core.identify.discover.bank import (
     Bank,
     Hypothesis,
     Spot,
+    flattened,
     weight,
     whitened_design,
 )
@@ -56,11 +57,12 @@ class Screening:
         self.values = (values / np.where(size > 0, size, 1.0)).astype(np.float32)
         self.white = np.ascontiguousarray(np.moveaxis(white, 2, 0))
         design = whitened_design(fit)[rows]
-        flat = design.reshape(-1, design.shape[-1])
+        flat = flattened(design)
         self._factor = cholesky(flat.T @ flat + np.eye(flat.shape[1]), lower=True)
         turned = np.einsum("ncp,knc->pkn", design, self.white, optimize=True)
-        turned = solve_triangular(self._factor, turned.reshape(len(self._factor), -1), lower=True)
-        turned = turned.reshape(len(self._factor), len(bank.places), len(rows))
+        if turned.size:
+            flat = turned.reshape(len(turned), -1)
+            turned = solve_triangular(self._factor, flat, lower=True).reshape(turned.shape)
         self.turned = np.ascontiguousarray(np.moveaxis(turned, 1, 0), dtype=np.float32)
         self.raw = (self.white**2).sum(axis=2) @ self.values**2
         self.taken = self._squares(self.turned)

@@ -73,7 +73,7 @@ class Traits:
 
     @property
     def camera(self) -> bool:
-        """Whether it is on the camera's side."""
+        """Whether it is on the measuring side."""
         return any(p.at == CAMERA for p in self.places)
 
     @property
@@ -92,7 +92,7 @@ class Likeness:
 
 
 READINGS = (
-    Likeness("an error of what the camera sees, not of the arm", lambda t: t.camera),
+    Likeness("an error of what is measured, not of the arm", lambda t: t.camera),
     Likeness(
         "a common supply that sags as the loads add up",
         lambda t: t.quantity(LoadSum) and len(t.places) > 1,
@@ -152,9 +152,9 @@ def formula(candidate: Hypothesis, amounts: list[tuple[float, float, str]]) -> s
 
 
 def where(place: Spot) -> str:
-    """``joint 5, force y``; ``what the camera sees, x``."""
+    """``joint 5, force y``; ``what is measured, x``."""
     if place.at == CAMERA:
-        return f"what the camera sees, {place.component}"
+        return f"what is measured, {place.component}"
     return f"{place.at}, {place.component}"
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 from longarm_comp.core.identify.candidates import Candidate, Term
 
 CREDIBLE = 0.95
 """Probability that a credible set holds."""
+_OVERFLOW = 700.0  # the largest exponent of a float
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,44 @@ class FoundEffect:
         held = {c.name for c, _ in self.rivals if not c.terms[0].searched}
         held |= {self.name} if self.unnamed else set()
         return sum(chance for name, chance in self.names if name in held)
+
+    def fitted_rivals(self) -> list[Candidate]:
+        """Rivals whose worth only a fit in its place tells.
+
+        Of what no measurement distinguishes from it, and of functions, which need no other effect,
+        the columns tell all.
+        """
+        return [c for c, _ in self.rivals if c.name not in self._told_by_columns]
+
+    @property
+    def _told_by_columns(self) -> set[str]:
+        alike = {n for n, p in self.names if p >= self.names[0][1] and n != self.name}
+        return alike | {c.name for c, _ in self.rivals if not c.terms[0].searched}
+
+    def against(self, worth: Mapping[str, float]) -> tuple[FoundEffect, bool]:
+        """With the probabilities of fits; what is best leads. Whether that is another effect.
+
+        Args:
+            worth: by name of a rival, log evidence in its place, fitted, less the evidence now.
+        """
+        if not worth:
+            return self, False
+        told = self._told_by_columns | {self.name}
+        share = {n: p for n, p in self.names if n in told}
+        total = sum(share.values()) or 1.0
+        odds = {n: math.exp(min(w, _OVERFLOW)) for n, w in worth.items()}
+        whole = 1.0 + sum(odds.values())
+        names = {n: p / total / whole for n, p in share.items()}
+        names |= {n: o / whole for n, o in odds.items()}
+        rivals = [(c, self.log_bayes_factor + worth.get(c.name, 0.0)) for c, _ in self.rivals]
+        best, terms = max(worth, key=lambda name: worth[name]), self.terms
+        better = worth[best] > 0
+        if better:
+            terms = next(c.terms for c, _ in rivals if c.name == best)
+            rivals = [(c, factor) for c, factor in rivals if c.name != best]
+            rivals.insert(0, (Candidate(self.name, self.terms), self.log_bayes_factor))
+        ordered = tuple(sorted(names.items(), key=lambda c: (c[0] != terms[0].name, -c[1])))
+        return replace(self, terms=terms, names=ordered, rivals=tuple(rivals)), better
 
     @property
     def credible(self) -> tuple[str, ...]:

@@ -55,7 +55,7 @@ def propositions(fit: ModelFit, found: Sequence[HasTerms]) -> tuple[Proposition,
     gone = [set(), held] if held else [held]
     best: dict[Hypothesis, tuple[Bank, float]] = {}
     for places in gone:
-        kept = np.array([s.owner.key not in places for s in fit.slots])
+        kept = np.array([s.owner.key not in places for s in fit.slots], dtype=bool)
         marginal, py = marginal_of(fit, kept)
         for bank, screening in zip(every, screened, strict=True):
             first = [bank.score(marginal, fit, c) for c in screening.best(kept, py, SCREENED)]

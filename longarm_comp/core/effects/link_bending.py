@@ -1,0 +1,68 @@
+"""A link that bends although no beam is declared for it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from typing_extensions import Self
+
+from longarm_comp.core.arm import spatial
+from longarm_comp.core.arm.arm import Arm, Joint
+from longarm_comp.core.arm.posture import Posture
+from longarm_comp.core.arm.spatial import Scalar, Twist
+from longarm_comp.core.effects.effect import Effect, Parameter, parameter, place, rows
+from longarm_comp.core.effects.joint_term import reach, typical_loads, with_prior
+
+_POINT = 1e-6  # m: a link shorter than this has no direction
+
+
+@dataclass(frozen=True)
+class LinkBending(Effect):
+    """The straight way from one frame to the next is a cantilever of unknown stiffness.
+
+    With r from the frame before to this one, of length l, and the force F and moment M at its end,
+    the end turns by ``(l M_across + l/2 r x F) / EI + l M_along / GJ`` and moves by
+    ``(l/2 M x r + l/3 (r x F) x r) / EI`` (Euler-Bernoulli).  A slide is as long as it is out.
+    """
+
+    name: ClassVar[str] = "link_bending"
+    title: ClassVar[str] = "link that bends, not declared"
+    action: ClassVar[str] = (
+        "Declare the link's beam in arm.yaml; check its clamping. A stiffer profile lowers it."
+    )
+    loaded: ClassVar[bool] = True
+
+    row: int = place(rows)
+    bending: float = parameter("1/(N m^2)", "1 / EI of the link", prior=1e-4, lower=0.0)
+    torsion: float = parameter("1/(N m^2)", "1 / GJ of the link", prior=1e-4, lower=0.0)
+
+    @classmethod
+    def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
+        """Every row with a length and without a declared beam."""
+        declared = {beam.row for beam in arm.links}
+        return [(cls(row=j.id),) for j in arm.joints if j.id not in declared and _long(j)]
+
+    def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
+        """Prior: 10 mrad over a quarter of the reach under the arm's typical torque."""
+        return with_prior(self.declared(), prior=0.01 / (typical_loads(arm)[1] * reach(arm) / 4))
+
+    def twists(self, posture: Posture) -> Mapping[int, Twist]:
+        """Turn and motion of the row's frame under the loads there."""
+        start, station = posture.frame(self.row - 1), posture.frame(self.row)
+        end = posture.frames[station]
+        r = end.unrotate(spatial.sub(end.p, posture.frames[start].p))
+        length: Scalar = spatial.sqrt(spatial.dot(r, r) + _POINT**2)
+        force, moment = posture.force(station), posture.moment(station)
+        lever = spatial.cross(r, force)
+        along = spatial.scale(spatial.dot(r, moment) / length, r)
+        across = spatial.sub(spatial.scale(length, moment), along)
+        turn = spatial.scale(self.bending, spatial.add(across, spatial.scale(0.5 * length, lever)))
+        turn = spatial.add(turn, spatial.scale(self.torsion, along))
+        bow = spatial.add(spatial.scale(length / 2, moment), spatial.scale(length / 3, lever))
+        return {station: (*spatial.cross(spatial.scale(self.bending, bow), r), *turn)}
+
+
+def _long(joint: Joint) -> bool:
+    return joint.pose is not None or joint.type == "prismatic" or joint.a_m != 0 or joint.d_m != 0
