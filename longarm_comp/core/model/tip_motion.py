@@ -51,8 +51,8 @@ STILL = _Moved(spatial.ZERO, spatial.ZERO)
 class Reseen:
     """A change of the measuring side: ``per`` times the difference of two sensors' reports."""
 
-    raised: _Sensor
-    lowered: _Sensor
+    raised: Sensor
+    lowered: Sensor
     per: float
     sees: frozenset[str]
 
@@ -109,7 +109,7 @@ class TipMotion:
             side, both when they are asked for.
     """
 
-    sensor: _Sensor
+    sensor: Sensor
     frame: Frame
     context: Context
     changes: Sequence[_Moved | Reseen]
