@@ -82,7 +82,9 @@ def test_a_jump_at_any_time_is_what_a_whole_regression_gives() -> None:
         np.testing.assert_allclose(
             known.gram[onset, change, :k, :k], jump.T @ whitened @ jump, rtol=1e-6
         )
-        np.testing.assert_allclose(known.along[onset, change, :k], jump.T @ whitened @ data, rtol=1e-6)
+        np.testing.assert_allclose(
+            known.along[onset, change, :k], jump.T @ whitened @ data, rtol=1e-6
+        )
         unit = np.eye(len(space))[places[0]]
         shifted = data - jump[:, 0] / space.widths[places[0]]
         expected = prior @ a.T @ whitened @ shifted
