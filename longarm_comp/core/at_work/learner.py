@@ -21,7 +21,7 @@ from longarm_comp.core.compensation.unknown import unknown_history
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.model.uncertainty import ModelUncertainty
+from longarm_comp.core.model.uncertainty import ModelUncertainty, Stretch
 
 DOUBT = 0.01
 """Probability that a sighting is wrong: of another point, or of an arm that still moves."""
@@ -190,7 +190,7 @@ class Learner:
         active, covariance = known.covariance()
         slots = tuple(known.space.identities[k] for k in active)
         factor = _factor(covariance)
-        record = dataclasses.replace(self.record, slots=slots, factor=factor, stretch=1.0)
+        record = dataclasses.replace(self.record, slots=slots, factor=factor, stretch=Stretch())
         made = dataclasses.replace(model, uncertainty=record)
         made.__dict__["chain"] = model.chain
         return made

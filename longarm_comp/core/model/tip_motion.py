@@ -26,7 +26,7 @@ _H = 1e-3
 """Step (of a unit parameter, of a rad) of differences through the measuring side."""
 
 
-class _Sensor(Protocol):
+class Sensor(Protocol):
     """What reports the tip: a model's measuring side."""
 
     def seen(self, point: Vec, context: Context, kind: str = "position") -> Vec: ...
