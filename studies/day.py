@@ -177,7 +177,7 @@ class _Truth:
         arm = setting.arm
         names = (*HIDDEN, "link_stiffness") if arm.links else HIDDEN
         self._fixed = [hidden(name, arm, 1.0, rng) for name in names]
-        self._worn = int(rng.choice(_levers(arm)[:2]))
+        self._worn = int(rng.choice(levers(arm)[:2]))
         self._arms: dict[float, TrueArm] = {}
 
     def play(self, t_h: float) -> float:
@@ -222,7 +222,7 @@ class _Truth:
         )
 
 
-def _levers(arm: Arm) -> list[int]:
+def levers(arm: Arm) -> list[int]:
     """Revolute joints (0-based), those first that move the tip most at mid-range."""
     tip, model = arm.mid, Model(arm)
     moved = np.linalg.norm(model.tip(tip + 1e-3 * np.eye(arm.n)) - model.tip(tip[None]), axis=1)

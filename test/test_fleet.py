@@ -20,7 +20,8 @@ from longarm_comp.core.effects.joint_zero import JointZero
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import write_csv
-from longarm_comp.workflows.fleet import Diagnosed, Finding, compared, members
+from longarm_comp.workflows.fleet import Diagnosed, Finding, compared, fleet, members
+from studies.commands.fleet import command as study
 
 
 def rows_of(zero: float, seed: int, n: int = 60) -> Session:
@@ -111,3 +112,50 @@ def test_folders_without_arms_are_refused(tmp_path: Path) -> None:
     (tmp_path / "bare" / "rows.csv").write_text("q1,x\n1,2\n", encoding="utf-8")
     done = CliRunner().invoke(command, [str(tmp_path), "-o", str(tmp_path / "out")])
     assert isinstance(done.exception, JobError)
+
+
+def test_it_goes_on_where_it_was_ended(folders: Path, tmp_path: Path) -> None:
+    arms, out = tmp_path / "arms", tmp_path / "out"
+    shutil.copytree(folders / "sound", arms / "sound")
+    shutil.copytree(folders / "sound", arms / "twin")
+    seen: list[str] = []
+
+    def run() -> list[Diagnosed]:
+        seen.clear()
+        return fleet(arms, out, network=False, progress=lambda name, share: seen.append(name))
+
+    first = run()
+    assert seen == ["sound", "twin"]
+    assert run() == first and seen == []
+    write_csv(rows_of(0.002, 11), arms / "twin" / "later.csv")
+    again = run()
+    assert seen == ["twin"]
+    assert again[0] == first[0] and again[1].made_of != first[1].made_of
+    (out / "fleet.json").write_text("{", encoding="utf-8")
+    assert run() == again and seen == ["sound", "twin"]
+
+
+def test_a_dask_cluster_says_the_same(folders: Path, tmp_path: Path) -> None:
+    distributed = pytest.importorskip("dask.distributed")
+    with pytest.raises(InputError, match="--dask"):
+        fleet(folders, tmp_path / "none", dask="no scheduler")
+    here = fleet(folders, tmp_path / "here", network=False)
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, dashboard_address=None, memory_limit=None
+    ) as cluster:
+        there = fleet(folders, tmp_path / "there", network=False, dask=cluster.scheduler_address)
+    assert there == here
+    assert (tmp_path / "there" / "knocked" / "report.html").is_file()
+
+
+def test_simulated_arms_of_one_kind(tmp_path: Path) -> None:
+    """Three arms of the study; it goes on from the first two."""
+    words = ["--arms", "3", "--arms", "2", "-o", str(tmp_path), "--json"]
+    done = CliRunner().invoke(study, words)
+    assert done.exit_code == 0, (done.output, done.exception)
+    two, three = json.loads(done.stdout)["fleets"]
+    assert (two["arms"], three["arms"], three["failed"]) == (2, 3, 0)
+    assert three["kind_found"] == 1.0
+    assert any("joint 2" in name for name in three["of_kind"])
+    assert three["diagnosed_mm"] < 0.3 * three["calibrated_mm"]
+    assert three["peak_mb"] >= two["peak_mb"] > 50

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,41 +14,52 @@ from longarm_comp.core.errors import JobError
 if TYPE_CHECKING:
     from longarm_comp.workflows.fleet import Diagnosed
 
-SCHEMA = "longarm/fleet/1"
-
 
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path), metavar="DIR")
 @options.output(
     "fleet",
     "Folder to write: a diagnosis an arm, fleet.json, fleet.png.",
-    outputs.folder("fleet.json", told_by="fleet.json", schema=SCHEMA),
+    outputs.folder("fleet.json", told_by="fleet.json", schema="longarm/fleet/1"),
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Processes.")
+@click.option("--dask", metavar="ADDRESS", help="Dask scheduler; its workers see the same files.")
 @click.option("--no-network", is_flag=True, help="Train no network on the remaining error.")
 @options.seed
 @options.as_json
 def command(
-    folder: Path, output: Path, jobs: int, no_network: bool, seed: int, as_json: bool
+    folder: Path,
+    output: Path,
+    jobs: int,
+    dask: str | None,
+    no_network: bool,
+    seed: int,
+    as_json: bool,
 ) -> None:
     """Diagnose every arm in DIR and compare them: which arm drifts, which effect is the kind's.
 
     DIR has a folder an arm, with arm.yaml, sessions (the newest counts) and perhaps the model.yaml
-    in use; or one arm.yaml and one session an arm.
+    in use; or one arm.yaml and one session an arm. Called again, it goes on where it was ended, and
+    diagnoses anew what changed.
 
     \b
     Examples:
       longarm fleet examples/panda_touch -o fleet --jobs 2
       longarm fleet arms -o fleet
     """
-    from longarm_comp.core.files import write_text
     from longarm_comp.report.fleet_picture import draw
     from longarm_comp.workflows.fleet import fleet
 
     with progress("fleet") as show:
-        arms = fleet(folder, output, jobs=jobs, network=not no_network, seed=seed, progress=show)
-    rows = [arm.row for arm in arms]
-    write_text(output / "fleet.json", json.dumps({"schema": SCHEMA, "arms": rows}, indent=1) + "\n")
+        arms = fleet(
+            folder,
+            output,
+            jobs=jobs,
+            dask=dask,
+            network=not no_network,
+            seed=seed,
+            progress=show,
+        )
     draw(
         [arm.name for arm in arms],
         {
@@ -62,7 +72,7 @@ def command(
     if all(arm.verdict == "failed" for arm in arms):
         raise JobError(f"no arm of {folder} could be diagnosed: {arms[0].summary}")
     if as_json:
-        print_json({"output": str(output), "arms": rows})
+        print_json({"output": str(output), "arms": [arm.row for arm in arms]})
         return
     header = ("arm", "rows", "verdict", "in use, mm", "calibrated, mm", "diagnosed, mm", "found")
     print_table(f"{len(arms)} arms", header, [_cells(arm) for arm in arms])
@@ -79,8 +89,9 @@ def _cells(arm: Diagnosed) -> tuple[str, ...]:
     def said(value: float | None) -> str:
         return "" if value is None else f"{value:.2f}"
 
-    found = (
-        f"{f.effect} at {f.where}{' (of the kind)' if f.of_kind else ''}" for f in arm.findings
-    )
+    found: dict[str, list[str]] = {}
+    for f in arm.findings:
+        found.setdefault(f.effect, []).append(f.where + " (of the kind)" * f.of_kind)
+    effects = "; ".join(f"{effect} at {', '.join(where)}" for effect, where in found.items())
     mm = (said(arm.in_use_mm), said(arm.calibrated_mm), said(arm.diagnosed_mm))
-    return (arm.name, str(arm.rows), arm.verdict, *mm, "; ".join(found))
+    return (arm.name, str(arm.rows), arm.verdict, *mm, effects)

@@ -3,25 +3,36 @@
 from __future__ import annotations
 
 import csv
+import gc
+import hashlib
+import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.core.files import write_text
+from longarm_comp.core.identify.findings import EffectFinding
 from longarm_comp.core.identify.kind_of_arm import table
+from longarm_comp.version import __version__
 from longarm_comp.workflows.diagnose import diagnose_files
 from longarm_comp.workflows.evaluate import evaluate
+from longarm_comp.workflows.inputs import file_hash
 
-_DRIFTED = 2.0
-"""Error of a model in use, in that of a calibration of today, from which the arm is another: three
-quarters of the squared error came since."""
+SCHEMA = "longarm/fleet/1"
+WRITTEN = "fleet.json"
+
 ARM, MODEL = "arm.yaml", "model.yaml"
+_ANSWER_S = 20.0
+"""A scheduler that is there answers within it."""
 _MEASURED = {(*kind.cells, kind.label)[0] for kind in KINDS.values()}
 
 
@@ -37,10 +48,10 @@ class Member:
 
 @dataclass(frozen=True)
 class Finding:
-    """An effect that was found at an arm.
+    """An effect that was found at a place of an arm.
 
     Attributes:
-        effect, where: name and places.
+        effect: its name, or the names that no row tells apart, with "or" between them.
         of_kind: whether half of the arms of the kind, two at least, have it at that place.
     """
 
@@ -60,6 +71,7 @@ class Diagnosed:
         calibrated_mm, diagnosed_mm: mean held-out error of the geometry calibrated anew, and with
             what was found.
         findings: effects that were found.
+        made_of: hash of the files and options that it was made of.
     """
 
     name: str
@@ -72,13 +84,22 @@ class Diagnosed:
     calibrated_mm: float | None = None
     diagnosed_mm: float | None = None
     findings: tuple[Finding, ...] = ()
+    made_of: str = ""
+
+    @classmethod
+    def of_row(cls, row: Mapping[str, Any]) -> Diagnosed:
+        """From a row of fleet.json."""
+        known = {f.name: row[f.name] for f in fields(cls)}
+        return cls(**known | {"findings": tuple(Finding(**f) for f in row["findings"])})
 
     @property
     def drifted(self) -> bool:
         """Whether the model in use errs by much more than what a calibration of today leaves."""
         if self.in_use_mm is None or self.calibrated_mm is None:
             return False
-        return self.in_use_mm > _DRIFTED * self.calibrated_mm
+        # Error of a model in use, in that of a calibration of today, from which the arm is another:
+        # three quarters of the squared error came since
+        return self.in_use_mm > 2.0 * self.calibrated_mm
 
     @property
     def row(self) -> dict[str, object]:
@@ -123,37 +144,104 @@ def fleet(
     output: Path,
     *,
     jobs: int = 1,
+    dask: str | None = None,
     network: bool = True,
     seed: int = 0,
     progress: Callable[[str, float], None] = lambda text, share: None,
 ) -> list[Diagnosed]:
     """Diagnose every arm of a folder, each into a folder of its own in `output`.
 
+    fleet.json is written after each arm. Arms that it has from the same files and options are not
+    diagnosed again.
+
     Args:
         folder: as for `members`.
         jobs: processes.
+        dask: address of a scheduler whose workers see the same files, instead of processes.
         network: whether to train networks on what remains.
         progress: called with each finished arm and the share of all.
     """
     found = members(folder)
     tables = [table(Arm.load(member.arm)) for member in found]
-    kinds = [tables.index(each) for each in tables]
+    options = (__version__, network, seed)
+    made: dict[str, Diagnosed] = {}
+    known, left = _known(output / WRITTEN), []
+    for member, mine in zip(found, tables, strict=True):
+        kind, key = tables.index(mine), _made_of(member, options)
+        before = known.get(member.name)
+        if before is not None and before.made_of == key and before.verdict != "failed":
+            made[member.name] = replace(before, kind=kind)
+        else:
+            left.append((member, kind, key))
     look = partial(_diagnosed, output=output, network=network, seed=seed)
-    made: list[Diagnosed] = []
-    if jobs == 1:
-        results: Iterator[Diagnosed] = map(look, found, kinds)
-    else:
-        pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
-        results = pool.map(look, found, kinds)
-    for one in results:
-        made.append(one)
+    for one in _worked(look, left, jobs, dask):
+        made[one.name] = one
+        _write(made.values(), output)
         progress(one.name, len(made) / len(found))
-    if jobs != 1:
-        pool.shutdown()
-    return compared(made)
+    told = compared([made[member.name] for member in found])
+    _write(told, output)
+    return told
 
 
-def _diagnosed(member: Member, kind: int, *, output: Path, network: bool, seed: int) -> Diagnosed:
+def _known(path: Path) -> dict[str, Diagnosed]:
+    """The arms of a fleet.json by name; none where it is not there or not of this version."""
+    try:
+        rows = json.loads(path.read_text(encoding="utf-8"))["arms"]
+        return {row["name"]: Diagnosed.of_row(row) for row in rows}
+    except (OSError, ValueError, TypeError, KeyError):
+        return {}
+
+
+def _write(arms: Iterable[Diagnosed], output: Path) -> None:
+    text = json.dumps({"schema": SCHEMA, "arms": [arm.row for arm in arms]}, indent=1)
+    write_text(output / WRITTEN, text + "\n")
+
+
+def _made_of(member: Member, options: tuple[object, ...]) -> str:
+    files = [p for p in (member.arm, member.session, member.model) if p is not None]
+    told = repr((*options, *map(file_hash, files)))
+    return hashlib.sha256(told.encode()).hexdigest()
+
+
+def _worked(
+    look: Callable[..., Diagnosed],
+    left: Sequence[tuple[Member, int, str]],
+    jobs: int,
+    dask: str | None,
+) -> Iterator[Diagnosed]:
+    """Each arm as it is done; nothing else of it is kept."""
+    if dask is None and jobs == 1:
+        yield from (look(*one) for one in left)
+        return
+    with _pool(jobs, dask) as pool:
+        begun = {pool.submit(look, *one) for one in left}
+        for done in as_completed(begun):
+            yield done.result()
+
+
+@contextmanager
+def _pool(jobs: int, dask: str | None) -> Iterator[Executor]:
+    """Processes of this machine, or the workers of a dask cluster."""
+    if dask is None:
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+            yield pool
+        return
+    try:
+        from dask.distributed import Client
+    except ImportError:
+        wanted = "pip install 'longarm_comp[cluster]'"
+        raise InputError("fleet", "--dask", "not installed", wanted) from None
+    try:
+        client = Client(dask, timeout=_ANSWER_S)
+    except (OSError, ValueError) as error:
+        raise InputError("fleet", "--dask", dask, f"a scheduler ({error})") from error
+    with client, client.get_executor() as workers:
+        yield workers
+
+
+def _diagnosed(
+    member: Member, kind: int, made_of: str, *, output: Path, network: bool, seed: int
+) -> Diagnosed:
     arm, where = Arm.load(member.arm), str(member.session)
     try:
         found = diagnose_files(
@@ -163,9 +251,9 @@ def _diagnosed(member: Member, kind: int, *, output: Path, network: bool, seed: 
         if member.model is not None:
             in_use = 1e3 * evaluate(arm, member.session, model=member.model)["calibrated"].mean
     except LongarmError as error:
-        return Diagnosed(member.name, kind, where, 0, "failed", str(error))
+        return Diagnosed(member.name, kind, where, 0, "failed", str(error), made_of=made_of)
     left = found.held_out
-    return Diagnosed(
+    made = Diagnosed(
         member.name,
         kind,
         where,
@@ -175,8 +263,16 @@ def _diagnosed(member: Member, kind: int, *, output: Path, network: bool, seed: 
         in_use,
         1e3 * left["calibrated"].mean,
         1e3 * left[list(left)[-1]].mean,
-        tuple(Finding(f.name, ", ".join(f.where)) for f in found.findings),
+        tuple(Finding(_names(f), place) for f in found.findings for place in f.where),
+        made_of,
     )
+    del found
+    gc.collect()  # fits and postures refer to each other: a fleet would hold those of many arms
+    return made
+
+
+def _names(finding: EffectFinding) -> str:
+    return " or ".join(sorted({finding.name, *(r.candidate.name for r in finding.alternatives)}))
 
 
 def compared(arms: Sequence[Diagnosed]) -> list[Diagnosed]:

@@ -18,7 +18,7 @@ from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.effects.catalogue import registered
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.model.model import Model, slots_of
-from longarm_comp.core.model.uncertainty import ModelUncertainty, sizes
+from longarm_comp.core.model.uncertainty import ModelUncertainty, Stretch, sizes
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +105,7 @@ def of_tolerances(model: Model) -> ModelUncertainty | None:
         widths = np.array([slot.parameter.width for slot in slots])
         none = np.zeros((3, 3))
         names = tuple(slot.identity for slot in slots)
-        held = ModelUncertainty(names, np.diag(widths), 1.0, none, none, np.inf, 0)
+        held = ModelUncertainty(names, np.diag(widths), Stretch(), none, none, np.inf, 0)
         model.__dict__["_tolerances"] = held
     return held
 

@@ -43,8 +43,8 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.keep_out import entered_at
+from longarm_comp.core.model.link_frames import reach
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.model.outline import reach
 
 _POSE_JOINTS = 6
 """An arm of fewer joints cannot keep a planned orientation: its path is one of positions."""

@@ -1,0 +1,39 @@
+"""``longarm study fleet``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from longarm_comp.cli import options, outputs
+from longarm_comp.cli.output import print_json, print_rows, progress
+
+
+@click.command()
+@click.option(
+    *("--arms", "counts"), type=click.IntRange(min=1), multiple=True, default=(20, 200),
+    show_default=True, help="Simulated arms; a larger number goes on after the smaller.",
+)  # fmt: skip
+@options.output(
+    "build/fleet",
+    "Folder for arms and diagnoses; what is there is gone on with.",
+    outputs.left_to_the_command,
+)
+@options.seed
+@options.as_json
+def command(counts: tuple[int, ...], output: Path, seed: int, as_json: bool) -> None:
+    """Simulated arms of one kind diagnosed by `longarm fleet`; the peak of this process's memory.
+
+    \b
+    Example:
+      longarm study fleet --arms 20 --arms 200
+    """
+    from studies.fleet import study
+
+    with progress("study fleet") as show:
+        rows = list(study(output, counts, seed, show))
+    if as_json:
+        print_json({"seed": seed, "fleets": rows})
+        return
+    print_rows("Fleets of simulated arms of one kind", rows)

@@ -1,0 +1,96 @@
+"""Many simulated arms of one kind through `longarm fleet`: what is found, and what it takes.
+
+Every arm has errors of geometry of its own, the kind's soft joints, and some have play besides: in
+so much the true arm, by other physics, differs from the drawing that all share.
+"""
+
+from __future__ import annotations
+
+import resource
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.files import write_text
+from longarm_comp.sessions.csv import write_csv
+from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.context import TrueContext
+from longarm_comp.sim.hidden.catalogue import draw
+from longarm_comp.workflows.fleet import Diagnosed, fleet
+
+EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "panda_touch"
+ROWS = 80
+"""Poses an arm: twice its parameters of geometry."""
+SIGMA_M = 1e-4
+OF_KIND, OWN, EACH = "joint_compliance", "backlash", 4
+"""What all arms have, and what one in so many has besides."""
+GEOMETRY = ("joint_zero", "dh_error")
+SIZES_MM = {OF_KIND: 2.0, OWN: 1.0, **dict.fromkeys(GEOMETRY, 3.0)}
+
+
+def write_arms(folder: Path, count: int, seed: int) -> None:
+    """One arm.yaml, and a session of each of `count` arms."""
+    folder.mkdir(parents=True, exist_ok=True)
+    text = (EXAMPLE / "arm.yaml").read_text(encoding="utf-8")
+    write_text(folder / "arm.yaml", text)
+    arm = Arm.load(folder / "arm.yaml")
+    soft = draw(OF_KIND, arm, np.random.default_rng(seed), SIZES_MM[OF_KIND])
+    for number in range(count):
+        rng = np.random.default_rng([seed, number])
+        hidden = [soft, *(draw(name, arm, rng, SIZES_MM[name]) for name in GEOMETRY)]
+        if number % EACH == 0:
+            hidden.append(draw(OWN, arm, rng, SIZES_MM[OWN]))
+        q = arm.lower + (arm.upper - arm.lower) * rng.random((ROWS, arm.n))
+        side = rng.choice([-1.0, 1.0], q.shape)
+        tip = TrueArm(arm, tuple(hidden)).pose(q, TrueContext(side))[:, :3, 3]  # type: ignore
+        rows = Session.record(
+            q, tip + SIGMA_M * rng.standard_normal(tip.shape), approach=side, source="simulated"
+        )
+        write_csv(rows, folder / f"arm_{number:04d}.csv")
+
+
+def peak_mb() -> float:
+    """The most memory that this process has held, MB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+def study(
+    folder: Path, counts: tuple[int, ...], seed: int, progress: Callable[[str, float], None]
+) -> Iterator[dict[str, object]]:
+    """One row a count of arms: what was found at them, and the peak of memory up to then.
+
+    Each count goes on after the arms of the last, in this one process.
+    """
+    for count in sorted(counts):
+        write_arms(folder / "arms", count, seed)
+        arms = fleet(folder / "arms", folder / "out", network=False, progress=progress)
+        yield row(arms, peak_mb())
+
+
+def row(arms: list[Diagnosed], memory_mb: float) -> dict[str, object]:
+    """Shares of arms where what is hidden was found, and something else."""
+
+    def share(name: str, among: list[Diagnosed]) -> float:
+        found = [any(name in f.effect for f in arm.findings) for arm in among]
+        return round(float(np.mean(found)), 3) if found else 0.0
+
+    own = [arm for k, arm in enumerate(arms) if k % EACH == 0]
+    told = {f"{f.effect} at {f.where}" for arm in arms for f in arm.findings if f.of_kind}
+    held = {OF_KIND, OWN}
+    false = [any(held.isdisjoint(f.effect.split(" or ")) for f in arm.findings) for arm in arms]
+    left = [arm.diagnosed_mm for arm in arms if arm.diagnosed_mm is not None]
+    before = [arm.calibrated_mm for arm in arms if arm.calibrated_mm is not None]
+    return {
+        "arms": len(arms),
+        "failed": sum(arm.verdict == "failed" for arm in arms),
+        "kind_found": share(OF_KIND, arms),
+        "own_found": share(OWN, own),
+        "another_name": round(float(np.mean(false)), 3),
+        "of_kind": sorted(told),
+        "calibrated_mm": round(float(np.mean(before)), 3),
+        "diagnosed_mm": round(float(np.mean(left)), 3),
+        "peak_mb": round(memory_mb),
+    }
